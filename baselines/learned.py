@@ -105,6 +105,8 @@ class TrainingRecipe(ABC, Generic[Network]):
         crop_height: of the crops.
         batch_size: crops of a step.
         validated_step: pixels between two that are validated, along rows and columns; 1 validates whole views.
+        network_class: makes a network with random weights of a configuration.
+        term_weights: of the terms of the loss, by name.
     """
 
     configuration: str = "compact"
@@ -113,19 +115,31 @@ class TrainingRecipe(ABC, Generic[Network]):
     crop_height: int = 240
     batch_size: ClassVar[int] = 1
     validated_step: ClassVar[int] = 1
+    network_class: "ClassVar[Callable[[str], nn.Module]]"
+    term_weights: ClassVar[Mapping[str, float]]
 
     @property
     def crop_pixels(self) -> int:
         """Pixels of a crop that the loss looks at."""
         return self.crop_width * self.crop_height
 
-    @abstractmethod
-    def network(self) -> Network:
+    def network(self) -> "nn.Module":
         """A network with random weights, of the configuration."""
+        return type(self).network_class(self.configuration)
+
+    def weights(self, step: int) -> Mapping[str, float]:
+        """Weight of each term of the loss at a step."""
+        return self.term_weights
+
+    def sample_loss(self, network: Network, sample: "InstantSample", step: int) -> "tuple[Tensor, dict[str, Tensor]]":
+        """The loss of one crop, the weighted sum of its terms, and these for the log; arguments as of `terms`."""
+        terms = self.terms(network, sample, step)
+        first, *others = (weight * terms[name] for name, weight in self.weights(step).items())
+        return sum(others, first), terms
 
     @abstractmethod
-    def sample_loss(self, network: Network, sample: "InstantSample", step: int) -> "tuple[Tensor, dict[str, Tensor]]":
-        """The loss of one crop, and its terms for the log.
+    def terms(self, network: Network, sample: "InstantSample", step: int) -> "dict[str, Tensor]":
+        """The terms of the loss of one crop.
 
         Args:
             network: in training mode.
@@ -138,5 +152,9 @@ class TrainingRecipe(ABC, Generic[Network]):
         return None
 
     @abstractmethod
+    def rendered(self, network: Network, instant: Instant) -> "Tensor":
+        """The target view, every `validated_step`-th pixel of it, (3, h, w)."""
+
     def validated_view(self, network: Network, instant: Instant) -> "Tensor":
-        """The target view by a network in evaluation mode, every `validated_step`-th pixel of it, (3, h, w) in [0, 1]."""
+        """The target view by a network in evaluation mode, (3, h, w) in [0, 1]."""
+        return self.rendered(network, instant).clamp(0, 1)

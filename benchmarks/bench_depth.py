@@ -31,8 +31,8 @@ from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import find_matcher
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_rig_depth, prepare_depth
-from ggvs_eval.pipelines.offline.stereo.raft_config import PUBLISHED
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
+from ggvs_eval.raft_config import PUBLISHED
 
 COMMAND = "python -m benchmarks.bench_depth"
 WIDTH, HEIGHT, FOCAL_PX = 1345, 1008, 730.0

@@ -20,8 +20,13 @@ from ggvs_eval.compute_device import rendering_on
 from ggvs_eval.geometry.rectification import rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
-from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, shipped_weights, weights_digest
-from ggvs_eval.pipelines.offline.stereo.raft_on_device import DeviceRaftMatcher, network_on
+from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
+    DeviceRaftMatcher,
+    RaftMatcher,
+    network_on,
+    shipped_weights,
+    weights_digest,
+)
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import SIZE_MULTIPLE
 
 TARGET_MS = 30.0  # a pair matched, at the larger size

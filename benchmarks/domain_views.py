@@ -18,9 +18,9 @@ from ggvs_eval.files.digest import digest_values
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.training.samples.capture_pool import MeasuredSampleMaker
 from ggvs_eval.pipelines.training.samples.capture_views import draw_views, held_back_halves
 from ggvs_eval.pipelines.training.samples.room_plan import choose_views, domain_validation_plan, room_options
+from ggvs_eval.pipelines.training.samples.sample_maker import SampleMaker
 from ggvs_eval.pipelines.training.samples.training_data import HELD_BACK
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import VALIDATION_SEEDS, find_domain
@@ -116,7 +116,7 @@ def make_views(cache: Path, domain: str, seed: int, plan: ViewPlan, data: Path |
     capture, choices = _real(data, plan) if domain == REAL else render_domain(cache, domain, seed, plan)
     for frame in range(len(views_of(cache, domain, seed, plan)[0].files)):
         options = DepthRunOptions(plan.matcher).options()
-        maker = MeasuredSampleMaker(capture, replace(options, consistency=None) if plan.alone else options, frame)
+        maker = SampleMaker(capture, replace(options, consistency=None) if plan.alone else options, frame)
         for view, (target, sources) in zip(views_of(cache, domain, seed, plan), choices, strict=True):
             if not view.files[frame].is_file():
                 write_view(view.files[frame], InstantSample(maker.instant(target, sources), maker.truth(target)))

@@ -29,7 +29,7 @@ from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.training.samples.capture_pool import MeasuredSampleMaker
+from ggvs_eval.pipelines.training.samples.sample_maker import SampleMaker
 from ggvs_eval.run_folder import write_json
 from ggvs_eval.synthetic.domains import VALIDATION_SEEDS
 
@@ -124,7 +124,7 @@ def contradiction_px(truth: Capture, rig: Calibration) -> float:
 
 def render_scores(capture: Capture, names: Sequence[tuple[str, Sequence[str]]]) -> list[dict[str, float]]:
     """PSNR and SSIM of views by their sources; the target takes no part in depth."""
-    maker, scores = MeasuredSampleMaker(capture, DepthRunOptions().options()), []
+    maker, scores = SampleMaker(capture, DepthRunOptions().options()), []
     for target, sources in names:
         camera = capture.camera(target)
         instant = maker.instant(camera, [capture.camera(source) for source in sources])

@@ -15,8 +15,8 @@ LEARNED = tuple(f"baselines.{folder.name}" for folder in sorted(BASELINES.iterdi
 # Rooms from the ground up; rooms of one floor do not import each other. A module of the package itself, e.g.
 # `ggvs_eval.camera`, is a room of its own; what stands in a folder belongs to the longest name listed here.
 FLOORS = (
-    ("arrays", "errors", "kernels", "residual_block"),
-    ("camera", "progress", "plugins"),
+    ("arrays", "errors", "kernels", "raft_config", "residual_block"),
+    ("camera", "progress", "plugins", "raft_update"),
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
     ("depth_store", "protocol", "gaussians"),

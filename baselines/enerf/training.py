@@ -16,8 +16,6 @@ from ggvs_eval.method import Instant
 from ggvs_eval.training.instant_samples import InstantSample
 from ggvs_eval.training.losses import structural_loss
 
-COARSE_WEIGHT, STRUCTURE_WEIGHT = 0.1, 0.01
-
 
 @dataclass(frozen=True)
 class EnerfRecipe(TrainingRecipe[Networks]):
@@ -31,12 +29,10 @@ class EnerfRecipe(TrainingRecipe[Networks]):
     crop_width: int = 256
     crop_height: int = 192
     batch_size: ClassVar[int] = 2
+    network_class = Networks
+    term_weights: ClassVar = {"squared_loss": 1.0, "coarse_loss": 0.1, "ssim_loss": 0.01}
 
-    def network(self) -> Networks:
-        """Networks with random weights."""
-        return Networks(self.configuration)
-
-    def sample_loss(self, network: Networks, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
+    def terms(self, network: Networks, sample: InstantSample, step: int) -> dict[str, Tensor]:
         """Squared error of both levels, and structure."""
         target, truth = sample.instant.target, sample.truth_tensor
         near, far = sample.instant.depth_range
@@ -50,19 +46,17 @@ class EnerfRecipe(TrainingRecipe[Networks]):
         rays = torch.as_tensor(target.rays()[::COARSE_FACTOR, ::COARSE_FACTOR]).float()
         rough, _ = render_coarsely(network, coarse_views(views), coarse, centre, rays)
         coarse_truth = functional.avg_pool2d(truth, COARSE_FACTOR).flatten(1).T
-        terms = {
+        return {
             "squared_loss": (image - truth).square().mean(),
             "coarse_loss": (rough - coarse_truth).square().mean(),
             "ssim_loss": structural_loss(image[None], truth[None]),
         }
-        loss = terms["squared_loss"] + COARSE_WEIGHT * terms["coarse_loss"] + STRUCTURE_WEIGHT * terms["ssim_loss"]
-        return loss, terms
 
-    def validated_view(self, network: Networks, instant: Instant) -> Tensor:
+    def rendered(self, network: Networks, instant: Instant) -> Tensor:
         """The target view."""
         near, far = instant.depth_range
         unit = TRAINED_NEAR / near
         views = [see(network.feature_net, source, unit) for source in instant.sources]
         grid = target_grid(instant.target, unit)
         surface = find_surface(network, views, grid, near * unit, far * unit, network.coarse_planes)
-        return render_surface(network, views, surface, instant.target, unit)[0].clamp(0, 1)
+        return render_surface(network, views, surface, instant.target, unit)[0]

@@ -56,7 +56,7 @@ class FwdNetwork(nn.Module):
         The encoder keeps the size; its widths between 3 and 61 are ours. Normalisation is by batch.
     """
 
-    def __init__(self, completes_depth: bool = False, configuration: str = "full") -> None:
+    def __init__(self, configuration: str = "full", completes_depth: bool = False) -> None:
         super().__init__()
         self.configuration = configuration
         self.config = config = CONFIGURATIONS[configuration]
@@ -128,6 +128,6 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> FwdNetwork:
     """
     tensors = read_tensors(path, of=OF)
     configuration = configuration_of(path, CONFIGURATIONS, OF) or FULL
-    network = FwdNetwork(any(name.startswith("completion.") for name in tensors), configuration)
+    network = FwdNetwork(configuration, any(name.startswith("completion.") for name in tensors))
     load_strict(tensors, network, path, OF)
     return network.eval().to(device)

@@ -1,6 +1,7 @@
 """Training task of FWD: decode the target image from source features that given depth warps there."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from torch import Tensor
 
@@ -10,8 +11,6 @@ from ggvs_eval.baselines.learned import TrainingRecipe
 from ggvs_eval.method import Instant
 from ggvs_eval.training.instant_samples import InstantSample
 from ggvs_eval.training.losses import structural_loss
-
-SQUARED_WEIGHT, STRUCTURE_WEIGHT = 5.0, 0.2
 
 
 @dataclass(frozen=True)
@@ -26,22 +25,14 @@ class FwdRecipe(TrainingRecipe[FwdNetwork]):
 
     crop_width: int = 192
     crop_height: int = 160
+    network_class = FwdNetwork
+    term_weights: ClassVar = {"squared_loss": 5.0, "ssim_loss": 0.2}
 
-    def network(self) -> FwdNetwork:
-        """A network with random weights."""
-        return FwdNetwork(configuration=self.configuration)
-
-    def sample_loss(self, network: FwdNetwork, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
+    def terms(self, network: FwdNetwork, sample: InstantSample, step: int) -> dict[str, Tensor]:
         """Squared error and structure."""
-        image, truth = _render(network, sample.instant), sample.truth_tensor
-        squared = (2 * image - 2 * truth).square().mean()
-        structure = structural_loss(image[None], truth[None])
-        return SQUARED_WEIGHT * squared + STRUCTURE_WEIGHT * structure, {"squared_loss": squared, "ssim_loss": structure}
+        image, truth = self.rendered(network, sample.instant), sample.truth_tensor
+        return {"squared_loss": (2 * image - 2 * truth).square().mean(), "ssim_loss": structural_loss(image[None], truth[None])}
 
-    def validated_view(self, network: FwdNetwork, instant: Instant) -> Tensor:
+    def rendered(self, network: FwdNetwork, instant: Instant) -> Tensor:
         """The target view."""
-        return _render(network, instant).clamp(0, 1)
-
-
-def _render(network: FwdNetwork, instant: Instant) -> Tensor:
-    return decode_views(network, instant, warp_views(network, instant))
+        return decode_views(network, instant, warp_views(network, instant))

@@ -1,6 +1,7 @@
 """Training task of GPS-Gaussian: shapes and opacities of Gaussians whose positions and colours are given."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -15,8 +16,6 @@ from ggvs_eval.method import Instant
 from ggvs_eval.training.instant_samples import InstantSample
 from ggvs_eval.training.losses import structural_loss
 
-L1_WEIGHT, STRUCTURE_WEIGHT = 0.8, 0.2
-
 
 @dataclass(frozen=True)
 class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
@@ -30,6 +29,8 @@ class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
 
     crop_width: int = 96
     crop_height: int = 80
+    network_class = GpsGaussianNetwork
+    term_weights: ClassVar = {"l1_loss": 0.8, "ssim_loss": 0.2}
 
     def __post_init__(self) -> None:
         """Refuse a configuration part of which would not be taught."""
@@ -38,16 +39,10 @@ class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
                 f"gps-gaussian: {self.configuration} has a stereo network, which is not taught here; take compact"
             )
 
-    def network(self) -> GpsGaussianNetwork:
-        """A network with random weights."""
-        return GpsGaussianNetwork(self.configuration)
-
-    def sample_loss(self, network: GpsGaussianNetwork, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
+    def terms(self, network: GpsGaussianNetwork, sample: InstantSample, step: int) -> dict[str, Tensor]:
         """Mean absolute error and structure."""
-        image, truth = _render(network, sample.instant), sample.truth_tensor
-        absolute = (image - truth).abs().mean()
-        structure = structural_loss(image[None], truth[None])
-        return L1_WEIGHT * absolute + STRUCTURE_WEIGHT * structure, {"l1_loss": absolute, "ssim_loss": structure}
+        image, truth = self.rendered(network, sample.instant), sample.truth_tensor
+        return {"l1_loss": (image - truth).abs().mean(), "ssim_loss": structural_loss(image[None], truth[None])}
 
     def refusal(self, instant: Instant) -> str | None:
         """Sources none of whose pairs can be rectified, as a camera that walks straight ahead makes them."""
@@ -57,14 +52,10 @@ class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
             return str(error)
         return None
 
-    def validated_view(self, network: GpsGaussianNetwork, instant: Instant) -> Tensor:
+    def rendered(self, network: GpsGaussianNetwork, instant: Instant) -> Tensor:
         """The target view."""
-        return _render(network, instant).clamp(0, 1)
-
-
-def _render(network: GpsGaussianNetwork, instant: Instant) -> Tensor:
-    """(3, H, W)."""
-    config = network.config
-    gaussians = instant_gaussians(network, instant, "given", config.pairs, config.rotations_in)
-    with torch.autocast(next(network.parameters()).device.type, enabled=False):  # few bits of a distance would move Gaussians
-        return blend_gaussians(gaussians, instant.target, instant.near_plane)[..., :3].permute(2, 0, 1)
+        config = network.config
+        gaussians = instant_gaussians(network, instant, "given", config.pairs, config.rotations_in)
+        device = next(network.parameters()).device.type
+        with torch.autocast(device, enabled=False):  # few bits of a distance would move Gaussians
+            return blend_gaussians(gaussians, instant.target, instant.near_plane)[..., :3].permute(2, 0, 1)

@@ -32,17 +32,15 @@ class IbrnetRecipe(TrainingRecipe[Networks]):
     crop_height: int = 120
     rays: int = 320
     validated_step: ClassVar[int] = 4
+    network_class = Networks
+    term_weights: ClassVar = {"coarse_loss": 1.0, "fine_loss": 1.0}
 
     @property
     def crop_pixels(self) -> int:
         """Pixels of a crop that the loss looks at: one per ray."""
         return self.rays
 
-    def network(self) -> Networks:
-        """Networks with random weights."""
-        return Networks(self.configuration)
-
-    def sample_loss(self, network: Networks, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
+    def terms(self, network: Networks, sample: InstantSample, step: int) -> dict[str, Tensor]:
         """Squared error of both passes."""
         target, truth = sample.instant.target, sample.truth_tensor.flatten(1).T  # (H * W, 3)
         drawn = torch.as_tensor(np.random.default_rng([self.seed, step, 1]).choice(len(truth), self.rays, replace=False))
@@ -50,13 +48,12 @@ class IbrnetRecipe(TrainingRecipe[Networks]):
         rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()[drawn]
         views = see(network, sample.instant.sources)
         rough, (colours, _, _) = render_passes(network, views, centre, rays, *depth_range(sample.instant))
-        terms = {
+        return {
             "coarse_loss": (rough - truth[drawn]).square().mean(),
             "fine_loss": (colours - truth[drawn]).square().mean(),
         }
-        return terms["coarse_loss"] + terms["fine_loss"], terms
 
-    def validated_view(self, network: Networks, instant: Instant) -> Tensor:
+    def rendered(self, network: Networks, instant: Instant) -> Tensor:
         """Pixels of the target view on a grid; whole views would take minutes."""
         step = self.validated_step
         rays = torch.as_tensor(np.ascontiguousarray(instant.target.rays()[::step, ::step])).float()  # (h, w, 3)
@@ -64,4 +61,4 @@ class IbrnetRecipe(TrainingRecipe[Networks]):
         centre = torch.as_tensor(instant.target.centre).float()
         chunks = rays.view(-1, 3).split(rays_at_once(len(views), network.config.samples))
         parts = [render_rays(network, views, centre, chunk, *depth_range(instant))[0] for chunk in chunks]
-        return torch.cat(parts).clamp(0, 1).view(rays.shape).permute(2, 0, 1)
+        return torch.cat(parts).view(rays.shape).permute(2, 0, 1)

@@ -1,6 +1,6 @@
 """Training task of MVSplat: Gaussians whose picture is the target's, and depth that agrees with what stereo found."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -18,7 +18,6 @@ from ggvs_eval.method import Instant
 from ggvs_eval.training.instant_samples import InstantSample
 from ggvs_eval.training.losses import structural_loss
 
-STRUCTURE_WEIGHT, DISPARITY_WEIGHT = 0.05, 0.3
 DEPTH_STEPS = 60  # at first
 
 
@@ -37,12 +36,14 @@ class MvsplatRecipe(TrainingRecipe[MvsplatNetwork]):
     crop_width: int = 96
     crop_height: int = 80
     batch_size: ClassVar[int] = 2
+    network_class = MvsplatNetwork
+    term_weights: ClassVar = {"squared_loss": 1.0, "ssim_loss": 0.05, "disparity_loss": 0.3}
 
-    def network(self) -> MvsplatNetwork:
-        """A network with random weights."""
-        return MvsplatNetwork(self.configuration)
+    def weights(self, step: int) -> Mapping[str, float]:
+        """Inverse depth alone at first."""
+        return {"disparity_loss": 1.0} if step < DEPTH_STEPS else self.term_weights
 
-    def sample_loss(self, network: MvsplatNetwork, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
+    def terms(self, network: MvsplatNetwork, sample: InstantSample, step: int) -> dict[str, Tensor]:
         """Squared error, structure, and inverse depth; the latter alone at first."""
         instant, truth = sample.instant, sample.truth_tensor
         views = see_views(instant, network.config.size_multiple)
@@ -50,23 +51,21 @@ class MvsplatRecipe(TrainingRecipe[MvsplatNetwork]):
             together, _ = network.backbone(views.images, network.config.window)
             coarse, _ = network.depth_predictor.search(together, views)
             error = _disparity_error([coarse], views, instant)
-            return error, {"squared_loss": torch.zeros(()), "ssim_loss": torch.zeros(()), "disparity_loss": error}
+            return {"squared_loss": torch.zeros(()), "ssim_loss": torch.zeros(()), "disparity_loss": error}
         pixels = network(views)
         with torch.autocast(views.images.device.type, enabled=False):  # few bits of a depth would move Gaussians
             cloud = pixel_cloud(pixels, views, network.config.published)
             image = render_gaussians(cloud, instant.target, near=instant.near_plane).image.permute(2, 0, 1)
-            terms = {
+            return {
                 "squared_loss": (image - truth).square().mean(),
                 "ssim_loss": structural_loss(image[None], truth[None]),
                 "disparity_loss": _disparity_error([pixels.coarse_disparity, pixels.disparity], views, instant),
             }
-        loss = terms["squared_loss"] + STRUCTURE_WEIGHT * terms["ssim_loss"] + DISPARITY_WEIGHT * terms["disparity_loss"]
-        return loss, terms
 
-    def validated_view(self, network: MvsplatNetwork, instant: Instant) -> Tensor:
+    def rendered(self, network: MvsplatNetwork, instant: Instant) -> Tensor:
         """The target view."""
         picture = render_gaussians(instant_cloud(network, instant), instant.target, near=instant.near_plane)
-        return picture.image.permute(2, 0, 1).clamp(0, 1)
+        return picture.image.permute(2, 0, 1)
 
 
 def _disparity_error(disparities: Sequence[Tensor], views: Views, instant: Instant) -> Tensor:

@@ -11,7 +11,7 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import evenly_spaced
-from ggvs_eval.geometry.pinhole import Pinhole, as_image, pinhole, rigid_between
+from ggvs_eval.geometry.pinhole import Pinhole, as_image, as_image8, pinhole, rigid_between
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 from ggvs_eval.method import SourceView
@@ -174,12 +174,9 @@ def _source_fields(target: Camera, source: SourceView) -> tuple[Any, ...]:
 
 def _image8(source: SourceView) -> Image8:
     """The image of a view, C-contiguous, as the kernels that look it up want it."""
-    camera, image = source.camera, source.image
-    if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8 or image.size < 6:
-        raise RenderError(
-            f"camera {camera.name}: wanted a uint8 image ({camera.height}, {camera.width}, 3) of at least two pixels, "
-            f"got {image.dtype} {image.shape}"
-        )
+    image = as_image8(source.image, source.camera, RenderError)
+    if image.size < 6:  # the kernels read bytes by fours
+        raise RenderError(f"camera {source.camera.name}: wanted an image of at least two pixels, got {image.shape}")
     return np.ascontiguousarray(image)
 
 

@@ -1,11 +1,10 @@
 """The training loop of every network here: AdamW, averaged weights, checkpoints, a log; a killed run goes on where it was."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import nn
@@ -25,34 +24,8 @@ from ggvs_eval.training.checkpoint import (
     write_weights,
 )
 from ggvs_eval.training.log import TrainingLog, draw_curves
+from ggvs_eval.training.options import Precision, TrainingOptions
 from ggvs_eval.training.task import Task
-
-Precision = Literal["auto", "float32", "bfloat16"]
-
-
-@dataclass(frozen=True)
-class TrainingOptions:
-    """Options of a training; none changes what is learned but `steps`, `precision` and the device.
-
-    Attributes:
-        steps: of the whole training, those of earlier runs included.
-        device: ``cpu``, ``cuda``, or the better one by default.
-        precision: of convolutions; ``auto`` takes bfloat16 where the hardware multiplies it faster.
-        save_every: steps between checkpoints.
-        validate_every: steps between validations.
-        workers: processes that make batches.
-        compile: let torch compile the network first: some minutes once, a fifth less per step.
-        start_from: weights that a training without a state begins with, such as those that ship.
-    """
-
-    steps: int = 20000
-    device: str = "auto"
-    precision: Precision = "auto"
-    save_every: int = 100
-    validate_every: int = 500
-    workers: int = 1
-    compile: bool = False
-    start_from: Path | None = None
 
 
 def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
@@ -74,7 +47,7 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
     device = compute_device(options.device)
     state = _start(task, folder, device, options.start_from)
     log = TrainingLog(folder, state.step)
-    if options.compile:
+    if options.compile_network:
         state.network.compile(dynamic=False)
     for step, batch in _remaining(task, state.step, options):
         started, on_cpu = perf_counter(), process_time()

@@ -1,59 +1,16 @@
 """The verb of the command line that trains the networks of this package: a subcommand per network, and one for all."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import tyro
 
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
-from ggvs_eval.pipelines.commands.captures import NONE, Output
-from ggvs_eval.pipelines.training.request import Configuration, Guidance, Precision, Size, TrainingRequest
-
-
-@dataclass(frozen=True)
-class LoopOptions:
-    """Options of the training loop.
-
-    Attributes:
-        steps: of the whole training, those of earlier calls included.
-        seed: of the weights and the scenes.
-        device: cpu, cuda, or the better one by default.
-        precision: of convolutions; auto takes bfloat16 where the hardware multiplies it faster.
-        workers: processes that make batches.
-        compile_network: let torch compile it first: some minutes once, a fifth less per step.
-    """
-
-    steps: int = TrainingRequest.steps
-    seed: int = TrainingRequest.seed
-    device: str = TrainingRequest.device
-    precision: Precision = TrainingRequest.precision
-    workers: int = TrainingRequest.workers
-    compile_network: bool = TrainingRequest.compile_network
-
-
-@dataclass(frozen=True)
-class DataOptions:
-    """The views that a network learns from.
-
-    Attributes:
-        views: the most source views of a sample, K.
-        rooms: rooms to render of each domain, one to four minutes and 50 MB each.
-        targets: target views per room.
-        domains: kinds of captures to learn from and to choose by (plain, narrow, arc, ...).
-        captures: folders of captures to learn from beside the rooms (RGB-D sequences by ScanNet's rule, Spaces, DyNeRF, rigs of
-            your own), never those that you test on.
-        hold_back: learn from the first half of each RGB-D sequence, and validate on what is new in the rest.
-    """
-
-    views: int = TrainingRequest.views
-    rooms: int = TrainingRequest.rooms
-    targets: int = TrainingRequest.targets
-    domains: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DOMAIN ...", help_behavior_hint="(default: all)")] = ()
-    captures: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE ...", help_behavior_hint=NONE)] = ()
-    hold_back: bool = TrainingRequest.hold_back
-
+from ggvs_eval.pipelines.commands.captures import Output
+from ggvs_eval.pipelines.training.request import Configuration, Guidance, Size, TrainingRequest
+from ggvs_eval.pipelines.training.samples.data_options import DataOptions
+from ggvs_eval.training.options import LoopOptions
 
 Training = tyro.conf.OmitArgPrefixes[LoopOptions]
 Data = tyro.conf.OmitArgPrefixes[DataOptions]

@@ -19,8 +19,10 @@ from ggvs_eval.method import Instant
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.training.blend.blend_task import FINE_TUNING, LEARNING
-from ggvs_eval.pipelines.training.samples.samples import Samples, require_room
-from ggvs_eval.pipelines.training.samples.training_data import TrainingData, baseline_samples
+from ggvs_eval.pipelines.training.samples.data_options import DataOptions
+from ggvs_eval.pipelines.training.samples.sample_kinds import InstantKind
+from ggvs_eval.pipelines.training.samples.samples import SamplePool, require_room
+from ggvs_eval.pipelines.training.samples.training_data import sample_pools
 from ggvs_eval.training.instant_samples import InstantSample
 from ggvs_eval.training.normalisation import freeze_statistics, recompute_statistics
 from ggvs_eval.training.task import Schedule
@@ -29,7 +31,7 @@ STATISTICS_VIEWS = 48  # that running statistics are computed over
 
 
 def baseline_task(
-    name: str, cache: Path, data: TrainingData, configuration: str = "compact", seed: int = 0, is_trained: bool = False
+    name: str, cache: Path, data: DataOptions, configuration: str = "compact", seed: int = 0, is_trained: bool = False
 ) -> "BaselineTask":
     """The training of a baseline on the views that the blending network learns from.
 
@@ -45,7 +47,7 @@ def baseline_task(
         TrainingError: nothing to learn from, or a configuration that cannot be trained here.
     """
     baseline = LEARNED_BASELINES[name]
-    samples = baseline_samples(cache, data, baseline.takes_depth)
+    samples = sample_pools(cache, data, InstantKind(baseline.takes_depth))
     recipe = baseline.make_recipe(configuration, seed)
     return BaselineTask(*samples, baseline, recipe, recipe.batch_size, FINE_TUNING if is_trained else LEARNING, is_trained)
 
@@ -65,8 +67,8 @@ class BaselineTask:
             crops, and are computed anew at the end.
     """
 
-    training: Samples[InstantSample]
-    validation: Samples[InstantSample]
+    training: SamplePool[InstantSample]
+    validation: SamplePool[InstantSample]
     baseline: LearnedBaseline = field(repr=False)
     recipe: TrainingRecipe[Any]
     batch_size: int = 1

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from ggvs_eval.pipelines.training.samples.data_options import DataOptions
+from ggvs_eval.training.options import TrainingOptions
+
 Size = Literal["small", "standard", "large"]
 Guidance = Literal["registered", "channels", "none", "naive"]
 Configuration = Literal["compact", "full"]
-Precision = Literal["auto", "float32", "bfloat16"]
 
 LEARNED = ("steps", "seed")
 VIEWED = ("views", "rooms", "targets", "domains", "captures", "hold_back")
@@ -18,47 +20,19 @@ HOW = ("device", "precision", "workers", "compile_network")  # change nothing th
 
 
 @dataclass(frozen=True)
-class TrainingRequest:
+class TrainingRequest(TrainingOptions, DataOptions):
     """Request for the training of one network or of all.
 
     Attributes:
-        steps: of the whole training, those of earlier calls included.
-        seed: of the weights and the scenes.
-        views: blend, baselines: the most source views of a sample, K; blend takes no more, and learns from two views on.
         size: blend: of the U-Net; its first level has 8, 16 or 32 channels.
         guidance: blend: what it sees of the fused depth: views registered by it, its channels as the paper prints them, none
             of it (ablation), or no depth at all (naive).
-        rooms: blend, baselines: rooms to film of each domain, one to four minutes and 50 MB each.
-        targets: blend, baselines: target views per room.
-        domains: blend, baselines: kinds of captures to learn from and to choose by (plain, narrow, arc, ...); all of them
-            unless named.
         configuration: baselines: compact, which an hour of one core trains, or full, as the authors publish it.
-        captures: blend, baselines: folders of captures to learn from beside the rooms (RGB-D sequences by ScanNet's rule,
-            Spaces, DyNeRF, rigs of your own), never those that you test on.
-        hold_back: captures: RGB-D sequences are learned from in their first half, and what is new in the rest validates.
-        device: cpu, cuda, or the better one by default; with NVIDIA Warp it computes the blending network's samples too.
-        precision: of convolutions; auto takes bfloat16 where the hardware multiplies it faster.
-        workers: processes that make batches.
-        compile_network: let torch compile it first: some minutes once, a fifth less per step.
-        start_from: weights to begin with where the folder holds no state, such as those that ship.
     """
 
-    steps: int = 20000
-    seed: int = 0
-    views: int = 6
     size: Size = "standard"
     guidance: Guidance = "registered"
-    rooms: int = 3
-    targets: int = 9
-    domains: tuple[str, ...] = ()
     configuration: Configuration = "compact"
-    captures: tuple[Path, ...] = ()
-    hold_back: bool = False
-    device: str = "auto"
-    precision: Precision = "auto"
-    workers: int = 1
-    compile_network: bool = False
-    start_from: Path | None = None
 
     def words(self, what: str) -> list[str]:
         """The options that ask for the training of a network, how it is computed included, as `ggvs-eval` takes them."""

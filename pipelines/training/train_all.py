@@ -11,9 +11,10 @@ from ggvs_eval.errors import TrainingError
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.online.blend_weights import weights_name
 from ggvs_eval.pipelines.training.request import Guidance, TrainingRequest
-from ggvs_eval.pipelines.training.samples.training_data import baseline_samples, blend_samples, prepare_samples
+from ggvs_eval.pipelines.training.samples.sample_kinds import BlendKind, InstantKind
+from ggvs_eval.pipelines.training.samples.training_data import prepare_samples, sample_pools
 from ggvs_eval.pipelines.training.side_by_side import Training, default_jobs, run_trainings
-from ggvs_eval.pipelines.training.train_one import CACHE, requested_data, sample_device, sample_workers
+from ggvs_eval.pipelines.training.train_one import CACHE, sample_device, sample_workers
 
 Network = tuple[str, Guidance]  # what `train` calls it, and what blend sees of the fused depth
 NETWORKS: tuple[Network, ...] = (
@@ -88,9 +89,8 @@ def prepare_all(cache: Path, request: TrainingRequest, networks: Sequence[Networ
     Raises:
         TrainingError: nothing to learn from, or captures that cannot be learned from.
     """
-    data = requested_data(request)
     if any(what == "blend" for what, _ in networks):
         device = sample_device(request)
-        prepare_samples(*blend_samples(cache, data, device), sample_workers(device))
+        prepare_samples(*sample_pools(cache, request, BlendKind(device)), sample_workers(device))
     for depth in sorted({LEARNED_BASELINES[what].takes_depth for what, _ in networks if what in LEARNED_BASELINES}):
-        prepare_samples(*baseline_samples(cache, data, depth), default_workers())
+        prepare_samples(*sample_pools(cache, request, InstantKind(depth)), default_workers())

@@ -12,11 +12,12 @@ from ggvs_eval.pipelines.training.baseline_task import baseline_task
 from ggvs_eval.pipelines.training.blend import blend_task
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
 from ggvs_eval.pipelines.training.request import TrainingRequest
-from ggvs_eval.pipelines.training.samples.training_data import TrainingData, blend_samples, prepare_samples
+from ggvs_eval.pipelines.training.samples.sample_kinds import BlendKind
+from ggvs_eval.pipelines.training.samples.training_data import prepare_samples, sample_pools
 from ggvs_eval.pipelines.training.stereo import stereo_task
 from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
 from ggvs_eval.training.card import write_card
-from ggvs_eval.training.loop import TrainingOptions, train
+from ggvs_eval.training.loop import train
 from ggvs_eval.training.task import Schedule, Task
 
 CACHE = "blend-samples"  # beside the folders of the trainings
@@ -40,38 +41,23 @@ def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, 
     """
     hardware = describe_device(compute_device(request.device))  # what is missing shows before anything is rendered
     task = planned_task(what, folder.parent / CACHE, request)
-    options = TrainingOptions(
-        steps=request.steps,
-        device=request.device,
-        precision=request.precision,
-        workers=request.workers,
-        compile=request.compile_network,
-        start_from=request.start_from,
-    )
-    weights = train(task, folder, options)
+    weights = train(task, folder, request)
     command = " ".join(["ggvs-eval train", what, folder.name, *request.card_words(what)])
     return weights, write_card(task, folder, command, device=hardware)
-
-
-def requested_data(request: TrainingRequest) -> TrainingData:
-    """Return the data that is learned from."""
-    return TrainingData(
-        request.rooms, request.targets, request.domains, request.captures, request.hold_back, most_views=request.views
-    )
 
 
 def planned_task(what: str, cache: Path, request: TrainingRequest) -> Task:
     """The task that is asked for, its samples in place."""
     if what == "stereo":
         return StereoTask(seed=request.seed, schedule=Schedule() if request.start_from is None else stereo_task.FINE_TUNING)
-    data, is_trained = requested_data(request), request.start_from is not None
+    is_trained = request.start_from is not None
     if what != "blend":
-        baseline = baseline_task(what, cache, data, request.configuration, request.seed, is_trained)
+        baseline = baseline_task(what, cache, request, request.configuration, request.seed, is_trained)
         prepare_samples(baseline.training, baseline.validation, default_workers())
         return baseline
     config, device = BlendNetworkOptions(request.views, request.guidance, WIDTHS[request.size]), sample_device(request)
     schedule = blend_task.FINE_TUNING if is_trained else blend_task.LEARNING
-    blend = BlendTask(*blend_samples(cache, data, device), config, seed=request.seed, schedule=schedule)
+    blend = BlendTask(*sample_pools(cache, request, BlendKind(device)), config, seed=request.seed, schedule=schedule)
     prepare_samples(blend.training, blend.validation, sample_workers(device))
     return blend
 

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 def seeded(completes_depth=False):
     """A network with seeded weights in evaluation mode."""
     torch.manual_seed(5)
-    return FwdNetwork(completes_depth).eval()
+    return FwdNetwork(completes_depth=completes_depth).eval()
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["given", "completed"])
@@ -228,7 +228,7 @@ def test_what_are_no_weights_is_refused(tmp_path):
 def test_every_parameter_can_be_trained(completes_depth):
     """The error of a view reaches each parameter through decoder, fusion and splat, the completion's by the points' positions."""
     torch.manual_seed(8)
-    network = FwdNetwork(completes_depth)
+    network = FwdNetwork(completes_depth=completes_depth)
     moment = instant(0, camera_at(0.03, width=48, height=32), rig(2), depth_noise=0.01)
     target = halved_camera(moment.target, 4)
     views = [warp_view(network, halve(source), target, 0.2, 2.0) for source in moment.sources]

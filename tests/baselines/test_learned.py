@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 from pkgutil import resolve_name
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -20,9 +21,11 @@ from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import shipped
 from ggvs_eval.pipelines.training.request import TrainingRequest
-from ggvs_eval.pipelines.training.samples.training_data import baseline_samples
-from ggvs_eval.pipelines.training.train_one import CACHE, requested_data, train_one
+from ggvs_eval.pipelines.training.samples.sample_kinds import InstantKind
+from ggvs_eval.pipelines.training.samples.training_data import sample_pools
+from ggvs_eval.pipelines.training.train_one import CACHE, train_one
 from ggvs_eval.training.losses import structural_loss
+from helpers.filled_pools import fill
 from helpers.stereo_scenes import write_capture
 
 pytestmark = pytest.mark.slow
@@ -64,18 +67,15 @@ class ToyRecipe(TrainingRecipe[ToyNetwork]):
 
     crop_width: int = 64
     crop_height: int = 48
+    network_class = ToyNetwork
+    term_weights: ClassVar = {"squared_loss": 1.0, "ssim_loss": 1.0}
 
-    def network(self):
-        """The same colour at first, whatever the seed."""
-        return ToyNetwork(self.configuration)
-
-    def sample_loss(self, network, sample, step):
+    def terms(self, network, sample, step):
         """Squared error and structure."""
         image, truth = network(sample.instant.target), sample.truth_tensor
-        terms = {"squared_loss": (image - truth).square().mean(), "ssim_loss": structural_loss(image[None], truth[None])}
-        return sum(terms.values()), terms
+        return {"squared_loss": (image - truth).square().mean(), "ssim_loss": structural_loss(image[None], truth[None])}
 
-    def validated_view(self, network, instant):
+    def rendered(self, network, instant):
         """The whole view."""
         return network(instant.target)
 
@@ -104,8 +104,8 @@ def cache(tmp_path):
     """Samples of a slanted plane in place of rooms, where the toy's training looks for them."""
     capture = write_capture(tmp_path / "plane", n_frames=1).resized(WIDTH, HEIGHT, "area")
     folder = tmp_path / CACHE
-    for pool in (pool for samples in baseline_samples(folder, requested_data(REQUEST), depth=False) for pool in samples.pools):
-        pool.prepare_capture(pool.plan.first_room, capture)
+    for pool in sample_pools(folder, REQUEST, InstantKind(depth=False)):
+        fill(pool, lambda _: capture)
     return folder
 
 
@@ -118,7 +118,7 @@ def test_a_new_baseline_is_listed_trained_and_renders(toy, cache):
 
     weights, card = train_one("toy", cache.parent / "toy", REQUEST)
 
-    sample = baseline_samples(cache, requested_data(REQUEST), depth=False)[1].read(0)
+    sample = sample_pools(cache, REQUEST, InstantKind(depth=False))[1].read(0)
     plain, dark = (
         find_method(label, NetworkOptions({"toy": weights})).make().step(sample.instant).image for label in ("toy", "toy+dark")
     )

@@ -90,7 +90,7 @@ STALE: dict[str, set[str]] = {
     "pipelines/methods/render_unit.py": ALL_METHODS,
     "pipelines/offline/stereo/sgbm.py": {"depth by sgbm", "depth by live", "depth by raft"},
     "pipelines/offline/stereo/live.py": {"depth by live"},
-    "pipelines/offline/stereo/raft_update.py": {"depth by raft"},
+    "raft_update.py": GPS_GAUSSIAN | {"depth by raft"},
     "pipelines/offline/plane_sweep/plane_sweep.py": {"depth by sweep"},
     "pipelines/offline/depth/depth_stream.py": STEREO,
     "pipelines/offline/depth/consistency.py": {"checked depth"},

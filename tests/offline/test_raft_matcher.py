@@ -9,16 +9,11 @@ from safetensors.torch import save_file
 from ggvs_eval import kernels
 from ggvs_eval.files.images import quantise
 from ggvs_eval.pipelines.offline.depth.depth_choice import find_matcher
-from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT
-from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
-    RaftMatcher,
-    fill_from_background,
-    start_from_disparity,
-    start_from_matching,
-    weights_digest,
-)
+from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, weights_digest
+from ggvs_eval.pipelines.offline.stereo.raft_start import fill_from_background, start_from_disparity, start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.training.stereo.stereo_task import VALIDATION_SEED
+from ggvs_eval.raft_config import COMPACT
 from ggvs_eval.synthetic.stereo.pairs import stereo_sample
 from helpers.seeded_networks import seeded_state
 from helpers.stereo_scenes import random_texture

@@ -17,16 +17,14 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.files.images import quantise
-from ggvs_eval.jobs.code_identity import installed_code
 from ggvs_eval.pipelines.commands import runs
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, find_matcher
-from ggvs_eval.pipelines.offline.stereo import raft_on_device
-from ggvs_eval.pipelines.offline.stereo.matcher import refine_disparity
-from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, shipped_weights, weights_digest
-from ggvs_eval.pipelines.offline.stereo.raft_on_device import DeviceRaftMatcher, _refine_disparity, network_on
+from ggvs_eval.pipelines.offline.stereo import raft_matcher, raft_refinement
+from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_disparity
+from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, network_on, shipped_weights, weights_digest
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.play import playback
 from ggvs_eval.pipelines.run.prepare import prepare_run
@@ -101,7 +99,7 @@ def test_nothing_is_computed_elsewhere_and_nothing_waits():
 def test_a_pair_without_a_match_is_refined_to_nothing():
     """Where all is rejected, nothing is not a number."""
     grey, nothing = torch.rand(40, 60), torch.zeros(40, 60)
-    assert not _refine_disparity(grey, grey, nothing, 7, 2).any()
+    assert not raft_refinement.refine_disparity(grey, grey, nothing, 7, 2).any()
 
 
 def test_refinement_finds_what_opencv_finds():
@@ -109,8 +107,16 @@ def test_refinement_finds_what_opencv_finds():
     random = np.random.default_rng(1)
     left, right = random.integers(0, 256, (2, 50, 70), dtype=np.uint8)
     disparity = np.where(random.random((50, 70)) < 0.8, random.uniform(0, 30, (50, 70)), 0).astype(np.float32)
-    there = _refine_disparity(*(torch.from_numpy(each).float() for each in (left, right, disparity)), 7, 2)
+    there = raft_refinement.refine_disparity(*(torch.from_numpy(each).float() for each in (left, right, disparity)), 7, 2)
     np.testing.assert_allclose(there.numpy(), refine_disparity(left, right, disparity, 7, 2), atol=1e-3)
+
+
+def test_the_check_is_that_of_opencv():
+    """The right image's disparity at the matched column, inf where it has none or does not show the point."""
+    left, right = np.random.default_rng(2).uniform(0, 30, (2, 50, 70)).astype(np.float32)
+    right[10:20] = 0
+    there = raft_refinement.left_right_gap(torch.from_numpy(left), torch.from_numpy(right)).numpy()
+    np.testing.assert_array_equal(there, left_right_gap(left, right))
 
 
 def test_a_network_is_loaded_once_for_each_device():
@@ -130,8 +136,6 @@ def test_keys_name_the_device_and_those_of_the_cpu_do_not():
     assert there["matcher"] == here["matcher"] | {"device": "cpu:0"}
     assert other["matcher"]["device"] == "cuda"
     assert json.loads(json.dumps(there)) == there
-    on_device = DeviceRaftMatcher.__module__
-    assert on_device not in installed_code().closure(RaftMatcher.__module__, DepthOptions.__module__)  # nor does its code count
     for matcher in ("sgbm", "live", "sweep"):
         assert DepthRunOptions(matcher).options("cuda").describe() == DepthRunOptions(matcher).options().describe()
 
@@ -235,9 +239,9 @@ def test_a_gpu_finds_what_the_cpu_finds(monkeypatch):
 
     here, _ = find_matcher("raft").match(*pair())
     find_matcher("raft", "cuda").match(*pair())
-    for name in ("features", "_walk"):
+    for name in ("features", "walk"):
         monkeypatch.setattr(RaftStereo, name, watched(getattr(RaftStereo, name)))
-    monkeypatch.setattr(raft_on_device, "_refine_disparity", watched(_refine_disparity))
+    monkeypatch.setattr(raft_matcher, "refine_disparity", watched(raft_refinement.refine_disparity))
     there, again = (find_matcher("raft", "cuda").match(*pair())[0] for _ in range(2))
     assert (((there > 0) == (here > 0)) & (np.abs(there - here) <= 0.1)).mean() >= 0.99
     np.testing.assert_array_equal(there, again)

@@ -8,10 +8,10 @@ import torch
 from torch.nn import functional
 
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, PUBLISHED
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import load_network
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
-from ggvs_eval.pipelines.offline.stereo.raft_update import ConvGru, Correlation, upsample_convex
+from ggvs_eval.raft_config import COMPACT, PUBLISHED
+from ggvs_eval.raft_update import ConvGru, Correlation, upsample_convex
 from ggvs_eval.residual_block import ResidualBlock
 from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER

@@ -19,8 +19,8 @@ from ggvs_eval.pipelines.training.samples.room_plan import (
     film_room,
     room_options,
 )
-from ggvs_eval.pipelines.training.samples.sample_kinds import RoomInstants, RoomSamples
-from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
+from ggvs_eval.pipelines.training.samples.sample_kinds import BlendKind, InstantKind
+from ggvs_eval.pipelines.training.samples.samples import SamplePool
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import DOMAINS, VALIDATION_SEEDS, domain_options
 from ggvs_eval.synthetic.film.depth import measured, misplaced
@@ -77,7 +77,7 @@ def test_the_plain_domain_is_the_room_that_networks_have_always_learned_from() -
     """Seed 1000 keeps the noise and the exposure that it had before there were domains; samples of each domain have a folder."""
     room = room_options(1000, RoomPlan())
     assert (room.noise_sigma_255, room.exposure_spread) == (PLAIN_NOISE, PLAIN_SPREAD)
-    folders = {RoomSamples(Path("anywhere"), RoomPlan(domain=name))._samples for name in DOMAINS}
+    folders = {BlendKind().folder(RoomPlan(domain=name)) for name in DOMAINS}
     assert len(folders) == len(DOMAINS)
 
 
@@ -278,10 +278,10 @@ TINY_DOMAINS = ("narrow", "handheld", "misplaced_depth")
 def test_samples_of_many_domains_are_one_lot(tmp_path: Path) -> None:
     """Each domain is rendered into its own folder, and its samples stand one after another, sensors' depth included."""
     plans = [replace(plan, width=96, height=72) for plan in domain_plans(TINY_DOMAINS, rooms=1, targets=1, matcher="sgbm")]
-    pool = JoinedSamples(*(RoomSamples(tmp_path, plan) for plan in plans))
+    pool = SamplePool(tmp_path, BlendKind(), plans)
     assert len(pool) == 3
-    for plan in plans:
-        RoomSamples(tmp_path, plan).prepare_room(plan.seeds[0])
+    for job in pool.jobs():
+        job()
     samples = [pool.read(index) for index in range(3)]
     assert {sample.truth.shape for sample in samples} == {(72, 96, 3)}
     for sample in samples[1:]:
@@ -293,10 +293,10 @@ def test_of_large_images_a_window_is_kept(tmp_path: Path) -> None:
     """It shows what the whole sample shows there, for the network and for the baselines, whose sources are cut to it."""
     whole = replace(domain_plans(["large"], rooms=1, targets=1)[0], width=96, height=72, window=None)
     part = replace(whole, window=(64, 48))
-    pools = [RoomSamples(tmp_path, whole), RoomSamples(tmp_path, part), RoomInstants(tmp_path, part)]
-    for plan in (whole, part):
-        RoomSamples(tmp_path, plan).prepare_room(1000)
-    RoomInstants(tmp_path, part).prepare_room(1000)
+    kinds = (BlendKind(), whole), (BlendKind(), part), (InstantKind(), part)
+    pools = [SamplePool(tmp_path, kind, [plan]) for kind, plan in kinds]
+    for job in (job for pool in pools for job in pool.jobs()):
+        job()
     sample, window, instant = (pool.read(0) for pool in pools)
     left, top, width, height = draw_window(part, 1000, 0)
     assert (width, height) == (64, 48)

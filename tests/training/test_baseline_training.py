@@ -14,15 +14,17 @@ from ggvs_eval.pipelines.methods import baselines
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.training.baseline_task import BaselineTask, baseline_task
-from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
+from ggvs_eval.pipelines.training.samples.data_options import DataOptions
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, domain_validation_plan
-from ggvs_eval.pipelines.training.samples.sample_kinds import RoomInstants
-from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
-from ggvs_eval.pipelines.training.samples.training_data import TrainingData
+from ggvs_eval.pipelines.training.samples.sample_kinds import InstantKind
+from ggvs_eval.pipelines.training.samples.sample_maker import SampleMaker
+from ggvs_eval.pipelines.training.samples.samples import SamplePool
 from ggvs_eval.synthetic.domains import PLAIN
 from ggvs_eval.training.card import write_card
 from ggvs_eval.training.instant_samples import read_instant
-from ggvs_eval.training.loop import TrainingOptions, train
+from ggvs_eval.training.loop import train
+from ggvs_eval.training.options import TrainingOptions
+from helpers.filled_pools import fill
 from helpers.stereo_scenes import write_capture
 
 pytestmark = pytest.mark.slow
@@ -58,14 +60,14 @@ def cache(tmp_path_factory, capture):
     folder = tmp_path_factory.mktemp("samples")
     for plan in (PLAN, VALIDATION):
         for depth in (True, False):
-            RoomInstants(folder, plan, depth).prepare_capture(plan.first_room, capture)
+            fill(SamplePool(folder, InstantKind(depth), [plan]), lambda _: capture)
     return folder
 
 
 def small_task(what, cache):
     """The task of a baseline with small crops on the small samples."""
     baseline = LEARNED_BASELINES[what]
-    samples = (RoomInstants(cache, plan, baseline.takes_depth) for plan in (PLAN, VALIDATION))
+    samples = (SamplePool(cache, InstantKind(baseline.takes_depth), [plan]) for plan in (PLAN, VALIDATION))
     return BaselineTask(*samples, baseline, replace(baseline.make_recipe(), crop_width=64, crop_height=48))
 
 
@@ -74,7 +76,7 @@ def test_samples_are_those_of_the_blending_network_and_read_back(cache, capture)
     maker = SampleMaker(capture, sample_options())
     target, sources = choose_views(capture, PLAN, 1000, 1)
     made = maker.instant(target, sources)
-    read = RoomInstants(cache, PLAN).read(1)
+    read = SamplePool(cache, InstantKind(), [PLAN]).read(1)
     assert [view.camera.name for view in read.instant.sources] == [source.name for source in sources]
     np.testing.assert_array_equal(read.instant.target.world_to_camera, target.world_to_camera)
     np.testing.assert_array_equal(read.truth, capture.frame(target.name, 0))
@@ -82,7 +84,7 @@ def test_samples_are_those_of_the_blending_network_and_read_back(cache, capture)
         np.testing.assert_array_equal(view.image, expected.image)
         np.testing.assert_array_equal(view.depth > 0, expected.depth > 0)
         np.testing.assert_allclose(view.depth, expected.depth, rtol=6e-4)
-    bare = RoomInstants(cache, PLAN, depth=False).read(1)
+    bare = SamplePool(cache, InstantKind(depth=False), [PLAN]).read(1)
     assert not any(view.depth.any() for view in bare.instant.sources)
     np.testing.assert_array_equal(bare.instant.sources[0].image, made.sources[0].image)
 
@@ -105,12 +107,12 @@ def test_a_damaged_sample_is_refused(tmp_path):
 def test_rooms_of_tests_are_never_learned_from(tmp_path):
     """Seeds that are neither training nor validation rooms are refused."""
     with pytest.raises(TrainingError, match="wanted seeds from 1000 on for training"):
-        RoomInstants(tmp_path, RoomPlan(first_room=0, rooms=3))
+        RoomPlan(first_room=0, rooms=3)
 
 
 def test_focused_sources_show_all_that_the_window_can(cache):
     """Every point that the window sees lies in the cut where it lay in the whole image, and shows the same colour."""
-    whole = RoomInstants(cache, PLAN).read(0).cropped(30, 20, 48, 32)
+    whole = SamplePool(cache, InstantKind(), [PLAN]).read(0).cropped(30, 20, 48, 32)
     cut = whole.focused(margin_px=4, multiple=8)
     target = whole.instant.target
     uv = np.random.default_rng(3).uniform((0, 0), target.size, (200, 2))
@@ -190,11 +192,13 @@ def test_what_a_training_writes_renders(what, cache, tmp_path):
     assert str(tmp_path.parent) not in card
 
 
-class Walked(RoomInstants):
-    """The same views, but for their cameras: each stands behind the one before, as in a corridor."""
+class Walked(SamplePool):
+    """The views of the first source, but for their cameras: each stands behind the one before, as in a corridor."""
 
     def read(self, index):
         sample = super().read(index)
+        if index >= self.sources[0].count:
+            return sample
         target, sources = sample.instant.target, []
         for number, source in enumerate(sample.instant.sources):
             pose = target.world_to_camera.copy()
@@ -203,11 +207,13 @@ class Walked(RoomInstants):
         return replace(sample, instant=replace(sample.instant, sources=tuple(sources)))
 
 
-class Blind(RoomInstants):
-    """The same views without any depth, as sensors have them of what is far."""
+class Blind(SamplePool):
+    """The views of the first source without any depth, as sensors have them of what is far."""
 
     def read(self, index):
         sample = super().read(index)
+        if index >= self.sources[0].count:
+            return sample
         sources = tuple(replace(source, depth=np.zeros_like(source.depth)) for source in sample.instant.sources)
         return replace(sample, instant=replace(sample.instant, sources=sources))
 
@@ -216,23 +222,21 @@ class Blind(RoomInstants):
 def test_a_window_that_no_depth_reaches_teaches_nothing(what, cache):
     """What is made of given depth shows nothing there, so the next view is learned from."""
     task = small_task(what, cache)
-    network, blind = task.network(), Blind(cache, PLAN)
-    loss, _ = replace(task, training=JoinedSamples(blind, task.training)).loss(network, ONE_CROP)
+    network, kind = task.network(), InstantKind()
+    loss, _ = replace(task, training=Blind(cache, kind, [PLAN, PLAN])).loss(network, ONE_CROP)
     loss.backward()
     assert any(parameter.grad is not None and parameter.grad.any() for parameter in network.parameters())
     if what == "gps-gaussian":  # FWD's network fills what its points do not reach
         with pytest.raises(TrainingError, match="got none that it can render: no source has depth of what they show"):
-            replace(task, training=blind).loss(network, ONE_CROP)
+            replace(task, training=Blind(cache, kind, [PLAN])).loss(network, ONE_CROP)
 
 
 def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
     """GPS-Gaussian finds no stereo pair in a corridor: it learns from the next view, and the card says what is left out."""
     task = small_task("gps-gaussian", cache)
-    walked = Walked(cache, PLAN), Walked(cache, VALIDATION)
-    with_walks = replace(
-        task,
-        **{name: JoinedSamples(walk, getattr(task, name)) for name, walk in zip(("training", "validation"), walked, strict=True)},
-    )
+    walked = [Walked(cache, InstantKind(), [plan]) for plan in (PLAN, VALIDATION)]
+    both = [Walked(cache, InstantKind(), [plan, plan]) for plan in (PLAN, VALIDATION)]
+    with_walks = replace(task, training=both[0], validation=both[1])
     network = task.network()
     expected, _ = task.loss(network, ONE_CROP)
     for passed_over in range(len(walked[0]) + 1):
@@ -252,7 +256,7 @@ def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
 def test_a_configuration_that_is_not_taught_is_refused(cache):
     """The full GPS-Gaussian finds depth itself, which nothing here would teach it."""
     with pytest.raises(TrainingError, match="stereo network, which is not taught here"):
-        baseline_task("gps-gaussian", cache, TrainingData(rooms=1), "full")
+        baseline_task("gps-gaussian", cache, DataOptions(rooms=1), "full")
 
 
 def test_retrained_methods_are_labelled(tmp_path, monkeypatch):

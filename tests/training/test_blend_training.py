@@ -14,13 +14,16 @@ from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped
 from ggvs_eval.pipelines.online.network_inputs import input_channels
 from ggvs_eval.pipelines.training.blend.blend_loss import BlendLossWeights, blend_loss, depth_loss, mask_loss, structural_loss
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask, crop_arrays, mirrored, recoloured
-from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker, read_sample
+from ggvs_eval.pipelines.training.samples.blend_samples import read_sample
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, domain_validation_plan, room_options
-from ggvs_eval.pipelines.training.samples.sample_kinds import RoomSamples
-from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
+from ggvs_eval.pipelines.training.samples.sample_kinds import BlendKind
+from ggvs_eval.pipelines.training.samples.sample_maker import SampleMaker
+from ggvs_eval.pipelines.training.samples.samples import SamplePool
 from ggvs_eval.synthetic.domains import PLAIN
 from ggvs_eval.training.card import write_card
-from ggvs_eval.training.loop import TrainingOptions, train
+from ggvs_eval.training.loop import train
+from ggvs_eval.training.options import TrainingOptions
+from helpers.filled_pools import fill
 from helpers.stereo_scenes import HEIGHT, WIDTH, plane_depth, write_capture
 
 pytestmark = pytest.mark.slow
@@ -49,14 +52,14 @@ def cache(tmp_path_factory, capture):
     """Its samples, as those of a training room and of a validation room."""
     folder = tmp_path_factory.mktemp("samples")
     for plan in (PLAN, VALIDATION):
-        RoomSamples(folder, plan).prepare_capture(plan.first_room, capture)
+        fill(SamplePool(folder, BlendKind(), [plan]), lambda _: capture)
     return folder
 
 
 @pytest.fixture
 def task(cache) -> BlendTask:
     """A tiny task on them."""
-    samples = (RoomSamples(cache, plan) for plan in (PLAN, VALIDATION))
+    samples = (SamplePool(cache, BlendKind(), [plan]) for plan in (PLAN, VALIDATION))
     return BlendTask(*samples, CONFIG, crop_width=64, crop_height=48, batch_size=2)
 
 
@@ -113,7 +116,7 @@ def test_the_loss_weighs_its_terms(tsdf_guidance, perceptual):
 def test_a_sample_is_what_the_method_would_see(capture):
     """Depth from stereo without the target, fused to the plane; sources nearest first; the target's own picture as truth."""
     target, sources = capture.camera("cam00"), [capture.camera(name) for name in ("cam01", "cam03")]
-    sample = SampleMaker(capture, depth_options()).sample(target, sources)
+    sample = BlendKind().make(SampleMaker(capture, depth_options()), target, sources)
     exact = plane_depth(target)
     known = sample.views.fused_depth > 0
     error = np.abs(sample.views.fused_depth - exact)[known]
@@ -134,7 +137,10 @@ def depth_options():
 def test_a_stored_sample_reads_back(capture, cache):
     """Cameras and fused depth exactly, colours and coverage to 8 bit, splatted depth to half precision."""
     target, sources = choose_views(capture, PLAN, PLAN.first_room, 1)
-    made, read = SampleMaker(capture, depth_options()).sample(target, sources), RoomSamples(cache, PLAN).read(1)
+    made, read = (
+        BlendKind().make(SampleMaker(capture, depth_options()), target, sources),
+        SamplePool(cache, BlendKind(), [PLAN]).read(1),
+    )
     for name in ("splats", "warps", "alphas", "visibilities"):
         np.testing.assert_allclose(getattr(read.views, name), getattr(made.views, name), atol=0.5001 / 255, err_msg=name)
     np.testing.assert_array_equal(read.views.fused_depth, made.views.fused_depth)
@@ -158,7 +164,7 @@ def test_a_damaged_sample_is_refused(cache, tmp_path):
         with pytest.raises(TrainingError, match=rf"{name}: wanted a training sample, got none .*prepare again"):
             read_sample(tmp_path / name)
     with pytest.raises(TrainingError, match=r"room1000-00\.npz: wanted a training sample"):
-        RoomSamples(tmp_path, PLAN).read(0)
+        SamplePool(tmp_path, BlendKind(), [PLAN]).read(0)
 
 
 def test_more_targets_change_no_sample(capture):
@@ -186,12 +192,12 @@ def test_rooms_of_tests_are_never_learned_from(tmp_path):
     """Seeds of the demo and of validation rooms are no training rooms; a validation plan has these alone."""
     for first in (0, 99, 102, 999):
         with pytest.raises(TrainingError, match="wanted seeds from 1000 on for training"):
-            RoomSamples(tmp_path, RoomPlan(first_room=first, rooms=3))
+            RoomPlan(first_room=first, rooms=3)
     assert list(domain_validation_plan(PLAIN, seeds=3).seeds) == [101, 102, 103]
     assert room_options(101, PLAN).noise_sigma_255 == 1.5
     assert room_options(1000, PLAN) != room_options(1001, replace(PLAN))
     with pytest.raises(TrainingError, match="at least one room, target and view"):
-        RoomSamples(tmp_path, replace(PLAN, targets=0))
+        replace(PLAN, targets=0)
 
 
 def test_batches_depend_on_the_step_alone(task):
@@ -300,8 +306,8 @@ def test_what_does_not_fit_is_refused(task):
 
 def test_lots_are_learned_from_side_by_side(task, cache):
     """Joined pools count as one, one after the other; their descriptions stand in the card; a task takes them as it takes one."""
-    rooms, others = RoomSamples(cache, PLAN), RoomSamples(cache, VALIDATION)
-    joined = JoinedSamples(rooms, others)
+    rooms, others = (SamplePool(cache, BlendKind(), [plan]) for plan in (PLAN, VALIDATION))
+    joined = rooms + others
     joined.prepare(1)  # all is there
     assert len(joined) == len(rooms) + len(others)
     for index, (pool, place) in enumerate([*((rooms, n) for n in range(len(rooms))), *((others, n) for n in range(len(others)))]):

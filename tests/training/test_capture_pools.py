@@ -11,9 +11,12 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.training.samples.capture_pool import MeasuredSampleMaker, make_samples
+from ggvs_eval.pipelines.training.samples.capture_source import CaptureSource, capture_sources
 from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan, draw_views, overlap, possible_targets, within_rule
-from ggvs_eval.pipelines.training.samples.sample_kinds import BlendSampleKind, CaptureInstants, CaptureSamples
+from ggvs_eval.pipelines.training.samples.sample_kinds import BlendKind, InstantKind
+from ggvs_eval.pipelines.training.samples.sample_maker import SampleMaker
+from ggvs_eval.pipelines.training.samples.samples import SamplePool, make_samples
+from helpers.filled_pools import fill
 from helpers.places import SHARED
 from helpers.stereo_scenes import HEIGHT, WIDTH, look_from, plane_depth, see_plane, write_capture
 
@@ -125,7 +128,7 @@ def test_overlap_is_the_share_of_the_view():
 def test_a_sample_has_the_sensor_s_depth(sequence):
     """Depth of the sources is what the sensor measured; the fused depth is the plane; truth is the target's frame."""
     target, sources = draw_views(sequence, PLAN, "scene", 4)
-    sample = MeasuredSampleMaker(sequence, DepthRunOptions().options()).sample(target, sources)
+    sample = BlendKind().make(SampleMaker(sequence, DepthRunOptions().options()), target, sources)
     exact, fused = plane_depth(target), sample.views.fused_depth
     known = fused > 0
     assert known.mean() > 0.7
@@ -140,24 +143,25 @@ def test_stereo_where_no_sensor_is_wanted(sequence):
     """Without the sensor the same views get other depth: that of the matcher."""
     target, sources = draw_views(sequence, PLAN, "scene", 4)
     choices = (DepthRunOptions(), DepthRunOptions(sensor=False))
-    measured, matched = (MeasuredSampleMaker(sequence, each.options()).sample(target, sources).views.depths for each in choices)
+    makers = (SampleMaker(sequence, each.options()) for each in choices)
+    measured, matched = (BlendKind().make(maker, target, sources).views.depths for maker in makers)
     assert not np.array_equal(measured, matched)
 
 
 def test_samples_are_kept_and_read(sequence, rig, tmp_path):
     """One file per capture and target; what is there stays; equal plans give equal bytes of pixels, whatever the workers."""
-    samples = CaptureSamples(tmp_path, [sequence], PLAN)
+    samples = SamplePool(tmp_path, BlendKind(), [CaptureSource(sequence, PLAN)])
     assert len(samples) == 3
     samples.prepare(1)
     files = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.npz")}
     assert len(files) == 3
-    CaptureSamples(tmp_path, [sequence], PLAN).prepare(1)
+    SamplePool(tmp_path, BlendKind(), [CaptureSource(sequence, PLAN)]).prepare(1)
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.npz")} == files
     sample = samples.read(1)
     assert len(sample.views.sources) == 3
     assert sample.truth.shape == (HEIGHT, WIDTH, 3)
-    target, sources = draw_views(sequence, PLAN, samples._names[0], 1)
-    direct = MeasuredSampleMaker(sequence, DepthRunOptions(PLAN.matcher).options()).sample(target, sources)
+    target, sources = draw_views(sequence, PLAN, samples.sources[0].name, 1)
+    direct = BlendKind().make(SampleMaker(sequence, DepthRunOptions(PLAN.matcher).options()), target, sources)
     np.testing.assert_array_equal(sample.views.fused_depth, direct.views.fused_depth)
     np.testing.assert_array_equal(sample.geometric, direct.geometric)
     assert str(tmp_path) not in repr(samples)
@@ -166,8 +170,8 @@ def test_samples_are_kept_and_read(sequence, rig, tmp_path):
 
 def test_baselines_are_shown_the_same_views(sequence, tmp_path):
     """Instants have the targets, sources and truths of the network's samples, with the sensor's depth or with none."""
-    instants = (CaptureInstants(tmp_path, [sequence], PLAN, depth) for depth in (True, False))
-    pools = [CaptureSamples(tmp_path, [sequence], PLAN), *instants]
+    kinds = BlendKind(), InstantKind(), InstantKind(depth=False)
+    pools = [SamplePool(tmp_path, kind, [CaptureSource(sequence, PLAN)]) for kind in kinds]
     for pool in pools:
         pool.jobs()[1]()
     blended, shown, bare = (pool.read(1) for pool in pools)
@@ -186,12 +190,12 @@ def test_baselines_are_shown_the_same_views(sequence, tmp_path):
 
 def test_a_rig_s_samples_take_turns_at_its_instants(rig, tmp_path):
     """Even numbers show one instant, odd ones another; targets are not among their sources; sizes cover the plan's."""
-    samples = CaptureSamples(tmp_path, [rig], RIG_PLAN)
-    (capture,) = samples._captures
+    source = CaptureSource(rig, RIG_PLAN)
+    samples, capture = SamplePool(tmp_path, BlendKind(), [source]), source.capture
+    assert source.groups() == [[0, 2, 4], [1, 3]]
     assert capture.cameras[0].size == (160, 120)
     for numbers, frame in (([0, 2], 0), ([1], 2)):
-        paths = {number: samples._path(0, number) for number in numbers}
-        make_samples(capture, RIG_PLAN, samples._names[0], paths, BlendSampleKind())
+        make_samples(source, samples.kind, capture, {number: samples.path(source, number) for number in numbers})
         for number in numbers:
             sample = samples.read(number)
             np.testing.assert_array_equal(sample.truth, capture.frame(sample.views.target.name, frame))
@@ -209,10 +213,10 @@ def test_a_rig_s_samples_take_turns_at_its_instants(rig, tmp_path):
         ({"instants": 2}, "wanted 2 instants, the capture has 1 frames"),
     ],
 )
-def test_captures_that_do_not_fit_are_refused(sequence, tmp_path, changes, words):
+def test_captures_that_do_not_fit_are_refused(sequence, changes, words):
     """Too small, too few frames within the rule, too few instants: one line that names the capture."""
     with pytest.raises(TrainingError, match=words) as caught:
-        CaptureSamples(tmp_path, [sequence], replace(PLAN, **changes))
+        CaptureSource(sequence, replace(PLAN, **changes))
     assert str(sequence.path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -224,11 +228,12 @@ def test_plans_without_samples_are_refused():
             CapturePlan(**changes)
 
 
-def test_each_capture_once(sequence, tmp_path):
-    """The same capture twice, or none."""
-    for captures in ([sequence, sequence], []):
-        with pytest.raises(TrainingError, match="wanted at least one, and each once"):
-            CaptureSamples(tmp_path, captures, PLAN)
+def test_each_capture_once(sequence, rig):
+    """The same capture twice is refused, and named."""
+    with pytest.raises(TrainingError, match="wanted each once") as caught:
+        capture_sources([sequence, sequence], PLAN)
+    assert str(sequence.path) in str(caught.value)
+    assert len(capture_sources([rig], RIG_PLAN)) == 1
 
 
 @pytest.mark.parametrize(("seed", "refused"), [(0, True), (7, True), (101, False), (1000, False)])
@@ -238,16 +243,16 @@ def test_the_demo_capture_is_never_learned_from(rig, tmp_path, seed, refused):
     (tmp_path / "demo.json").write_text(json.dumps({"options": {"seed": seed}}))
     if refused:
         with pytest.raises(TrainingError, match=f"demo capture of seed {seed} is for tests"):
-            CaptureSamples(tmp_path, [noted], RIG_PLAN)
+            CaptureSource(noted, RIG_PLAN)
     else:
-        assert len(CaptureSamples(tmp_path, [noted], RIG_PLAN)) == 5
+        assert CaptureSource(noted, RIG_PLAN).count == 5
 
 
 def test_a_demo_capture_without_a_seed_is_refused(rig, tmp_path):
     """A damaged note could hide the test capture."""
     (tmp_path / "demo.json").write_text("{}")
     with pytest.raises(TrainingError, match="wanted the seed of a demo capture"):
-        CaptureSamples(tmp_path, [replace(rig, path=tmp_path)], RIG_PLAN)
+        CaptureSource(replace(rig, path=tmp_path), RIG_PLAN)
 
 
 @pytest.mark.skipif(not HOLOLENS.is_dir(), reason="wants the HoloLens sequence")
@@ -255,9 +260,7 @@ def test_a_real_sequence_gives_samples(tmp_path):
     """A sample of the HoloLens sequence by the paper's rule: most of the view is fused, and it resembles the target's frame."""
     capture = open_capture(HOLOLENS)
     plan = CapturePlan(targets=1, width=270, height=180)
-    samples = CaptureSamples(tmp_path, [capture], plan)
-    make_samples(samples._captures[0], plan, samples._names[0], {0: samples._path(0, 0)}, BlendSampleKind())
-    sample = samples.read(0)
+    sample = fill(SamplePool(tmp_path, BlendKind(), [CaptureSource(capture, plan)]), lambda source: source.capture).read(0)
     apart = [abs(int(source.name) - int(sample.views.target.name)) for source in sample.views.sources]
     assert all(4 < frames <= 30 for frames in apart)
     assert (sample.views.fused_depth > 0).mean() > 0.5

@@ -13,11 +13,13 @@ from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.samples.blend_samples import OF_VIEWS, rendered_views
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, domain_validation_plan
-from ggvs_eval.pipelines.training.samples.sample_kinds import RoomInstants, RoomSamples
-from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
+from ggvs_eval.pipelines.training.samples.sample_kinds import BlendKind, InstantKind
+from ggvs_eval.pipelines.training.samples.samples import SamplePool
 from ggvs_eval.synthetic.domains import PLAIN
-from ggvs_eval.training.loop import TrainingOptions, train
+from ggvs_eval.training.loop import train
+from ggvs_eval.training.options import TrainingOptions
 from helpers.device_scenes import room_instants
+from helpers.filled_pools import fill
 from helpers.stereo_scenes import HEIGHT, WIDTH, write_capture
 
 pytest.importorskip("warp", reason="samples on a device want NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
@@ -63,10 +65,8 @@ def test_views_are_those_of_the_compiled_path(pairs, monkeypatch):
 def pools(tmp_path_factory):
     """The samples of a training room and of a validation room, a plane before five cameras: compiled, and by the device."""
     capture, folder = write_capture(tmp_path_factory.mktemp("plane"), n_frames=1), tmp_path_factory.mktemp("samples")
-    pools = [[RoomSamples(folder, plan, device) for plan in (PLAN, VALIDATION)] for device in ("cpu", DEVICE)]
-    for pool in (*pools[0], *pools[1]):
-        pool.prepare_capture(pool.plan.first_room, capture)
-    return pools
+    kinds = BlendKind(), BlendKind(DEVICE)
+    return [[fill(SamplePool(folder, kind, [plan]), lambda _: capture) for plan in (PLAN, VALIDATION)] for kind in kinds]
 
 
 def test_stored_samples_are_alike(pools):
@@ -93,20 +93,20 @@ def test_a_network_learns_from_them(pools, tmp_path):
     assert 0 < losses[1] == pytest.approx(losses[0], rel=1e-3)
 
 
-def test_samples_of_a_device_lie_apart(tmp_path):
+def test_samples_of_a_device_lie_apart():
     """In a folder of their own, whichever GPU made them, beside the same rooms; the baselines' are not computed there."""
-    folders = [RoomSamples(tmp_path, PLAN, device)._samples for device in ("cpu", "cuda", "cuda:1", DEVICE)]
-    assert folders[0] == RoomSamples(tmp_path, PLAN)._samples
+    folders = [BlendKind(device).folder(PLAN) for device in ("cpu", "cuda", "cuda:1", DEVICE)]
+    assert folders[0] == BlendKind().folder(PLAN)
     assert folders[1] == folders[2]
     assert len(set(folders)) == 3
-    assert RoomInstants(tmp_path, PLAN)._kind.device == "cpu"
+    assert InstantKind().device == "cpu"
 
 
 def test_a_training_s_device_reaches_its_samples(tmp_path, monkeypatch):
     """That of the request, of one training and of all, in the worker too; without Warp the compiled path is taken."""
     prepared = []
     for module in (train_one, train_all):
-        monkeypatch.setattr(module, "prepare_samples", lambda *samples: prepared.append(JoinedSamples(*samples[:2])))
+        monkeypatch.setattr(module, "prepare_samples", lambda *samples: prepared.append(samples[1] + samples[0]))
     request = TrainingRequest(rooms=1, targets=1, domains=("plain",), views=2, device=DEVICE)
     planned = [request, replace(request, device="cpu")]
     for each in planned:
@@ -115,7 +115,7 @@ def test_a_training_s_device_reaches_its_samples(tmp_path, monkeypatch):
     monkeypatch.setattr(train_one, "find_spec", lambda name: None)
     train_one.planned_task("blend", tmp_path, request)
     jobs = [[pickle.loads(pickle.dumps(job)) for job in samples.jobs()] for samples in prepared]
-    assert [{job.func.__self__._kind.device for job in each} for each in jobs] == [{DEVICE}] * 2 + [{"cpu"}] * 3
+    assert [{job.args[1].device for job in each} for each in jobs] == [{DEVICE}] * 2 + [{"cpu"}] * 3
 
 
 def test_workers_that_share_a_gpu_fit_into_it(monkeypatch):

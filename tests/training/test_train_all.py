@@ -12,11 +12,14 @@ from ggvs_eval.errors import TrainingError
 from ggvs_eval.pipelines.training.baseline_task import baseline_task
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.samples import training_data
-from ggvs_eval.pipelines.training.samples.training_data import TrainingData, baseline_samples, blend_samples
+from ggvs_eval.pipelines.training.samples.data_options import DataOptions
+from ggvs_eval.pipelines.training.samples.sample_kinds import BlendKind, InstantKind
+from ggvs_eval.pipelines.training.samples.training_data import sample_pools
 from ggvs_eval.pipelines.training.side_by_side import Training, default_jobs, run_trainings
 from ggvs_eval.pipelines.training.train_all import NETWORKS, planned_trainings, train_all
-from ggvs_eval.pipelines.training.train_one import CACHE, planned_task, requested_data
+from ggvs_eval.pipelines.training.train_one import CACHE, planned_task
 from ggvs_eval.synthetic.domains import DOMAINS
+from helpers.filled_pools import fill
 from helpers.stereo_scenes import write_capture
 
 pytestmark = pytest.mark.slow
@@ -24,6 +27,7 @@ pytestmark = pytest.mark.slow
 REQUEST = TrainingRequest(
     steps=2, views=2, size="small", rooms=1, targets=1, domains=("plain", "narrow"), device="cpu", workers=0
 )
+KINDS = BlendKind(), InstantKind(), InstantKind(depth=False)
 SIZES = {"plain": (400, 300), "narrow": (344, 258)}
 
 
@@ -37,26 +41,26 @@ def capture(tmp_path_factory):
 def cache(tmp_path_factory, capture):
     """Its samples in place of rooms of two domains, of two sizes, as blend, fwd and enerf take them."""
     folder = tmp_path_factory.mktemp("all") / CACHE
-    data = requested_data(REQUEST)
-    joined = [*blend_samples(folder, data), *baseline_samples(folder, data, True), *baseline_samples(folder, data, False)]
-    for pool in (pool for samples in joined for pool in samples.pools):
-        pool.prepare_capture(pool.plan.first_room, capture.resized(*SIZES[pool.plan.domain], "area"))
+    for pool in (pool for kind in KINDS for pool in sample_pools(folder, REQUEST, kind)):
+        fill(pool, lambda plan: capture.resized(*SIZES[plan.domain], "area"))
     return folder
 
 
 def test_every_network_learns_from_the_same_views(capture, tmp_path, monkeypatch):
     """Rooms of all domains and captures, for the blending network and for baselines, with depth or without: equal plans."""
     monkeypatch.setattr(training_data, "open_capture", lambda path: replace(capture.resized(480, 360, "area"), path=path))
-    data = TrainingData(captures=(tmp_path / "rig",))
-    kinds = [blend_samples(tmp_path, data), baseline_samples(tmp_path, data, True), baseline_samples(tmp_path, data, False)]
-    for training, validation in kinds:
-        assert training.plans == kinds[0][0].plans
-        assert validation.plans == kinds[0][1].plans
-        assert len(training.plans) == len(DOMAINS) + 1
-        assert [plan.domain for plan in validation.plans] == list(DOMAINS)
+    data = DataOptions(captures=(tmp_path / "rig",))
+    pools = [sample_pools(tmp_path, data, kind) for kind in KINDS]
+    for training, validation in pools:
+        assert repr(training) == repr(pools[0][0])
+        assert validation.sources == pools[0][1].sources
+        assert len(training.sources) == len(DOMAINS) + 1
+        assert [plan.domain for plan in validation.sources] == list(DOMAINS)
         assert f"{training_data.CAPTURE_TARGETS} views of the captures {capture.scene}" in training.data
+    with pytest.raises(TrainingError, match="wanted each once"):
+        sample_pools(tmp_path, DataOptions(captures=(tmp_path / "rig", tmp_path / "rig")), InstantKind())
     with pytest.raises(TrainingError, match="wanted rooms or captures to learn from, got neither; give --rooms"):
-        baseline_samples(tmp_path, TrainingData(rooms=0), True)
+        sample_pools(tmp_path, DataOptions(rooms=0), InstantKind())
 
 
 @pytest.mark.parametrize("what", ["blend", "enerf"])
@@ -69,7 +73,7 @@ def test_weights_that_have_learned_are_moved_more_gently(what, cache, tmp_path):
 @pytest.mark.parametrize("what", LEARNED_BASELINES)
 def test_crops_lie_within_samples_of_any_size(what, cache):
     """Each sample's own size decides where windows may be: first and last place fit, whatever was drawn."""
-    task = baseline_task(what, cache, requested_data(REQUEST))
+    task = baseline_task(what, cache, REQUEST)
     sizes = set()
     for index in range(len(task.training)):
         sample = task.training.read(index)

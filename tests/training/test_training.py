@@ -12,15 +12,16 @@ from torch import nn
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.weights_file import read_notes
-from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss
 from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
 from ggvs_eval.pipelines.training.train_one import planned_task
+from ggvs_eval.raft_config import COMPACT
 from ggvs_eval.training.card import write_card
 from ggvs_eval.training.log import TrainingLog, draw_curves
-from ggvs_eval.training.loop import TrainingOptions, train
+from ggvs_eval.training.loop import train
 from ggvs_eval.training.normalisation import freeze_statistics, recompute_statistics
+from ggvs_eval.training.options import TrainingOptions
 from ggvs_eval.training.task import Schedule
 
 pytestmark = pytest.mark.slow

@@ -4,17 +4,16 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.metrics.image.ms_ssim import SMALLEST_PX, ms_ssim
+from ggvs_eval.metrics.image.ssim_variants import ssim_variant
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import BT601, cropped, grey, half_truth, halved
 from ggvs_eval.pipelines.inspection.renders.recompute import FrameMeasure, MaskReader, Recomputed, frame_means, mean_over_views
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
-Planes = NDArray[np.float64]
 Levels = NDArray[Any]
 Preparation = Callable[[Image8, Image8], tuple[Levels, Levels]]
 GAUSSIAN: dict[str, Any] = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
@@ -43,8 +42,8 @@ def frame_measures() -> dict[str, FrameMeasure]:
         "Gaussian 11 x 11, valid positions, range 2": partial(similarity, data_range=2.0, **GAUSSIAN),
         "Gaussian 11 x 11, valid positions, range of the true frame": partial(similarity, data_range=None, **GAUSSIAN),
         "Gaussian 11 x 11, sample covariance, range 1": partial(similarity, **{**GAUSSIAN, "use_sample_covariance": True}),
-        "Gaussian 11 x 11, zero-padded, range 1 (3DGS)": partial(padded, border=cv2.BORDER_CONSTANT),
-        "Gaussian 11 x 11, reflect-padded, range 1 (kornia)": partial(padded, border=cv2.BORDER_REFLECT_101),
+        "Gaussian 11 x 11, zero-padded, range 1 (3DGS)": partial(ssim_variant, name="gaussian-zero"),
+        "Gaussian 11 x 11, reflect-padded, range 1 (kornia)": reflected,
         "Gaussian 11 x 11, valid positions, range 1, luma": partial(similarity, luma=True, **GAUSSIAN),
         UNIFORM_RANGE_1: similarity,
         UNIFORM_RANGE_2: partial(similarity, data_range=2.0),
@@ -93,26 +92,13 @@ def similarity(rendered: Levels, truth: Levels, data_range: float | None = 1.0, 
     return float(structural_similarity(first, second, data_range=levels or 1.0, channel_axis=axis, **options))
 
 
-def padded(rendered: Levels, truth: Levels, border: int) -> float:
-    """SSIM with a Gaussian window at every pixel, also where it reaches beyond the border.
+def reflected(rendered: Image8, truth: Image8) -> float:
+    """Mean of kornia's SSIM map of two frames, (H, W, 3): a Gaussian window at every pixel, the image reflected at its border."""
+    import torch
+    from kornia.metrics import ssim
 
-    Args:
-        rendered: (H, W, 3), on the scale 0..255.
-        truth: same shape.
-        border: OpenCV's name for what lies there: zeros in the 3DGS family, the reflected image in kornia.
-    """
-    taps = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
-    taps /= taps.sum()
-
-    def blur(image: Planes) -> Planes:
-        return np.asarray(cv2.sepFilter2D(image, cv2.CV_64F, taps, taps, borderType=border))
-
-    x, y = (image / 255 for image in (rendered, truth))
-    mean_x, mean_y = blur(x), blur(y)
-    variance_x, variance_y = blur(x * x) - mean_x**2, blur(y * y) - mean_y**2
-    covariance = blur(x * y) - mean_x * mean_y
-    luminance = (2 * mean_x * mean_y + 0.01**2) / (mean_x**2 + mean_y**2 + 0.01**2)
-    return float((luminance * (2 * covariance + 0.03**2) / (variance_x + variance_y + 0.03**2)).mean())
+    first, second = (torch.from_numpy(image / 255).permute(2, 0, 1)[None] for image in (rendered, truth))
+    return float(ssim(first, second, window_size=11, padding="same").mean())
 
 
 def _dissimilarity(row: Recomputed, divisor: int) -> Recomputed:

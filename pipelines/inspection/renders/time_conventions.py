@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.image.ssim_variants import ssim_variant
 from ggvs_eval.metrics.metric import StedPairing
 from ggvs_eval.metrics.time import strred
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import BT709
@@ -20,7 +21,7 @@ from ggvs_eval.pipelines.inspection.renders.recompute import (
     mean_over_views,
     view_pairs,
 )
-from ggvs_eval.pipelines.inspection.renders.ssim_conventions import GAUSSIAN, padded, similarity
+from ggvs_eval.pipelines.inspection.renders.ssim_conventions import GAUSSIAN, similarity
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
 OUR_TCC = "Gaussian 11 x 11, valid positions, range 1, each channel cut off at 0"
@@ -56,7 +57,7 @@ def _change_scores(rendered: Image8, truth: Image8) -> dict[str, float]:
     return {
         OUR_TCC: float(np.maximum(channels, 0).mean()),
         "Gaussian 11 x 11, valid positions, range 1, not cut off": float(np.mean(channels)),
-        "Gaussian 11 x 11, zero-padded, range 1": padded(rendered, truth, cv2.BORDER_CONSTANT),
+        "Gaussian 11 x 11, zero-padded, range 1": ssim_variant(rendered, truth, "gaussian-zero"),
         "Gaussian 11 x 11, valid positions, range of the largest change": similarity(rendered, truth, largest, **GAUSSIAN),
         "Gaussian 11 x 11, valid positions, range 2": similarity(rendered, truth, 2.0, **GAUSSIAN),
         "uniform 7 x 7, range 1": similarity(rendered, truth),

@@ -51,8 +51,13 @@ def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep:
 
 
 def _raft(checkpoint: str, device: str) -> StereoMatcher:
-    from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, load_network, shipped_weights, weights_digest
-    from ggvs_eval.pipelines.offline.stereo.raft_on_device import DeviceRaftMatcher
+    from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
+        DeviceRaftMatcher,
+        RaftMatcher,
+        load_network,
+        shipped_weights,
+        weights_digest,
+    )
 
     path = Path(checkpoint) if checkpoint else shipped_weights()
     digest = weights_digest(path)

@@ -1,35 +1,39 @@
 """RAFT-Stereo as a stereo matcher: load its weights, pad, start, walk, check left against right, refine.
 
-It starts from semi-global matching at half size, its gaps filled from the background. From zero, RAFT-Stereo walks the whole
-disparity in small steps; from a guess that is right nearly everywhere, a small network with few iterations is left with what
-matching cannot do.
+Small images and what the network starts from are made by OpenCV on the CPU. Network, left-right check and refinement compute
+where the matcher does: on a GPU a pair and its mirror image in one batch without a word from the host, and one download brings
+disparity and confidence back; on the CPU each in a thread of its own.
 """
 
 import hashlib
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib import resources
 from pathlib import Path
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
 from ggvs_eval import kernels
 from ggvs_eval.arrays import Image8, Map
-from ggvs_eval.compute_device import one_thread
+from ggvs_eval.compute_device import compute_device, rendering_on
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.weights_file import load_strict, read_tensors
-from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_disparity
-from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, PUBLISHED, RaftOptions
+from ggvs_eval.pipelines.offline.stereo.raft_refinement import enlarge, left_right_gap, refine_disparity
+from ggvs_eval.pipelines.offline.stereo.raft_start import start_from_disparity, start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import SIZE_MULTIPLE, RaftStereo
-from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
+from ggvs_eval.raft_config import COMPACT, PUBLISHED, RaftOptions
+from ggvs_eval.raft_update import upsample_convex
 
 SHIPPED = "raft-compact.safetensors"
 NETWORK = "RAFT-Stereo"  # in messages
-HALF = SgbmMatcher(levels=2, refine_iterations=0, speckle_px=40)
 
 
 def shipped_weights() -> Path:
@@ -82,54 +86,11 @@ def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftOptio
     raise WeightsError(f"{path}: {len(shapes)} tensors of no known RAFT-Stereo; {nearest or 'none of its names is known'}")
 
 
-def start_from_matching(left: Image8, right: Image8, d_min: int, d_max: int, factor: int) -> Map:
-    """Initial flow of the network.
-
-    Args:
-        left: RGB, (H, W, 3), sizes multiples of `factor`.
-        right: likewise.
-        d_min: smallest disparity, pixels.
-        d_max: largest disparity, pixels.
-        factor: pixels per cell of the flow.
-
-    Returns:
-        Negative disparity in cells, (H / factor, W / factor).
-    """
-    half_size = left.shape[1] // 2, left.shape[0] // 2
-    halves = [cv2.resize(image, half_size, interpolation=cv2.INTER_AREA) for image in (left, right)]
-    disparity, _ = HALF.match(halves[0], halves[1], d_min // 2, -(-d_max // 2))
-    return start_from_disparity(disparity, factor // 2)
-
-
-def start_from_disparity(disparity: Map, factor: int) -> Map:
-    """A disparity map as flow of the network: gaps filled, one value per cell.
-
-    Args:
-        disparity: (H, W), pixels, 0 = unknown, sizes multiples of `factor`.
-        factor: pixels per cell.
-
-    Returns:
-        Negative disparity in cells, (H / factor, W / factor).
-    """
-    cells = disparity.shape[1] // factor, disparity.shape[0] // factor
-    filled = fill_from_background(disparity)
-    return np.asarray(-cv2.resize(filled, cells, interpolation=cv2.INTER_NEAREST) / factor, np.float32)
-
-
-def fill_from_background(disparity: Map) -> Map:
-    """Give rejected pixels (0) the smaller of the nearest disparities left and right on their row, else of the rows around."""
-    filled = np.where(disparity > 0, disparity, _smaller_neighbour(disparity))
-    return np.where(filled > 0, filled, _smaller_neighbour(filled.T).T)
-
-
-def _smaller_neighbour(disparity: Map) -> Map:
-    columns = np.broadcast_to(np.arange(disparity.shape[1]), disparity.shape)
-    mask = disparity > 0
-    left = np.maximum.accumulate(np.where(mask, columns, 0), axis=1)
-    right = np.minimum.accumulate(np.where(mask, columns, disparity.shape[1] - 1)[:, ::-1], axis=1)[:, ::-1]
-    sides = np.stack([np.take_along_axis(disparity, side, axis=1) for side in (left, right)])
-    smaller = np.where(sides > 0, sides, np.inf).min(axis=0)
-    return np.where(np.isfinite(smaller), smaller, 0).astype(np.float32)
+@lru_cache(maxsize=2)
+def network_on(path: Path, device: torch.device) -> RaftStereo:
+    """The network of a weights file on a device, see `load_network`."""
+    network = load_network(path)
+    return network if device == torch.device("cpu") else deepcopy(network).to(device)
 
 
 @dataclass(frozen=True)
@@ -163,6 +124,7 @@ class RaftMatcher:
     check_share: float = 0.03
     refine_window: int = 7
     refine_iterations: int = 2
+    device: ClassVar[str] = "cpu"  # what a depth map's key says of the CPU, it said before there was any other
 
     @property
     def name(self) -> str:
@@ -170,19 +132,23 @@ class RaftMatcher:
         return "raft-stereo"
 
     def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
-        """Match a rectified pair, see StereoMatcher.match."""
-        answer = partial(self.disparity, d_min=d_min, d_max=d_max)
-        with one_thread(), ThreadPoolExecutor(min(2, kernels.get_threads())) as pool:
-            mirrored = pool.submit(answer, _mirror(right), _mirror(left))
-            whole = pool.submit(answer, left, right, previous=previous).result()
-            of_right = mirrored.result()
-        gap = left_right_gap(whole, np.fliplr(of_right))
-        allowed = np.maximum(self.check_px, self.check_share * whole)
-        inside = (whole >= max(d_min, 0.5)) & (whole <= d_max)
-        kept = np.where(inside & (gap <= allowed), whole, np.float32(0))
-        grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right)]
-        refined = refine_disparity(grey[0], grey[1], kept, self.refine_window, self.refine_iterations)
-        return refined, np.where(refined > 0, 1 - 0.5 * gap / allowed, np.float32(0)).astype(np.float32)
+        """Match a rectified pair, see StereoMatcher.match.
+
+        Raises:
+            DeviceError: no such device here, or its memory is out.
+        """
+        device = compute_device(self.device)
+        with rendering_on(device):
+            whole, of_right = self._disparities(left, right, d_min, d_max, previous, sides=2)
+            gap = left_right_gap(whole, of_right.flip(1))
+            allowed = (self.check_share * whole).clamp_min(self.check_px)
+            inside = (whole >= max(d_min, 0.5)) & (whole <= d_max)
+            kept = torch.where(inside & (gap <= allowed), whole, 0.0)
+            grey = [torch.from_numpy(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)).to(device).float() for image in (left, right)]
+            refined = refine_disparity(grey[0], grey[1], kept, self.refine_window, self.refine_iterations)
+            confidence = torch.where(refined > 0, 1 - 0.5 * gap / allowed, 0.0)
+            disparity, share = torch.stack([refined, confidence]).cpu().numpy()
+        return disparity, share
 
     def disparity(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> Map:
         """Estimate the disparity of every pixel by the network alone.
@@ -196,46 +162,78 @@ class RaftMatcher:
 
         Returns:
             Disparity of the left image, pixels, (H, W), rejected nowhere.
+
+        Raises:
+            DeviceError: no such device here, or its memory is out.
         """
-        size = left.shape[1], left.shape[0]
-        scale = 2 if max(size) > self.largest_side_px else 1
-        small = [cv2.resize(image, (size[0] // scale, size[1] // scale), interpolation=cv2.INTER_AREA) for image in (left, right)]
-        start = None if previous is None else cv2.resize(previous, small[0].shape[1::-1], interpolation=cv2.INTER_NEAREST) / scale
-        disparity = self._at_size(small[0], small[1], d_min // scale, -(-d_max // scale), start)
-        return disparity if scale == 1 else _enlarge(disparity, left, scale)
+        with rendering_on(compute_device(self.device)):
+            return self._disparities(left, right, d_min, d_max, previous, sides=1)[0].cpu().numpy()
 
-    def _at_size(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None) -> Map:
-        network = load_network(self.weights)
-        margins = _margins(left.shape[0], left.shape[1])
-        padded = [cv2.copyMakeBorder(image, *margins, cv2.BORDER_REPLICATE) for image in (left, right)]
-        factor, initial = network.config.factor, None
+    def _disparities(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None, sides: int) -> Tensor:
+        """Disparity of the pair and, with two sides, of its mirror image, (sides, H, W), on the device."""
+        device, size = compute_device(self.device), (left.shape[1], left.shape[0])
+        network, scale = network_on(self.weights, device), 2 if max(size) > self.largest_side_px else 1
+        across, down = size[0] // scale, size[1] // scale
+
+        def small(image: NDArray[Any], by: int = cv2.INTER_AREA) -> NDArray[Any]:
+            return _padded(cv2.resize(image, (across, down), interpolation=by))
+
+        pairs = [(small(left), small(right)), (small(cv2.flip(right, 1)), small(cv2.flip(left, 1)))][:sides]
+        before = None if previous is None else small(previous, cv2.INTER_NEAREST) / scale
+        start = partial(self._start, d_min // scale, -(-d_max // scale), network.config.factor)
+        images = torch.from_numpy(np.stack(pairs)).to(device)  # (sides, 2, H, W, 3)
+        lefts, rights = images.permute(1, 0, 4, 2, 3).float().unbind(0)
+        first = self.iterations if previous is None else self.warm_iterations
+        together = (
+            self.device != "cpu" and first == self.iterations
+        )  # a pair that takes fewer updates than its mirror is no batch
+        step = sides if together else 1
+        with ThreadPoolExecutor(min(2, kernels.get_threads())) as pool:
+            starts = [pool.submit(start, pair, prior) for pair, prior in zip(pairs, (before, None), strict=False)]
+            batches = zip(lefts.split(step), rights.split(step), (first, self.iterations), strict=False)
+            begun = [starts[k : k + step] for k in range(0, sides, step)]
+            each = map if self.device != "cpu" else pool.map  # a GPU is fed by this thread alone
+            flow = torch.cat(list(each(partial(_flow, network, device), batches, begun)))
+        top, left_margin = ((-side % SIZE_MULTIPLE) // 2 for side in (down, across))
+        disparity = -flow[:, :, top : top + down, left_margin : left_margin + across]
+        return (disparity if scale == 1 else enlarge(disparity, size, scale))[:, 0]
+
+    def _start(self, d_min: int, d_max: int, factor: int, pair: tuple[Image8, Image8], previous: Map | None) -> Map:
+        """Flow that the network starts from, in cells of a padded pair, (H / factor, W / factor), by the CPU."""
         if previous is not None and (previous > 0).mean() > 0.5:
-            around = cv2.copyMakeBorder(previous, *margins, cv2.BORDER_REPLICATE)
-            initial = start_from_disparity(around, factor)
-        elif self.from_matching:
-            initial = start_from_matching(padded[0], padded[1], d_min, d_max, factor)
-        iterations = self.iterations if previous is None else self.warm_iterations
-        tensors = [torch.from_numpy(image).permute(2, 0, 1)[None].float() for image in padded]
-        start = None if initial is None else torch.from_numpy(initial)[None, None]
-        with one_thread():
-            flow, _ = network.flow(tensors[0], tensors[1], iterations, start)
-        top, _, first, _ = margins
-        return -flow[0, 0, top : top + left.shape[0], first : first + left.shape[1]].numpy()
+            return start_from_disparity(previous, factor)
+        if self.from_matching:
+            return start_from_matching(*pair, d_min, d_max, factor)
+        return np.zeros([side // factor for side in pair[0].shape[:2]], np.float32)
 
 
-def _margins(height: int, width: int) -> tuple[int, int, int, int]:
-    """Pixels to add above, below, left and right, so that both sides become multiples of 32."""
-    tall, wide = -height % SIZE_MULTIPLE, -width % SIZE_MULTIPLE
-    return tall // 2, tall - tall // 2, wide // 2, wide - wide // 2
+@dataclass(frozen=True)
+class DeviceRaftMatcher(RaftMatcher):
+    """RAFT-Stereo on one rectified pair, computed on a device.
+
+    Attributes:
+        device: ``cuda`` or ``cuda:N``. Tests say ``cpu:0``, another name of the CPU, and come this way without a GPU.
+
+    Reading:
+        A device rounds otherwise than the CPU, so that its name is part of a depth map's key: maps of both are never mixed.
+    """
+
+    device: str = "cuda"  # type: ignore[misc]
 
 
-def _mirror(image: Image8) -> Image8:
-    return np.ascontiguousarray(image[:, ::-1])
+def _flow(network: RaftStereo, device: torch.device, batch: tuple[Tensor, Tensor, int], starts: Sequence[Future[Map]]) -> Tensor:
+    """Flow in pixels of a batch, (B, 1, H, W); what it starts from is asked for once its features are under way."""
+    left, right, iterations = batch
+    layout = torch.channels_last if device == torch.device("cpu") else torch.contiguous_format  # each the faster one there
+    with rendering_on(device):
+        features = network.features(left.contiguous(memory_format=layout), right.contiguous(memory_format=layout))
+        initial = torch.from_numpy(np.stack([each.result() for each in starts])[:, None]).to(device)
+        flows, weights = network.walk(*features, iterations, initial)
+        return upsample_convex(flows[-1], weights, network.config.factor)
 
 
-def _enlarge(disparity: Map, like: Image8, scale: int) -> Map:
-    """Disparity at the size of an image; interpolated within surfaces only."""
-    size = like.shape[1], like.shape[0]
-    nearest = cv2.resize(disparity, size, interpolation=cv2.INTER_NEAREST)
-    smooth = cv2.resize(disparity, size, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(scale * np.where(np.abs(smooth - nearest) < 1, smooth, nearest), np.float32)
+def _padded(image: NDArray[Any]) -> NDArray[Any]:
+    """The image with its border repeated, so that both sides become multiples of 32."""
+    tall, wide = (-side % SIZE_MULTIPLE for side in image.shape[:2])
+    margins = tall // 2, tall - tall // 2, wide // 2, wide - wide // 2
+    return cv2.copyMakeBorder(image, *margins, cv2.BORDER_REPLICATE)

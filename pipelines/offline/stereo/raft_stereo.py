@@ -1,10 +1,6 @@
 """RAFT-Stereo as a whole: features, correlation, and a recurrent unit that walks along the row to the match.
 
 Names of modules are those of the published checkpoints.
-
-Reading:
-    `slow_fast_gru` with three levels first updates the coarsest alone, then the two coarse ones, then all; with two levels, the
-    coarse one, then both.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,15 +8,8 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
-from ggvs_eval.pipelines.offline.stereo.raft_config import Norm, RaftOptions
-from ggvs_eval.pipelines.offline.stereo.raft_update import (
-    VOLUME_BYTES,
-    Context,
-    Correlation,
-    UpdateBlock,
-    at_least_single,
-    upsample_convex,
-)
+from ggvs_eval.raft_config import Norm, RaftOptions
+from ggvs_eval.raft_update import VOLUME_BYTES, UpdateBlock, upsample_convex, walk
 from ggvs_eval.residual_block import ResidualBlock
 
 SIZE_MULTIPLE = 32  # images are padded to it
@@ -147,7 +136,7 @@ class RaftStereo(nn.Module):
             last one in pixels, (B, 1, H, W), and the features that were correlated, (B, C, H / factor, W / factor) each.
         """
         features = self.features(left, right)
-        flows, weights = self._walk(*features, iterations, initial)
+        flows, weights = self.walk(*features, iterations, initial)
         return flows, upsample_convex(flows[-1], weights, self.config.factor), features[:2]
 
     @torch.inference_mode()
@@ -156,7 +145,7 @@ class RaftStereo(nn.Module):
 
         Arguments as of `forward`; gradients are not kept and only the last flow is brought to full size.
         """
-        flows, weights = self._walk(*self.features(left, right), iterations, initial)
+        flows, weights = self.walk(*self.features(left, right), iterations, initial)
         return upsample_convex(flows[-1], weights, self.config.factor), flows[-1]
 
     def features(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor, list[tuple[Tensor, Tensor]]]:
@@ -171,41 +160,8 @@ class RaftStereo(nn.Module):
             of_left, of_right = self.fnet(torch.cat([left, right])).chunk(2)
         return of_left, of_right, [(torch.tanh(hidden), torch.relu(context)) for hidden, context in pairs]
 
-    def _walk(
-        self,
-        of_left: Tensor,
-        of_right: Tensor,
-        pairs: list[tuple[Tensor, Tensor]],
-        iterations: int,
-        initial: Tensor | None,
+    def walk(
+        self, of_left: Tensor, of_right: Tensor, states: list[tuple[Tensor, Tensor]], iterations: int, initial: Tensor | None
     ) -> tuple[list[Tensor], Tensor]:
-        """Flow in cells after each iteration, and the weights that bring the last one to full size."""
-        config = self.config
-        correlation = Correlation(of_left, of_right, config.corr_levels, config.corr_radius, self.volume_bytes)
-        hidden = [state for state, _ in pairs]
-        context = [_split(conv(features)) for conv, (_, features) in zip(self.context_zqr_convs, pairs, strict=True)]
-        batch, _, height, width = of_left.shape
-        dtype = torch.promote_types(of_left.dtype, torch.float32)
-        columns = torch.arange(width, device=of_left.device, dtype=dtype).expand(batch, 1, height, width)
-        flow = torch.zeros_like(columns) if initial is None else initial.to(dtype)
-        flows = []
-        for _ in range(iterations):
-            flow = flow.detach()
-            hidden = self._update(hidden, context, correlation.lookup((columns + flow)[:, 0]), flow)
-            flow = flow + at_least_single(self.update_block.flow_head(hidden[0])[:, :1])
-            flows.append(flow)
-        return flows, self.update_block.upsampling_weights(hidden[0])
-
-    def _update(self, hidden: list[Tensor], context: list[Context], correlation: Tensor, flow: Tensor) -> list[Tensor]:
-        block, levels = self.update_block, self.config.n_gru_layers
-        if self.config.slow_fast_gru and levels > 2:
-            hidden = block.coarse(hidden, context, finest=2)
-        if self.config.slow_fast_gru and levels > 1:
-            hidden = block.coarse(hidden, context)
-        two_channels = torch.cat([flow, torch.zeros_like(flow)], dim=1)  # rectified: nothing moves across rows
-        return block.fine(block.coarse(hidden, context), context, correlation, two_channels)
-
-
-def _split(context: Tensor) -> Context:
-    width = context.shape[1] // 3
-    return context[:, : 2 * width], context[:, 2 * width :]
+        """Flow in cells after each iteration, and the weights that bring the last one to full size, see `raft_update.walk`."""
+        return walk(self.update_block, self.context_zqr_convs, of_left, of_right, states, iterations, initial, self.volume_bytes)

@@ -22,7 +22,7 @@ from ggvs_eval.pipelines.training.blend.blend_augmentation import Augmentation, 
 from ggvs_eval.pipelines.training.blend.blend_loss import BlendLossWeights, blend_loss
 from ggvs_eval.pipelines.training.blend.perceptual_loss import require_perceptual
 from ggvs_eval.pipelines.training.samples.blend_samples import BlendSample, RawViews
-from ggvs_eval.pipelines.training.samples.samples import Samples, require_room
+from ggvs_eval.pipelines.training.samples.samples import SamplePool, require_room
 from ggvs_eval.training.task import Schedule
 
 Change = Callable[[RawViews, Map], tuple[RawViews, Map]]
@@ -51,8 +51,8 @@ class BlendTask:
         of what it can learn after 500 steps.
     """
 
-    training: Samples[BlendSample]
-    validation: Samples[BlendSample]
+    training: SamplePool[BlendSample]
+    validation: SamplePool[BlendSample]
     config: BlendNetworkOptions = field(default_factory=BlendNetworkOptions)
     seed: int = 0
     crop_width: int = 320
@@ -64,10 +64,10 @@ class BlendTask:
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together."""
-        for plan in (*self.training.plans, *self.validation.plans):
-            if plan.most_views > self.config.views:
+        for source in (*self.training.sources, *self.validation.sources):
+            if source.most_views > self.config.views:
                 raise TrainingError(
-                    f"a network for {self.config.views} views cannot learn from samples of {plan.most_views} views"
+                    f"a network for {self.config.views} views cannot learn from samples of {source.most_views} views"
                 )
         require_room(self.training, self.crop_width, self.crop_height)
         if self.weights.perceptual > 0:

@@ -1,6 +1,5 @@
 """A training sample of the blending network: the views of one instant in a target view, and what the target's camera saw."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,13 +8,9 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
-from ggvs_eval.capture import Capture
-from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.warp import warp
-from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth
-from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
+from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, Guidance, blend_maps, nearest_first, nearness
 from ggvs_eval.pipelines.online.blending import Blended, Blender, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
@@ -94,75 +89,26 @@ class BlendSample:
         return BlendSample(self.views.cropped(left, top, width, height), self.truth[rows, columns], self.geometric[rows, columns])
 
 
-class SampleMaker:
-    """Makes samples of one instant of a capture; depth that several targets share is computed once.
+def blend_sample(instant: Instant, truth: Image8, device: str = "cpu") -> BlendSample:
+    """The sample of what a method is shown of a target, and what the target's camera took.
 
     Args:
-        capture: at the size of the samples.
-        options: how depth is computed: by a matcher, as it will be when the network is used. The target takes no part in it.
-        frame: the instant.
+        instant: the target and its K source views.
+        truth: (H, W, 3) uint8.
+        device: where views are splatted and warped; another one than ``cpu`` wants NVIDIA Warp.
+
+    Raises:
+        DeviceError: no such device here, or its memory is out.
+
+    Reading:
+        The paper shifts the principal point to render a crop; a crop of the whole rendering shows the same.
     """
-
-    def __init__(self, capture: Capture, options: DepthOptions, frame: int = 0) -> None:
-        self.capture = capture
-        self._options = options
-        self._frame = frame
-        self._images: dict[str, Image8] = {}
-        self._depths: dict[tuple[str, ...], DepthMap] = {}
-
-    def sample(self, target: Camera, sources: Sequence[Camera], device: str = "cpu") -> BlendSample:
-        """The sample of a target and its K source cameras; the target is none of them.
-
-        Args:
-            target: the camera that is rendered.
-            sources: of the views.
-            device: where views are splatted and warped; another one than ``cpu`` wants NVIDIA Warp.
-
-        Raises:
-            DeviceError: no such device here, or its memory is out.
-
-        Reading:
-            The paper shifts the principal point to render a crop; a crop of the whole rendering shows the same.
-        """
-        views, geometric = rendered_views(self.instant(target, sources), device)
-        return BlendSample(views, self.truth(target), quantise(geometric))
-
-    def instant(self, target: Camera, sources: Sequence[Camera]) -> Instant:
-        """Return what a method is shown of a target and its K source cameras, depth as it is prepared for that view."""
-        depths = [(source, self._depth(source, target)) for source in sources]
-        views = tuple(self._view(source, depth, depths[:k] + depths[k + 1 :]) for k, (source, depth) in enumerate(depths))
-        return Instant(self._frame, target, views, self.capture.units_per_metre)
-
-    def truth(self, target: Camera) -> Image8:
-        """Return the image that the target's camera took."""
-        return self._image(target.name)
-
-    def _depth(self, source: Camera, target: Camera) -> DepthMap:
-        """Depth of a source camera, found without the target."""
-        partners = choose_partners(source, self.capture.cameras, self._options.partners, {target.name})
-        key = (source.name, *(partner.name for partner in partners))
-        if key not in self._depths:
-            images = [self._image(partner.name) for partner in partners]
-            estimator = DepthEstimator(source, partners, self._options)
-            self._depths[key] = estimator.estimate(self._image(source.name), images)
-        return self._depths[key]
-
-    def _view(self, source: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> SourceView:
-        """A source, its depth held against that of the others, as it is prepared for a view."""
-        checked = self._checked(source, depth_map, others)
-        return SourceView(source, self._image(source.name), checked.depth, checked.confidence)
-
-    def _checked(self, source: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> DepthMap:
-        return check_depth(source, depth_map, others, self._options)
-
-    def _image(self, name: str) -> Image8:
-        if name not in self._images:
-            self._images[name] = self.capture.frame(name, self._frame)
-        return self._images[name]
+    views, geometric = rendered_views(instant, device)
+    return BlendSample(views, truth, quantise(geometric))
 
 
 def rendered_views(instant: Instant, device: str) -> tuple[RawViews, Map]:
-    """The views of one instant by themselves, and what the geometric blender makes of them; see `SampleMaker.sample`."""
+    """The views of one instant by themselves, and what the geometric blender makes of them; see `blend_sample`."""
     options = OnlineOptions(temporal=False, compensated=False)
     if device == "cpu":
         recorder = _Recorder(GeometricBlender())

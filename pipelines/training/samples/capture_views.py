@@ -41,16 +41,6 @@ class CapturePlan:
     height: int = 360
     matcher: str = "sgbm"
 
-    @property
-    def most_views(self) -> int:
-        """The largest K of a sample."""
-        return self.views
-
-    @property
-    def least_size(self) -> tuple[int, int]:
-        """Least width and height of the samples, pixels."""
-        return self.width, self.height
-
     def __post_init__(self) -> None:
         """Refuse plans without samples."""
         if min(self.targets, self.views, self.instants, self.width, self.height) < 1 or not 0 <= self.gap < self.span:

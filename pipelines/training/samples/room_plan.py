@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan, draw_views, is_sequence
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import DOMAINS, FIRST_TRAINING_SEED, PLAIN, VALIDATION_SEEDS, domain_options, find_domain
@@ -53,6 +55,7 @@ class RoomPlan:
     matcher: str = "sgbm"
     domain: str = PLAIN
     window: tuple[int, int] | None = None
+    origin: ClassVar[Literal["rooms"]] = "rooms"
 
     @property
     def most_views(self) -> int:
@@ -69,18 +72,73 @@ class RoomPlan:
         """Seeds of the rooms."""
         return range(self.first_room, self.first_room + self.rooms)
 
+    def __post_init__(self) -> None:
+        """Refuse rooms that are neither for training nor for validation, and plans without samples."""
+        if not (self.first_room >= FIRST_TRAINING_ROOM or set(self.seeds) <= set(VALIDATION_SEEDS)):
+            raise TrainingError(
+                f"rooms {self.seeds.start}..{self.seeds.stop - 1}: wanted seeds from {FIRST_TRAINING_ROOM} on for training, or "
+                f"of {', '.join(map(str, VALIDATION_SEEDS))} for validation; the others are for tests"
+            )
+        if self.window and not (0 < self.window[0] <= self.width and 0 < self.window[1] <= self.height):
+            raise TrainingError(
+                f"wanted windows within images of {self.width} x {self.height}, got {self.window}; lower the window"
+            )
+        if min(self.rooms, self.targets, self.views) < 1:
+            raise TrainingError(f"wanted at least one room, target and view, got {self}")
 
-def refuse_tests(plan: RoomPlan) -> None:
-    """Refuse rooms that are neither for training nor for validation, and plans without samples."""
-    if not (plan.first_room >= FIRST_TRAINING_ROOM or set(plan.seeds) <= set(VALIDATION_SEEDS)):
-        raise TrainingError(
-            f"rooms {plan.seeds.start}..{plan.seeds.stop - 1}: wanted seeds from {FIRST_TRAINING_ROOM} on for training, or "
-            f"of {', '.join(map(str, VALIDATION_SEEDS))} for validation; the others are for tests"
-        )
-    if plan.window and not (0 < plan.window[0] <= plan.width and 0 < plan.window[1] <= plan.height):
-        raise TrainingError(f"wanted windows within images of {plan.width} x {plan.height}, got {plan.window}; lower the window")
-    if min(plan.rooms, plan.targets, plan.views) < 1:
-        raise TrainingError(f"wanted at least one room, target and view, got {plan}")
+    @property
+    def count(self) -> int:
+        """Number of its samples."""
+        return self.rooms * self.targets
+
+    def contents(self, depth: bool) -> str:
+        """See `SampleSource`."""
+        how = f"depth by {self.matcher}" if depth else "no depth"
+        domain = "" if self.domain == PLAIN else f" of domain {self.domain}"
+        return f"{self.count} views of {self.rooms} procedural rooms{domain} (ggvs_eval.synthetic), {how}"
+
+    def describe(self, depth: bool) -> dict[str, object]:
+        """See `SampleSource`."""
+        options = DepthRunOptions(self.matcher).options()
+        return {
+            "views": [self.views, self.other_views, self.other_share],
+            "size": [self.width, self.height],
+            "wide_share": self.wide_share,
+            "depth": options.describe() if depth else None,
+            "consistency": options.consistency.describe() if depth and options.consistency else None,
+            **({} if self.domain == PLAIN else _describe_domain(self.domain)),
+            **({"window": self.window} if self.window else {}),
+        }
+
+    def file_name(self, number: int) -> str:
+        """See `SampleSource`."""
+        seed, target = self._place(number)
+        return f"room{seed}-{target:02d}.npz"
+
+    def groups(self) -> list[list[int]]:
+        """Numbers of each room."""
+        return [list(range(first, first + self.targets)) for first in range(0, self.count, self.targets)]
+
+    def opened(self, folder: Path, number: int) -> Capture:
+        """See `film_room`."""
+        return film_room(folder / "rooms", self._place(number)[0], self)
+
+    def frame(self, number: int) -> int:
+        """The only instant of a room."""
+        return 0
+
+    def draw(self, capture: Capture, number: int) -> tuple[Camera, list[Camera]]:
+        """See `choose_views`."""
+        return choose_views(capture, self, *self._place(number))
+
+    def kept(self, number: int) -> tuple[int, int, int, int] | None:
+        """See `draw_window`."""
+        return draw_window(self, *self._place(number)) if self.window else None
+
+    def _place(self, number: int) -> tuple[int, int]:
+        """A sample's room and its number there."""
+        room, target = divmod(number, self.targets)
+        return self.seeds[room], target
 
 
 def film_room(folder: Path, seed: int, plan: RoomPlan) -> Capture:
@@ -167,3 +225,13 @@ def _sized(plan: RoomPlan, domain: str) -> RoomPlan:
         return replace(plan, domain=domain, width=width, height=height)
     rooms, targets = max(plan.rooms // LARGE_FACTOR, 1), plan.targets * LARGE_FACTOR
     return replace(plan, domain=domain, rooms=rooms, targets=targets, width=width, height=height, window=WINDOW)
+
+
+def _describe_domain(name: str) -> dict[str, Any]:
+    """Describe what samples depend on of their domain."""
+    domain = find_domain(name)
+    described: dict[str, Any] = {"domain": name, "options": dict(domain.options), "strengths": dict(domain.strengths)}
+    if domain.hand_held:
+        sensor = DepthRunOptions().options().sensor
+        described |= {"frames": [domain.gap, domain.span], "sensor": sensor.describe() if sensor else None}
+    return described

@@ -1,13 +1,14 @@
 """The recurrent part of RAFT-Stereo: correlation and flow go in, a step of flow and weights for upsampling come out.
 
-Names of modules are those of the published checkpoints; 08, 16 and 32 count as if the finest level lay at an eighth of the image.
+Names of modules are those of the published checkpoints, of RAFT-Stereo and of GPS-Gaussian; 08, 16 and 32 count as if the finest
+level lay at an eighth of the image.
 """
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ggvs_eval.pipelines.offline.stereo.raft_config import RaftOptions
+from ggvs_eval.raft_config import RaftOptions
 
 VOLUME_BYTES = 512 * 2**20  # a larger volume is not kept but computed again for every lookup, row by row
 Context = tuple[Tensor, Tensor]  # the context's share of both gates, (B, 2 C, H, W), and of the candidate, (B, C, H, W)
@@ -121,10 +122,11 @@ class MotionEncoder(nn.Module):
         self.convc2 = nn.Conv2d(width, width, 3, padding=1)
         self.convf1 = nn.Conv2d(2, width, 7, padding=3)
         self.convf2 = nn.Conv2d(width, width, 3, padding=1)
-        self.conv = nn.Conv2d(2 * width, config.hidden_width - 2, 3, padding=1)
+        self.width_out = config.motion_features or config.hidden_width
+        self.conv = nn.Conv2d(2 * width, self.width_out - 2, 3, padding=1)
 
     def forward(self, flow: Tensor, correlation: Tensor) -> Tensor:
-        """Flow (B, 2, H, W) and correlations to (B, hidden_width, H, W)."""
+        """Flow (B, 2, H, W) and correlations to (B, width_out, H, W)."""
         matched = functional.relu(self.convc2(functional.relu(self.convc1(correlation))))
         moved = functional.relu(self.convf2(functional.relu(self.convf1(flow))))
         mixed = functional.relu(self.conv(torch.cat([matched, moved], dim=1)))
@@ -151,9 +153,10 @@ class UpdateBlock(nn.Module):
     def __init__(self, config: RaftOptions) -> None:
         super().__init__()
         hidden, levels = config.hidden_width, config.n_gru_layers
+        self.config = config
         self.n_levels = levels
         self.encoder = MotionEncoder(config)
-        self.gru08 = ConvGru(hidden, hidden + hidden * (levels > 1))
+        self.gru08 = ConvGru(hidden, self.encoder.width_out + hidden * (levels > 1))
         self.gru16 = ConvGru(hidden, hidden + hidden * (levels > 2))
         self.gru32 = ConvGru(hidden, hidden)
         self.flow_head = FlowHead(hidden, config.head_width)
@@ -182,6 +185,66 @@ class UpdateBlock(nn.Module):
         """Weights of convex upsampling before their softmax, (B, 9 * factor**2, H, W)."""
         weights: Tensor = 0.25 * self.mask(hidden)
         return weights
+
+
+def walk(
+    block: UpdateBlock,
+    gates: nn.ModuleList,
+    of_left: Tensor,
+    of_right: Tensor,
+    states: list[tuple[Tensor, Tensor]],
+    iterations: int,
+    initial: Tensor | None = None,
+    volume_bytes: int = VOLUME_BYTES,
+) -> tuple[list[Tensor], Tensor]:
+    """All iterations of one pair or several.
+
+    Args:
+        block: one iteration.
+        gates: of each level, the convolution that makes the context's share of its gates.
+        of_left: features that are correlated, (B, C, H, W).
+        of_right: (B, C, H, W).
+        states: (hidden, context) of every level, finest first.
+        iterations: number of updates, at least 1.
+        initial: flow to start from, in cells, (B, 1, H, W); zero by default.
+        volume_bytes: memory for the correlation volume, see `Correlation`.
+
+    Returns:
+        Flow in cells after each iteration, (B, 1, H, W) each, and the weights that bring the last one to full size, see
+        `upsample_convex`.
+
+    Reading:
+        `slow_fast_gru` with three levels first updates the coarsest alone, then the two coarse ones, then all; with two levels,
+        the coarse one, then both.
+    """
+    correlation = Correlation(of_left, of_right, block.config.corr_levels, block.config.corr_radius, volume_bytes)
+    hidden = [state for state, _ in states]
+    context = [_split(conv(features)) for conv, (_, features) in zip(gates, states, strict=True)]
+    batch, _, height, width = of_left.shape
+    dtype = torch.promote_types(of_left.dtype, torch.float32)
+    columns = torch.arange(width, device=of_left.device, dtype=dtype).expand(batch, 1, height, width)
+    flow = torch.zeros_like(columns) if initial is None else initial.to(dtype)
+    flows = []
+    for _ in range(iterations):
+        flow = flow.detach()
+        hidden = _update(block, hidden, context, correlation.lookup((columns + flow)[:, 0]), flow)
+        flow = flow + at_least_single(block.flow_head(hidden[0])[:, :1])
+        flows.append(flow)
+    return flows, block.upsampling_weights(hidden[0])
+
+
+def _update(block: UpdateBlock, hidden: list[Tensor], context: list[Context], correlation: Tensor, flow: Tensor) -> list[Tensor]:
+    if block.config.slow_fast_gru and block.n_levels > 2:
+        hidden = block.coarse(hidden, context, finest=2)
+    if block.config.slow_fast_gru and block.n_levels > 1:
+        hidden = block.coarse(hidden, context)
+    two_channels = torch.cat([flow, torch.zeros_like(flow)], dim=1)  # rectified: nothing moves across rows
+    return block.fine(block.coarse(hidden, context), context, correlation, two_channels)
+
+
+def _split(context: Tensor) -> Context:
+    width = context.shape[1] // 3
+    return context[:, : 2 * width], context[:, 2 * width :]
 
 
 def upsample_convex(flow: Tensor, weights: Tensor, factor: int) -> Tensor:

@@ -1,4 +1,4 @@
-"""The configurations of RAFT-Stereo: three published ones, so that their checkpoints load, and the compact one that ships."""
+"""Shapes of RAFT-Stereo: three published ones, so that their checkpoints load, and the compact one that ships."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -20,6 +20,7 @@ class RaftOptions:
         trunk_widths: channels of the encoders' three stages.
         feature_width: channels of what is correlated.
         motion_width: channels of the motion encoder's first layers.
+        motion_features: channels that it gives; those of the state where None.
         head_width: channels inside the heads for flow and upsampling weights.
         corr_levels: sizes of the correlation pyramid.
         corr_radius: cells looked up on either side, per level.
@@ -36,6 +37,7 @@ class RaftOptions:
     trunk_widths: tuple[int, int, int] = (64, 96, 128)
     feature_width: int = 256
     motion_width: int = 64
+    motion_features: int | None = None
     head_width: int = 256
     corr_levels: int = 4
     corr_radius: int = 4

@@ -1,0 +1,82 @@
+"""Names that docstrings and pages give in backticks exist: a module, or what it defines."""
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from test_layers import MODULES
+
+ROOT = Path(__file__).parents[1]
+ROOMS = "|".join(sorted({name.partition(".")[0] for name in MODULES if name}))
+NAME = re.compile(rf"`(?:ggvs_eval\.)?((?:{ROOMS})(?:\.\w+)+)(?:\([^`]*\))?`")
+FILE_ENDS = ("py", "toml", "md", "json", "csv", "png", "npz", "txt", "html", "safetensors", "csl")
+
+
+def docstrings(file: Path) -> Iterator[str]:
+    """Docstrings of a module, of its classes and of its functions."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            yield ast.get_docstring(node) or ""
+
+
+def names_in(text: str) -> set[str]:
+    """Dotted names in backticks that begin with a room or module of the package, files left out."""
+    return {name for name in NAME.findall(text) if name.rpartition(".")[2] not in FILE_ENDS}
+
+
+@cache
+def defined(module: str) -> set[str]:
+    """Names that a module defines or takes from another, its modules if it is a package; methods and fields too."""
+    found = {name.rpartition(".")[2] for name in MODULES if name.rpartition(".")[0] == module}
+    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            found |= {each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)}
+        elif isinstance(node, ast.ClassDef | ast.FunctionDef):
+            found.add(node.name)
+        elif isinstance(node, ast.ImportFrom | ast.Import):
+            found |= {alias.asname or alias.name for alias in node.names}
+    return found
+
+
+def exists(name: str) -> bool:
+    """Whether a dotted name is a module of the package, or is defined in one."""
+    parts = name.split(".")
+    for end in range(len(parts), 0, -1):
+        module = ".".join(parts[:end])
+        if module in MODULES:
+            return all(part in defined(module) for part in parts[end:])
+    return False
+
+
+def missing(texts: dict[str, str]) -> list[str]:
+    """Where -> text, as lines of where and a name that does not exist."""
+    return sorted(f"{where}: {name}" for where, text in texts.items() for name in names_in(text) if not exists(name))
+
+
+def test_docstrings_name_what_exists():
+    """Every dotted name of a docstring is found in the tree."""
+    assert missing({str(file): "\n".join(docstrings(file)) for file in MODULES.values()}) == []
+
+
+def test_pages_name_what_exists():
+    """Every dotted name of a page is found in the tree; CHANGELOG tells of names that were."""
+    pages = [*ROOT.glob("docs/**/*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+
+    assert missing({page.name: page.read_text(encoding="utf-8") for page in pages}) == []
+
+
+@pytest.mark.parametrize("name", ["metrics.image.psnr.psnr", "camera.Camera.rays", "geometry.ray_march"])
+def test_what_exists_is_found(name):
+    """A function, a class's method, a name that a package hands on."""
+    assert missing({"here": f"see `ggvs_eval.{name}` and `{name}(1, 2)`"}) == []
+
+
+@pytest.mark.parametrize("name", ["metrics.flicker.Flicker", "camera.Camera.no_method"])
+def test_what_does_not_exist_is_named(name):
+    """A module that has moved, a method that is gone."""
+    assert missing({"here": f"see `{name}`"}) == [f"here: {name}"]
