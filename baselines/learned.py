@@ -148,7 +148,7 @@ class TrainingRecipe(ABC, Generic[Network]):
         """
 
     def refusal(self, instant: Instant) -> str | None:
-        """Why the method cannot render an instant, whatever the network; None where it can."""
+        """Reason why the method cannot render an instant, whatever the network; None where it can."""
         return None
 
     @abstractmethod

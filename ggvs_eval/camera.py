@@ -1,4 +1,4 @@
-"""A calibrated pinhole camera and the few questions everybody asks it.
+"""A calibrated pinhole camera.
 
 Conventions (docs/conventions.md): OpenCV axes, world_to_camera, the centre of pixel (i, j) lies at (u, v) = (i + 0.5, j + 0.5),
 depth is z in the camera's frame, in world units.

@@ -30,7 +30,7 @@ class GgvsError(Exception):
 
 
 class GgvsWarning(UserWarning):
-    """What is computed all the same and is hardly meant."""
+    """Input that is computed on all the same, though it is hardly meant."""
 
 
 class CommandError(GgvsError):

@@ -115,7 +115,7 @@ def _missing_scenes(table: pd.DataFrame) -> dict[str, str]:
 
 
 def _absent_everywhere(part: Results, measured: set[str]) -> list[Absence]:
-    """What no method of a part has and methods of others do, for each of its methods."""
+    """Values that no method of a part has and methods of others do, for each of its methods."""
     labels, scene = dict.fromkeys(part.row_labels), ", ".join(part.scenes)
     return [
         Absence(name, label, scene, "", why) for name, why in part.not_computed.items() if name in measured for label in labels

@@ -58,7 +58,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     @property
     def plugins(self) -> dict[str, Plugin]:
-        """Those that are offered under names of their own; of one that is taken a line says so, once."""
+        """Entries under names of their own; a name that is taken is reported once."""
         return _offered(self._kind, frozenset(self.shipped))
 
     def __getitem__(self, name: str) -> Entry:
@@ -163,7 +163,7 @@ def plugin_digest(module: str) -> str:
 
 @cache
 def _offered(kind: Kind, taken: frozenset[str]) -> dict[str, Plugin]:
-    """What entry points and files offer, by name; the first of a name stays."""
+    """Offers of entry points and files by name; the first of a name stays."""
     offered: dict[str, Plugin] = {}
     for plugin in (*_of_packages(kind), *_of_files(kind)):
         if plugin.name in taken or plugin.name in offered:
@@ -204,7 +204,7 @@ def _module_of(file: Path) -> ModuleType:
 
 
 def _reason(error: Exception) -> str:
-    """What a module of somebody else's raised, in one line."""
+    """Error of a plug-in's module, in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 

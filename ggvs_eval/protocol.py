@@ -16,7 +16,7 @@ from ggvs_eval.geometry.source_views import SourceChoice
 
 @dataclass(frozen=True)
 class Views:
-    """Which cameras are synthesised, each from the others (leave-one-out).
+    """Cameras that are synthesised, each from the others (leave-one-out).
 
     Attributes:
         test: names of the target cameras.
@@ -36,7 +36,7 @@ class Views:
 
 @dataclass(frozen=True)
 class Frames:
-    """Which instants are synthesised: ``count`` from ``start`` on, consecutive."""
+    """Instants that are synthesised: ``count`` from ``start`` on, consecutive."""
 
     start: int
     count: int

@@ -99,7 +99,7 @@ class Results:
 
     @property
     def absences(self) -> tuple[Absence, ...]:
-        """What some methods or views lack while others have it."""
+        """Values that some methods or views lack while others have them."""
         return tuple(Absence(*one) for one in self.provenance.get("absent", ()))
 
     def why_absent(self, metric: str, label: str, view: str = "") -> str:

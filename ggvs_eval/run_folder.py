@@ -157,7 +157,7 @@ def diagnostics_path(folder: Path, name: str, index: int) -> Path:
 
 
 def missing_frames(folder: Path, indices: range) -> list[int]:
-    """Which of the wanted frames are not in a folder."""
+    """Wanted frames that are not in a folder."""
     return [index for index in indices if not frame_path(folder, index).is_file()]
 
 

@@ -60,7 +60,7 @@ class Footage:
         return tuple((index - self.indices.start) / self.fps if self.fps else 0.0 for index in self.indices)
 
     def image(self, view: str, index: int) -> Image8:
-        """What a training camera saw, RGB uint8, (H, W, 3).
+        """Image of a training camera, RGB uint8, (H, W, 3).
 
         Args:
             view: name of a training camera.

@@ -117,7 +117,7 @@ class FramePair:
 
 
 def shared_by_parts(rendered: NDArray[Any], truth: TruthFrame, key: Hashable, compute: Callable[[], T]) -> T:
-    """What a metric and its parts derive from the same two frames, computed once; it lives as long as the captured frame does."""
+    """A quantity that a metric and its parts derive from the same two frames, kept as long as the captured frame lives."""
     # The frame is kept beside the result, so that no other one can come to have its identity.
     return truth.once((key, id(rendered)), lambda: (rendered, compute()))[1]
 

@@ -52,7 +52,6 @@ def write_tables(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction],
 
 
 def _titled(group: RunGroup, is_one_of_several: bool) -> tuple[Table, ...]:
-    """The tables of a group; of one of several, each says which."""
     if not is_one_of_several:
         return group.all_tables
     return tuple(replace(table, dataset=_where(table, group)) for table in group.all_tables)

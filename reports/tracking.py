@@ -41,7 +41,6 @@ def track_results(roots: Sequence[Path], tracker: Tracker, out: Path) -> Path:
 
     Args:
         roots: run folders; frames may be absent.
-        tracker: which.
         out: folder for the tracker's files. MLflow writes a database there unless ``MLFLOW_TRACKING_URI`` names a place, W&B
             stays offline unless ``WANDB_MODE`` says otherwise.
 

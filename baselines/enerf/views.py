@@ -64,7 +64,6 @@ def see(network: FeatureNetwork, source: SourceView, unit: float = 1.0) -> SeenV
 
     Args:
         network: the trained one.
-        source: the view.
         unit: the network's units of length per world unit.
     """
     return see_together(network, [source], unit)[0]

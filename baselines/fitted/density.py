@@ -46,7 +46,6 @@ def watch_gradients(state: FitState, gradient_px: Tensor, radii: Tensor, camera:
         state: of the fit, with N Gaussians.
         gradient_px: of the loss by the centres in the image, pixels, (M, 2) with M >= N; the fit's own come first.
         radii: in the image, 0 where not visible, (M,).
-        camera: the view.
     """
     halves = torch.tensor(camera.size, dtype=torch.float32) / 2
     visible = (radii[: len(state)] > 0).float()

@@ -1,4 +1,4 @@
-"""How Gaussians move: by a field (4DGS), along polynomials (Spacetime Gaussians), along lines (FreeTimeGS), or not at all.
+"""Motion of Gaussians: by a field (4DGS), along polynomials (Spacetime Gaussians), along lines (FreeTimeGS), or not at all.
 
 What a motion keeps per Gaussian stands beside the canonical properties under names of its own, and is thinned and split with
 them; what all Gaussians share are the parameters of the module.
@@ -39,7 +39,7 @@ class Motion(nn.Module, ABC):
     has_coarse_stage = False
 
     def start(self, points: Points) -> dict[str, Tensor]:  # most keep something
-        """What it keeps per Gaussian, when nothing moves yet."""
+        """Parameters per Gaussian when nothing moves yet."""
         return {}
 
     def shared_rate(self, name: str) -> float:  # most share nothing
@@ -51,11 +51,11 @@ class Motion(nn.Module, ABC):
         """Return the Gaussians at a time in [0, 1] of the clip."""
 
     def sizes(self) -> dict[str, Any]:
-        """What `motion_of` needs to make one that takes its parameters."""
+        """Settings by which `motion_of` makes one that takes its parameters."""
         return {}
 
     def penalty(self) -> Tensor | float:
-        """What is added to the loss for motion that is not smooth."""
+        """Penalty on motion that is not smooth."""
         return 0.0
 
 

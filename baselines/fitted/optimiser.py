@@ -59,7 +59,7 @@ class GaussianFitter(SceneFitter):
 
 @dataclass(frozen=True)
 class OptimiserOptions:
-    """How one fit runs.
+    """Schedule of one fit.
 
     Attributes:
         steps: images that are looked at.

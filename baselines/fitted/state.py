@@ -1,4 +1,4 @@
-"""What changes during a fit: a row per Gaussian, what all of them share, the optimiser's moments; and its checkpoint."""
+"""State of a fit: a row per Gaussian, what all of them share, the optimiser's moments; and its checkpoint."""
 
 import io
 import pickle
@@ -124,7 +124,6 @@ class FitState:
         """Read a checkpoint.
 
         Args:
-            path: the file.
             motion: of the same kind and sizes; gets its parameters.
             device: where the fit goes on.
 

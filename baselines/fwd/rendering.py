@@ -87,7 +87,6 @@ def splat_points(
     Args:
         points: in the target camera, (N, 3), float64, world units.
         features: (N, C), float32.
-        target: the camera to render.
         near: points at or before this depth are left out, world units.
         radius_px: r, pixels.
         count: most points per pixel.

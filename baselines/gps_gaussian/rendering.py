@@ -44,7 +44,6 @@ def blend_gaussians(gaussians: Gaussians, target: Camera, near: float) -> Tensor
 
     Args:
         gaussians: what is seen; gradients reach all of it.
-        target: the camera to render.
         near: Gaussians at or before this depth are left out, world units.
 
     Returns:

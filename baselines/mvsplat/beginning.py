@@ -1,4 +1,4 @@
-"""How the compact network begins: as a plane sweep with random features, whose Gaussians are the sources' pixels."""
+"""Initialisation of the compact network: a plane sweep with random features, whose Gaussians are the sources' pixels."""
 
 import torch
 from torch import Tensor, nn

@@ -1,4 +1,4 @@
-"""What the network says of each pixel, as a Gaussian in the world."""
+"""Gaussians in the world from the network's output at each pixel."""
 
 import numpy as np
 import torch
@@ -44,7 +44,7 @@ def rendered_part(cloud: GaussianCloud) -> GaussianCloud:
 
 
 def _view_cloud(pixels: PixelMaps, views: Views, number: int, published: bool) -> GaussianCloud:
-    """Those of one view."""
+    """Gaussians of one view."""
     width, height = views.sizes[number].tolist()
     raw, disparity, logit, image = (
         maps[number, :, :height, :width].flatten(1).T

@@ -81,7 +81,7 @@ class MvsplatNetwork(nn.Module):
             begin_as_plane_sweep(self.backbone, self.depth_predictor)
 
     def forward(self, views: Views) -> PixelMaps:
-        """What is said of the Gaussian of every pixel of every view, at least two."""
+        """Parameters of the Gaussian of every pixel of every view, at least two."""
         together, alone = self.backbone(views.images, self.config.window)
         pixels: PixelMaps = self.depth_predictor(together, alone, views)
         return pixels

@@ -168,7 +168,6 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
     """The layout of a capture.
 
     Args:
-        path: the capture.
         layout: the only one to consider; all when None.
 
     Raises:

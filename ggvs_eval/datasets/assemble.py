@@ -42,7 +42,6 @@ def assemble_capture(
     """Check that all cameras have the same instants and bring each camera to the size of its frames.
 
     Args:
-        path: the capture.
         layout: name of its layout.
         cameras: at the size they are calibrated for.
         sources: frames of each camera.
@@ -97,7 +96,7 @@ def check_rig_size(path: Path, n_cameras: int) -> None:
 
 
 def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
-    """List what was mended, and what nobody can mend here."""
+    """List repairs and remaining faults."""
     notes = []
     slanted = [camera for camera in cameras if camera.deviation]
     if slanted:

@@ -42,7 +42,6 @@ def frames_in(path: Path, arrangement: str, even_empty: bool = False) -> list[tu
     """Everything that may be a camera's frames in one arrangement, by name.
 
     Args:
-        path: the capture.
         arrangement: as in `ARRANGEMENTS`.
         even_empty: folders without images too.
     """
@@ -59,7 +58,6 @@ def find_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
     """Frames of known cameras by the first arrangement that holds those of any.
 
     Args:
-        path: the capture.
         image_names: camera -> its image in the calibration, relative to ``images/`` or to the capture.
 
     Raises:
@@ -117,7 +115,7 @@ def find_rig_frames(path: Path) -> dict[str, CameraFrames]:
 
 
 def instead_of_frames(path: Path, names: Iterable[str] = ()) -> str:
-    """What lies in a folder instead of the frames of some cameras, or of any, and where they belong."""
+    """Describe what lies in a folder instead of the frames of some cameras, or of any, and where they belong."""
     unread = _unread(path, names)
     return f"none, but {unread}" if unread else f"none; put them in {IN_WORDS}"
 

@@ -14,7 +14,7 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class Crop:
-    """Where the frames begin in the calibrated picture; the whole file.
+    """Offset of the frames in the calibrated picture; the whole file.
 
     Attributes:
         left: column of the calibrated picture that the first column of the frames shows.
@@ -26,7 +26,7 @@ class Crop:
 
 
 def given_crop(folder: Path) -> Crop | None:
-    """What ``crop.toml`` in a capture's folder says; None without that file.
+    """Read ``crop.toml`` in a capture's folder; None without that file.
 
     Raises:
         CaptureError: a damaged file.
@@ -66,7 +66,7 @@ def crop_lens(name: str, lens: Lens, frames: Size, crop: Crop | None) -> Lens:
 
 
 def describe_crop(frames: Size, calibrated: Size, path: Path) -> str:
-    """What frames of another shape than their calibration may be, and what to do; for the end of a message.
+    """Explain frames of another shape than their calibration, and what to do; for the end of a message.
 
     Examples:
         >>> describe_crop((1080, 1920), (1088, 1920), Path("rig"))[:25]

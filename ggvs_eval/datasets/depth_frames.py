@@ -130,5 +130,5 @@ def read_depth_png(path: Path) -> NDArray[np.uint16]:
 
 
 def known_depth(steps: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """Which pixels of a depth map are measured: unknown depth is 0 or, in some data sets, the largest value of the type."""
+    """Mask of the measured pixels of a depth map: unknown depth is 0 or, in some data sets, the largest value of the type."""
     return (steps > 0) & (steps < LARGEST_STEP)

@@ -34,7 +34,7 @@ NEAR_MARGIN, FAR_MARGIN = 0.8, 1.2
 
 @dataclass(frozen=True)
 class GivenDepthRange:
-    """What ``depth_range.toml`` says: least and greatest depth of the scene, world units."""
+    """Content of ``depth_range.toml``: least and greatest depth of the scene, world units."""
 
     near: float
     far: float

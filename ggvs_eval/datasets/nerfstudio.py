@@ -104,7 +104,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _read_frames(file: Path) -> dict[str, dict[str, Any]]:
-    """What is said of each camera, by its name; what a frame does not say itself stands at the top of the file."""
+    """Entries of the cameras by name; keys that a frame lacks are taken from the top of the file."""
     try:
         values = dict(json.loads(read_plain_text(file)))
         check_rig_size(file, len(values["frames"]))

@@ -55,7 +55,7 @@ class PublicDataset:
         return (*(self.folders or self.archives), *(each.scene for each in self.by_hand))
 
     def folder(self) -> Path:
-        """Where its captures are kept."""
+        """Folder of its captures."""
         return cache_folder() / "captures" / self.name
 
     def place(self, scene: str) -> Path:

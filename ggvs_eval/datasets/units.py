@@ -47,9 +47,7 @@ def choose_units(
     capture, what is known of the data set, a guess from the depth of the scene.
 
     Args:
-        path: the capture.
         given: by the user.
-        cameras: the rig.
         of_data_set: of the data set.
         median_depths: median scene depth per camera, world units, for the guess.
 
@@ -71,7 +69,6 @@ def guess_units_per_metre(cameras: Sequence[Camera], median_depths: Sequence[flo
     """World units per metre where nothing better is known: the median depth of the scene is taken for 2 metres.
 
     Args:
-        cameras: the rig.
         median_depths: median scene depth per camera in world units; the geometric mean of near and far where absent.
 
     Reading:

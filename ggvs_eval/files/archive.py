@@ -51,7 +51,7 @@ class _Member:
 
 
 class _RefusedError(Exception):
-    """What an archive holds that is not unpacked."""
+    """An archive holds what is not unpacked."""
 
 
 def is_archive(path: Path) -> bool:

@@ -24,7 +24,7 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 @dataclass(frozen=True)
 class Fetched:
-    """What was fetched, for those who fetch it again.
+    """Record of a download, by which later ones are judged.
 
     Attributes:
         url: where from.
@@ -82,7 +82,7 @@ def download(url: str, file: Path, record: Path) -> Fetched:
 
 
 def read_record(record: Path) -> Fetched | None:
-    """What the first download was; None where there was none.
+    """Read the record of the first download; None where there was none.
 
     Raises:
         DownloadError: a damaged record.

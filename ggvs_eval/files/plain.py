@@ -75,7 +75,7 @@ def coding_of(content: bytes) -> str:
 
 
 def comma_hint(word: str) -> str:
-    """What a message adds to a word that is no number because of its decimal comma; empty for others.
+    """Hint that a message adds to a word that is no number because of its decimal comma; empty for others.
 
     Examples:
         >>> comma_hint("86,88")

@@ -58,7 +58,6 @@ def build_table(kind: type[Table], values: dict[str, Any], file: str, section: s
 
     Args:
         kind: a dataclass; its fields may be bool, int, float (finite), str, Literal, tuple[X, ...], X | None and dataclasses.
-        values: the table.
         file: named in errors.
         section: prefix of the keys in errors, "" or "name.".
         error: raised for an unknown, missing or mistyped key; the message names the nearest known one.

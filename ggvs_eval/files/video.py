@@ -276,7 +276,7 @@ class VideoFrames:
 
     @cached_property
     def _shown(self) -> list[FrameTime]:
-        """Those that are presented, in order; frame t is the one at index t."""
+        """Presented frames in order; frame t is the one at index t."""
         return [frame for frame in self._timestamps if not frame.is_hidden]
 
     @cached_property

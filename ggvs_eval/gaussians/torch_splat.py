@@ -25,7 +25,6 @@ def splat(
 
     Args:
         cloud: N Gaussians, on any device.
-        camera: the view.
         near: Gaussians at or before this depth are left out, world units.
         screen_offsets: added to the centres in the image, pixels, (N, 2); or None.
 

@@ -31,7 +31,6 @@ def settle_depth(
     """Fused depth, replaced where most views show another surface and the colours of all agree far better about one of those.
 
     Args:
-        target: the camera to render.
         fused: fused depth in the target view, (H, W), world units, 0 = unknown.
         sources: the source views, brought to one colour.
         splats: the same views splatted into the target view.

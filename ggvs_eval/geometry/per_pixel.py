@@ -18,7 +18,6 @@ def view_weights(target: Camera, cameras: Sequence[Camera], shares: Sequence[flo
     """Weight of each source view among those that show a pixel; only ratios matter.
 
     Args:
-        target: the camera to render.
         cameras: of the source views, at least one.
         shares: how far the choice of sources counts on each, see `SourceView.share`; 1 unless given.
 

@@ -46,7 +46,6 @@ def require_sight(target: Camera, sources: Sequence[Camera], cameras: Sequence[C
     Args:
         target: whose view.
         sources: its sources, at least one.
-        cameras: the rig.
         sensed: as of `shown_share`.
 
     Raises:

@@ -53,7 +53,6 @@ def choose_sources(target: Camera, cameras: Sequence[Camera], k: int, how: Sourc
 
     Args:
         target: camera to synthesise, of the rig or a virtual one.
-        cameras: the rig.
         k: number of sources; ``coverage`` gives fewer where fewer cameras look the target's way.
         how: ``nearest``, the cameras whose centres lie nearest, whatever they see; or ``coverage``, those that together see most
             of the target's view between its near and its far depth, from directions like its own.

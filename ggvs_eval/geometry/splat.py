@@ -50,7 +50,6 @@ def splat(
     Args:
         sources: views whose images have the same number of channels; sizes may differ. Levels of an 8-bit image count as shares
             of 255; other features, (H, W, C) float32 with C from 1 to 4, are blended as they are.
-        target: the camera to render.
         near: Gaussians at or before this depth in the target camera are left out, world units.
         extras: of each source one more feature beside its 8-bit image, (H, W) float32, e.g. a difference mask; or none.
         scale: standard deviation of a Gaussian in source pixels.
@@ -104,7 +103,6 @@ def splat_depth(camera: Camera, depth: Map, target: Camera, *, near: float) -> S
     Args:
         camera: of the depth map.
         depth: (H, W), world units, 0 = no Gaussian here.
-        target: the camera to render.
         near: as in `splat`, world units.
 
     Raises:
@@ -151,7 +149,6 @@ def splat_points(source: SourceView, target: Camera, *, near: float, extra: Map 
 
     Args:
         source: the view, its image as in `splat`.
-        target: the camera to render.
         near: points at or before this depth in the target camera are left out, world units.
         extra: one more feature beside the image, (H, W) float32.
 

@@ -151,7 +151,6 @@ def march_end(target: Camera, tau: float, min_step: float, depths: Iterable[Any]
     """Depth where a march ends: the target's far one, at most a million smallest steps, beyond which they are lost in float32.
 
     Args:
-        target: the camera to render.
         tau: truncation distance, world units.
         min_step: smallest step, in tau.
         depths: of the views, arrays or tensors, world units; a warning says so, once, where they lie beyond the end.

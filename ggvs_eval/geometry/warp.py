@@ -43,7 +43,6 @@ def warp(
     """Sample a source image where the target's surface points project into it.
 
     Args:
-        target: the camera to render.
         target_depth: its depth, (H, W) float32, world units, 0 = unknown.
         source: the camera of the image.
         image: (Hs, Ws, 3) float32 in [0, 1].
@@ -88,9 +87,7 @@ def warp_change(target: Camera, target_depth: Map, source: SourceView, before: I
     """Sample how a source image has changed where the target's surface points project into it, bilinearly.
 
     Args:
-        target: the camera to render.
         target_depth: its depth, (H, W) float32, world units, 0 = unknown.
-        source: the view.
         before: its image before, RGB uint8 (Hs, Ws, 3).
         tolerance: as in `warp`, world units.
 
@@ -136,7 +133,6 @@ def look_up(
     the sum of the visibilities falls short of 1, in one pass without images in between.
 
     Args:
-        target: the camera to render.
         target_depth: its depth, (H, W) float32, world units, 0 = unknown.
         sources: the source views, at least one; sizes may differ.
         weights: how far each view counts beside the others that see the surface, positive.
@@ -191,7 +187,6 @@ def register_views(
     """Register views in one pass, without images in between: what `warp` gives for each (bicubic), mixed with its splat.
 
     Args:
-        target: the camera to render.
         target_depth: its depth, (H, W) float32, world units, 0 = unknown.
         sources: the source views; sizes may differ.
         splats: the same views splatted into the target view, at least three features: their colours.

@@ -119,7 +119,7 @@ def _local_cluster(distributed: Any, workers: int) -> Iterator[Any]:
 
 
 def _root(error: BaseException) -> str:
-    """What an error comes from in the end, in one line."""
+    """Root cause of an error, in one line."""
     while error.__cause__ is not None:
         error = error.__cause__
     return f"{type(error).__name__}: {' '.join(str(error).split())}"

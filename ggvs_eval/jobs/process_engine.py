@@ -35,12 +35,11 @@ def run_in_processes(
     """Do the work for every item; with one worker, or one item, in this very process.
 
     A killed process (the kernel's way to say that memory is out) takes the whole pool with it. Every item that was in hand is
-    then tried again alone, so that what is too large for company is done, and what kills its process is told from its neighbours.
+    then tried again alone, to find the one that ran out of memory.
 
     Args:
         work: a module-level function or a `functools.partial` of one.
         items: in the order in which they are begun.
-        workers: processes.
 
     Yields:
         (index of an item, what came of it), in the order in which they end.

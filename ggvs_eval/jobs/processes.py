@@ -129,7 +129,6 @@ def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str)
 
     Args:
         pool: runs them.
-        running: the jobs.
         description: what is being done, a few words.
 
     Raises:

@@ -67,7 +67,7 @@ def describe_status(root: Path) -> str:
 
 
 def _ledgers(root: Path) -> list[Ledger]:
-    """Those of the folder; what a run in a sweep has none for stands in the sweep's."""
+    """Read the folder's ledgers, else those of its sweep."""
     ledgers = []
     for stage in STAGES:
         near = [Ledger(folder, stage) for folder in (root, *root.resolve().parents[:2])]

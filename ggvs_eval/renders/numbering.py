@@ -1,4 +1,4 @@
-"""Which rendered frame is which instant: one decision for all views of a method, which is told, and an error where there are two.
+"""Numbering of rendered frames: one decision for all views of a method, reported, and an error where there are two.
 
 Reading:
     Numbers in names are instants of the capture, counted from 0; or from 1 where they fit the protocol only then, and the
@@ -45,7 +45,7 @@ class Numbered(Generic[Item]):
 
 
 class Place(NamedTuple):
-    """What a picture's name says: its view, its frame number, and how many numbers are left beside the view's name."""
+    """Parts of a picture's name: its view, its frame number, and how many numbers are left beside the view's name."""
 
     view: str
     number: int | None
@@ -217,7 +217,7 @@ def _shifted(used: Numbers, first: int) -> set[int]:
 
 
 def _taken(used: Sequence[int], first: int, request: FrameRequest) -> str:
-    """Which numbers are taken as which instants."""
+    """Describe which numbers are taken as which instants."""
     inside = [number for number in used if number - first in request.frames]
     instants = as_ranges([number - first for number in inside])
     if not inside:

@@ -93,7 +93,6 @@ def intervals(results: Results, metric: str, dataset: str, level: float = LEVEL)
     """Interval of one metric's number for every method: the mean over frames, then views, then scenes.
 
     Args:
-        results: every measured value.
         metric: name as in the table; of what is no mean, the influence of each view and frame is taken, see `pooling.Pooling`.
         dataset: which data set of the table.
         level: confidence.

@@ -57,7 +57,6 @@ def compare(results: Results, metric: str, first: str, second: str, dataset: str
     """Compare two methods on the same views and frames.
 
     Args:
-        results: every measured value.
         metric: name as in the table.
         first: label, ``method`` or ``method+variant``.
         second: label of the other.
@@ -78,7 +77,6 @@ def rank_methods(results: Results, metric: str, higher_is_better: bool, dataset:
     """Find the best method of a table and compare every other one with it.
 
     Args:
-        results: every measured value.
         metric: name as in the table.
         higher_is_better: direction.
         dataset: which data set of the table.

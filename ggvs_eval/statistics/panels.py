@@ -34,7 +34,6 @@ def read_panel(results: Results, metric: str, scene: str, method: str, variant: 
     """Cut one panel from the table.
 
     Args:
-        results: every measured value.
         metric: name as in the table.
         scene: name of the scene.
         method: name of the method.

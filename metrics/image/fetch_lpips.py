@@ -103,7 +103,6 @@ def download_package(package: str, version: str, sha256: str, folder: Path, agai
     """Let pip fetch one file of a package against its hash; a separate process, because pip is a program and not a library.
 
     Args:
-        package: its name.
         version: of it.
         sha256: of the file that is wanted.
         folder: where it goes, empty.

@@ -301,7 +301,7 @@ def is_looked_at(index: int, options: MetricOptions) -> bool:
 
 
 def frames_note(options: MetricOptions) -> str:
-    """Which frames LPIPS looks at, where these are not all, and how it computes, where that is not usual."""
+    """Note on sampling and precision."""
     precision = ", in bfloat16" if options.lpips_net == "vgg-bf16" else ""
     return precision + (f", of one frame in {options.lpips_every}" if options.lpips_every > 1 else "")
 

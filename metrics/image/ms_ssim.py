@@ -66,7 +66,7 @@ def _maps(x: Planes, y: Planes) -> tuple[Planes, Planes]:
 
 
 def _centred(values: Planes, mask: Mask, shape: tuple[int, ...]) -> Planes:
-    """Those of the windows of a scale whose centre lies mostly inside, (N, 3)."""
+    """Values of the windows of a scale whose centre lies mostly inside, (N, 3)."""
     reach = WINDOW_PX // 2
     share = cv2.resize(mask.astype(np.float32), shape[1::-1], interpolation=cv2.INTER_AREA)
     chosen = values[share[reach:-reach, reach:-reach] >= 0.5]

@@ -175,7 +175,7 @@ def windows_inside(rendered: Image, truth: Image, mask: Mask, name: SsimName = "
 
 
 def _chosen(values: Plane, mask: Mask, name: SsimName) -> Plane:
-    """Those values of a map whose windows lie inside a mask, (N, 3)."""
+    """Values of a map whose windows lie inside a mask, (N, 3)."""
     variant = SSIM_VARIANTS[name]
     check_mask(mask, tuple(size if variant.pads_with_zeros else size + variant.window_px - 1 for size in values.shape[:2]))
     window, radius = np.ones((variant.window_px, variant.window_px), np.uint8), variant.window_px // 2

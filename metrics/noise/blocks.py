@@ -157,7 +157,7 @@ def levels_of(values: NDArray) -> NDArray[np.int64]:
 
 
 def _within(limits: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which bins of brightness and energy are static, (N_LEVELS, N_ENERGIES)."""
+    """Mask of the static bins of brightness and energy, (N_LEVELS, N_ENERGIES)."""
     return np.arange(N_ENERGIES) <= limits[:, None]
 
 

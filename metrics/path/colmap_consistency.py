@@ -30,7 +30,7 @@ Points = NDArray[np.float64]  # (V, 3), or rotations (V, 3, 3)
 
 @dataclass(frozen=True)
 class ColmapConsistency:
-    """What structure from motion makes of a path.
+    """Result of structure from motion on a path.
 
     Attributes:
         registered: share of the views whose camera COLMAP finds, and finds where it belongs, 0 to 1; higher is better.

@@ -98,14 +98,14 @@ class ReadingOptions(CaptureOptions):
         return capture
 
 
-Taken = tyro.conf.OmitArgPrefixes[CaptureOptions]
-AS_TAKEN = CaptureOptions()
-Reading = tyro.conf.OmitArgPrefixes[ReadingOptions]
-BY_DEFAULT = ReadingOptions()
+LayoutFlags = tyro.conf.OmitArgPrefixes[CaptureOptions]
+LAYOUT_DEFAULTS = CaptureOptions()
+CaptureFlags = tyro.conf.OmitArgPrefixes[ReadingOptions]
+CAPTURE_DEFAULTS = ReadingOptions()
 Calibrating = tyro.conf.OmitArgPrefixes[CalibrationOptions]
-Finding = tyro.conf.OmitArgPrefixes[DepthRunOptions]
-FOUND_BY_DEFAULT = DepthRunOptions()
-FOUND_LIVE = DepthRunOptions(LIVE_MATCHER)  # what play and view wait for
+DepthFlags = tyro.conf.OmitArgPrefixes[DepthRunOptions]
+DEPTH_DEFAULTS = DepthRunOptions()
+LIVE_DEPTH = DepthRunOptions(LIVE_MATCHER)  # what play and view wait for
 
 
 def demo(
@@ -152,7 +152,7 @@ def get(scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATAS
 
 def check(
     capture: CaptureFolder,
-    reading: Taken = AS_TAKEN,
+    reading: LayoutFlags = LAYOUT_DEFAULTS,
     out: Path | None = None,
     repair: bool = False,
     crop: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="COLUMN ROW")] = None,
@@ -213,7 +213,7 @@ def protocol(
     checked: Annotated[Path | None, tyro.conf.arg(name="check")] = None,
     frames: int | None = None,
     path_poses: int | None = None,
-    reading: Reading = BY_DEFAULT,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
 ) -> None:
     """Propose a protocol for a capture, and say of every camera why it is held out as a test view or not.
 

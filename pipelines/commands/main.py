@@ -14,11 +14,11 @@ import tyro
 from ggvs_eval import __version__
 from ggvs_eval.errors import CommandError, GgvsError, GgvsWarning, ProtocolError, did_you_mean, mendable
 from ggvs_eval.pipelines.commands.captures import (
-    BY_DEFAULT,
+    CAPTURE_DEFAULTS,
     NONE,
     ONE_PER_CORE,
+    CaptureFlags,
     Jobs,
-    Reading,
     calibrate,
     check,
     demo,
@@ -47,7 +47,7 @@ def score(
     allow_partial: bool = False,
     device: Device = "cpu",
     first_frame: int | None = None,
-    reading: Reading = BY_DEFAULT,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Measure all renders of a run, and frames that others rendered, under one protocol.

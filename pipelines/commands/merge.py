@@ -45,7 +45,7 @@ def merge(
 
 
 def missing_renders(root: Path) -> str:
-    """Which methods lack which views of a merged run, as text; empty where nothing is missing."""
+    """Views that methods of a merged run lack, as text; empty where nothing is missing."""
     from ggvs_eval.pipelines.run.coverage import read_import
     from ggvs_eval.run_folder import RunFolder
 

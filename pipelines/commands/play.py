@@ -8,7 +8,15 @@ import tyro
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.geometry.source_views import SourceChoice
-from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_LIVE, ONE_PER_CORE, Finding, Jobs, Reading, ReadingOptions
+from ggvs_eval.pipelines.commands.captures import (
+    CAPTURE_DEFAULTS,
+    LIVE_DEPTH,
+    ONE_PER_CORE,
+    CaptureFlags,
+    DepthFlags,
+    Jobs,
+    ReadingOptions,
+)
 from ggvs_eval.pipelines.commands.runs import Device
 from ggvs_eval.pipelines.methods.network_options import checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS
@@ -28,8 +36,8 @@ def play(
     width: int | None = None,
     sources: SourceChoice | None = None,
     device: Device = "cpu",
-    reading: Reading = BY_DEFAULT,
-    depth: Finding = FOUND_LIVE,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
+    depth: DepthFlags = LIVE_DEPTH,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Synthesise the view of a camera that goes round between the cameras of a rig into a video, and tell how fast.
@@ -72,8 +80,8 @@ def view(
     out: Path = Path("view"),
     export: Path | None = None,
     device: Device = "cpu",
-    reading: Reading = BY_DEFAULT,
-    depth: Finding = FOUND_LIVE,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
+    depth: DepthFlags = LIVE_DEPTH,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Look at a scene in the browser: drag the camera, and a method renders what it sees while time plays or stands.

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, ONE_PER_CORE, Jobs, Reading, ReadingOptions
+from ggvs_eval.pipelines.commands.captures import CAPTURE_DEFAULTS, ONE_PER_CORE, CaptureFlags, Jobs, ReadingOptions
 from ggvs_eval.run_folder import RunFolder
 
 Renders = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RENDERS|RUN")]
@@ -23,7 +23,7 @@ def doctor(
     protocol: str | None = None,
     run: Path | None = None,
     first_frame: int | None = None,
-    reading: Reading = BY_DEFAULT,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Find what is wrong with rendered frames before anybody believes their numbers.
@@ -69,7 +69,7 @@ def explain(
     protocol: str | None = None,
     run: Path | None = None,
     first_frame: int | None = None,
-    reading: Reading = BY_DEFAULT,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Recompute a number under every convention in use and say which one gives the value that somebody quotes, if any does.

@@ -14,12 +14,12 @@ from ggvs_eval.errors import ProtocolError, WeightsError
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.pipelines.commands.captures import (
-    BY_DEFAULT,
-    FOUND_BY_DEFAULT,
+    CAPTURE_DEFAULTS,
+    DEPTH_DEFAULTS,
     NONE,
-    Finding,
+    CaptureFlags,
+    DepthFlags,
     Output,
-    Reading,
     ReadingOptions,
     Run,
 )
@@ -50,8 +50,8 @@ def prepare(
     fuse: bool = False,
     dense_workspace: Path | None = None,
     device: Device = "cpu",
-    reading: Reading = BY_DEFAULT,
-    depth: Finding = FOUND_BY_DEFAULT,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
+    depth: DepthFlags = DEPTH_DEFAULTS,
     engine: Running = HERE,
     dry_run: bool = False,
 ) -> None:
@@ -118,8 +118,8 @@ def run(
     methods: Labels = USUAL_METHODS,
     weights: Weights = (),
     device: Device = "cpu",
-    reading: Reading = BY_DEFAULT,
-    depth: Finding = FOUND_BY_DEFAULT,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
+    depth: DepthFlags = DEPTH_DEFAULTS,
     engine: Running = HERE,
     dry_run: bool = False,
 ) -> None:
@@ -182,8 +182,8 @@ def sweep(
     protocol: str | None = None,
     weights: Weights = (),
     device: Device = "cpu",
-    reading: Reading = BY_DEFAULT,
-    depth: Finding = FOUND_BY_DEFAULT,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
+    depth: DepthFlags = DEPTH_DEFAULTS,
     engine: Running = HERE,
     shard: str = "1/1",
     plan: Path | None = None,
@@ -223,7 +223,7 @@ def sweep(
         raise ProtocolError(f"wanted captures whose folders differ in name, got {', '.join(map(str, capture))}; rename one")
     starts = {folder if len(opened) > 1 else "": (each, _protocol(protocol, each)) for folder, each in opened.items()}
     if plan:
-        options = [*flags(reading, BY_DEFAULT), *flags(depth, FOUND_BY_DEFAULT), *flags(engine, HERE)]
+        options = [*flags(reading, CAPTURE_DEFAULTS), *flags(depth, DEPTH_DEFAULTS), *flags(engine, HERE)]
         chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
         chosen += ["--device", device] if device != "cpu" else []
         command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]

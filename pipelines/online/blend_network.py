@@ -83,7 +83,6 @@ class BlendNetwork(nn.Module):
 
         Args:
             picture: what the outputs compose, (B, 3, H, W).
-            outputs: of the network.
             views: ``colours`` (B, K, 3, H, W), ``coverage`` (B, K, H, W) and ``fused_depth`` (B, H, W).
 
         Returns:
@@ -118,7 +117,6 @@ def read_outputs(raw: Tensor, start: Mapping[str, Tensor], most_views: int) -> B
     """Raw outputs (B, N + 4 + F, h, w) as weights, background and features at full size, float32.
 
     Args:
-        raw: of the network.
         start: where it starts from: ``weights`` (B, K), the geometric weight of each view, ``unseen`` (B, H, W), how little of
             what the target sees is shown, ``background`` (B, 3, H, W), the picture filled from its surroundings.
         most_views: N, how many views the network takes; K of them are there.
@@ -154,7 +152,6 @@ def compose_tensors(outputs: BlendOutputs, colours: Tensor, coverage: Tensor) ->
     """The views over the background (Eqs. 4-5).
 
     Args:
-        outputs: of the network.
         colours: the views, (B, K, 3, H, W).
         coverage: the factors of their weights, (B, K, H, W).
 

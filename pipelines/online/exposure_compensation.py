@@ -139,7 +139,6 @@ def lattice(source: SourceView, picture: Map) -> tuple[Map, Map]:
     """Points of a source's surface at a lattice of its reduced pixels, in the camera's frame, and their colours' logarithms.
 
     Args:
-        source: the view.
         picture: its `reduced` image, (h, w, 3).
 
     Returns:

@@ -132,7 +132,6 @@ def refined(refiner: Refiner, picture: Composed, depth: Map | None, small: Map, 
     """Refine the picture, (H, W, 3), in [0, 1]: `evidence` and `Refiner.forward` tile by tile.
 
     Args:
-        refiner: of the network.
         picture: what the network's outputs compose.
         depth: fused depth, (H, W), 0 where unknown; None if the network must not see it.
         small: as in `composed`.

@@ -14,7 +14,7 @@ _kept: WeakKeyDictionary[nn.Module, tuple[Hashable, object]] = WeakKeyDictionary
 
 
 def packed_once(module: nn.Module, key: Hashable, pack: Callable[[], Packed]) -> Packed:
-    """What `pack` makes of a module, from before unless a parameter has changed since, or the key has.
+    """Packed layers of a module, cached; packed again when a parameter or the key changes.
 
     Args:
         module: whose parameters `pack` reads.

@@ -70,7 +70,6 @@ def printed_march(
     """Find the first surface along each ray, see `ggvs_eval.geometry.ray_march` for the arguments.
 
     Args:
-        target: the camera to render.
         cameras: the K source cameras.
         depths: of each.
         weights: of each pixel of them.

@@ -160,7 +160,6 @@ def playback_of_capture(
         options: what is played of it.
         depth: how depth is computed.
         cache: folder for frames and depth; what is there, and belongs to these frames, is kept.
-        workers: processes.
         anywhere: make ready what any camera sees, for a target that may be anywhere, instead of one that goes round.
 
     Raises:
@@ -231,7 +230,6 @@ def _checked_k(capture: Capture, k: int) -> int:
 def _needed(
     capture: Capture, poses: Sequence[Camera], instants: Sequence[int], k: int, sources: SourceChoice
 ) -> dict[int, set[str]]:
-    """Instant -> the source cameras of its poses."""
     needed: dict[int, set[str]] = {instant: set() for instant in instants}
     for instant, pose in zip(instants, poses, strict=True):
         needed[instant] |= {each.camera.name for each in choose_sources(pose, capture.cameras, k, sources)}
@@ -250,7 +248,7 @@ def _jobs(capture: Capture, poses: Sequence[Camera], k: int, options: DepthOptio
 def _frames_by_camera(
     blocks: Sequence[tuple[range, set[str]]], jobs: Mapping[str, DepthJob], options: DepthOptions
 ) -> dict[str, list[int]]:
-    """Which frames of which cameras take part: of sources, and of those that their depth is matched with."""
+    """Frames of each camera that take part: of sources, and of those that their depth is matched with."""
     frames_by_camera: dict[str, set[int]] = {}
     for block, names in blocks:
         frames = range(options.time.first_needed(block.start), block.stop)

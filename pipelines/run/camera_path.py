@@ -16,7 +16,6 @@ def choose_path(capture: Capture, protocol: Protocol) -> CameraPath:
 
     Args:
         capture: at synthesis size.
-        protocol: of the run.
 
     Returns:
         Poses at the size of a test view; none where the protocol wants none.

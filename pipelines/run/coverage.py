@@ -1,4 +1,4 @@
-"""Which frames each method of a run has: all of the protocol's, or fewer where partial renders were allowed."""
+"""Frames that each method of a run has: all of the protocol's, or fewer where partial renders were allowed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

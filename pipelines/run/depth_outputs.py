@@ -16,9 +16,7 @@ def write_prepared_page(prepared: RunPlan, filled_confidence: float, workers: in
     """Write ``RUN/depth_page/`` of the first, middle and last instant.
 
     Args:
-        prepared: the run.
         filled_confidence: `DepthOptions.filled_confidence` of its depth.
-        workers: processes.
 
     Returns:
         The page.
@@ -48,7 +46,6 @@ def fuse_prepared(prepared: RunPlan, frame: int | None = None, options: FuseOpti
     """Write ``RUN/fused/<frame>/points.ply`` and ``mesh.ply`` of all cameras with depth at one instant.
 
     Args:
-        prepared: the run.
         frame: the instant; the protocol's first by default.
         options: of the fusion.
 
@@ -71,7 +68,6 @@ def export_prepared(prepared: RunPlan, folder: Path, frame: int | None = None, o
     """Write all cameras with depth at one instant as a COLMAP dense workspace.
 
     Args:
-        prepared: the run.
         folder: where to; absent or empty.
         frame: the instant; the protocol's first by default.
         options: of the export.

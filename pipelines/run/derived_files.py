@@ -63,12 +63,12 @@ class MadeFiles:
     made_from: Any
 
     def missing(self, names: Iterable[str]) -> list[str]:
-        """Which of the wanted files are not here as they were made from just this."""
+        """Wanted files that are not here as they were made from just this."""
         noted = self._noted()
         return [name for name in names if not _is_as_noted(self.folder / name, noted.get(name))]
 
     def missing_frames(self, numbers: Iterable[int]) -> list[int]:
-        """Which of the wanted frames, ``<frame>.png``, are not here as they were made, in the order of time."""
+        """Wanted frames, ``<frame>.png``, that are not here as they were made, in the order of time."""
         frames = {_frame_name(number): number for number in sorted(set(numbers))}
         return [frames[name] for name in self.missing(frames)]
 

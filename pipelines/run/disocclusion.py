@@ -30,7 +30,6 @@ def write_disocclusions(
         frames: consecutive instants.
         store: root of the depth store.
         root: where ``<view>/<frame>.png`` goes, white where no source sees the view.
-        workers: where the work is done.
 
     Reading:
         The paper speaks of disoccluded regions and gives no mask. Here a pixel is disoccluded where no source view, splatted

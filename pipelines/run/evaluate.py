@@ -64,8 +64,6 @@ def reopen(root: Path, workers: Workers, labels: Sequence[str] = (), networks: N
     """Pick up a run folder that `prepare` has made, from the protocol and capture that it names.
 
     Args:
-        root: the run folder.
-        workers: where the work is done.
         labels: methods that will be rendered: those that are fitted need more depth than others.
         networks: with which weights and where networks compute.
     """

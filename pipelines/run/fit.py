@@ -30,7 +30,6 @@ def fit_job(capture: Capture, fit: FitPlan, spec: FittedMethod, shared: Path) ->
 
     Args:
         capture: whose footage is prepared by the time the job runs.
-        fit: which.
         spec: of its method.
         shared: folder of the captured frames, of the depth store and of the fits.
     """

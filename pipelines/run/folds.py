@@ -30,7 +30,7 @@ Folds = tuple[tuple[str, ...], ...]
 
 @dataclass(frozen=True)
 class FoldPlan:
-    """What a fit of one fold is shown.
+    """Footage of one fold.
 
     Attributes:
         name: ``fold1``, ``fold2``, ... or `ALL`.
@@ -190,7 +190,7 @@ def plan_fits(
 
 
 def _path_instants(fitter: SceneFitter, frames: range, path_frame: int) -> range:
-    """What a fit for the camera path sees, which stands at one instant: as much of the sequence as the method looks at."""
+    """Footage of a fit for the camera path, which stands at one instant: as much of the sequence as the method looks at."""
     if fitter.look_ahead == "none" or path_frame not in frames:
         return range(path_frame, path_frame + 1)
     return range(frames.start, path_frame + 1) if fitter.look_ahead == "past" else frames

@@ -59,7 +59,6 @@ def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: P
         capture: at the wanted size.
         numbers: camera -> frames, in any order.
         root: folder to write ``<camera>/<frame>.png`` into.
-        workers: where the work is done.
 
     Returns:
         The capture with these cameras read from there.

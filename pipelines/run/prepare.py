@@ -34,7 +34,6 @@ def prepare(
         root: the run folder; made if absent.
         capture: the capture at its own size.
         protocol: what to evaluate.
-        workers: where the work is done.
         depth: how depth is found; as the folder says, or the default.
         labels: methods that will be rendered.
     """
@@ -43,10 +42,6 @@ def prepare(
 
 def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
     """Write protocol, capture record, truth frames and depth into a run folder; what is there is kept.
-
-    Args:
-        plan: of the run.
-        workers: where the work is done.
 
     Returns:
         The plan.
@@ -102,7 +97,6 @@ def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Wor
         root: the run folder; made if absent. `prepare` can go on with it.
         capture: the capture at its own size.
         protocol: what to evaluate.
-        workers: where the work is done.
 
     Raises:
         CaptureError: the capture is unreadable or lacks what the protocol asks for.

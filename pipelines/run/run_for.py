@@ -23,7 +23,6 @@ def run_for(root: Path | None, open_capture: Callable[[], Capture] | None, proto
         root: the folder; ``scores/<capture's folder>`` where None.
         open_capture: opens what was rendered, once all else is known to be right; None where the folder has a run.
         protocol: a .toml file or a packaged name; the folder's own, or the packaged one that fits, where None.
-        workers: processes.
 
     Raises:
         ProtocolError: neither a folder nor a capture, or a folder of another protocol or capture.

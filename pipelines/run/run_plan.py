@@ -190,7 +190,7 @@ class RunPlan:
         return sorted({job for plan in self.path for job in plan.jobs})
 
     def frames_of_cameras(self) -> dict[str, list[int]]:
-        """Which frames of which cameras take part: test views, source cameras and those that their depth is matched with."""
+        """Frames of each camera that take part: test views, source cameras and those that their depth is matched with."""
         numbers: dict[str, list[int]] = {view: list(self.frames) for view in self.plans}
         for jobs, frames in self.depth_work():
             needed = {*frames, *range(self.depth_options.time.first_needed(frames[0]), frames[0])}

@@ -29,7 +29,7 @@ METRICS_ON_DEVICE = "metrics"  # stands among the renders that are not the CPU's
 
 @dataclass(frozen=True)
 class Scores:
-    """What is measured of a run: jobs, made once, and their values when they are done.
+    """Scores of a run: jobs, made once, and their values when they are done.
 
     Attributes:
         run: the run folder.
@@ -73,7 +73,6 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), d
 
     Args:
         run: a folder with truth and renders of the protocol's views and frames.
-        workers: where jobs run.
         without: methods whose renders are known to be incomplete, which are left out.
         device: where metrics compute that can.
 
@@ -95,7 +94,6 @@ def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | 
 
     Args:
         run: a folder with truth and renders.
-        labels: methods.
         units: test views, or ``path``, of which nothing may be missing; None for all.
         device: where metrics compute that can.
 
@@ -216,7 +214,7 @@ def _render_records(run: RunFolder, renders: Sequence[str]) -> dict[str, dict[st
 
 
 def _method_of(label: str) -> MethodSpec | None:
-    """What the registry has under a label; None for frames that were rendered elsewhere."""
+    """Entry of the registry under a label; None for frames that were rendered elsewhere."""
     try:
         return find_method(label)
     except RenderError:

@@ -25,7 +25,6 @@ def write_path_record(run: RunFolder, frame: int, poses: Sequence[tuple[Camera, 
     """Note where the path's poses lie and which source cameras each has; nothing where there is no path.
 
     Args:
-        run: the run folder.
         frame: the instant of the path.
         poses: each pose with the names of its source cameras, nearest first.
     """
@@ -41,9 +40,7 @@ def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list
     """The jobs that measure the path of every method that has one, and of the truth where the capture has true images of it.
 
     Args:
-        run: the run folder.
         protocol: asks for measures of the path, or does not.
-        labels: methods.
 
     Returns:
         One per method; empty where there is no path, or the protocol asks for none of its measures.

@@ -31,11 +31,8 @@ def view_job(
     """The job of one view; in it all metrics of a method are stale when a frame changes, and one metric when its code does.
 
     Args:
-        run: the run folder.
         protocol: metrics and how they are measured.
         coverage: which frames of which method there are.
-        labels: methods.
-        view: the view.
         device: where metrics compute that can.
     """
     options = metric_options(protocol.measurement, device)
@@ -59,7 +56,7 @@ def view_job(
 
 
 def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, Any]:
-    """Return what one metric depends on beside the frames and the measurement; the CPU goes without saying."""
+    """Return what one metric depends on beside the frames and the measurement; the CPU is not named."""
     weights = {} if metric.weights is None else {"weights": metric.weights(options).is_file()}
     elsewhere = {"device": options.device} if metric.on_device and options.device != "cpu" else {}
     return {"code": metric_code(metric)} | weights | elsewhere
@@ -118,7 +115,7 @@ def _replaced(kept: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str,
 
 
 def _computing(device: str) -> AbstractContextManager[None]:
-    """What may go wrong on a device is told; the CPU goes without torch."""
+    """Explain a failure on a device; torch is not imported for the CPU."""
     if device == "cpu":
         return nullcontext()
     from ggvs_eval.compute_device import out_of_memory

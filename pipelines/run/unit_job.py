@@ -21,7 +21,7 @@ class UnitJob(Job):
 
 @dataclass(frozen=True)
 class RunJobs:
-    """What the methods of a run do, made once; what is counted, shown and run is a part of these lists.
+    """Jobs of the methods of a run, made once; what is counted, shown and run is a part of these lists.
 
     Attributes:
         fit: scenes to fit, one per method and fold.
@@ -38,7 +38,7 @@ class RunJobs:
         return [fit for fit in self.fit if fit.is_done() or any((fit.label, unit) in wanted for unit in fit.units)]
 
     def of_units(self, units: Collection[str] | None) -> "RunJobs":
-        """Those of a shard; all where None."""
+        """Jobs of a shard; all where None."""
         if units is None:
             return self
         fits, renders = ([job for job in jobs if not set(units).isdisjoint(job.units)] for jobs in (self.fit, self.render))

@@ -62,7 +62,7 @@ class Workload:
     jobs: int = 1
 
     def count(self, *kinds: Kind) -> int:
-        """How much is left of some kinds."""
+        """Number of pieces left of some kinds."""
         return sum(piece.count for piece in self.pieces if piece.kind in kinds)
 
     @property
@@ -134,7 +134,6 @@ def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workloa
     Args:
         plans: of the runs, which lie below one folder.
         folder: where all of them go.
-        jobs: processes.
     """
     seconds: dict[str, list[float]] = defaultdict(list)
     for plan in plans:

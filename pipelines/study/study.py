@@ -52,7 +52,6 @@ def run_study(out: Path, captures: Sequence[Path], options: StudyOptions, worker
         out: folder to write.
         captures: see `make_takes`.
         options: what is planted and measured.
-        workers: where the work is done.
 
     Returns:
         What ``study.json`` holds.
@@ -124,7 +123,7 @@ def _levels(job: Job) -> list[dict[str, Any]]:
 
 
 def _answers(table: pd.DataFrame, ladder: Ladder, metrics: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """What each metric answers to a ladder; takes in which it has a value at every strength count.
+    """Answers of each metric to a ladder; takes in which it has a value at every strength count.
 
     A metric that wants some of the degradation (`switch_ratio` wants a switch) has no value at 0, and answers to the rest.
     """

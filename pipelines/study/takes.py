@@ -78,7 +78,6 @@ def make_takes(out: Path, captures: Sequence[Path], options: TakeOptions, worker
         out: folder of the study.
         captures: captures, folders of videos or of image sequences, videos.
         options: how long and how large they are.
-        workers: where the work is done.
 
     Raises:
         CaptureError: a capture that cannot be read, or with fewer frames than a clip has.
@@ -144,7 +143,6 @@ def fill_take(make: Callable[[], list[Clip]], on: str, folder: Path) -> dict[str
 
 
 def _drafts(root: Path, capture: Capture, options: TakeOptions, workers: Workers) -> Iterator[Draft]:
-    """All takes of a capture."""
     if capture.n_frames == 1:
         yield from _hand_held(root, capture, options, workers)
         return

@@ -48,7 +48,7 @@ class Cell:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """What can be worked on by different machines."""
+        """Units that different machines can work on."""
         return (*self.request.protocol.views.test, PATH)
 
 
@@ -66,7 +66,6 @@ def sweep_cells(
         root: folder of the sweep.
         captures: what is evaluated on.
         sweep: rows and variants.
-        depth: how depth is found.
         networks: with which weights and where networks compute.
         shared: folder of the frames and the depth that all runs use; that of their capture in the sweep where None.
 

@@ -43,7 +43,6 @@ def demo_to_plan(folder: Path, options: DemoOptions, open_demo: Callable[[Path],
     """The demo in a folder where it is rendered already, else what it is going to be; nothing is written.
 
     Args:
-        folder: of the capture.
         options: what is rendered where nothing is.
         open_demo: opens the folder of a capture.
     """

@@ -50,7 +50,6 @@ def demo_plans(
         root: run folder of the main room; the others' lie beside it, and each capture beside its run.
         labels: name of a room -> its methods, see `room_labels`.
         film: gives the capture of a folder: films it, or plans it.
-        depth: how depth is found.
         networks: with which weights and where networks compute.
         rooms: name of the protocol -> what is rendered.
     """
@@ -73,7 +72,6 @@ def evaluate_demos(
 
     Args:
         planned: see `demo_plans`; each is made when the one before is done.
-        workers: where jobs run.
         show: is called with the page whenever it has grown, but for the last time.
 
     Returns:
@@ -107,7 +105,6 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
     Args:
         root: run folder of the main room.
         labels: name of a room -> its methods.
-        jobs: processes.
         probe: seconds that work takes here for each second of `CORE_SECONDS`.
     """
     page = RunFolder(root).report / "index.html"

@@ -39,7 +39,6 @@ def baseline_task(
         name: one of `LEARNED_BASELINES`.
         cache: where rooms and samples are kept.
         data: what is learned from.
-        configuration: of the network.
         seed: of the weights and the crops.
         is_trained: begins with weights that have learned already, and changes them less.
 
@@ -116,7 +115,7 @@ class BaselineTask:
         return network
 
     def batch(self, step: int) -> dict[str, Tensor]:
-        """Which crops a step learns from.
+        """Draw the crops of a step.
 
         Returns:
             ``samples``: numbers, (B,). ``places``: of the windows, as shares of the room that each sample leaves to its right

@@ -34,7 +34,6 @@ def train_all(
         folder: gets a folder per network, with state, logs, curve, weights and card, and the samples.
         request: what is asked for, of each network.
         jobs: trainings at a time; by default all on a GPU, one per two cores on a CPU.
-        networks: which.
 
     Returns:
         Weights and card of each network.
@@ -68,7 +67,6 @@ def planned_trainings(folder: Path, request: TrainingRequest, networks: Sequence
     Args:
         folder: of all trainings.
         request: what is asked for, of each network.
-        networks: which.
     """
     trainings = []
     for what, guidance in networks:
@@ -84,7 +82,6 @@ def prepare_all(cache: Path, request: TrainingRequest, networks: Sequence[Networ
     Args:
         cache: where rooms and samples are kept.
         request: what is asked for.
-        networks: which.
 
     Raises:
         TrainingError: nothing to learn from, or captures that cannot be learned from.

@@ -63,7 +63,7 @@ def planned_task(what: str, cache: Path, request: TrainingRequest) -> Task:
 
 
 def sample_device(request: TrainingRequest) -> str:
-    """Where the blending network's samples are computed: where it trains if NVIDIA Warp is installed, else on the CPU.
+    """Device of the blending network's samples: that of its training if NVIDIA Warp is installed, else on the CPU.
 
     Raises:
         DeviceError: there is no such device here.

@@ -49,7 +49,6 @@ def write_depth_page(
         folder: where to; what is in it is replaced.
         capture: the capture that the depth was computed from, at that size.
         stored: what to show; cameras may stand in it several times, matched with other partners.
-        store: the depth.
         filled_confidence: `DepthOptions.filled_confidence` of its computation.
         workers: processes; the page does not depend on it.
 
@@ -118,7 +117,6 @@ def examine_depth(
         folder: where pictures go.
         capture: as in `write_depth_page`, and so is the rest.
         stored: what to show.
-        store: the depth.
         filled_confidence: of filled pixels.
     """
     statistics = _all(pool, [pool.submit(_describe, store, each, filled_confidence) for each in stored], "judging depth maps")

@@ -107,7 +107,6 @@ def write_instant(
         folder: where to.
         stem: what the names of the files begin with.
         frame: the instant.
-        camera: the camera.
         image: what it saw, RGB uint8 (H, W, 3).
         depth_map: its depth.
         depth_range: nearest and farthest depth of the colours, world units.
@@ -150,7 +149,6 @@ def write_pairs(
     Args:
         folder: where to.
         stem: what the names of the files begin with.
-        camera: the camera.
         image: what it saw, RGB uint8 (H, W, 3).
         partners: the cameras it is matched with and what they saw.
         matches: partner -> matched pixels of camera and partner, (M, 2, 2).

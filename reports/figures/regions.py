@@ -60,10 +60,8 @@ def find_regions(
     """The squares with the largest score, largest first.
 
     Args:
-        run: a scored run.
         rule: see `RULES`.
         label: method that ``worst`` is about.
-        count: how many.
         view: look in this view only.
         frame: look at this frame only; at most `FRAMES_AT_MOST` of each view, evenly spaced, where None.
         one_per_view: the worst square of each view; otherwise squares of one and the same frame, which do not overlap.

@@ -123,7 +123,6 @@ def path_folders(run: MeasuredRun, labels: Iterable[str]) -> tuple[dict[str, Pat
     """Find the frames along the camera path: the folders of the truth and of methods, and the number of poses.
 
     Args:
-        run: a scored run.
         labels: the methods; those without a path are left out.
 
     Returns:

@@ -83,7 +83,7 @@ def shared_references(runs: Sequence["MeasuredRun"]) -> tuple[Reference, ...]:
 
 
 def captured_values(references: Sequence[Reference]) -> dict[str, float]:
-    """What the captured images themselves score along the camera path; empty where nobody took any."""
+    """Scores of the captured images along the camera path; empty where there are none."""
     along = [reference for reference in references if reference.group == "path"]
     return {metric: value for each in along for metric, value in each.values.items() if isinstance(value, float | int)}
 

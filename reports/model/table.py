@@ -164,7 +164,6 @@ def rank(columns: Sequence[Column], rows: Sequence[Row], told: Sequence[frozense
 
     Args:
         columns: heads.
-        rows: methods.
         told: per column the indices of the rows that are best or cannot be told from the best, to which those are added that
             print the same digits as the best; None, or nothing at all, leaves it at the printed digits.
     """

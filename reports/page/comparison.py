@@ -35,7 +35,7 @@ ERROR_SHARE = 0.5
 
 
 def diagnostics_label(run: MeasuredRun) -> str | None:
-    """The method whose inside is shown: ours, rather itself than a variant of it, or whatever tells; None where none does."""
+    """First method with diagnostics, ours before its variants; None where none has any."""
     first = run.protocol.views.test[0]
     return next((label for label in run.ours_first if (run.folder.renders(label, first) / DIAGNOSTICS).is_dir()), None)
 
@@ -45,7 +45,6 @@ def diagnostics_folders(frames: Path, label: str, indices: range) -> Iterator[tu
 
     Args:
         frames: folder of the method's frames.
-        label: of the method.
         indices: of the frames.
     """
     for name in MEANINGS:
@@ -98,7 +97,6 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
     """Compress the frames of every method and the truth, and the errors against the truth, for the page.
 
     Args:
-        run: a scored run.
         byte_budget: what the frames may take, before base64; it decides their width. Error maps and what a method decided inside
             take about a quarter more each.
 
@@ -126,7 +124,7 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
 
 
 def _fit(run: MeasuredRun, samples: list[Image8], byte_budget: int) -> tuple[int, int]:
-    """Which frames are shown, every so many-th, and their width in pixels: all of them, unless fewer can be seen better."""
+    """Frames that are shown, every so many-th, and their width in pixels: all of them, unless fewer can be seen better."""
     n_pictures = len(run.protocol.views.test) * (1 + len(run.pictured))
     stride = math.ceil(len(run.frames) * n_pictures / FRAMES_AT_MOST)
     while True:

@@ -75,7 +75,6 @@ def viewer_data(
     """Everything that the viewer, the linked slices and the heat maps of one run share.
 
     Args:
-        run: the run.
         comparison: its frames, compressed.
         path: its frames along the camera path, compressed; None where there is none.
         maps: its values per view and frame.

@@ -51,7 +51,6 @@ def method_videos(run: MeasuredRun, fps: float, byte_budget: int = VIDEO_BYTES) 
     """Encode the truth and every method, at the largest width at which all fit; none for a run of one frame.
 
     Args:
-        run: a scored run.
         fps: frames per second of the capture; 0 where unknown, then `DEFAULT_FPS`.
         byte_budget: what all videos may take together, before base64; the narrowest width is taken where nothing fits.
 
@@ -111,7 +110,6 @@ def path_pictures(run: MeasuredRun, byte_budget: int = PATH_BYTES) -> PathPictur
     """Compress the frames along the camera path; None where the run has none.
 
     Args:
-        run: a scored run.
         byte_budget: what they may take, before base64; it decides their width.
 
     Raises:
@@ -169,7 +167,6 @@ def _shares(weights: Sequence[int]) -> list[float]:
 
 
 def _frame_pixels(run: MeasuredRun) -> int:
-    """Pixels of a frame."""
     height, width, _ = read_image(frame_path(run.folder.truth(run.protocol.views.test[0]), run.frames[0])).shape
     return height * width
 

@@ -1,4 +1,4 @@
-"""How good is good: a method's number beside what this capture allows and what others publish, and where its error lies."""
+"""A method's number beside what this capture allows and what others publish, and where its error lies."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -24,7 +24,6 @@ def describe_absolute(name: str, cell: Cell, column: Column, table: Table, budge
     Args:
         name: of the method, as tables have it.
         cell: its number.
-        column: the metric.
         table: the main table, whose grey rows have the ceilings of the capture.
         budgets: error budgets of the group's runs; the cause is of the first.
 
@@ -48,7 +47,7 @@ def describe_absolute(name: str, cell: Cell, column: Column, table: Table, budge
 
 @cache
 def usual_range(metric: str) -> tuple[float, float] | None:
-    """Where four fifths of the published values of a metric lie; None where few are known."""
+    """Range of four fifths of the published values of a metric; None where few are known."""
     of_paper = [values for methods in read_published("quality").values() for values in methods.values()]
     values = [float(each[metric]) for each in of_paper if metric in each]
     values += [float(each.value) for each in published_values() if each.metric == metric]

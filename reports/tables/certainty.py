@@ -65,7 +65,6 @@ def assess(note: MetricNote, results: Results, dataset: str, captured: float | N
     """Find intervals and standing of one metric.
 
     Args:
-        note: the metric.
         results: of all methods; partial ones are left out.
         dataset: which data set of the table.
         captured: what the captured images themselves score, of a metric without truth; None where nobody knows.

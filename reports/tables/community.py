@@ -65,7 +65,6 @@ def community_rows(protocol: Protocol, scenes: Collection[str], metrics: Sequenc
     """Make the rows to stand in grey below what a run measured.
 
     Args:
-        protocol: of the run.
         scenes: that it measured.
         metrics: columns.
 

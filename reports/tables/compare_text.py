@@ -52,7 +52,6 @@ def write_comparison(first: str, second: str, run: Path | None, views: bool = Fa
 
     Args:
         first: run folder, or label of a method in `run`.
-        second: likewise.
         run: run folder of two methods; None where two runs are compared.
         views: tell each view too.
         out: CSV file to write; None writes none.

@@ -20,7 +20,7 @@ def sensitivity_table(study: Study, metrics: Sequence[str] | None = None) -> str
 
 
 def verdict_table(studies: Sequence[Study], metrics: Sequence[str] | None = None) -> str:
-    """What each metric sees, is blind to, and rewards; where studies of several captures disagree, in a column of its own."""
+    """Degradations that each metric sees, is blind to, and rewards; those in which studies disagree in a column of their own."""
     heads = {"sees": "worse with strength", "blind": "blind to", "rewards": "better with strength"}
     heads |= {"disputed": "depends on the capture"} if len(studies) > 1 else {"unclear": "one clip: unclear"}
     verdicts = [(metric, _verdicts(studies, metric)) for metric in metrics or answered_metrics(studies)]

@@ -86,7 +86,6 @@ def misplaced(options: DemoOptions, camera: Camera, image_width: int) -> Camera:
     """Return the true pose of a depth sensor, of the camera it is written down as.
 
     Args:
-        options: of the demo.
         camera: of the sensor, as it should be, at the moment it measures.
         image_width: of the colour images, pixels, in which the offset is given.
 
@@ -107,7 +106,6 @@ def measured(options: DemoOptions, depth: Array32, number: int) -> Array32:
     """Depth as the sensor gives it, world units of the rig, 0 where it knows none; exact where the options want no noise.
 
     Args:
-        options: of the demo.
         depth: exact, (H, W).
         number: of the frame; chooses the noise.
     """

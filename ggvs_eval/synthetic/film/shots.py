@@ -127,7 +127,6 @@ def noted_camera(options: DemoOptions, camera: Camera, name: str, number: int) -
     """The camera as the calibration says, with the errors that the options want.
 
     Args:
-        options: of the demo.
         camera: the true one.
         name: of the camera in the options.
         number: of the camera or pose; chooses its random rotation.

@@ -180,7 +180,7 @@ def _pose(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def find_visible(geometry: Geometry, rig: StereoRig, depth: Map) -> Mask:
-    """Which points of the left picture lie within the right one and are not hidden from its eye, (H, W).
+    """Mask of the points of the left picture that lie within the right one and are not hidden from its eye, (H, W).
 
     What lies within the last hundredth of the way to a point does not hide it, so that no surface hides itself.
     """

@@ -101,7 +101,6 @@ def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = 
     cannot be read is a finding too, and the other cameras go on.
 
     Args:
-        path: the capture.
         layout: which layout it has; found out when None.
         units: world units per metre as for `open_capture`.
         workers: processes that decode, one camera each.
@@ -132,11 +131,9 @@ def run_check(
     """Check a capture and write the outcome beside; nothing is printed.
 
     Args:
-        path: the capture.
         out_json: file to write the findings to; none when None.
         layout: which layout it has; found out when None.
         units: world units per metre as for `open_capture`.
-        workers: processes.
 
     Returns:
         The check and its table as text.

@@ -47,7 +47,6 @@ def repair_capture(path: Path, findings: Iterable[Finding]) -> str:
     """Write what was found into the capture's ``corrections.toml``.
 
     Args:
-        path: the capture.
         findings: of its check.
 
     Returns:

@@ -23,7 +23,6 @@ def check_depth_range(
     """Evaluate near and far of every camera.
 
     Args:
-        cameras: the rig.
         depths: depths of triangulated matches per camera, world units, where there are any.
         doubtful: indices of cameras whose calibration is wrong.
     """

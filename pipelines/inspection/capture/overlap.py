@@ -21,7 +21,6 @@ def check_overlap(cameras: Sequence[Camera], sensed: Collection[str] = ()) -> tu
     Where these could not show enough of it for a test view, that is said instead; it is bad where none can be one.
 
     Args:
-        cameras: the rig.
         sensed: names of cameras whose depth a sensor measures.
     """
     if len(cameras) < 2:

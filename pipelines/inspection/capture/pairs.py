@@ -1,4 +1,4 @@
-"""Which cameras are compared with which, and the points they share."""
+"""Pairs of cameras that are compared, and the points they share."""
 
 from collections.abc import Iterable, Sequence
 

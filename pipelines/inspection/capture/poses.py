@@ -25,7 +25,6 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
     """Evaluate the poses by themselves.
 
     Args:
-        cameras: the rig.
         doubtful: indices of cameras whose images contradict their pose; of two at one place they are the wrong ones.
     """
     target = look_at_point(cameras)

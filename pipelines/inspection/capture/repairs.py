@@ -43,7 +43,6 @@ def explain_camera(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], inde
     """The explanation that suits one camera best, evaluated against trusted cameras; None where none does.
 
     Args:
-        cameras: the rig.
         pairs: matches of any pairs.
         index: the camera in doubt.
         trusted: cameras to compare with.

@@ -19,7 +19,6 @@ def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding,
     """Evaluate the scale by the metres it gives for the scene's depth and the cameras' spacing.
 
     Args:
-        capture: the capture.
         depths: depths of triangulated matches per camera, world units, where there are any.
     """
     medians = [float(np.median(values)) for values in depths.values() if len(values)]

@@ -33,7 +33,6 @@ def check_timing(
     """Offsets of all cameras from the motion that neighbours see.
 
     Args:
-        cameras: the rig.
         records: of each camera.
         doubtful: indices of cameras whose calibration is wrong, whose motion can be compared with nobody's.
         fps: frames per second, to say offsets in milliseconds too.

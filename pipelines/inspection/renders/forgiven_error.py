@@ -1,4 +1,4 @@
-"""How much of an error is misregistration, colour offset or noise: the gap between the PSNR of YCbCr and IV-PSNR, in words."""
+"""Misregistration, colour offset and noise in an error: the gap between the PSNR of YCbCr and IV-PSNR, in words."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""Which captured picture a rendered one shows: of which camera, mirrored or not."""
+"""Identity of a rendered picture: the captured one that it shows, of which camera, mirrored or not."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -22,7 +22,7 @@ AGREEING_SHARE = 0.75
 
 @dataclass(frozen=True)
 class _Timing:
-    """Which instants the frames show, and how well that explains them.
+    """Instants that the frames show, and how well that explains them.
 
     Attributes:
         lag: instants later.

@@ -1,4 +1,4 @@
-"""The child process that calibrates: what it is told, how it is watched, and what is kept of it when it fails."""
+"""Calibration in a child process: input, progress, log of a failure."""
 
 import json
 import re

@@ -47,7 +47,6 @@ def link_frames(files: Mapping[str, CameraFrames], stills: Mapping[str, Path], f
     Args:
         files: frames of each camera.
         stills: the image of each camera, which is moved where it is all there is of that camera.
-        folder: the capture.
     """
     for name, file in files.items():
         if isinstance(file, VideoFrames):

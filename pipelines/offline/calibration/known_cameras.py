@@ -107,7 +107,6 @@ def write_intrinsics(path: Path, lenses: Mapping[str, Lens]) -> None:
     """Write pinhole intrinsics so that `read_known` reads them back.
 
     Args:
-        path: the file.
         lenses: by camera name; their coefficients are not written.
     """
     lines = ["# Pinhole intrinsics in pixels, pixel centres at halves (column i lies at u = i + 0.5)."]

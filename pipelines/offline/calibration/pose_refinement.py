@@ -53,7 +53,7 @@ class Rig:
         return Rotation.from_rotvec(steps[:, :3]).as_matrix() @ self.turns, self.centres + steps[:, 3:6]
 
     def project(self, changes: Array, points: Array) -> Array:
-        """Where the features should be, (M, 2), pixels."""
+        """Expected places of the features, (M, 2), pixels."""
         turns, centres = self.moved(changes)
         seen = np.einsum("mij,mj->mi", turns[self.camera], points[self.point] - centres[self.camera])
         uv = np.empty_like(self.uv)

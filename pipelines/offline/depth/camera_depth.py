@@ -167,7 +167,6 @@ def check_depth(
         camera: the camera of the depth map.
         depth_map: depth and confidence as they were found, (H, W).
         others: other cameras with theirs, as they were found too.
-        options: parameters.
 
     Returns:
         Depth and confidence, (H, W); those that were given where `options` want no consistency.
@@ -193,7 +192,6 @@ def check_measured_depth(
         image: what it saw, RGB, (H, W, 3).
         depth_map: filtered depth and confidence, (H, W).
         others: other cameras with theirs, filtered too.
-        options: parameters.
 
     Raises:
         DepthError: a depth map that does not fit its camera.

@@ -58,7 +58,6 @@ def check_consistency(
         camera: the camera of the depth map.
         depth_map: depth and confidence, (H, W).
         others: other cameras with theirs; sizes may differ.
-        options: parameters.
 
     Returns:
         Depth, 0 where it is unknown, and confidence: the mean over the camera and those that see the point, who contradicts

@@ -97,10 +97,8 @@ def plan_depth(
     """Plan the depth that each target needs: of its k sources, matched with any camera but the target.
 
     Args:
-        capture: the capture.
         targets: cameras to be rendered, of the capture (left out of everything) or of a virtual path.
         k: number of sources per target.
-        options: parameters.
         sources: which cameras they are.
         partners: of the same capture and options, where they are wanted after; found here by default.
 
@@ -130,10 +128,6 @@ def plan_depth(
 
 def plan_rig_depth(capture: Capture, options: DepthOptions) -> tuple[DepthJob, ...]:
     """Plan the depth of the cameras of a capture, matched with the others and held against that of those it is matched with.
-
-    Args:
-        capture: the capture.
-        options: parameters.
 
     Returns:
         One job per camera that another can be matched with, in the order of the capture.
@@ -189,10 +183,8 @@ def depth_job(capture: Capture, camera_name: str, partner_names: Sequence[str], 
     """A job with all that its depth depends on, as it is found.
 
     Args:
-        capture: the capture.
         camera_name: whose depth is wanted.
         partner_names: whom it is matched with; none where a sensor measured its depth, or nobody did.
-        options: parameters.
 
     Raises:
         CaptureError: no such camera.
@@ -214,12 +206,9 @@ def prepare_depth(
     on the number of workers nor on where they are.
 
     Args:
-        capture: the capture.
         jobs: what to compute, see `plan_depth`; equal jobs are computed once.
         frames: instants, ascending.
         store: where depth maps go.
-        options: parameters.
-        workers: where jobs run.
 
     Raises:
         DepthError: a job that cannot be computed.

@@ -48,7 +48,6 @@ def choose_partners(camera: Camera, candidates: Sequence[Camera], count: int, ex
     the same side: what is hidden from a partner on the right, one on the left sees.
 
     Args:
-        camera: the camera whose depth is wanted.
         candidates: cameras to choose from; `camera` itself is passed over.
         count: how many to choose at most; fewer come back where fewer can be matched.
         excluded: names that must not be chosen (the target of a leave-one-out run).

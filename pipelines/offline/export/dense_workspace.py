@@ -144,7 +144,7 @@ def _write_maps(cameras: Sequence[Camera], images: Sequence[Image8], depths: Seq
 
 
 def _write_lists(cameras: Sequence[Camera], partners: Mapping[str, Sequence[str]], folder: Path) -> None:
-    """Which images to match and to fuse; COLMAP chooses partners itself where we know none."""
+    """Images to match and to fuse; COLMAP chooses partners itself where we know none."""
     (folder / "consistency_graphs").mkdir(parents=True)
     names = [camera.name for camera in cameras]
     lines = []

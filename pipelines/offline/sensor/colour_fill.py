@@ -51,7 +51,6 @@ def fill_by_colour(depth_map: DepthMap, image: Image8, options: ColourFillOption
     Args:
         depth_map: depth, world units, 0 = unknown, and confidence, (H, W).
         image: what the camera saw, RGB, (H, W, 3).
-        options: parameters.
 
     Returns:
         Depth and confidence, (H, W); depth is unknown only where no pixel was known.
@@ -88,7 +87,6 @@ def smooth_by_colour(maps: Map, image: Image8, options: ColourFillOptions) -> Ma
     Args:
         maps: f, (H, W, C), float32.
         image: guide, RGB, (H, W, 3).
-        options: parameters.
 
     Returns:
         u, (H, W, C).

@@ -108,7 +108,6 @@ def filter_sensor_depth(depth: Map, image: Image8, camera: Camera, options: Sens
         depth: z as measured, world units, 0 or not finite = unknown, (h, w): the camera's view at any size.
         image: what the camera saw, RGB, (H, W, 3).
         camera: the camera; depth outside its range is unknown.
-        options: parameters.
 
     Returns:
         Depth and confidence, (H, W).

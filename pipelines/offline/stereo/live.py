@@ -81,7 +81,7 @@ class SharedPair:
         return [self._seen(side, *each) for side, each in zip(sides, matches, strict=True)]
 
     def _seen(self, side: Side, disparity: Map, confidence: Map) -> Estimate:
-        """What was found on the canvas, at the pixels of a camera."""
+        """Resample canvas depth to the camera."""
         pair = self._pair
         if side == "right":
             pair, disparity, confidence = self._turned, disparity[::-1, ::-1], confidence[::-1, ::-1]

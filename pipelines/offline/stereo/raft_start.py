@@ -18,7 +18,6 @@ def start_from_matching(left: Image8, right: Image8, d_min: int, d_max: int, fac
 
     Args:
         left: RGB, (H, W, 3), sizes multiples of `factor`.
-        right: likewise.
         d_min: smallest disparity, pixels.
         d_max: largest disparity, pixels.
         factor: pixels per cell of the flow.

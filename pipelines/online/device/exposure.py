@@ -55,7 +55,6 @@ def estimate_exposure(
 
     Args:
         index: of the instant.
-        target: the camera to render.
         views: the sources.
         depths: their filtered depths, (K, H, W).
         tolerance: depths that differ by less are the same surface, world units.

@@ -26,7 +26,7 @@ from ggvs_eval.pipelines.online.geometry_guided import SAME_SURFACE_TAU, OnlineO
 PAIRS_PER_GAUSSIAN = 2.0  # that there is room for at first
 ROOM = 1.25  # times what was needed when it was not enough
 
-Mark = Callable[[str, str], None]  # told that a part of a stage begins
+Mark = Callable[[str, str], None]  # called when a part of a stage begins
 
 
 class PairRoom:

@@ -80,7 +80,6 @@ def register_views(target: Camera, depth: Tensor, views: DeviceViews, splats: De
     """Register every view by the fused depth, (H, W), as `register_views` of the compiled path.
 
     Args:
-        target: the camera to render.
         depth: fused.
         views: the sources; their depths are filtered, their images brought to one colour.
         splats: of the same views.

@@ -68,7 +68,6 @@ def warp_views(target: Camera, depth: Tensor, views: DeviceViews, tolerance: flo
     """Sample every view where the target's surface projects into it, as `warp` of the compiled path, bicubically.
 
     Args:
-        target: the camera to render.
         depth: its depth, (H, W), world units, 0 where unknown.
         views: the sources.
         tolerance: depths that differ by less are the same surface, world units.

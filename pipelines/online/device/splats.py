@@ -38,7 +38,6 @@ def splat_views(
     """Splat every view by itself, colours and mask, as `splat` of the compiled path does.
 
     Args:
-        target: the camera to render.
         views: their images.
         depths: where the Gaussians are, (K, H, W).
         masks: a fourth feature, (K, H, W).

@@ -1,4 +1,4 @@
-"""Which views of a capture networks learn from: of RGB-D sequences by ScanNet's rule, of rigs by nearness; what is held back."""
+"""Views of a capture that networks learn from: of RGB-D sequences by ScanNet's rule, of rigs by nearness; what is held back."""
 
 import hashlib
 from collections.abc import Collection, Sequence
@@ -15,7 +15,7 @@ GRID = 8  # rays across and down, and depths
 
 @dataclass(frozen=True)
 class CapturePlan:
-    """Which samples there are of each capture. More targets add samples and change none, of rigs as long as `instants` stays.
+    """Plan of the samples of each capture. More targets add samples and change none, of rigs as long as `instants` stays.
 
     Attributes:
         targets: target views per capture.
@@ -99,7 +99,7 @@ def overlap(target: Camera, source: Camera) -> float:
 
 
 def _overlapping(candidates: Sequence[Camera], target: Camera, plan: CapturePlan) -> list[Camera]:
-    """Those that see enough of the target's view, or the K that see most of it."""
+    """Cameras that see enough of the target's view, or the K that see most of it."""
     shares = {camera.name: overlap(target, camera) for camera in candidates}
     enough = [camera for camera in candidates if shares[camera.name] >= plan.overlap]
     return enough if len(enough) >= plan.views else sorted(candidates, key=lambda each: -shares[each.name])[: plan.views]

@@ -1,4 +1,4 @@
-"""Which procedural rooms of which domains networks learn from: seeds, how each is rendered, and the views of each sample."""
+"""Procedural rooms that networks learn from, by domain: seeds, how each is rendered, and the views of each sample."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ LARGE_FACTOR = 3  # so many times the pixels, fewer rooms and more views of each
 
 @dataclass(frozen=True)
 class RoomPlan:
-    """Which samples there are. More rooms or more targets add samples and change none.
+    """Plan of the samples. More rooms or more targets add samples and change none.
 
     Attributes:
         first_room: seed of the first room, from 1000 on.
@@ -208,7 +208,6 @@ def domain_validation_plan(
     """The views of a domain by which choices may be made, with the sources that an evaluation would take.
 
     Args:
-        domain: its name.
         views: K.
         targets: views per seed.
         seeds: how many of the validation seeds.

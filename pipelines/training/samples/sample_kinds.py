@@ -41,7 +41,7 @@ class BlendKind(SampleKind[BlendSample]):
 
 @dataclass(frozen=True)
 class InstantKind(SampleKind[InstantSample]):
-    """What a method is shown, with the depth of its sources or with none, and the image that the target's camera took."""
+    """Instants as a method is shown them, with the depth of its sources or with none, and the target's image."""
 
     depth: bool = True
     folders: ClassVar = {"rooms": ("instants", 1), "captures": ("capture-instants", 1)}

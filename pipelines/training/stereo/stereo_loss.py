@@ -39,7 +39,6 @@ def matching_loss(left: Tensor, right: Tensor, disparity: Tensor, visible: Tenso
 
     Args:
         left: features, (B, C, h, w), float32.
-        right: likewise.
         disparity: exact, (B, H, W), pixels.
         visible: which matches the right image shows, (B, H, W).
         factor: pixels per cell; features of a cell are centred on its first pixel.
