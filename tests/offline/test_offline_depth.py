@@ -270,7 +270,7 @@ def test_options_change_the_key(capture):
 
     keys = {key_with(OPTIONS)}
     for field, value in vars(OPTIONS).items():
-        if field not in ("matcher", "time", "sensor", "consistency"):
+        if field not in ("matcher", "filler", "time", "sensor", "consistency"):
             keys.add(key_with(replace(OPTIONS, **{field: value + 1})))
     for field, value in vars(OPTIONS.time).items():
         changed = replace(OPTIONS, time=replace(OPTIONS.time, **{field: value + 1}))

@@ -15,7 +15,6 @@ from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.warp import warp
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth
-from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, Guidance, blend_maps, nearest_first, nearness
 from ggvs_eval.pipelines.online.blending import Blended, Blender, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
@@ -139,7 +138,7 @@ class SampleMaker:
 
     def _depth(self, source: Camera, target: Camera) -> DepthMap:
         """Depth of a source camera, found without the target."""
-        partners = choose_partners(source, self.capture.cameras, self._options.partners, {target.name})
+        partners = self._options.choose_partners(source, self.capture.cameras, {target.name})
         key = (source.name, *(partner.name for partner in partners))
         if key not in self._depths:
             images = [self._image(partner.name) for partner in partners]
