@@ -1,7 +1,7 @@
 """Depth of a wide rig by each choice: ``python -m benchmarks.wide_rigs --data FOLDER``, of people in a dome and of rooms.
 
-Renders views from the depth that each choice gives and prints PSNR and SSIM, means over frames, and seconds of a core per depth map.
-The validation cameras of the dome decide, together with rooms (`--domains`); the test cameras (`--cameras test`) are reported.
+Renders views from the depth that each choice gives and prints PSNR, SSIM (means over frames) and seconds of a core per map. The
+validation cameras of the dome decide, together with rooms (`--domains`); the test cameras (`--cameras test`) are reported.
 """
 
 import argparse

