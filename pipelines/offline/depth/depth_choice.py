@@ -1,20 +1,20 @@
 """Choice of depth estimation: the matchers by name, and the few words that the command line takes and a run folder keeps."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ggvs_eval.errors import DepthError, did_you_mean
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, TimeOptions
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs, itermvs_of
+from ggvs_eval.pipelines.offline.itermvs.options import IterMvs, cached_weights, itermvs_of
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName, SensorDepthOptions
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
-DEFAULT_MATCHER = "sgbm"
+FREE_MATCHER = "sgbm"  # that needs no file
 LIVE_MATCHER = "live"  # the default of play and view
 MATCHERS = {
     "sgbm": "OpenCV's semi-global matching over an image pyramid, each partner on its own",
@@ -29,6 +29,11 @@ PUBLISHED_ITERATIONS = 32  # what the authors' networks are made for
 KEYFRAME_EVERY = 16  # instants, where instants depend on each other
 DEVICE = "device"  # in a record of depth
 ITERMVS = "itermvs"
+
+
+def default_matcher() -> str:
+    """The matcher of those who name none: with IterMVS where its weights lie in the cache folder."""
+    return f"{FREE_MATCHER}+{ITERMVS}" if cached_weights().is_file() else FREE_MATCHER
 
 
 def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep | IterMvs:
@@ -83,7 +88,7 @@ class DepthRunOptions:
         reuse_static: compute depth again only where the picture changes, everything again every 16 instants.
     """
 
-    matcher: str = DEFAULT_MATCHER
+    matcher: str = field(default_factory=default_matcher)
     stereo_weights: Path | None = None
     sensor: bool = True
     reuse_static: bool = False
@@ -104,7 +109,7 @@ class DepthRunOptions:
             DepthError: no such matcher, or weights for one that takes none.
             WeightsError: weights that are not the network's.
         """
-        if self.stereo_weights is not None and self.matcher not in (DEFAULT_MATCHER, LIVE_MATCHER, "raft"):
+        if self.stereo_weights is not None and self.matcher not in (FREE_MATCHER, default_matcher(), LIVE_MATCHER, "raft"):
             raise DepthError(f"--stereo-weights are for the matcher raft, got the matcher {self.matcher}")
         name = self.matcher if self.stereo_weights is None else f"raft:{self.stereo_weights}"
         name, wants_filler, checkpoint = name.partition(f"+{ITERMVS}")
