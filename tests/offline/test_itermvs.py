@@ -130,8 +130,12 @@ def test_what_is_no_checkpoint_is_refused(network, tmp_path, monkeypatch):
     assert not (tmp_path / "pwned").exists()
     with pytest.raises(WeightsError, match=r"itermvs-blendedmvs\.ckpt"):
         DepthRunOptions("sgbm+itermvs").options()
-    with pytest.raises(DepthError, match="no stereo matcher 'sgmb'"):
-        DepthRunOptions("sgmb+itermvs").options()
+    for matcher, message in (
+        ("sgmb", "no stereo matcher 'sgmb'"),
+        ("live", "wanted sgbm, sweep or raft before .itermvs, got live"),
+    ):
+        with pytest.raises(DepthError, match=message):
+            DepthRunOptions(f"{matcher}+itermvs").options()
 
 
 def test_a_file_in_the_cache_is_taken(weights, tmp_path, monkeypatch):

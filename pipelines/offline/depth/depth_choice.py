@@ -114,6 +114,10 @@ class DepthRunOptions:
         name = self.matcher if self.stereo_weights is None else f"raft:{self.stereo_weights}"
         name, wants_filler, checkpoint = name.partition(f"+{ITERMVS}")
         matcher = find_matcher(name, device)
+        if wants_filler and isinstance(matcher, LiveMatcher | IterMvs):
+            raise DepthError(
+                f"matcher {self.matcher}: wanted sgbm, sweep or raft before +{ITERMVS}, got {name}; take one of them"
+            )
         filler = itermvs_of(checkpoint.removeprefix(":"), device) if wants_filler else None
         time = TimeOptions(KEYFRAME_EVERY, warm=True, reuse=True) if self.reuse_static else TimeOptions()
         sensor = SensorDepthOptions(registration=self.registration) if self.sensor else None
