@@ -1,13 +1,14 @@
 """Choice of depth estimation: the matchers by name, and the few words that the command line takes and a run folder keeps."""
 
+import hashlib
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.errors import DepthError, did_you_mean
+from ggvs_eval.errors import DepthError, WeightsError, did_you_mean
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, TimeOptions
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs, cached_weights, itermvs_of
+from ggvs_eval.pipelines.offline.itermvs.options import PUBLISHED, IterMvs, cached_weights
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName, SensorDepthOptions
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher
@@ -49,7 +50,7 @@ def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep |
     """
     kind, _, checkpoint = name.partition(":")
     if kind == ITERMVS:
-        return itermvs_of(checkpoint, device)
+        return _itermvs(checkpoint, device)
     if kind == "raft":
         return _raft(checkpoint, device)
     if name == "sgbm":
@@ -72,6 +73,16 @@ def _raft(checkpoint: str, device: str) -> StereoMatcher:
     if checkpoint:
         return make(path, digest, iterations=PUBLISHED_ITERATIONS, from_matching=False)
     return make(path, digest)
+
+
+def _itermvs(checkpoint: str, device: str) -> IterMvs:
+    from ggvs_eval.pipelines.offline.itermvs.estimator import load_network
+
+    path = Path(checkpoint) if checkpoint else cached_weights()
+    if not path.is_file():
+        raise WeightsError(f"{path}: wanted weights of IterMVS, got no file; its authors publish them: {PUBLISHED}")
+    load_network(path)  # what is wrong with it is said before hours of work
+    return IterMvs(path, hashlib.sha256(path.read_bytes()).hexdigest(), device=device)
 
 
 @dataclass(frozen=True)
@@ -118,7 +129,7 @@ class DepthRunOptions:
             raise DepthError(
                 f"matcher {self.matcher}: wanted sgbm, sweep or raft before +{ITERMVS}, got {name}; take one of them"
             )
-        filler = itermvs_of(checkpoint.removeprefix(":"), device) if wants_filler else None
+        filler = _itermvs(checkpoint.removeprefix(":"), device) if wants_filler else None
         time = TimeOptions(KEYFRAME_EVERY, warm=True, reuse=True) if self.reuse_static else TimeOptions()
         sensor = SensorDepthOptions(registration=self.registration) if self.sensor else None
         return DepthOptions(matcher=matcher, filler=filler, time=time, sensor=sensor)
