@@ -156,7 +156,7 @@ def test_the_network_fills_what_is_not_confirmed():
     depth = truth.copy()
     depth[hole], depth[wrong] = 0, 0.6 * truth[wrong]
     guess = 1.25 * truth
-    options = DepthOptions(consistency=replace(DepthOptions().consistency, fill_support=0))
+    options = DepthOptions(consistency=replace(DepthOptions().consistency, fill_support=0), filler_share=0.0)
     sure = [DepthMap(each, np.full_like(each, 0.8)) for each in (depth, *(plane_depth(o).astype(np.float32) for o in others))]
     found = finish(replace(sure[0], guess=guess), options)
     assert np.array_equal(found.depth[hole], guess[hole])
@@ -166,6 +166,9 @@ def test_the_network_fills_what_is_not_confirmed():
         assert (checked.confidence[part] == np.float32(options.filled_confidence)).all()
     assert checked.depth[110:140, 60:120] == pytest.approx(truth[110:140, 60:120], rel=0.01)
     assert checked.guess is None
+    few = check_depth(camera, found, list(zip(others, sure[1:], strict=True)), replace(options, filler_share=0.2))
+    assert (few.depth > 0).all()
+    assert few.depth[hole].max() < guess[hole].min()  # few gaps: the background's
 
 
 def test_partners_of_the_network_need_no_rectification(weights):

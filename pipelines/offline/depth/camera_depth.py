@@ -60,6 +60,8 @@ class DepthOptions:
     Attributes:
         matcher: the stereo algorithm: of pairs, or of all partners at once.
         filler: the network whose depth takes the place of what is not found, or not confirmed; None for the background's.
+        filler_share: ... in maps of which at least this share is unknown: the few gaps of narrow rigs are shadows of nearer
+            surfaces, where the background is right.
         partners: how many cameras each one is matched with at most.
         error_px: of pairs: estimates of two partners agree when disparity errors of this size explain their difference.
         flying: a pixel flies when fewer than three neighbours lie within this share of its depth.
@@ -73,6 +75,7 @@ class DepthOptions:
 
     matcher: StereoMatcher | PlaneSweep | IterMvs = field(default_factory=SgbmMatcher)
     filler: IterMvs | None = None
+    filler_share: float = 0.2
     partners: int = 4
     error_px: float = 0.5
     flying: float = 0.03
@@ -217,9 +220,9 @@ def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
 
 def _filled(known: DepthMap, options: DepthOptions) -> DepthMap:
     """Fill what is unknown by the guess, where there is one, else from the background."""
-    if known.guess is None:
-        return DepthMap(*fill_background(known.depth, known.confidence, options.filled_confidence))
     unknown = known.depth == 0
+    if known.guess is None or unknown.mean() < options.filler_share:
+        return DepthMap(*fill_background(known.depth, known.confidence, options.filled_confidence), known.guess)
     confidence = np.where(unknown, np.float32(options.filled_confidence), known.confidence)
     return DepthMap(np.where(unknown, known.guess, known.depth), confidence, known.guess)
 
