@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,8 +133,10 @@ class DepthStore:
         """Store one instant; confidence is rounded to 8 bit."""
         confidence = np.rint(depth_map.confidence * CONFIDENCE_STEPS).astype(np.uint8)
         with atomic_file(self.path(key, frame)) as temporary, temporary.open("wb") as file:
-            guess = {} if depth_map.guess is None else {"guess": depth_map.guess.astype(np.float32, copy=False)}
-            np.savez(file, depth=depth_map.depth.astype(np.float32, copy=False), confidence=confidence, **guess)
+            arrays: dict[str, Any] = {"depth": depth_map.depth.astype(np.float32, copy=False), "confidence": confidence}
+            if depth_map.guess is not None:
+                arrays["guess"] = depth_map.guess.astype(np.float32, copy=False)
+            np.savez(file, **arrays)
 
     def read(self, key: str, frame: int) -> DepthMap:
         """Read one instant.

@@ -81,10 +81,10 @@ class FeatureNetwork(nn.Module):
         super().__init__()
         full, half, quarter, eighth = WIDTHS
         self.conv1 = Convolution(3, full, normalised=True)
-        for level, (width_in, width) in enumerate(((full, half), (half, quarter), (quarter, eighth)), start=1):
-            setattr(self, f"layer{level}", nn.Sequential(ResidualBlock(width_in, width, 2), ResidualBlock(width, width, 1)))
-            setattr(self, f"output{level}", nn.Conv2d(eighth, width, 3, padding=1))
-            setattr(self, f"inner{level}", nn.Conv2d(width, eighth, 1))  # the last one is trained and never used
+        self.layer1, self.layer2, self.layer3 = _stage(full, half), _stage(half, quarter), _stage(quarter, eighth)
+        self.output1, self.output2, self.output3 = (nn.Conv2d(eighth, width, 3, padding=1) for width in WIDTHS[1:])
+        self.inner1, self.inner2 = nn.Conv2d(half, eighth, 1), nn.Conv2d(quarter, eighth, 1)
+        self.inner3 = nn.Conv2d(eighth, eighth, 1)  # lies in the checkpoints, and is never used
 
     def forward(self, image: Tensor) -> Features:
         """Features at half, a quarter and an eighth of the size; `image` is (1, 3, H, W), RGB in [-1, 1]."""
@@ -185,8 +185,8 @@ class RecurrentUnit(nn.Module):
 
     def __init__(self, width_in: int) -> None:
         super().__init__()
-        for gate in ("convz", "convr", "convq"):
-            setattr(self, gate, nn.Conv2d(HIDDEN_WIDTH + width_in, HIDDEN_WIDTH, 3, padding=2, dilation=2))
+        gates = (nn.Conv2d(HIDDEN_WIDTH + width_in, HIDDEN_WIDTH, 3, padding=2, dilation=2) for _ in range(3))
+        self.convz, self.convr, self.convq = gates
 
     def forward(self, hidden: Tensor, features: Tensor) -> Tensor:
         """The next state, as large as the one before."""
@@ -340,6 +340,10 @@ def _weighted(correlations: Sequence[Tensor], weights: Sequence[Tensor]) -> Tens
     """Mean over partners, (N, G, H, W)."""
     total: Tensor = sum((c * w for c, w in zip(correlations, weights, strict=True)), torch.zeros_like(correlations[0]))
     return total / (sum(weights, torch.zeros_like(weights[0])) + 1e-5)
+
+
+def _stage(width_in: int, width: int) -> nn.Sequential:
+    return nn.Sequential(ResidualBlock(width_in, width, 2), ResidualBlock(width, width, 1))
 
 
 def _enlarged(features: Tensor) -> Tensor:
