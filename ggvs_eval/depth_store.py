@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +33,12 @@ class DepthMap:
     Attributes:
         depth: z in the camera's frame, world units, 0 = invalid, (H, W) float32.
         confidence: trust in it, in [0, 1], 0 where the depth is invalid, (H, W) float32.
+        guess: what takes the place of depth that other cameras do not confirm, (H, W) float32; None where the background does.
     """
 
     depth: Map
     confidence: Map
+    guess: Map | None = None
 
 
 def describe_depth(
@@ -130,7 +133,10 @@ class DepthStore:
         """Store one instant; confidence is rounded to 8 bit."""
         confidence = np.rint(depth_map.confidence * CONFIDENCE_STEPS).astype(np.uint8)
         with atomic_file(self.path(key, frame)) as temporary, temporary.open("wb") as file:
-            np.savez(file, depth=depth_map.depth.astype(np.float32, copy=False), confidence=confidence)
+            arrays: dict[str, Any] = {"depth": depth_map.depth.astype(np.float32, copy=False), "confidence": confidence}
+            if depth_map.guess is not None:
+                arrays["guess"] = depth_map.guess.astype(np.float32, copy=False)
+            np.savez(file, **arrays)
 
     def read(self, key: str, frame: int) -> DepthMap:
         """Read one instant.
@@ -144,10 +150,12 @@ class DepthStore:
         try:
             with np.load(path, allow_pickle=False) as arrays:
                 depth, confidence = arrays["depth"], arrays["confidence"]
+                guess = arrays.get("guess")
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise DepthError(f"{path}: not a readable depth map ({error}); delete this file and prepare again") from error
-        _check(path, depth, confidence)
-        return DepthMap(depth, confidence.astype(np.float32) / np.float32(CONFIDENCE_STEPS))
+        for each in (depth, depth if guess is None else guess):
+            _check(path, each, confidence)
+        return DepthMap(depth, confidence.astype(np.float32) / np.float32(CONFIDENCE_STEPS), guess)
 
 
 def _check(path: Path, depth: NDArray[np.generic], confidence: NDArray[np.generic]) -> None:

@@ -35,7 +35,10 @@ FLOORS = (
     ("reports.run_groups",),
     ("reports.page",),
     ("reports.report", "reports.tracking"),
-    ("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.plane_sweep", "pipelines.offline.calibration"),
+    (
+        *("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.itermvs", "pipelines.offline.plane_sweep"),
+        "pipelines.offline.calibration",
+    ),
     ("pipelines.online.device", "pipelines.offline.sensor"),
     ("pipelines.methods",),
     ("pipelines.offline.depth",),

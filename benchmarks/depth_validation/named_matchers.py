@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import find_matcher
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 
@@ -15,9 +16,9 @@ def depth_options(name: str) -> DepthOptions:
         DepthError: no matcher of that name.
         WeightsError: its weights are absent or damaged.
     """
-    return DepthOptions(matcher=find_matcher(name))
+    return DepthRunOptions(name).options()
 
 
 def pairwise_matchers(options: Mapping[str, DepthOptions]) -> dict[str, StereoMatcher]:
     """The matchers that match one rectified pair, by name; the plane sweep wants calibrated partners."""
-    return {name: each.matcher for name, each in options.items() if not isinstance(each.matcher, PlaneSweep)}
+    return {name: each.matcher for name, each in options.items() if not isinstance(each.matcher, PlaneSweep | IterMvs)}

@@ -14,7 +14,6 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.film.depth import read_exact_depth
 
@@ -49,7 +48,7 @@ def evaluate_rooms(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOpt
 
 def estimate_depth(capture: Capture, camera: Camera, image: Image8, options: DepthOptions) -> DepthMap:
     """Depth of one camera with partners chosen among all others."""
-    partners = choose_partners(camera, capture.cameras, options.partners)
+    partners = options.choose_partners(camera, capture.cameras)
     partner_images = [capture.frame(partner.name, FRAME) for partner in partners]
     return DepthEstimator(camera, partners, options).estimate(image, partner_images)
 

@@ -25,7 +25,6 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.colmap import find_model
 from ggvs_eval.errors import CaptureError, DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.progress import track
 
 READER = "benchmarks.depth_validation.sparse_reader"
@@ -120,7 +119,7 @@ def evaluate_sparse(capture: Capture, options: Mapping[str, DepthOptions]) -> tu
     rows: dict[str, dict[Column, float]] = {name: {} for name in capture.camera_names}
     for matcher, each in options.items():
         for camera in track(capture.cameras, f"sparse points, {matcher}"):
-            partners = choose_partners(camera, capture.cameras, each.partners)
+            partners = each.choose_partners(camera, capture.cameras)
             estimator = DepthEstimator(camera, partners, each)
             start = process_time()
             depth = estimator.estimate(images[camera.name], [images[partner.name] for partner in partners]).depth

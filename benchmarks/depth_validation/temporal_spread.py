@@ -21,7 +21,6 @@ from ggvs_eval.method import SourceView
 from ggvs_eval.metrics.series_scores import mean_values, score_depths
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.film.film import Footage, lit_room
@@ -77,7 +76,7 @@ def estimate_views(room: RenderedRoom, camera: Camera, images: Mapping[str, Imag
         images: the first frames of every camera, (T, H, W, 3) each, by name.
         options: of the matcher.
     """
-    partners = choose_partners(camera, room.capture.cameras, options.partners)
+    partners = options.choose_partners(camera, room.capture.cameras)
     stream = DepthStream(camera, partners, options)
     views = []
     for frame in track(range(FRAMES), f"{room.name} over time"):

@@ -100,11 +100,11 @@ def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | 
     Raises:
         RenderError: no methods, or missing frames of these.
     """
+    protocol = run.protocol()
     if not labels:
         raise RenderError(
             f"{run.root}: nothing to score, renders/ is empty; run `ggvs-eval render` or give --renders NAME=FOLDER"
         )
-    protocol = run.protocol()
     views = [view for view in protocol.views.test if units is None or view in units]
     coverage = read_coverage(run, protocol.frames.numbers, labels)
     coverage.require(run, views, labels)

@@ -29,7 +29,7 @@ from ggvs_eval.reports.tables.published import CAVEATS, PAPER
 from ggvs_eval.reports.tables.reproduction import MEANING, Reproduction
 from ggvs_eval.reports.tables.reproduction_formats import HEADS, blocks, count_words, paper_tables
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
-from ggvs_eval.run_folder import JOB_FILE, frame_path
+from ggvs_eval.run_folder import JOB_FILE, frame_path, read_json
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -230,7 +230,8 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
     root = run.folder.root.name
     ours = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
     foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in ours]
-    commands = [["prepare", root, "--capture", Path(capture).name, "--protocol", f"{root}/protocol.toml"]]
+    prepare = ["prepare", root, "--capture", Path(capture).name, "--protocol", f"{root}/protocol.toml"]
+    commands = [[*prepare, *(["--matcher", matcher] if (matcher := _matcher(run)) else [])]]
     on_gpu = {render.rsplit("/", 1)[0] for render in run.results.provenance.get("devices", {})}
     for device, flags in ((False, []), (True, ["--device", "cuda"])):
         if labels := [label for label in ours if (label in on_gpu) == device]:
@@ -253,7 +254,7 @@ def _section(
     return {
         "id": f"run{index}",
         "run": run,
-        "capture": _facts(capture),
+        "capture": _facts(capture) | ({"depth by": matcher} if (matcher := _matcher(run)) else {}),
         "title": title,
         "address": address,
         "opening": opening,
@@ -286,6 +287,13 @@ def _insets(run: MeasuredRun, keys: Sequence[str]) -> dict[str, Any]:
     folders = run.frame_folders(region.view)
     crops = {key: png_uri(read_image(frame_path(folders[key], region.frame))[rows, columns]) for key in keys}
     return {"crops": crops, "place": f"{region.view}, frame {region.frame}"}
+
+
+def _matcher(run: MeasuredRun) -> str:
+    """Name of the matcher whose depth the run has, its file without folders; empty where the depth was not computed here."""
+    record = run.folder.depth_record
+    kind, colon, file = str(read_json(record).get("matcher", "") if record.is_file() else "").partition(":")
+    return f"{kind}{colon}{Path(file).name}"
 
 
 def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:

@@ -16,7 +16,7 @@ def run(*arguments: object) -> None:
 
 
 def test_a_capture_that_does_not_open_is_a_bad_verdict(dynerf, tmp_path, capsys):
-    """A NaN pose: the table says so, the JSON too, the exit code is 1, and nothing else is claimed."""
+    """A NaN pose: the table says so, the JSON too, the exit code is 1, and of the rest what frames tell."""
     poses = np.load(dynerf / "poses_bounds.npy")
     poses[1, 2] = np.nan
     np.save(dynerf / "poses_bounds.npy", poses)
@@ -28,7 +28,8 @@ def test_a_capture_that_does_not_open_is_a_bad_verdict(dynerf, tmp_path, capsys)
     assert ended.value.code == 1
     assert findings[0]["verdict"] == "bad"
     assert "row 1" in findings[0]["measured"]
-    assert {finding["verdict"] for finding in findings[1:]} == {"unknown"}
+    assert {finding["question"] for finding in findings[1:] if finding["verdict"] == "ok"} == {"frames", "frozen frames", "noise"}
+    assert {finding["verdict"] for finding in findings[1:]} == {"ok", "unknown"}
     assert "row 1" in capsys.readouterr().out.replace("\n", " ")
 
 

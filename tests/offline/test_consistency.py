@@ -115,6 +115,15 @@ def test_agreement_is_measured_in_pixels():
         assert ((result.depth > 0)[MIDDLE] == kept).all()
 
 
+def test_wide_baselines_are_measured_in_depth():
+    """Where a percent of the depth is many pixels, depths that differ by no more than the share agree, and others do not."""
+    truth = plane_depth(CAMERA)
+    for share, wide_share, kept in ((0.01, 0.02, True), (0.01, 0.0, False), (0.03, 0.02, False)):
+        options = ConsistencyOptions(error_px=0.05, wide_share=wide_share, fill_support=0)
+        result = check_consistency(CAMERA, sure(truth * (1 - share)), see_planes(), options)
+        assert ((result.depth > 0)[MIDDLE] == kept).all()
+
+
 def test_narrow_baselines_are_measured_in_depth():
     """Where a pixel is a large share of the depth, depths that differ by more than the share do not agree."""
     close = look_from(0.02, 0, "close")

@@ -1,5 +1,6 @@
 """Depth over time: only what changes is computed again, keyframes make it restartable, the default forgets everything."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -113,7 +114,9 @@ def test_the_choice_of_the_command_line():
 
 def test_unknown_matchers_and_weights_are_refused(tmp_path):
     """A misspelt matcher names its neighbour, absent weights their file, weights for another matcher the reason."""
-    with pytest.raises(DepthError, match=f"no stereo matcher 'sgmb'; there are {', '.join(MATCHERS)}; did you mean sgbm"):
+    with pytest.raises(
+        DepthError, match=re.escape(f"no stereo matcher 'sgmb'; there are {', '.join(MATCHERS)}; did you mean sgbm")
+    ):
         find_matcher("sgmb")
     with pytest.raises(WeightsError, match=r"nowhere\.pth: wanted weights"):
         find_matcher(f"raft:{tmp_path / 'nowhere.pth'}")

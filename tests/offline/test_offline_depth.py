@@ -12,6 +12,7 @@ from ggvs_eval.geometry.rectification import rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
+from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from helpers.stereo_scenes import look_from, paint, plane_depth, random_texture, see_plane, write_capture
@@ -262,7 +263,7 @@ def test_prepared_depth_is_right(capture, jobs, tmp_path):
     assert not store.has(key, 0)
 
 
-def test_options_change_the_key(capture):
+def test_options_change_the_key(capture, tmp_path):
     """Every field of the options and of the matcher enters the key."""
 
     def key_with(options: DepthOptions) -> str:
@@ -270,7 +271,7 @@ def test_options_change_the_key(capture):
 
     keys = {key_with(OPTIONS)}
     for field, value in vars(OPTIONS).items():
-        if field not in ("matcher", "time", "sensor", "consistency"):
+        if field not in ("matcher", "filler", "time", "sensor", "consistency"):
             keys.add(key_with(replace(OPTIONS, **{field: value + 1})))
     for field, value in vars(OPTIONS.time).items():
         changed = replace(OPTIONS, time=replace(OPTIONS.time, **{field: value + 1}))
@@ -278,6 +279,7 @@ def test_options_change_the_key(capture):
     for field, value in vars(OPTIONS.matcher).items():
         changed = replace(OPTIONS, matcher=replace(OPTIONS.matcher, **{field: value + 1}))
         keys.add(key_with(changed))
+    keys.add(key_with(replace(OPTIONS, filler=IterMvs(tmp_path / "model.ckpt", "digest"))))
     assert len(keys) == len(vars(OPTIONS)) - 3 + len(vars(OPTIONS.matcher)) + len(vars(OPTIONS.time))
 
 

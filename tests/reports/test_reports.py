@@ -159,6 +159,16 @@ def test_page_tells_nothing_of_the_machine(run, report):
     assert "ggvs-eval prepare run --capture room" in text
 
 
+def test_page_names_the_depth(tmp_path):
+    """The facts of a run and the commands that repeat it name the matcher of its depth, and no folder of its weights."""
+    run = write_run(tmp_path / "run", SMALL)
+    (run / "depth.json").write_text('{"matcher": "sgbm+itermvs:/home/somebody/model.ckpt"}')
+    text = (write_report([run]).parent / "index.html").read_text(encoding="utf-8")
+    assert "depth by" in text
+    assert "protocol.toml --matcher sgbm+itermvs:model.ckpt" in text
+    assert "/home/somebody" not in text
+
+
 def test_error_map_is_black_where_right_and_bright_where_wrong(tmp_path):
     """Equal pixels are the first colour of magma, differences at or above the full scale the last, whatever their size."""
     truth = np.full((4, 6, 3), 100, np.uint8)

@@ -1,8 +1,9 @@
 """Depth of one camera from the images of its partners, by whatever matcher, frame by frame, and held against that of others."""
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
+from ggvs_eval.pipelines.offline.depth.pairing import choose_partners, pairs_of
+from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.colour_fill import fill_by_colour
@@ -23,6 +26,7 @@ from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
 STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews what has changed by what stands here
+ITERMVS = "ggvs_eval.pipelines.offline.itermvs.estimator"  # needs torch
 
 
 @dataclass(frozen=True)
@@ -54,19 +58,24 @@ class DepthOptions:
     """Options of depth estimation.
 
     Attributes:
-        matcher: the stereo algorithm: of pairs, or the plane sweep over all partners at once.
+        matcher: the stereo algorithm: of pairs, or of all partners at once.
+        filler: the network whose depth takes the place of what is not found, or not confirmed; None for the background's.
+        filler_share: ... in maps of which at least this share is unknown: the few gaps of narrow rigs are shadows of nearer
+            surfaces, where the background is right.
         partners: how many cameras each one is matched with at most.
         error_px: of pairs: estimates of two partners agree when disparity errors of this size explain their difference.
         flying: a pixel flies when fewer than three neighbours lie within this share of its depth.
         smooth: depth is averaged over neighbours that differ by about this share of it.
         smooth_radius_px: over neighbours this far away.
-        filled_confidence: confidence of pixels filled from the background; 0 leaves them invalid.
+        filled_confidence: confidence of pixels that are filled; 0 leaves them invalid.
         time: how instants depend on each other.
         consistency: how depth is held against that of the other sources of a view; None leaves it as it is.
         sensor: how measured depth is filtered, which takes the place of stereo where the capture has it; None ignores it.
     """
 
-    matcher: StereoMatcher | PlaneSweep = field(default_factory=SgbmMatcher)
+    matcher: StereoMatcher | PlaneSweep | IterMvs = field(default_factory=SgbmMatcher)
+    filler: IterMvs | None = None
+    filler_share: float = 0.2
     partners: int = 4
     error_px: float = 0.5
     flying: float = 0.03
@@ -79,13 +88,17 @@ class DepthOptions:
 
     def describe(self) -> dict[str, object]:
         """All that stereo depends on, as values that JSON knows, its code included; part of the key."""
-        matcher = {name: value for name, value in vars(self.matcher).items() if not isinstance(value, Path)}
+        matcher, filler = (
+            {name: value for name, value in vars(each).items() if not isinstance(value, Path)} if each else None
+            for each in (self.matcher, self.filler)
+        )
         described = {
             "algorithm": "match-fuse-finish",
             "code": self._code(),
             "matcher_name": self.matcher.name,
             **asdict(self),
             "matcher": matcher,
+            "filler": filler,
         }
         del described["sensor"], described["consistency"]  # they have specs of their own
         return described
@@ -94,8 +107,30 @@ class DepthOptions:
         """Hash of the code that finds depth by this matcher, and by no other."""
         estimators = {PlaneSweep: PlaneSweepEstimator, LiveMatcher: LiveEstimator}
         estimator = estimators.get(type(self.matcher), PairwiseEstimator)
-        modules = (part.__module__ for part in (fill_background, estimator, type(self.matcher)))
+        modules = {part.__module__ for part in (fill_background, estimator, type(self.matcher))}
+        modules |= {ITERMVS} if isinstance(self.matcher, IterMvs) or self.filler else set()
         return code_identity(__name__, STREAM, *modules, unfollowed=(__name__,))
+
+    def choose_partners(self, camera: Camera, candidates: Sequence[Camera], excluded: Collection[str] = ()) -> list[Camera]:
+        """The cameras that a camera is matched with, see `pairing.choose_partners`.
+
+        Raises:
+            DepthError: none can be.
+        """
+        pairs, views = self.partners, self.filler.partners if self.filler else 0
+        if isinstance(self.matcher, IterMvs):
+            pairs, views = 0, self.matcher.partners
+        return choose_partners(camera, candidates, pairs, excluded, views)
+
+
+class Estimator(Protocol):
+    """Finds the depth of one camera with its partners at once."""
+
+    def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
+        """Depth at one instant, see `DepthEstimator.estimate`."""
+
+    def forget(self) -> None:
+        """Begin a new sequence."""
 
 
 class DepthEstimator:
@@ -103,26 +138,27 @@ class DepthEstimator:
 
     Args:
         camera: the camera whose depth is wanted.
-        partners: the cameras it is matched with.
+        partners: the cameras it is matched with, see `DepthOptions.choose_partners`.
         options: parameters.
+        pairs: those of them that are matched pair by pair, where a network sees more; found here by default.
 
     Raises:
         DepthError: no partners, or a pair that cannot be rectified.
     """
 
-    def __init__(self, camera: Camera, partners: Sequence[Camera], options: DepthOptions) -> None:
+    def __init__(
+        self, camera: Camera, partners: Sequence[Camera], options: DepthOptions, pairs: Sequence[Camera] | None = None
+    ) -> None:
         if not partners:
             raise DepthError(f"camera {camera.name}: depth needs at least one other camera to match with, got none")
         self.camera = camera
         self.partners = tuple(partners)
         self.options = options
-        self._raw: PairwiseEstimator | PlaneSweepEstimator | LiveEstimator
-        if isinstance(options.matcher, PlaneSweep):
-            self._raw = PlaneSweepEstimator(camera, partners, options.matcher)
-        elif isinstance(options.matcher, LiveMatcher):
-            self._raw = LiveEstimator(camera, partners, options.matcher, options.error_px)
-        else:
-            self._raw = PairwiseEstimator(camera, partners, options.matcher, options.error_px, options.time.warm)
+        if pairs is None:
+            pairs = partners if options.filler is None else pairs_of(camera, partners, options.partners)
+        self.pairs = tuple(pairs)
+        self._raw = _estimator(camera, self.pairs, options) if pairs else None
+        self._filler = None if options.filler is None else _itermvs(camera, partners, options.filler)
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Depth at one instant.
@@ -138,11 +174,18 @@ class DepthEstimator:
             DepthError: an image does not have its camera's size.
         """
         self._check(image, partner_images)
-        return finish(self._raw.estimate(image, partner_images), self.options)
+        raw = DepthMap(*np.zeros((2, *image.shape[:2]), np.float32))
+        if self._raw is not None:
+            seen = dict(zip((partner.name for partner in self.partners), partner_images, strict=True))
+            raw = self._raw.estimate(image, [seen[pair.name] for pair in self.pairs])
+        if self._filler is not None:
+            raw = replace(raw, guess=self._filler.estimate(image, partner_images).depth)
+        return finish(raw, self.options)
 
     def forget(self) -> None:
         """Begin a new sequence."""
-        self._raw.forget()
+        if self._raw is not None:
+            self._raw.forget()
 
     def _check(self, image: Image8, partner_images: Sequence[Image8]) -> None:
         if len(partner_images) != len(self.partners):
@@ -151,17 +194,43 @@ class DepthEstimator:
             as_image8(each, camera, DepthError)
 
 
+def _estimator(camera: Camera, partners: Sequence[Camera], options: DepthOptions) -> Estimator:
+    matcher = options.matcher
+    if isinstance(matcher, IterMvs):
+        return _itermvs(camera, partners, matcher)
+    if isinstance(matcher, PlaneSweep):
+        return PlaneSweepEstimator(camera, partners, matcher)
+    if isinstance(matcher, LiveMatcher):
+        return LiveEstimator(camera, partners, matcher, options.error_px)
+    return PairwiseEstimator(camera, partners, matcher, options.error_px, options.time.warm)
+
+
+def _itermvs(camera: Camera, partners: Sequence[Camera], options: IterMvs) -> Estimator:
+    from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvsEstimator
+
+    return IterMvsEstimator(camera, partners, options)
+
+
 def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
-    """Post-process any matcher's depth: drop flying pixels, smooth surfaces, fill gaps from the background."""
+    """Post-process any matcher's depth: drop flying pixels, smooth surfaces, fill gaps by its guess or from the background."""
     depth = smooth_surfaces(drop_flying_pixels(raw.depth, options.flying), options.smooth, options.smooth_radius_px)
     confidence = np.where(depth > 0, raw.confidence, np.float32(0))
-    return DepthMap(*fill_background(depth, confidence, options.filled_confidence))
+    return _filled(DepthMap(depth, confidence, raw.guess), options)
+
+
+def _filled(known: DepthMap, options: DepthOptions) -> DepthMap:
+    """Fill what is unknown by the guess, where there is one, else from the background."""
+    unknown = known.depth == 0
+    if known.guess is None or unknown.mean() < options.filler_share:
+        return DepthMap(*fill_background(known.depth, known.confidence, options.filled_confidence), known.guess)
+    confidence = np.where(unknown, np.float32(options.filled_confidence), known.confidence)
+    return DepthMap(np.where(unknown, known.guess, known.depth), confidence, known.guess)
 
 
 def check_depth(
     camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]], options: DepthOptions
 ) -> DepthMap:
-    """Hold a camera's depth against that of the other sources of a view, and fill the rest from the background.
+    """Hold a camera's depth against that of the other sources of a view, and fill the rest by its guess or from the background.
 
     Args:
         camera: the camera of the depth map.
@@ -177,7 +246,7 @@ def check_depth(
     if options.consistency is None:
         return depth_map
     checked = check_consistency(camera, depth_map, others, options.consistency)
-    return DepthMap(*fill_background(checked.depth, checked.confidence, options.filled_confidence))
+    return replace(_filled(replace(checked, guess=depth_map.guess), options), guess=None)
 
 
 def check_measured_depth(

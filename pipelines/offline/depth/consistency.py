@@ -27,7 +27,9 @@ class ConsistencyOptions:
 
     Attributes:
         error_px: two depths of a point agree when their reprojections into each other's image differ by no more than this, ...
-        error_share: ... and the depths themselves by no more than this share.
+        wide_share: ... or the depths themselves by no more than this share:
+            at 30 degrees a surface that is 1 % off misses by several pixels,
+        error_share: ... and never by more than this share.
         least_confidence: depth that is less sure than this counts as unknown: guesses neither vote nor stay.
         min_support: others that must agree for a depth to stay, or all that see it where there are fewer.
         average: take the mean with those that agree, weighted by confidence.
@@ -35,6 +37,7 @@ class ConsistencyOptions:
     """
 
     error_px: float = 1.5
+    wide_share: float = 0.02
     error_share: float = 0.05
     least_confidence: float = 0.025
     min_support: int = 1
@@ -165,8 +168,10 @@ class _OtherView:
         map_depth = self._look_up(there_u, there_v, expected)
         evaluated = inside & (map_depth > 0)
         back_u, back_v, _ = self._back.move(there_u, there_v, map_depth)
+        gap = np.abs(map_depth - expected)
         near = np.square(back_u - u) + np.square(back_v - v) <= np.float32(options.error_px**2)
-        supports = evaluated & near & (np.abs(map_depth - expected) <= np.float32(options.error_share) * expected)
+        near |= gap <= np.float32(options.wide_share) * expected
+        supports = evaluated & near & (gap <= np.float32(options.error_share) * expected)
         conflicts = evaluated & ~supports & (map_depth > expected)
         theirs = depth + (map_depth - expected) / self._there.depth_slope(u, v)
         pixel = there_v.astype(np.int32) * np.int32(self._other.width) + there_u.astype(np.int32)

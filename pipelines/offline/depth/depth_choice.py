@@ -1,44 +1,56 @@
 """Choice of depth estimation: the matchers by name, and the few words that the command line takes and a run folder keeps."""
 
-from dataclasses import asdict, dataclass
+import hashlib
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.errors import DepthError, did_you_mean
+from ggvs_eval.errors import DepthError, WeightsError, did_you_mean
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, TimeOptions
+from ggvs_eval.pipelines.offline.itermvs.options import PUBLISHED, IterMvs, cached_weights
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName, SensorDepthOptions
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
-DEFAULT_MATCHER = "sgbm"
+FREE_MATCHER = "sgbm"  # that needs no file
 LIVE_MATCHER = "live"  # the default of play and view
 MATCHERS = {
     "sgbm": "OpenCV's semi-global matching over an image pyramid, each partner on its own",
-    "live": "semi-global matching of images of at most 1008 pixels, each pair once for both of its cameras; for play and view",
+    "live": "semi-global matching of images of at most 928 pixels, each pair once for both of its cameras; for play and view",
     "sweep": "planes swept through all partners at once, then semi-global matching over the planes",
     "raft": "the compact RAFT-Stereo that ships, started from semi-global matching",
     "raft:CHECKPOINT": "RAFT-Stereo with a checkpoint of its authors, e.g. raft:raftstereo-middlebury.pth",
+    "itermvs:CHECKPOINT": "IterMVS, all partners at once, with a checkpoint of its authors; by default that of the cache folder",
+    "sgbm+itermvs:CHECKPOINT": "semi-global matching where other cameras confirm it, IterMVS elsewhere; so does raft+itermvs",
 }
 PUBLISHED_ITERATIONS = 32  # what the authors' networks are made for
 KEYFRAME_EVERY = 16  # instants, where instants depend on each other
 DEVICE = "device"  # in a record of depth
+ITERMVS = "itermvs"
 
 
-def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep:
-    """The matcher of a name, see `MATCHERS`.
+def default_matcher() -> str:
+    """The matcher of those who name none: with IterMVS where its weights lie in the cache folder."""
+    return f"{FREE_MATCHER}+{ITERMVS}" if cached_weights().is_file() else FREE_MATCHER
+
+
+def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep | IterMvs:
+    """The matcher of a name without a filler, see `MATCHERS`.
 
     Args:
         name: of the matcher.
-        device: where RAFT-Stereo's network computes; the others are the CPU's. Whether it is there shows when it computes.
+        device: where a network computes; the others are the CPU's. Whether it is there shows when it computes.
 
     Raises:
         DepthError: no matcher of that name.
-        WeightsError: no weights, or not RAFT-Stereo's.
+        WeightsError: no weights, or not the network's.
     """
     kind, _, checkpoint = name.partition(":")
+    if kind == ITERMVS:
+        return _itermvs(checkpoint, device)
     if kind == "raft":
         return _raft(checkpoint, device)
     if name == "sgbm":
@@ -68,13 +80,23 @@ def _raft(checkpoint: str, device: str) -> StereoMatcher:
     return make(path, digest)
 
 
+def _itermvs(checkpoint: str, device: str) -> IterMvs:
+    from ggvs_eval.pipelines.offline.itermvs.estimator import load_network
+
+    path = Path(checkpoint) if checkpoint else cached_weights()
+    if not path.is_file():
+        raise WeightsError(f"{path}: wanted weights of IterMVS, got no file; its authors publish them: {PUBLISHED}")
+    load_network(path)  # what is wrong with it is said before hours of work
+    return IterMvs(path, hashlib.sha256(path.read_bytes()).hexdigest(), device=device)
+
+
 @dataclass(frozen=True)
 class DepthRunOptions:
     """Options of depth estimation, as the command line takes them and a run folder keeps them.
 
     Attributes:
-        matcher: sgbm, live (images of at most 1008 pixels, for play and view), sweep, raft (compact, ships with the package) or
-            raft:CHECKPOINT.
+        matcher: sgbm, live (images of at most 928 pixels, for play and view), sweep, raft (compact, ships with the package),
+            raft:CHECKPOINT or itermvs:CHECKPOINT; sgbm+itermvs:CHECKPOINT takes the network where sgbm is not confirmed.
         stereo_weights: a checkpoint of RAFT-Stereo's authors, e.g. raftstereo-middlebury.pth; the same as raft:CHECKPOINT.
         sensor: take the depth that a sensor measured where the capture has it (RGB-D), filtered, instead of stereo.
         registration: estimated: align sensor depth with its colour where the images of a sequence show that it is clearly off;
@@ -82,7 +104,7 @@ class DepthRunOptions:
         reuse_static: compute depth again only where the picture changes, everything again every 16 instants.
     """
 
-    matcher: str = DEFAULT_MATCHER
+    matcher: str = field(default_factory=default_matcher)
     stereo_weights: Path | None = None
     sensor: bool = True
     reuse_static: bool = False
@@ -91,7 +113,7 @@ class DepthRunOptions:
     @property
     def is_learned(self) -> bool:
         """Whether a network finds it, which may compute on a GPU."""
-        return self.stereo_weights is not None or self.matcher.partition(":")[0] == "raft"
+        return self.stereo_weights is not None or any(name in self.matcher.partition(":")[0] for name in ("raft", ITERMVS))
 
     def options(self, device: str = "cpu") -> DepthOptions:
         """All parameters of the depth estimation.
@@ -101,14 +123,21 @@ class DepthRunOptions:
 
         Raises:
             DepthError: no such matcher, or weights for one that takes none.
-            WeightsError: weights that are not RAFT-Stereo's.
+            WeightsError: weights that are not the network's.
         """
-        if self.stereo_weights is not None and self.matcher not in (DEFAULT_MATCHER, LIVE_MATCHER, "raft"):
+        if self.stereo_weights is not None and self.matcher not in (FREE_MATCHER, default_matcher(), LIVE_MATCHER, "raft"):
             raise DepthError(f"--stereo-weights are for the matcher raft, got the matcher {self.matcher}")
         name = self.matcher if self.stereo_weights is None else f"raft:{self.stereo_weights}"
+        name, wants_filler, checkpoint = name.partition(f"+{ITERMVS}")
+        matcher = find_matcher(name, device)
+        if wants_filler and isinstance(matcher, LiveMatcher | IterMvs):
+            raise DepthError(
+                f"matcher {self.matcher}: wanted sgbm, sweep or raft before +{ITERMVS}, got {name}; take one of them"
+            )
+        filler = _itermvs(checkpoint.removeprefix(":"), device) if wants_filler else None
         time = TimeOptions(KEYFRAME_EVERY, warm=True, reuse=True) if self.reuse_static else TimeOptions()
         sensor = SensorDepthOptions(registration=self.registration) if self.sensor else None
-        return DepthOptions(matcher=find_matcher(name, device), time=time, sensor=sensor)
+        return DepthOptions(matcher=matcher, filler=filler, time=time, sensor=sensor)
 
     def record(self, device: str = "cpu") -> dict[str, Any]:
         """As values that JSON knows; the device of a network is named where it is not the CPU."""

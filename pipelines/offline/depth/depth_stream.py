@@ -88,11 +88,13 @@ class DepthStream:
         except DepthError:  # too narrow to be rectified alone: its disparities may be as wide as it is
             return blurred, self._whole.estimate(image, partner_images)
         here = changed[rows, columns]
-        depth, confidence, picture = depth_map.depth.copy(), depth_map.confidence.copy(), reference.copy()
-        depth[rows, columns][here] = fresh.depth[here]
-        confidence[rows, columns][here] = fresh.confidence[here]
-        picture[rows, columns][here] = blurred[rows, columns][here]
-        return picture, DepthMap(depth, confidence)
+        renewed = [reference.copy(), depth_map.depth.copy(), depth_map.confidence.copy()]
+        newest = [blurred[rows, columns], fresh.depth, fresh.confidence]
+        if depth_map.guess is not None and fresh.guess is not None:
+            renewed, newest = [*renewed, depth_map.guess.copy()], [*newest, fresh.guess]
+        for old, new in zip(renewed, newest, strict=True):
+            old[rows, columns][here] = new[here]
+        return renewed[0], DepthMap(*renewed[1:])
 
     def _changed(self, reference: NDArray[np.float32], blurred: NDArray[np.float32]) -> Mask:
         options = self.options.time
@@ -103,7 +105,7 @@ class DepthStream:
     def _window_estimator(self, window: tuple[int, int, int, int]) -> DepthEstimator:
         if window not in self._windows:
             self._windows = dict(list(self._windows.items())[-3:])  # each holds the maps of its pairs
-            self._windows[window] = DepthEstimator(self.camera.cropped(*window), self.partners, self.options)
+            self._windows[window] = DepthEstimator(self.camera.cropped(*window), self.partners, self.options, self._whole.pairs)
         estimator = self._windows[window]
         estimator.forget()
         return estimator

@@ -17,7 +17,6 @@ from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.run_all import run_all
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, check_depth, check_measured_depth, finish
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.sensor.registered_capture import registered
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
@@ -48,9 +47,7 @@ class DepthPartners:
                 others = self._capture.cameras
                 is_sensed = _sensor(self._capture, source.name, self._options) is not None
                 chosen = (
-                    []
-                    if is_sensed
-                    else choose_partners(source, others, self._options.partners, () if left_out is None else (left_out,))
+                    [] if is_sensed else self._options.choose_partners(source, others, () if left_out is None else (left_out,))
                 )
                 self._found[key] = tuple(each.name for each in chosen)
             except DepthError as error:

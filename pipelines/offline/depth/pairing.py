@@ -17,7 +17,8 @@ from ggvs_eval.geometry.source_views import share_of_view
 
 GRID = (16, 12)  # rays across and down
 DEPTHS = 6  # depths per ray, evenly spaced in inverse depth
-MAX_ANGLE_RAD = np.deg2rad(45.0)  # beyond, surfaces look too different
+MAX_ANGLE_RAD = np.deg2rad(45.0)  # beyond, surfaces look too different for a pair, ...
+MAX_VIEW_ANGLE_RAD = np.deg2rad(75.0)  # ... and for a network that weighs what several partners see
 MAX_NEAR_DISPARITY = 0.25  # of the image's width
 MIN_MEDIAN_DISPARITY = 0.006  # of the image's width; 8 px of 1352
 MIN_OVERLAP = 0.2
@@ -40,7 +41,9 @@ class Partner:
     direction: Array
 
 
-def choose_partners(camera: Camera, candidates: Sequence[Camera], count: int, excluded: Collection[str] = ()) -> list[Camera]:
+def choose_partners(
+    camera: Camera, candidates: Sequence[Camera], count: int, excluded: Collection[str] = (), views: int = 0
+) -> list[Camera]:
     """Choose the cameras whose stereo with `camera` sees most of its view, from different sides, best first.
 
     Partners are taken one by one. A candidate is worth the sum over points of the camera's view, at depths from near to far, of
@@ -51,6 +54,8 @@ def choose_partners(camera: Camera, candidates: Sequence[Camera], count: int, ex
         candidates: cameras to choose from; `camera` itself is passed over.
         count: how many to choose at most; fewer come back where fewer can be matched.
         excluded: names that must not be chosen (the target of a leave-one-out run).
+        views: how many in all for a network that sees them at once: those after `count` may stand farther apart, and need no
+            common rectification, which wide pairs of near surfaces do not have.
 
     Raises:
         DepthError: no candidate can be matched at all.
@@ -58,20 +63,43 @@ def choose_partners(camera: Camera, candidates: Sequence[Camera], count: int, ex
     passed_over = {camera.name, *excluded}
     others = sorted((other for other in candidates if other.name not in passed_over), key=lambda other: other.name)
     points = _sample_view(camera)
-    partners = [partner for other in others if (partner := _evaluate(camera, other, points)) is not None]
-    chosen: list[Partner] = []
-    while partners and len(chosen) < count:
-        best = max(partners, key=lambda partner: _gain(partner, chosen))
-        partners.remove(best)
-        if can_rectify(camera, best.camera):
-            chosen.append(best)
+    pairs = _extend([], camera, others, points, count, MAX_ANGLE_RAD, rectified=True)
+    chosen = _extend(pairs, camera, others, points, views, MAX_VIEW_ANGLE_RAD, rectified=False)
     if not chosen:
+        degrees = np.rad2deg(MAX_VIEW_ANGLE_RAD if views else MAX_ANGLE_RAD)
         raise DepthError(
             f"camera {camera.name}: none of {len(others)} other cameras sees {MIN_OVERLAP:.0%} of its view, {camera.near:.3g} .. "
-            f"{camera.far:.3g} deep ({camera.range_origin}), from less than {np.rad2deg(MAX_ANGLE_RAD):.0f} degrees away; add "
-            f"cameras, or correct the depth range: {RANGE_MEND}"
+            f"{camera.far:.3g} deep ({camera.range_origin}), from less than {degrees:.0f} degrees away; add cameras, "
+            f"or correct the depth range: {RANGE_MEND}"
         )
     return [partner.camera for partner in chosen]
+
+
+def pairs_of(camera: Camera, partners: Sequence[Camera], count: int) -> list[Camera]:
+    """Those of `choose_partners`' views that came first: they can be matched pair by pair."""
+    points = _sample_view(camera)
+    return [each for each in partners[:count] if _evaluate(camera, each, points, MAX_ANGLE_RAD) and can_rectify(camera, each)]
+
+
+def _extend(
+    chosen: Sequence[Partner],
+    camera: Camera,
+    others: Sequence[Camera],
+    points: Array,
+    count: int,
+    max_angle_rad: float,
+    *,
+    rectified: bool,
+) -> list[Partner]:
+    """Up to `count` partners, `chosen` first, each with the largest gain beside those before."""
+    chosen, taken = list(chosen), {partner.camera.name for partner in chosen}
+    left = [each for o in others if o.name not in taken and (each := _evaluate(camera, o, points, max_angle_rad)) is not None]
+    while left and len(chosen) < count:
+        best = max(left, key=lambda partner: _gain(partner, chosen))
+        left.remove(best)
+        if not rectified or can_rectify(camera, best.camera):
+            chosen.append(best)
+    return chosen
 
 
 def _sample_view(camera: Camera) -> Array:
@@ -81,14 +109,14 @@ def _sample_view(camera: Camera) -> Array:
     return camera.unproject(np.stack([u, v], axis=-1), 1 / inverse).reshape(-1, 3)
 
 
-def _evaluate(camera: Camera, other: Camera, points: Array) -> Partner | None:
+def _evaluate(camera: Camera, other: Camera, points: Array, max_angle_rad: float) -> Partner | None:
     """Evaluate what `other` is worth to `camera`; None where a match makes no sense."""
     uv, depth = other.project(points)
     inside = (depth > 0) & ((uv > 0) & (uv < other.size)).all(axis=-1)  # (S,)
     angle = np.arccos(np.clip(camera.axis @ other.axis, -1, 1))
     offset = camera.rotation @ (other.centre - camera.centre)
     distance = float(np.linalg.norm(offset[:2]))
-    if share_of_view(camera, inside, DEPTHS) < MIN_OVERLAP or angle > MAX_ANGLE_RAD or distance <= abs(offset[2]):
+    if share_of_view(camera, inside, DEPTHS) < MIN_OVERLAP or angle > max_angle_rad or distance <= abs(offset[2]):
         return None
     median_depth = 2 / (1 / camera.near + 1 / camera.far)
     disparity = camera.focal_px * distance / np.array([camera.near, median_depth]) / camera.width

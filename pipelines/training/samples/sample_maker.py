@@ -8,7 +8,6 @@ from ggvs_eval.capture import Capture, DepthSource
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth, check_measured_depth
-from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 
 
@@ -43,7 +42,7 @@ class SampleMaker:
     def _depth(self, source: Camera, target: Camera) -> DepthMap:
         """Depth of a source camera, measured or found without the target."""
         sensor = self._sensor(source)
-        partners = [] if sensor else choose_partners(source, self.capture.cameras, self._options.partners, {target.name})
+        partners = [] if sensor else self._options.choose_partners(source, self.capture.cameras, {target.name})
         key = (source.name, *(partner.name for partner in partners))
         if key not in self._depths:
             if sensor is not None and self._options.sensor is not None:

@@ -1,0 +1,1 @@
+"""IterMVS: depth of a camera from several calibrated partners at once, by the published network."""

@@ -1,0 +1,201 @@
+"""IterMVS: names and shapes of the published checkpoint, outputs equal to the authors', and its place in the depth of a rig."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from ggvs_eval.compute_device import one_thread
+from ggvs_eval.depth_store import DepthMap, DepthStore
+from ggvs_eval.errors import DepthError, WeightsError
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth, finish
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvsEstimator, load_network
+from ggvs_eval.pipelines.offline.itermvs.network import IterMvsNetwork
+from ggvs_eval.pipelines.offline.itermvs.options import IterMvs, cached_weights
+from helpers.hostile import Hostile
+from helpers.places import DATA_FOLDER
+from helpers.seeded_baselines import seed_weights, turned_rig
+from helpers.stereo_scenes import look_from, plane_depth, see_plane, write_capture
+
+
+@pytest.fixture(scope="module")
+def network():
+    """The network with seeded weights."""
+    return seed_weights(IterMvsNetwork()).requires_grad_(False)
+
+
+@pytest.fixture(scope="module")
+def weights(network, tmp_path_factory):
+    """A checkpoint as the authors write it."""
+    path = tmp_path_factory.mktemp("itermvs") / "model.ckpt"
+    state = {f"module.{name}": tensor for name, tensor in network.state_dict().items()}
+    torch.save({"epoch": 15, "model": state, "optimizer": {"state": {}}}, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def golden():
+    """Outputs of the authors' code on the same weights (tests/data/ITERMVS_ORACLES.md)."""
+    return np.load(DATA_FOLDER / "itermvs_golden.npz")
+
+
+def rig_and_images():
+    """The rig of the golden outputs, depth range 2 to 8."""
+    sources = turned_rig(3).sources
+    return [replace(each.camera, near=2.0, far=8.0) for each in sources], [each.image for each in sources]
+
+
+def estimate(weights, cameras, images):
+    """Depth of the first camera with the others as its partners."""
+    return IterMvsEstimator(cameras[0], cameras[1:], IterMvs(weights, "")).estimate(images[0], images[1:])
+
+
+def test_names_and_shapes_are_those_of_the_checkpoint():
+    """Every parameter and buffer of the authors' network exists under its name with its shape, and no other."""
+    oracle = json.loads((DATA_FOLDER / "itermvs_state_dict.json").read_text())
+    network = IterMvsNetwork()
+    assert {name: list(tensor.shape) for name, tensor in network.state_dict().items()} == oracle["model"]
+    assert sum(parameter.numel() for parameter in network.parameters()) == oracle["n_params"]
+
+
+def test_features_are_the_authors(network, golden):
+    """Features of one image agree with the authors' to 1e-4 at their three sizes."""
+    _, images = rig_and_images()
+    with one_thread():
+        half, quarter, eighth = network.feature_net(torch.from_numpy(images[0]).permute(2, 0, 1)[None].float() / 127.5 - 1)
+    np.testing.assert_allclose(half[0, :, ::4, ::4], golden["half"], atol=1e-4)
+    np.testing.assert_allclose(quarter[0, :, ::2, ::2], golden["quarter"], atol=1e-4)
+    np.testing.assert_allclose(eighth[0], golden["eighth"], atol=1e-4)
+
+
+def test_depth_is_the_authors(weights, golden):
+    """Depth and confidence of a turned rig, by our cameras and images, agree with the authors' to 1e-4."""
+    cameras, images = rig_and_images()
+    found = estimate(weights, cameras, images)
+    np.testing.assert_allclose(found.depth[::2, ::2], golden["depth"], rtol=1e-4)
+    np.testing.assert_allclose(found.confidence[::2, ::2], golden["confidence"], atol=1e-4)
+    assert golden["depth"].std() > 0.3
+
+
+def test_units_and_sizes_do_not_matter(weights):
+    """Depth grows with the unit of length; images whose sides are no multiples of 32 get depth of their size."""
+    cameras, images = rig_and_images()
+    large = []
+    for camera in cameras:
+        pose = camera.world_to_camera.copy()
+        pose[:3, 3] *= 1000
+        large.append(replace(camera, world_to_camera=pose, near=2000.0, far=8000.0))
+    small, huge = (estimate(weights, rig, images) for rig in (cameras, large))
+    np.testing.assert_allclose(huge.depth, 1000 * small.depth, rtol=1e-3)
+    cameras[0] = cameras[0].cropped(0, 0, 90, 57)
+    found = estimate(weights, cameras, [np.ascontiguousarray(images[0][:57, :90]), *images[1:]])
+    assert found.depth.shape == found.confidence.shape == (57, 90)
+    assert found.depth.min() >= 2 * 0.999
+    assert found.depth.max() <= 8 * 1.001
+
+
+def test_what_is_behind_a_partner_is_not_seen(weights):
+    """A partner that stands before the camera's near depth gives finite depth all the same."""
+    cameras, images = rig_and_images()
+    pose = cameras[1].world_to_camera.copy()
+    pose[2, 3] -= 4.0
+    found = estimate(weights, [cameras[0], replace(cameras[1], world_to_camera=pose)], images[:2])
+    assert np.isfinite(found.depth).all()
+
+
+def test_what_is_no_checkpoint_is_refused(network, tmp_path, monkeypatch):
+    """Absent, damaged, hostile, without its state dict, or of another shape: refused in one line, and no code is run."""
+    monkeypatch.setenv("GGVS_EVAL_CACHE", str(tmp_path / "cache"))
+    state = network.state_dict()
+    (tmp_path / "damaged.ckpt").write_bytes(b"PK\x03\x04 no zip")
+    torch.save({"model": state, "epoch": Hostile(tmp_path / "pwned")}, tmp_path / "hostile.ckpt")
+    torch.save({"net": state}, tmp_path / "partial.ckpt")
+    torch.save({"model": {**state, "feature_net.conv1.bn.bias": torch.zeros(9)}}, tmp_path / "shape.ckpt")
+    cases = {
+        "nowhere": r"nowhere\.ckpt: wanted weights of IterMVS.*github",
+        "damaged": "not a file of tensors alone",
+        "hostile": "not a file of tensors alone",
+        "partial": "wanted a state dict under model, got net",
+        "shape": r"1 tensors differ from IterMVS, first feature_net\.conv1\.bn\.bias: wanted \(8,\), got \(9,\)",
+    }
+    for name, message in cases.items():
+        for matcher in ("itermvs", "sgbm+itermvs"):
+            with pytest.raises(WeightsError, match=message) as caught:
+                DepthRunOptions(f"{matcher}:{tmp_path / name}.ckpt").options()
+            assert "\n" not in str(caught.value)
+    assert not (tmp_path / "pwned").exists()
+    with pytest.raises(WeightsError, match=r"itermvs-blendedmvs\.ckpt"):
+        DepthRunOptions("sgbm+itermvs").options()
+    for matcher, message in (
+        ("sgmb", "no stereo matcher 'sgmb'"),
+        ("live", "wanted sgbm, sweep or raft before .itermvs, got live"),
+    ):
+        with pytest.raises(DepthError, match=message):
+            DepthRunOptions(f"{matcher}+itermvs").options()
+
+
+def test_a_file_in_the_cache_is_taken(weights, tmp_path, monkeypatch):
+    """Without a file's name the weights of the cache folder are taken, and a record of the run names no folder."""
+    monkeypatch.setenv("GGVS_EVAL_CACHE", str(tmp_path))
+    cached_weights().write_bytes(weights.read_bytes())
+    options = DepthRunOptions("sgbm+itermvs")
+    assert options.options().filler == IterMvs(cached_weights(), options.options().filler.weights_sha256)
+    assert options.is_learned
+    assert DepthRunOptions.from_record(options.record()) == options
+    assert load_network(cached_weights()) is not None
+
+
+def test_the_network_fills_what_is_not_confirmed():
+    """What the matcher has not found, and what others see through, gets the guess in place of the background's depth."""
+    camera, others = look_from(0, 0, "camera"), [look_from(x, 0, f"at{x}") for x in (-0.4, 0.4)]
+    truth, hole, wrong = plane_depth(camera).astype(np.float32), np.s_[40:60, 60:90], np.s_[80:100, 60:90]
+    depth = truth.copy()
+    depth[hole], depth[wrong] = 0, 0.6 * truth[wrong]
+    guess = 1.25 * truth
+    options = DepthOptions(consistency=replace(DepthOptions().consistency, fill_support=0), filler_share=0.0)
+    sure = [DepthMap(each, np.full_like(each, 0.8)) for each in (depth, *(plane_depth(o).astype(np.float32) for o in others))]
+    found = finish(replace(sure[0], guess=guess), options)
+    assert np.array_equal(found.depth[hole], guess[hole])
+    checked = check_depth(camera, found, list(zip(others, sure[1:], strict=True)), options)
+    for part in (hole, np.s_[82:98, 62:88]):
+        assert np.array_equal(checked.depth[part], guess[part])
+        assert (checked.confidence[part] == np.float32(options.filled_confidence)).all()
+    assert checked.depth[110:140, 60:120] == pytest.approx(truth[110:140, 60:120], rel=0.01)
+    assert checked.guess is None
+    few = check_depth(camera, found, list(zip(others, sure[1:], strict=True)), replace(options, filler_share=0.2))
+    assert (few.depth > 0).all()
+    assert few.depth[hole].max() < guess[hole].min()  # few gaps: the background's
+
+
+def test_partners_of_the_network_need_no_rectification(weights):
+    """Pairs stay those of the matcher alone; the network sees more, and alone it has depth where no pair can be rectified."""
+    lens = np.array([[0.45, 1, 1], [1, 0.45, 1], [1, 1, 1]])
+    places = ((0.0, "camera", 0.0), (0.4, "near", 0.1), (3.0, "far", 0.5))
+    cameras = [look_from(x, 0, name, turn) for x, name, turn in places]
+    camera, near, far = (replace(each, K=each.K * lens, near=1.0) for each in cameras)
+    options = DepthOptions(filler=IterMvs(weights, ""))
+    assert [each.name for each in DepthOptions().choose_partners(camera, [far, near])] == ["near"]
+    assert [each.name for each in options.choose_partners(camera, [far, near])] == ["near", "far"]
+    assert [each.name for each in DepthEstimator(camera, [near, far], options).pairs] == ["near"]
+    picture = see_plane(camera)
+    found = DepthEstimator(camera, options.choose_partners(camera, [far]), options).estimate(picture, [see_plane(far)])
+    assert (found.depth > 0).all()
+    assert np.array_equal(found.depth, found.guess)
+
+
+def test_a_prepared_rig_keeps_the_guess(weights, tmp_path):
+    """Stored depth as it was found holds the guess for the check; checked depth does not."""
+    capture = write_capture(tmp_path / "capture", 1)
+    options = DepthRunOptions(f"sgbm+itermvs:{weights}").options()
+    job = plan_depth(capture, [capture.camera("cam01")], 2, options)["cam01"]["cam00"]
+    store = DepthStore(tmp_path / "depth")
+    prepare_depth(capture, [job], range(1), store, options, workers=1)
+    found, checked = (store.read(each.key, 0) for each in (job.unchecked, job))
+    assert found.guess is not None
+    assert (found.depth > 0).all()
+    assert checked.guess is None
+    assert (checked.depth > 0).all()
