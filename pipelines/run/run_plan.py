@@ -12,7 +12,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.depth_store import DepthJob
-from ggvs_eval.errors import CaptureError, DepthError, ProtocolError
+from ggvs_eval.errors import CameraError, CaptureError, DepthError, ProtocolError
 from ggvs_eval.geometry.sight import require_sight
 from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions, checked_device
@@ -31,6 +31,9 @@ from ggvs_eval.pipelines.run.render import render_job
 from ggvs_eval.pipelines.run.unit_job import RunJobs
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, read_json
+
+# What a refusal for want of depth adds.
+WITHOUT_DEPTH = "methods that look at no depth, such as enerf and ibrnet, run all the same"
 
 
 @dataclass(frozen=True)
@@ -231,12 +234,17 @@ def plan_run(request: RunRequest) -> RunPlan:
     chosen = {target.name: partners.sources(target, k, choice) for target in targets}
     sensed = visible.sensed_cameras if options.sensor is not None else frozenset[str]()
     for target in targets[: len(protocol.views.test)] if use_depth or not methods else []:
-        require_sight(target, [each.camera for each in chosen[target.name]], visible.cameras, sensed)
+        try:
+            require_sight(target, [each.camera for each in chosen[target.name]], visible.cameras, sensed)
+        except CameraError as error:
+            raise CameraError(f"{error}; {WITHOUT_DEPTH}") from error
     blind = [
         target.name for target in targets if not any(partners.has_depth(each.camera, target) for each in chosen[target.name])
     ]
     if blind and use_depth:
-        raise DepthError(f"{capture.path}: no source of {listed(blind)} has depth; {partners.describe_unmatched()}")
+        raise DepthError(
+            f"{capture.path}: no source of {listed(blind)} has depth; {partners.describe_unmatched()}; {WITHOUT_DEPTH}"
+        )
     if partners.unmatched:
         capture = capture.noted(partners.describe_unmatched())
     jobs = plan_depth(visible, targets, k, options, choice, partners)

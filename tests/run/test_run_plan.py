@@ -16,6 +16,7 @@ from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods import registry, spec
 from ggvs_eval.pipelines.offline.depth import fill_store
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.run import work_left as counting
 from ggvs_eval.pipelines.run.derived_files import digest_folder
 from ggvs_eval.pipelines.run.evaluate import measure, render
@@ -268,8 +269,13 @@ def test_a_folder_of_other_frames_is_refused_by_a_dry_run(finished, capture, pro
 def test_partners_are_chosen_once_for_a_source_and_the_camera_it_must_not_see(capture, protocol, monkeypatch):
     """A camera path of many poses asks for no more pairs than the rig has."""
     asked = []
-    choose = fill_store.choose_partners
-    monkeypatch.setattr(fill_store, "choose_partners", lambda *each: asked.append((each[0].name, *each[3])) or choose(*each))
+    choose = DepthOptions.choose_partners
+
+    def counted(options, camera, candidates, excluded):
+        asked.append((camera.name, *excluded))
+        return choose(options, camera, candidates, excluded)
+
+    monkeypatch.setattr(DepthOptions, "choose_partners", counted)
     plan = planned(Path("nowhere"), capture, dataclasses.replace(protocol, path=CameraPath(poses=40)))
     assert len(plan.path) == 40
     assert len(asked) == len(set(asked))
