@@ -119,7 +119,7 @@ def make_views(cache: Path, domain: str, seed: int, plan: ViewPlan, data: Path |
         maker = SampleMaker(capture, replace(options, consistency=None) if plan.alone else options, frame)
         for view, (target, sources) in zip(views_of(cache, domain, seed, plan), choices, strict=True):
             if not view.files[frame].is_file():
-                write_view(view.files[frame], InstantSample(maker.instant(target, sources), maker.truth(target)))
+                write_view(view.files[frame], InstantSample(maker.instant(target, sources), maker.image(target)))
 
 
 def real_capture(data: Path | None) -> Path | None:

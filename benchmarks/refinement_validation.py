@@ -128,7 +128,7 @@ def render_scores(capture: Capture, names: Sequence[tuple[str, Sequence[str]]]) 
     for target, sources in names:
         camera = capture.camera(target)
         instant = maker.instant(camera, [capture.camera(source) for source in sources])
-        image, truth = quantise(find_method(METHOD).make().step(instant).image), maker.truth(camera)
+        image, truth = quantise(find_method(METHOD).make().step(instant).image), maker.image(camera)
         scores.append({"PSNR": psnr(image, truth), "SSIM": ssim(image, truth)})
     return scores
 

@@ -24,7 +24,7 @@ from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthPartners
-from ggvs_eval.pipelines.training.samples.capture_pool import MeasuredSampleMaker
+from ggvs_eval.pipelines.training.samples.sample_maker import SampleMaker
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.domains import VALIDATION_SEEDS
 
@@ -54,9 +54,9 @@ def main() -> None:
 
 def _scores(view: View, options: DepthOptions, methods: Sequence[str]) -> Iterator[Mapping[str, object]]:
     column, capture, target, sources, frame = view
-    maker, started = MeasuredSampleMaker(capture, options, frame), process_time()
+    maker, started = SampleMaker(capture, options, frame), process_time()
     with one_thread():
-        instant, truth = maker.instant(target, sources), maker.truth(target)
+        instant, truth = maker.instant(target, sources), maker.image(target)
         seconds = (process_time() - started) / len(sources)
         for method in methods:
             image = quantise(find_method(method).make().step(replace(instant, index=0)).image)

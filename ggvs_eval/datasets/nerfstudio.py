@@ -192,6 +192,6 @@ def _intrinsics(frame: Mapping[str, Any], width: int, height: int) -> Array:
     K = np.array([[fx, 0, float(frame.get("cx", width / 2))], [0, fy, float(frame.get("cy", height / 2))], [0, 0, 1.0]])
     if matrix is not None and not np.allclose(matrix[:3, :3], K, rtol=1e-3, atol=0.1):
         raise ValueError(
-            f"two intrinsics of {frame['file_path']}, a matrix {matrix.tolist()} and {K.tolist()}; keep the right one"
+            f"two intrinsics of {frame['file_path']}, a matrix {np.round(matrix, 4)} and {np.round(K, 4)}; keep the right one"
         )
     return K

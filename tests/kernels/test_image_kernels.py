@@ -184,7 +184,7 @@ def test_what_does_not_fit_is_refused():
     camera = random_camera(random, 8, 6)
     depth, image, black = np.ones((6, 8), np.float32), image8(random, 6, 8), np.zeros((6, 8, 3), np.float32)
     view = view_of(camera, depth, image)
-    with pytest.raises(RenderError, match=r"camera camera: wanted a uint8 image \(6, 8, 3\)"):
+    with pytest.raises(RenderError, match=r"camera camera: wanted a uint8 image of \(6, 8, 3\)"):
         look_up(camera, depth, [view_of(camera, depth, image.astype(np.float32))], [1.0], black, TAU)
     with pytest.raises(RenderError, match="tolerance and weights must be positive"):
         look_up(camera, depth, [view], [0.0], black, TAU)

@@ -1,6 +1,7 @@
 """Choice of depth estimation: the matchers by name, and the few words that the command line takes and a run folder keeps."""
 
 import hashlib
+import os
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -34,7 +35,9 @@ ITERMVS = "itermvs"
 
 def default_matcher() -> str:
     """The matcher of those who name none: with IterMVS where its weights lie in the cache folder."""
-    return f"{FREE_MATCHER}+{ITERMVS}" if cached_weights().is_file() else FREE_MATCHER
+    return (
+        f"{FREE_MATCHER}+{ITERMVS}" if os.path.isfile(cached_weights()) else FREE_MATCHER
+    )  # a folder of somebody else's has none
 
 
 def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep | IterMvs:
