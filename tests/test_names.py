@@ -63,6 +63,7 @@ def test_docstrings_name_what_exists():
     assert missing({str(file): "\n".join(docstrings(file)) for file in MODULES.values()}) == []
 
 
+@pytest.mark.skipif(not (ROOT / "README.md").is_file(), reason="an installed wheel has no pages; a checkout has")
 def test_pages_name_what_exists():
     """Every dotted name of a page is found in the tree; CHANGELOG tells of names that were."""
     pages = [*ROOT.glob("docs/**/*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
