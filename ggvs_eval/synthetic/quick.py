@@ -4,8 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from ggvs_eval.files.atomic import atomic_folder
-from ggvs_eval.files.images import write_image
-from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.protocol import Frames, Measurement, Protocol, load_protocol
 from ggvs_eval.run_folder import frame_path
 from ggvs_eval.synthetic.demo import MAIN, SHIPPED, write_demo
@@ -13,6 +13,7 @@ from ggvs_eval.synthetic.demo import MAIN, SHIPPED, write_demo
 ROOM, PROTOCOL, LATE, MENDED = "room", "quick.toml", "late", "mended"
 FRAMES = Frames(start=1, count=8)  # the renders that are late show frame 0 first
 METRICS = ("PSNR", "SSIM", "L1", "LPIPS", "TCC", "STED", "Flicker", "SDT", "SDV")
+FPS, RENDERS_CRF = 30, 10
 RENDERS = Path(__file__).parent / "shipped_renders"  # frames 0 to 8 of the demo's test views by `ours`, as videos
 
 
@@ -34,6 +35,18 @@ def write_quick(folder: Path) -> Path:
                 write_image(frame_path(unfinished / LATE / view, frame), before)
                 write_image(frame_path(unfinished / MENDED / view, frame), now)
     return folder
+
+
+def pack_renders(renders: Path) -> None:
+    """Make the first frames of a method in a run of the demo the renders that ship, ``renders/ours`` when this was written.
+
+    Args:
+        renders: folder with VIEW/FRAME.png of the demo's test views.
+    """
+    protocol = quick_protocol()
+    for view in protocol.views.test:
+        frames = [read_image(frame_path(renders / view, frame)) for frame in range(protocol.frames.numbers.stop)]
+        write_video(RENDERS / f"{view}.mp4", frames, FPS, RENDERS_CRF)
 
 
 def quick_protocol() -> Protocol:

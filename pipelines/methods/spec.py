@@ -82,12 +82,12 @@ class MethodSpec(ABC):
         """Render the shots of a unit, one by one."""
 
     def configured(self, label: str, variant: str) -> "MethodSpec":
-        """The method with the options that its label names; of those alone that have options.
+        """The method with the options that its label names.
 
         Raises:
-            RenderError: an option that it has not.
+            RenderError: options that it does not have.
         """
-        raise NotImplementedError(f"{label}: {self.title} has no {variant}")
+        raise RenderError(f"method {label}: {self.title} has no options to set, got {variant}; see has_options")
 
     def on(self, _device: str) -> "MethodSpec":
         """The method with its networks on a device; one without networks stays as it is."""
