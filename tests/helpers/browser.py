@@ -169,10 +169,12 @@ class Browser:
         next(one for one in options if one.get_attribute("value") == option).click()
 
     def wait(self, script: str, *arguments, seconds: float = 10.0):
-        """Wait until a JavaScript expression is true, and give it back."""
+        """Wait until a JavaScript expression is true, and give it back; one that throws (a page without a body yet) is not."""
+        from selenium.common.exceptions import JavascriptException
         from selenium.webdriver.support.wait import WebDriverWait
 
-        return WebDriverWait(self.driven, seconds, 0.05).until(lambda _: self.run(script, *arguments), script)
+        waiting = WebDriverWait(self.driven, seconds, 0.05, ignored_exceptions=[JavascriptException])
+        return waiting.until(lambda _: self.run(script, *arguments), script)
 
     def complaints(self) -> list[str]:
         """Errors and warnings on the console since it was last asked; advice on how fast this test reads canvases is none."""
