@@ -27,7 +27,7 @@ class ColourFillOptions:
 
     Reading:
         The paper takes depth without holes and names no fill. Chosen on validation data: nine views each of hand-held rooms (demo
-        seeds 101-103) with blurred pictures and with misplaced depth, three of the rest of a real sequence; docs/depth.md
+        seeds 101-103) with blurred pictures and with misplaced depth, three of the rest of a real sequence; benchmarks/RESULTS.md
         has the gains. Of them 0.04 dB are due to `edge_px`; a strength of 400 or 2000 loses 0.02 and 0.04 dB, 3 levels lose 0.03.
     """
 

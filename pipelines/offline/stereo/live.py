@@ -1,7 +1,7 @@
 """Live depth, for play and view: images of a limited size, each pair of cameras matched once for the depth of both.
 
 Every instant is computed from itself alone, so that cuts, gaps and first instants are nothing special. What the instant before
-has found would not narrow the search: scenes fill the range of disparities that near and far allow (docs/depth.md).
+has found would not narrow the search: scenes fill the range of disparities that near and far allow (benchmarks/TRIED.md).
 """
 
 from collections.abc import Mapping, Sequence
