@@ -1,4 +1,4 @@
-"""README's block, followed literally: what it prints is what the page shows."""
+"""The blocks of README and of the guide, followed literally: what they print is what the pages show."""
 
 import re
 import shlex
@@ -8,7 +8,7 @@ import pytest
 from helpers.places import ROOT
 from helpers.walks import commands_of, follow
 
-PAGE = ROOT / "README.md"
+PAGE, GUIDE = ROOT / "README.md", ROOT / "docs" / "guide.md"
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not PAGE.is_file(), reason="no README beside an installed wheel")]
 
 
@@ -44,3 +44,23 @@ def test_what_is_printed_is_what_the_page_shows(walk):
         assert abs(float(number) - float(own)) <= 0.002 * abs(float(own)) + 0.002
     assert (folder / reported).is_file()
     assert reported == "scores/room/report/index.html"
+
+
+@pytest.fixture(scope="module")
+def first_evaluation(walk):
+    """The guide's first evaluation on the capture that README's block made, and its steps."""
+    folder, _ = walk
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return folder, [follow(line) for line in commands_of(GUIDE)[1:]]
+
+
+def test_the_guide_goes_from_a_capture_to_its_page(first_evaluation):
+    """Nothing stumbles; a method of ours and imported frames are in one table, and their difference has its interval."""
+    folder, steps = first_evaluation
+    assert [each.exit_code for each in steps] == [0] * 6
+    _, _, scored, explained, compared, reported = (" ".join(each.output.split()) for each in steps)
+    assert "mine" in scored
+    assert "PSNR 31.86" in explained
+    assert "Distance-based Blending" in compared and "first better" in compared
+    assert (folder / reported.split()[-1]).is_file()
