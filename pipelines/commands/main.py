@@ -1,5 +1,6 @@
 """The command line. Errors of the user and of the machine are one line and exit code 1; our bugs keep their traceback."""
 
+import inspect
 import os
 import re
 import sys
@@ -26,6 +27,7 @@ from ggvs_eval.pipelines.commands.captures import (
     protocol,
     undistort,
 )
+from ggvs_eval.pipelines.commands.examples import EXAMPLES
 from ggvs_eval.pipelines.commands.figures import compare, figure, report
 from ggvs_eval.pipelines.commands.merge import merge
 from ggvs_eval.pipelines.commands.play import play, view
@@ -205,8 +207,16 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
     if isinstance(command, Mapping):
         call_command(f"{program} {name}", command, words[1:])
     else:
+        called = f"{program} {name}"
         command.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")  # tyro would break help where the source does
-        tyro.cli(command, prog=f"{program} {name}", args=words[1:])
+        about = f"{_about(command)}\n\nExample: {called} {EXAMPLES[called]}"
+        tyro.cli(command, prog=called, args=words[1:], description=about, config=(tyro.conf.DisallowNone,))
+
+
+def _about(command: Callable[..., None]) -> str:
+    """The paragraphs of a command's docstring before its arguments, each on one line."""
+    text = inspect.cleandoc(command.__doc__ or "").partition("\n\nArgs:")[0]
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
 
 
 def _any_of(program: str, commands: Commands) -> Any:

@@ -1,9 +1,11 @@
 """The command line: what a user can mend is one line and exit code 1, and names the mend."""
 
 import re
+import shlex
 import subprocess
 import sys
 import warnings
+from functools import wraps
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +17,7 @@ import tyro
 import ggvs_eval
 from ggvs_eval.errors import GgvsWarning
 from ggvs_eval.pipelines.commands import main
+from ggvs_eval.pipelines.commands.examples import EXAMPLES
 from ggvs_eval.pipelines.commands.main import COMMANDS, run_command
 from ggvs_eval.protocol import load_protocol
 from helpers.captures import write_dynerf
@@ -103,6 +106,22 @@ def test_every_command_explains_itself(words, command, capsys):
     assert f"usage: ggvs-eval {' '.join(words)} " in told
     assert command.__doc__.partition("\n")[0] in told
     assert "options options" not in told
+
+
+@pytest.mark.parametrize(("words", "command"), list(all_commands()))
+def test_the_example_of_every_command_can_be_typed(words, command, capsys, monkeypatch):
+    """Its help shows one, and the command line takes it as it stands; `None` is no value that a user types."""
+    called = " ".join(("ggvs-eval", *words))
+    told = helped(capsys, *words)
+    assert f"Example: {called} {EXAMPLES[called]}" in told
+    assert "None}" not in told
+
+    taken = []
+    recorded = wraps(command)(lambda *arguments, **options: taken.append((arguments, options)))
+    table = COMMANDS if len(words) == 1 else COMMANDS[words[0]]
+    monkeypatch.setitem(table, words[-1], recorded)
+    run_command([*words, *shlex.split(EXAMPLES[called])])
+    assert len(taken) == 1
 
 
 def test_the_overview_names_every_command(capsys):
