@@ -24,6 +24,7 @@ STEREO = (
     *("stereo", "plane_sweep", "sgm", "weighted_median", "edge_enlarge"),
     *("stereo_levels", "stereo_baseline", "stereo_avx2", "stereo_avx512"),
 )
+FEATURES = ("feature_bindings", "feature_maps", "feature_levels", "feature_baseline", "feature_avx2", "feature_avx512", "memory")
 
 # No -march: the instruction set is chosen when the program runs (dispatch.cpp), so that one wheel serves every machine.
 # No contraction to fused multiply-adds: then every instruction set gives the same bits.
@@ -35,6 +36,7 @@ EXTENSIONS = {
     "_ssim": ("ssim",),
     "_iv_psnr": ("iv_psnr",),
     "_stereo": STEREO,
+    "_features": FEATURES,
     "_film": ("film", "ray_tree"),
     "_gaussians": GAUSSIANS,
     "_deformation": DEFORMATION,

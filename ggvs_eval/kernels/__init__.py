@@ -1,8 +1,8 @@
 """Compiled kernels and the two settings they share: the number of threads and the instruction set.
 
 Results depend on neither, bit for bit: work is cut by image regions, not by threads, and no instruction set contracts or reorders
-arithmetic. Convolutions of the blending network and its refiner, IBRNet's layers and those of deformation fields alone use fused
-multiply-adds where a processor has them: there the baseline rounds differently. The environment variables ``GGVS_EVAL_THREADS``
+arithmetic. Convolutions of the blending network and its refiner, IBRNet's layers, deformation fields and VGG take fused
+multiply-adds, which the baseline has from the C library at a tenth of the speed. The environment variables ``GGVS_EVAL_THREADS``
 and ``GGVS_EVAL_SIMD`` (baseline, avx2, avx512) set the defaults.
 """
 

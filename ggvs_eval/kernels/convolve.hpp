@@ -1,15 +1,17 @@
 // Convolutions of the blending network and of its refiner. The arithmetic stands in convolve_simd.hpp.
 //
-// Those of 3 x 3 filter four rows at once by minimal filtering down the columns (Winograd 1980, F(4, 3)): six sums along the rows
-// give four rows, which would take twelve. Across, where neighbours are lanes of one vector, they are filtered as usual.
+// Those of 3 x 3 filter four rows at once by minimal filtering down the columns. Across, where neighbours are lanes of one vector,
+// they are filtered as usual.
 #pragma once
 #include <cstdint>
 #include <type_traits>
 
+#include "minimal_filtering.hpp"
+
 namespace ggvs {
 
-constexpr int kStripRows = 4;                // are filtered at once
-constexpr int kStripSources = kStripRows + 2;  // that they look at, and sums that they take
+constexpr int kStripRows = kFilteredValues;   // are filtered at once
+constexpr int kStripSources = kFilteredSums;  // that they look at, and sums that they take
 constexpr int kStripLine = 64;               // floats of a line of a strip: columns that are filtered at once and what they look at
 
 constexpr int kGroupOutputs = 8;             // are summed at once

@@ -1,6 +1,7 @@
 // The convolutions' arithmetic, written once for every instruction set (included by level_*.cpp after a simd_*.hpp).
 #pragma once
 #include "convolve.hpp"
+#include "minimal_filtering_simd.hpp"
 
 namespace ggvs::GGVS_LEVEL {
 
@@ -62,26 +63,20 @@ static void convolve_row(const ConvolvedRow& row) {
 
 // What the six sums are taken of, made of six rows.
 GGVS_INLINE void write_sources(const float* const (&rows)[kStripSources], int64_t at, float* out, int64_t stride) {
-    const F four = all(4.0f), two = all(2.0f), minus_five = all(-5.0f), minus_four = all(-4.0f);
-    const F d0 = load(rows[0] + at), d1 = load(rows[1] + at), d2 = load(rows[2] + at);
-    const F d3 = load(rows[3] + at), d4 = load(rows[4] + at), d5 = load(rows[5] + at);
-    const F even = multiply_add(minus_four, d2, d4), odd = multiply_add(minus_four, d1, d3);
-    const F wide = d4 - d2, twice = two * (d3 - d1);
-    store(out, multiply_add(four, d0, multiply_add(minus_five, d2, d4)));
-    store(out + stride, even + odd);
-    store(out + 2 * stride, even - odd);
-    store(out + 3 * stride, wide + twice);
-    store(out + 4 * stride, wide - twice);
-    store(out + 5 * stride, multiply_add(four, d1, multiply_add(minus_five, d3, d5)));
+    const F neighbours[kStripSources] = {load(rows[0] + at), load(rows[1] + at), load(rows[2] + at),
+                                         load(rows[3] + at), load(rows[4] + at), load(rows[5] + at)};
+    F sources[kStripSources];
+    make_sources(neighbours, sources);
+#pragma GCC unroll 6
+    for (int n = 0; n < kStripSources; ++n) store(out + n * stride, sources[n]);
 }
 
 // The four rows that six sums, `stride` apart, stand for.
-GGVS_INLINE void write_rows(const F* sums, int stride, bool leaky, float* const (&out)[kStripRows], int64_t at) {
-    const F even = sums[stride] + sums[2 * stride], odd = sums[stride] - sums[2 * stride];
-    const F far_even = sums[3 * stride] + sums[4 * stride], far_odd = sums[3 * stride] - sums[4 * stride];
-    const F rows[kStripRows] = {sums[0] + even + far_even, multiply_add(all(2.0f), far_odd, odd),
-                                multiply_add(all(4.0f), far_even, even),
-                                multiply_add(all(8.0f), far_odd, odd) + sums[5 * stride]};
+GGVS_INLINE void write_rows(const F* parts, int stride, bool leaky, float* const (&out)[kStripRows], int64_t at) {
+    const F sums[kStripSources] = {parts[0],          parts[stride],     parts[2 * stride],
+                                   parts[3 * stride], parts[4 * stride], parts[5 * stride]};
+    F rows[kStripRows];
+    make_values(sums, rows);
 #pragma GCC unroll 4
     for (int n = 0; n < kStripRows; ++n) store(out[n] + at, leaky ? max(rows[n], all(0.1f) * rows[n]) : rows[n]);
 }

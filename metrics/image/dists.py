@@ -11,7 +11,7 @@ from ggvs_eval.arrays import Mask
 from ggvs_eval.errors import MetricError, WeightsError
 from ggvs_eval.metrics.image.fetch_dists import CHANNELS, FETCH_COMMAND, dists_weights_path
 from ggvs_eval.metrics.image.fetch_lpips import weights_path
-from ggvs_eval.metrics.image.lpips import LAYERS, MIN_SIDE_PX, load_weights, network_input
+from ggvs_eval.metrics.image.lpips_network import LAYERS, MIN_SIDE_PX, compiled_layers, load_weights, network_input
 from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite, white_level
 from ggvs_eval.metrics.metric import FURTHER, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
 
@@ -59,21 +59,32 @@ def dists_features(image: Image, device: str = "cpu") -> "list[torch.Tensor]":
         WeightsError: LPIPS' weights of VGG16 have not been fetched, or the file is damaged.
     """
     import torch
-    from torch.nn import functional
 
     if min(image.shape[:2]) < MIN_SIDE_PX["vgg"]:
         raise MetricError(f"DISTS needs at least {MIN_SIDE_PX['vgg']} pixels a side, got {image.shape[:2]}")
-    weights = load_weights("vgg", device)
+    weights = None if device == "cpu" else load_weights("vgg", device)
     with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
         unit = torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32)) / white_level(image)
         stages = [unit.permute(2, 0, 1)[None].to(device)]
         features = network_input(image, device)[None].contiguous(memory_format=torch.channels_last)
-        for i, layer in enumerate(LAYERS["vgg"]):
-            features = _l2_pool(features) if layer.pool else features
-            features = functional.conv2d(features, weights[f"conv{i}.weight"], weights[f"conv{i}.bias"], 1, 1).relu_()
-            if layer.tap:
-                stages.append(features)
+        first = 0
+        for last in (i + 1 for i, layer in enumerate(LAYERS["vgg"]) if layer.tap):
+            features = _l2_pool(features) if first else features
+            features = _block(features, first, last, weights)
+            stages.append(features)
+            first = last
     return stages
+
+
+def _block(features: "torch.Tensor", first: int, last: int, weights: "dict[str, torch.Tensor] | None") -> "torch.Tensor":
+    """Convolutions of VGG16 from `first` to `last`, with these weights or by the compiled kernel."""
+    from torch.nn import functional
+
+    if weights is None:
+        return compiled_layers(features, first, last)[0]
+    for i in range(first, last):
+        features = functional.conv2d(features, weights[f"conv{i}.weight"], weights[f"conv{i}.bias"], 1, 1).relu_()
+    return features
 
 
 def _l2_pool(features: "torch.Tensor") -> "torch.Tensor":

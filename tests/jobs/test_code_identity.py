@@ -95,7 +95,8 @@ STALE: dict[str, set[str]] = {
     "pipelines/offline/depth/depth_stream.py": STEREO,
     "pipelines/offline/depth/consistency.py": {"checked depth"},
     "pipelines/offline/sensor/sensor_grid.py": {"sensor depth"},
-    "metrics/image/lpips.py": LPIPS,
+    "metrics/image/lpips.py": LPIPS - with_parts("DISTS"),
+    "metrics/image/lpips_network.py": LPIPS,
     "metrics/time/strred.py": STED | {"ceilings"},
     "metrics/time/tcc.py": with_parts("TCC") | {"ceilings"},
     "metrics/image/dists.py": with_parts("DISTS"),
@@ -233,8 +234,9 @@ def load_setup() -> ModuleType:
         ("ssim.cpp", {"_ssim"}),
         ("splat_simd.hpp", {"_core"}),  # included by files that are included
         ("sgm.cpp", {"_stereo"}),
+        ("minimal_filtering.hpp", {"_core", "_features"}),
         ("gaussian_blend_simd.hpp", {"_gaussians"}),
-        ("parallel.hpp", {"_core", "_deformation", "_gaussians", "_ssim", "_iv_psnr", "_stereo"}),
+        ("parallel.hpp", {"_core", "_deformation", "_features", "_gaussians", "_ssim", "_iv_psnr", "_stereo"}),
     ],
 )
 def test_sources_of_kernels(source, rebuilt, monkeypatch, tmp_path):

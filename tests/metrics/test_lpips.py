@@ -17,7 +17,8 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.metrics.image import fetch_lpips
 from ggvs_eval.metrics.image import lpips as module
 from ggvs_eval.metrics.image.fetch_lpips import NETS, fetch_weights, read_checkpoint, weights_path
-from ggvs_eval.metrics.image.lpips import load_weights, lpips, lpips_between, lpips_features
+from ggvs_eval.metrics.image.lpips import lpips, lpips_between, lpips_features
+from ggvs_eval.metrics.image.lpips_network import LAYERS, compiled_layers, load_weights, network_input, tapped_layers
 from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.registry import metric_notes
 from ggvs_eval.metrics.stream import score_views
@@ -39,9 +40,7 @@ TRUNKS = {"vgg": (VGG, (1, 3, 6, 9, 12)), "alex": (ALEX, (0, 1, 2, 3, 4))}
 def empty_cache(tmp_path, monkeypatch):
     """A cache folder without weights, seen by this test only."""
     monkeypatch.setenv("GGVS_EVAL_CACHE", str(tmp_path))
-    load_weights.cache_clear()
-    yield tmp_path
-    load_weights.cache_clear()
+    return tmp_path
 
 
 def photograph_pair(size=48):
@@ -114,6 +113,21 @@ def noisy_odd_pair(photograph):
 def test_packaged_photographs_have_their_golden_values(photograph, net, golden):
     """Noisy crops of 61 x 73 pixels score what the independent float64 pass gave for them."""
     assert lpips(*noisy_odd_pair(getattr(data, photograph)()), net) == pytest.approx(golden, rel=1e-6)
+
+
+@needs_weights
+def test_the_compiled_network_is_torchs():
+    """Every compared layer, of a size that no tile divides, and the distance within 1e-6."""
+    rendered, truth = noisy_odd_pair(data.chelsea())
+    weights = load_weights("vgg")
+    by_torch = []
+    for frame in (rendered, truth):
+        with torch.inference_mode():
+            by_torch.append(tapped_layers(network_input(frame)[None], LAYERS["vgg"], weights))
+
+    for ours, theirs in zip(compiled_layers(network_input(truth)[None]), by_torch[1], strict=True):
+        assert float((ours - theirs).abs().max()) <= 1e-5 * float(theirs.max())
+    assert lpips(rendered, truth) == pytest.approx(lpips_between(*by_torch, "vgg"), abs=1e-6)
 
 
 @needs_weights

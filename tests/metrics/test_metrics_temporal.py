@@ -298,10 +298,7 @@ def test_frames_too_small_for_one_metric_keep_the_others():
 
 def test_lpips_without_weights_is_reported_once_and_never_nan(tmp_path, monkeypatch):
     """Without weights LPIPS has one reason and no value, and the other metrics are measured."""
-    from ggvs_eval.metrics.image.lpips import load_weights
-
     monkeypatch.setenv("GGVS_EVAL_CACHE", str(tmp_path))
-    load_weights.cache_clear()
     rendered, truth = moving_view(frames=3)
     scores = score_view(zip(rendered, truth, strict=True), ["LPIPS", "PSNR"])
     assert scores.not_computed["LPIPS"].startswith("LPIPS-vgg: no weights at")

@@ -5,7 +5,9 @@ import pytest
 import torch
 
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.metrics.image.lpips import load_weights, lpips, weights_path
+from ggvs_eval.metrics.image.fetch_lpips import weights_path
+from ggvs_eval.metrics.image.lpips import lpips
+from ggvs_eval.metrics.image.lpips_network import _torch_weights
 from ggvs_eval.pipelines.training.blend.perceptual_loss import NOISE_255, noise_255, perceptual_loss, require_perceptual
 
 needs_weights = pytest.mark.skipif(not weights_path("alex").is_file(), reason="the weights of LPIPS are not fetched")
@@ -51,7 +53,7 @@ def test_gradients_lead_to_the_truth():
 @needs_weights
 def test_weights_first_read_while_scoring_serve_a_training():
     """Whoever reads the weights first, in inference mode even, a loss can be learned by afterwards."""
-    load_weights.cache_clear()
+    _torch_weights.cache_clear()
     with torch.inference_mode():
         lpips(bytes_of(64, 80, 0), bytes_of(64, 80, 1), "alex")
     image = batch(bytes_of(64, 80, 0)).requires_grad_()

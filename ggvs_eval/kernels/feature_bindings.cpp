@@ -1,0 +1,89 @@
+// Python bindings of the features.
+#include <algorithm>
+
+#include "array_arguments.hpp"
+#include "feature_maps.hpp"
+#include "memory.hpp"
+#include "sources.hpp"
+
+namespace {
+
+namespace py = pybind11;
+using namespace py::literals;
+using ggvs::data_of, ggvs::describe, ggvs::empty, ggvs::shape_of;
+
+constexpr int kMostChannels = 4096, kMostPixels = 65535;
+
+bool are_channels(py::ssize_t count, int step) { return count >= step && count % step == 0 && count <= kMostChannels; }
+
+py::array_t<float> pack_filters(const py::array& filters, int threads) {
+    const auto shape = shape_of(filters, "filters", 4);
+    if (shape[2] != 3 || shape[3] != 3 || !are_channels(shape[0], ggvs::kPanel) || (shape[1] != ggvs::kColours && !are_channels(shape[1], ggvs::kDepthChunk)))
+        throw py::type_error("filters: wanted 3 x 3 of 3 or a multiple of 64 channels to a multiple of 32, got " + describe(filters));
+    const float* data = data_of<float>(filters, "filters", shape);
+    py::array_t<float> packed(ggvs::packed_size(int(shape[0]), int(shape[1])));
+    float* out = packed.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::pack_weights(data, int(shape[0]), int(shape[1]), out, threads);
+    return packed;
+}
+
+py::list feature_maps(const py::array& frame, const py::sequence& layers, int threads, int level) {
+    const auto shape = shape_of(frame, "frame", 3);
+    if (shape[0] > kMostPixels || shape[1] > kMostPixels || (shape[2] != ggvs::kColours && !are_channels(shape[2], ggvs::kDepthChunk)))
+        throw py::type_error("frame: wanted 65535 pixels a side at most, 3 or a multiple of 64 channels, got " + describe(frame));
+    ggvs::FeatureJob job{data_of<float>(frame, "frame", shape), int(shape[0]), int(shape[1]), int(shape[2]), {}, {}};
+    int height = job.height, width = job.width, before = job.channels;
+    py::list maps;
+    for (const py::handle& item : layers) {
+        const py::tuple layer = py::cast<py::tuple>(item);
+        if (height < 1 || width < 1) throw py::type_error("frame: wanted a pixel a side at every layer, got " + describe(frame));
+        const int after = int(shape_of(py::cast<py::array>(layer[1]), "bias", 1)[0]);
+        job.layers.push_back({before, after, data_of<float>(layer[0], "weights", {ggvs::packed_size(after, before)}),
+                              data_of<float>(layer[1], "bias", {after})});
+        job.taps.push_back(nullptr);
+        if (py::cast<bool>(layer[2])) {
+            py::array_t<float> map = empty({height, width, after});
+            job.taps.back() = map.mutable_data();
+            maps.append(map);
+            height /= 2, width /= 2;
+        }
+        before = after;
+    }
+    if (job.layers.empty() || (job.channels == ggvs::kColours && job.taps[0]))
+        throw py::type_error("layers: wanted one at least, that of the colours not tapped");
+    const auto floats = ggvs::feature_memory(job);
+    py::array_t<float> memory[2] = {empty({floats[0]}), empty({floats[1]})};
+    const std::array<float*, 2> data{memory[0].mutable_data(), memory[1].mutable_data()};
+    {
+        py::gil_scoped_release released;
+        ggvs::feature_maps(job, data, threads, level);
+    }
+    return maps;
+}
+
+py::array_t<float> compare_features(const py::array& ours, const py::array& theirs, const py::array& weights, int threads, int level) {
+    const auto shape = shape_of(theirs, "theirs", 3);
+    if (shape[0] * shape[1] > INT32_MAX || shape[2] % 16 || shape[2] > kMostChannels)
+        throw py::type_error("theirs: wanted less than 2^31 pixels and a multiple of 16 channels, got " + describe(theirs));
+    py::array_t<float> out({shape[0], shape[1]});
+    const ggvs::ComparedPixels all{data_of<float>(ours, "ours", shape), data_of<float>(theirs, "theirs", shape),
+                                   data_of<float>(weights, "weights", {shape[2]}), int(shape[0] * shape[1]), int(shape[2]),
+                                   out.mutable_data()};
+    {
+        py::gil_scoped_release released;
+        ggvs::compare_features(all, threads, level);
+    }
+    return out;
+}
+
+}  // namespace
+
+PYBIND11_MODULE(_features, module) {
+    module.doc() = "Features of frames by 3 x 3 convolutions.";
+    module.def("pack_filters", &pack_filters, "filters"_a, "threads"_a, "Filters (after, before, 3, 3) as `feature_maps` takes them.");
+    module.def("feature_maps", &feature_maps, "frame"_a, "layers"_a, "threads"_a, "level"_a,
+               "The tapped ones of some layers (filters, bias, tap), (H, W, after) each; behind each of them the map is halved.");
+    module.def("compare_features", &compare_features, "ours"_a, "theirs"_a, "weights"_a, "threads"_a, "level"_a,
+               "Weighted squared distances of the directions of two maps of features (H, W, C), (H, W).");
+}

@@ -1,0 +1,177 @@
+"""The networks of LPIPS and DISTS: their weights, and features of frames by torch or by a compiled kernel."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import WeightsError
+from ggvs_eval.kernels import SIMD_LEVELS, _features, get_simd_level, get_threads
+from ggvs_eval.metrics.image.fetch_lpips import FETCH_COMMAND, weights_path
+from ggvs_eval.metrics.inputs import Image, white_level
+from ggvs_eval.metrics.metric import LpipsNet
+
+if TYPE_CHECKING:
+    import torch
+
+# Mean and spread of ImageNet's colours for images in [-1, 1], per channel.
+COLOUR_SHIFT = (-0.030, -0.088, -0.188)
+COLOUR_SCALE = (0.458, 0.448, 0.450)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One convolution with its ReLU; `pool` is the (size, stride) of a maximum filter before it, `tap` marks a compared layer."""
+
+    pool: tuple[int, int] | None = None
+    stride: int = 1
+    padding: int = 1
+    tap: bool = False
+
+
+_VGG_POOL = (2, 2)
+_ALEX_POOL = (3, 2)
+_VGG = (
+    *(Layer(), Layer(tap=True)),
+    *(Layer(_VGG_POOL), Layer(tap=True)),
+    *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
+    *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
+    *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
+)
+LAYERS: dict[LpipsNet, tuple[Layer, ...]] = {
+    "vgg": _VGG,
+    "vgg-bf16": _VGG,
+    "alex": (
+        Layer(stride=4, padding=2, tap=True),
+        Layer(_ALEX_POOL, padding=2, tap=True),
+        Layer(_ALEX_POOL, tap=True),
+        Layer(tap=True),
+        Layer(tap=True),
+    ),
+}
+MIN_SIDE_PX: dict[LpipsNet, int] = {"vgg": 16, "vgg-bf16": 16, "alex": 31}  # below, the last layer has no pixel
+
+
+def load_weights(net: LpipsNet, device: str = "cpu") -> "dict[str, torch.Tensor]":
+    """The tensors of a network from the cache folder, read once per process; those of convolutions as torch is fastest with them.
+
+    Raises:
+        WeightsError: absent, damaged, or tensors of another network.
+    """
+    return _torch_weights(weights_path(net), net, device)
+
+
+def load_heads(net: LpipsNet, device: str) -> "list[torch.Tensor]":
+    """What a difference in each channel counts, (C,) for each compared layer; errors are those of `load_weights`."""
+    return _heads(weights_path(net), net, device)
+
+
+@lru_cache(maxsize=2)
+def _torch_weights(path: Path, net: LpipsNet, device: str) -> "dict[str, torch.Tensor]":
+    import torch
+
+    dtype = torch.bfloat16 if net == "vgg-bf16" else torch.float32
+    with torch.inference_mode(False):  # whoever asks first, a training may learn by them later
+        return {
+            name: tensor.to(device, copy=True) if name.startswith("head") else _kernel(tensor.to(device, dtype, copy=True))
+            for name, tensor in _read_tensors(path, net).items()
+        }
+
+
+@lru_cache(maxsize=1)
+def _packed_layers(path: Path) -> list[tuple[NDArray[np.float32], NDArray[np.float32], bool]]:
+    """VGG's filters, biases and marks of compared layers as the compiled kernel takes them: 235 MB."""
+    tensors = _read_tensors(path, "vgg")
+    return [
+        (_features.pack_filters(tensors[f"conv{i}.weight"].numpy(), get_threads()), tensors[f"conv{i}.bias"].numpy(), layer.tap)
+        for i, layer in enumerate(LAYERS["vgg"])
+    ]
+
+
+@lru_cache(maxsize=4)
+def _heads(path: Path, net: LpipsNet, device: str) -> "list[torch.Tensor]":
+    tensors = _read_tensors(path, net)
+    return [tensors[f"head{i}.weight"].reshape(-1).to(device) for i in range(sum(layer.tap for layer in LAYERS[net]))]
+
+
+def _read_tensors(path: Path, net: LpipsNet) -> "dict[str, torch.Tensor]":
+    """The tensors of a network's file, by their names."""
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
+    if not path.is_file():
+        raise WeightsError(f"LPIPS-{net}: no weights at {path}; run `{FETCH_COMMAND}` with network access")
+    try:
+        tensors = load_file(path)
+    except SafetensorError as error:
+        raise WeightsError(f"{path}: damaged ({error}); delete it and run `{FETCH_COMMAND}`") from error
+    convolutions, heads = len(LAYERS[net]), sum(layer.tap for layer in LAYERS[net])
+    convolution_names = {f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")}
+    if set(tensors) != convolution_names | {f"head{i}.weight" for i in range(heads)}:
+        raise WeightsError(f"{path}: holds the tensors of another network; delete it and run `{FETCH_COMMAND}`")
+    return tensors
+
+
+def _kernel(tensor: "torch.Tensor") -> "torch.Tensor":
+    """A convolution's kernel as it lies in memory when it is fastest; its bias stays as it is."""
+    import torch
+
+    return tensor.contiguous(memory_format=torch.channels_last) if tensor.ndim == 4 else tensor
+
+
+def network_input(image: Image, device: str = "cpu") -> "torch.Tensor":
+    """A frame as the networks were trained on it, (3, H, W) float32; bytes are uploaded, not the floats that they become."""
+    import torch
+
+    levels = image if image.dtype == np.uint8 else image.astype(np.float32)
+    signed = torch.from_numpy(np.ascontiguousarray(levels)).to(device).float() * (2.0 / white_level(image)) - 1.0
+    shift, scale = (torch.tensor(each, device=device) for each in (COLOUR_SHIFT, COLOUR_SCALE))
+    return ((signed - shift) / scale).permute(2, 0, 1)
+
+
+def network_input_of(images: "torch.Tensor") -> "torch.Tensor":
+    """`network_input` of a batch (B, 3, H, W) in [0, 1], through which gradients flow."""
+    import torch
+
+    shift, scale = (torch.tensor(each, device=images.device)[:, None, None] for each in (COLOUR_SHIFT, COLOUR_SCALE))
+    return (images * 2 - 1 - shift) / scale
+
+
+def tapped_layers(
+    features: "torch.Tensor", layers: tuple[Layer, ...], weights: "dict[str, torch.Tensor]"
+) -> "list[torch.Tensor]":
+    """Run `network_input` of frames (B, 3, H, W) through the network and keep what is compared."""
+    from torch.nn import functional
+
+    taps: list[torch.Tensor] = []
+    for i, layer in enumerate(layers):
+        if layer.pool:
+            features = functional.max_pool2d(features, *layer.pool)
+        kernel, bias = weights[f"conv{i}.weight"], weights[f"conv{i}.bias"]
+        features = functional.conv2d(features, kernel, bias, layer.stride, layer.padding).relu_()
+        if layer.tap:
+            taps.append(features)
+    return taps
+
+
+def compiled_layers(features: "torch.Tensor", first: int = 0, last: int | None = None) -> "list[torch.Tensor]":
+    """Some of VGG's layers by the compiled kernel, which takes half of torch's time: those that are compared.
+
+    Args:
+        features: (1, C, H, W) what enters the first of them; `network_input` enters layer 0.
+        first: of `LAYERS`.
+        last: the one that is no longer taken.
+
+    Returns:
+        (1, C, H', W') each, channels last in memory, within 1e-5 of the largest of torch's.
+    """
+    import torch
+
+    pixels = np.ascontiguousarray(features[0].permute(1, 2, 0).numpy())
+    maps = _features.feature_maps(
+        pixels, _packed_layers(weights_path("vgg"))[first:last], get_threads(), SIMD_LEVELS.index(get_simd_level())
+    )
+    return [torch.from_numpy(each).permute(2, 0, 1)[None] for each in maps]
