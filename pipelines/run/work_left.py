@@ -2,18 +2,30 @@
 
 import shutil
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError, ResultsError
+from ggvs_eval.jobs.pace import pace
 from ggvs_eval.pipelines.methods.render_unit import PATH
 from ggvs_eval.pipelines.run.disocclusion import mask_files
 from ggvs_eval.pipelines.run.frame_cache import frames_left, path_left
 from ggvs_eval.pipelines.run.path_depth import path_files, poses_left
 from ggvs_eval.pipelines.run.run_plan import RunPlan
+from ggvs_eval.pipelines.run.stage_costs import (
+    CHECKED_DEPTH,
+    DECODED,
+    MASK,
+    PATH_DEPTH,
+    STAGES,
+    depth_cost,
+    render_cost,
+    score_cost,
+    stage_of,
+)
 from ggvs_eval.progress import counted, duration
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 
@@ -21,6 +33,7 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 DEPTH_BYTES, TRUTH_BYTES, RENDER_BYTES, PATH_DEPTH_BYTES = 5.0, 2.1, 1.5, 4.0
 PAGE_SHARE = 0.3  # of the renders; a page keeps small copies of them
 GB = 1e9
+WORTH_A_TABLE_S = 120.0  # of a core; below, two lines are enough
 Kind = Literal["truth", "depth", "checked depth", "mask", "path depth", "fit", "render", "path render", "score"]
 
 
@@ -34,6 +47,7 @@ class Piece:
         count: how many.
         n_bytes: of all of them.
         label: of the method that renders them.
+        core_seconds: of all of them at `pace` 1; None where they are not known.
     """
 
     kind: Kind
@@ -41,6 +55,34 @@ class Piece:
     count: int
     n_bytes: float = 0.0
     label: str = ""
+    core_seconds: float | None = None
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What is left of one stage.
+
+    Attributes:
+        name: of `STAGES`.
+        count: frames, maps or scenes.
+        unknown: how many of them take nobody knows how long.
+        seconds: of the others, by all processes.
+        n_bytes: that it writes.
+    """
+
+    name: str
+    count: int
+    unknown: int
+    seconds: float
+    n_bytes: float
+
+    def describe(self) -> str:
+        """One line."""
+        known = self.count - self.unknown
+        each = f"{self.seconds / known:.2g} s each" if known else "not known"
+        whole = f", {duration(self.seconds)}" if known else ""
+        disk = f", {_size(self.n_bytes)}" if self.n_bytes else ""
+        return f"  {self.name}: {self.count}, {each}{whole}{disk}"
 
 
 @dataclass(frozen=True)
@@ -53,6 +95,7 @@ class Workload:
         folder: where the runs go.
         frame_seconds: method -> seconds of a frame, as its jobs that are done took; methods without one are missing.
         jobs: processes.
+        pace: seconds that work takes here for each second of `Piece.core_seconds`.
     """
 
     title: str
@@ -60,6 +103,7 @@ class Workload:
     folder: Path
     frame_seconds: Mapping[str, float] = field(default_factory=dict)
     jobs: int = 1
+    pace: Callable[[], float] = pace
 
     def count(self, *kinds: Kind) -> int:
         """Number of pieces left of some kinds."""
@@ -98,21 +142,41 @@ class Workload:
             f"plan: {self.title}; left are {', '.join(parts)}",
             f"disk: about {_size(self.disk_bytes)} more in {self.folder}, {_size(self.free_bytes)} free",
         ]
-        return "\n".join([*lines, *self._time_line()])
+        return "\n".join([*lines, *self._time_lines()])
 
-    def _time_line(self) -> list[str]:
-        """Estimate how long rendering takes, by jobs that are done; nothing where none is."""
-        frames: dict[str, int] = defaultdict(int)
-        for piece in self.pieces:
-            if piece.label:
-                frames[piece.label] += piece.count
-        timed = {label: count for label, count in frames.items() if count and label in self.frame_seconds}
-        if not timed:
+    def _time_lines(self) -> list[str]:
+        """A line per stage where it takes a while; on this machine, by a probe and by the frames that are rendered already."""
+        known = sum(piece.core_seconds or 0.0 for piece in self.pieces)
+        if max(known, self._rendering_seconds()) < WORTH_A_TABLE_S:
             return []
-        seconds = sum(count * self.frame_seconds[label] for label, count in timed.items()) / self.jobs
-        unknown = sum(1 for label, count in frames.items() if count and label not in timed)
-        more = f"; of {unknown} more methods no frame is rendered yet" if unknown else ""
-        return [f"time: about {duration(seconds)} to render, as the frames took that are rendered{more}"]
+        stages = [stage for stage in (self._stage(name) for name in STAGES) if stage.count]
+        whole_s = sum(stage.seconds for stage in stages)
+        longest = max(stages, key=lambda stage: stage.seconds)
+        unknown = sum(stage.unknown for stage in stages)
+        more = f", and {counted(unknown, 'piece')} of unknown time" if unknown else ""
+        return [
+            f"time: about {duration(whole_s)} on {counted(self.jobs, 'core')}{more}; most of it is {longest.name}, shorter by "
+            f"{STAGES[longest.name]}",
+            *(stage.describe() for stage in stages),
+        ]
+
+    def _rendering_seconds(self) -> float:
+        """Of the frames left of methods that have rendered others."""
+        return sum(piece.count * self.frame_seconds.get(piece.label, 0.0) for piece in self.pieces if piece.label)
+
+    def _stage(self, name: str) -> "Stage":
+        """Sum of what is left of a stage; frames of a method take as long as those that it has rendered."""
+        pieces = [piece for piece in self.pieces if stage_of(piece.kind) == name]
+        seconds, unknown = 0.0, 0
+        for piece in pieces:
+            if piece.label in self.frame_seconds:
+                seconds += piece.count * self.frame_seconds[piece.label]
+            elif piece.core_seconds is not None:
+                seconds += piece.core_seconds * self.pace()
+            else:
+                unknown += piece.count
+        count, n_bytes = sum(piece.count for piece in pieces), sum(piece.n_bytes for piece in pieces)
+        return Stage(name, count, unknown, seconds / self.jobs, n_bytes)
 
     def require_disk(self) -> None:
         """Refuse what cannot fit.
@@ -150,30 +214,34 @@ def work_left(plan: RunPlan) -> list[Piece]:
     n_pixels, run, of_path = width * height, plan.run, len(plan.path)
     pieces: list[Piece] = []
 
-    def add(kind: Kind, folder: Path, count: int, bytes_per_pixel: float = 0.0, label: str = "") -> None:
+    def add(kind: Kind, folder: Path, count: int, cost: float | None, bytes_per_pixel: float = 0.0, label: str = "") -> None:
         if count:
-            pieces.append(Piece(kind, folder, count, count * n_pixels * bytes_per_pixel, label))
+            seconds = None if cost is None else count * n_pixels / 1e6 * cost
+            pieces.append(Piece(kind, folder, count, count * n_pixels * bytes_per_pixel, label, seconds))
 
     for folder, count in _truth_left(plan).items():
-        add("truth", folder, count, TRUTH_BYTES)
+        add("truth", folder, count, DECODED, TRUTH_BYTES)
+    depth_costs = {"depth": depth_cost(plan.depth.matcher), "checked depth": CHECKED_DEPTH}
     for kind, counts in _depth_left(plan, DepthStore(plan.shared_root / "depth")).items():
         for folder, count in counts.items():
-            add(kind, folder, count, DEPTH_BYTES)
+            add(kind, folder, count, depth_costs[kind], DEPTH_BYTES)
     if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
         for view in plan.plans:
-            add("mask", run.disoccluded(view), _masks_left(plan, view))
-    add("path depth", run.path_depth, _poses_left(plan), PATH_DEPTH_BYTES)
+            add("mask", run.disoccluded(view), _masks_left(plan, view), MASK)
+    add("path depth", run.path_depth, _poses_left(plan), PATH_DEPTH, PATH_DEPTH_BYTES)
     for fit in plan.jobs.needed_fits:
-        add("fit", fit.folder, int(not fit.is_done()))
+        add("fit", fit.folder, int(not fit.is_done()), None)
     missing = [job for job in plan.jobs.render if not job.is_done()]
     for job in missing:
         along_path = job.units == (PATH,)
         count = of_path if along_path else len(plan.frames)
-        add("path render" if along_path else "render", job.folder, count, RENDER_BYTES * (1 + PAGE_SHARE), job.label)
+        kind: Kind = "path render" if along_path else "render"
+        add(kind, job.folder, count, render_cost(job.label), RENDER_BYTES * (1 + PAGE_SHARE), job.label)
     stale, views = {unit for job in missing for unit in job.units}, plan.request.views
     for view in plan.plans if plan.methods else ():
         if (views is None or view in views) and (view in stale or not _is_scored(run, view, [*plan.methods])):
-            add("score", run.scores(view), len(plan.frames))
+            cost = score_cost(plan.protocol.measurement) * len(plan.methods)
+            add("score", run.scores(view), len(plan.frames), cost)
     return pieces
 
 

@@ -15,6 +15,7 @@ from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods import registry, spec
+from ggvs_eval.pipelines.methods.baselines import baseline_methods
 from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.run import work_left as counting
@@ -22,6 +23,7 @@ from ggvs_eval.pipelines.run.derived_files import digest_folder
 from ggvs_eval.pipelines.run.evaluate import measure, render
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
+from ggvs_eval.pipelines.run.stage_costs import render_cost
 from ggvs_eval.pipelines.run.work_left import DEPTH_BYTES, Piece, Workload, count_work, work_left
 from ggvs_eval.pipelines.sweep.demo_plan import demo_to_plan, renders_first
 from ggvs_eval.pipelines.sweep.run_sweep import plan_cells
@@ -191,17 +193,36 @@ def test_a_run_is_told_in_two_lines(capture, protocol, tmp_path):
 
 
 def test_time_is_that_of_frames_that_are_rendered(capture, protocol, finished, tmp_path):
-    """A view more of methods that have rendered others takes as long as those; methods without a frame are counted."""
-    left = Piece("render", tmp_path / "a", 300, label="a"), Piece("render", tmp_path / "b", 3, label="b")
+    """A view more of methods that have rendered others takes as long as those; frames of which nothing is known are counted."""
+    left = Piece("render", tmp_path / "a", 300, label="a", core_seconds=9.0), Piece("render", tmp_path / "b", 3, label="b")
     text = Workload("", left, tmp_path, {"a": 2.0}, jobs=2).describe()
 
-    assert text.splitlines()[-1] == (
-        "time: about 5 min to render, as the frames took that are rendered; of 1 more methods no frame is rendered yet"
-    )
+    assert text.splitlines()[2].startswith("time: about 5 min on 2 cores, and 3 pieces of unknown time; most of it is rendering")
+    assert "  rendering: 303, 1 s each, 5 min" in text
     root = Path(shutil.copytree(finished, tmp_path / "run"))
     shutil.rmtree(RunFolder(root).renders(LABELS[0], protocol.views.test[0]))
-    lines = count_work([planned(root, capture, protocol)], root).describe().splitlines()
-    assert [line.split(":")[0] for line in lines] == ["plan", "disk", "time"]
+    work = count_work([planned(root, capture, protocol)], root)
+    assert work.frame_seconds[LABELS[0]] > 0
+
+
+def test_a_long_run_has_a_line_for_every_stage(capture, protocol, tmp_path):
+    """Seconds are those of this machine: core-seconds of each piece times the pace, shared by the processes."""
+    plan = planned(tmp_path / "run", capture, protocol)
+    pieces = work_left(plan)
+    known = sum(piece.core_seconds for piece in pieces)
+    slow = Workload("", tuple(pieces), tmp_path, jobs=2, pace=lambda: 7200 / known)
+    assert slow.describe().splitlines()[2:] == []  # a minute of a core at pace 1 is never worth a table
+
+    large = tuple(dataclasses.replace(piece, core_seconds=piece.core_seconds * 7200 / known) for piece in pieces)
+    lines = Workload("", large, tmp_path, jobs=2, pace=lambda: 3.0).describe().splitlines()
+    assert lines[2].startswith("time: about 3.0 h on 2 cores; most of it is ")
+    assert [line.split(":")[0].strip() for line in lines[3:]] == ["decoding", "depth", "rendering", "scoring"]
+
+
+@pytest.mark.parametrize("label", [*baseline_methods(), "ours", "ours-geometric+no-temporal"])
+def test_every_method_of_ours_has_a_cost(label):
+    """What ships and is not fitted is in the estimate."""
+    assert render_cost(label) > 0
 
 
 def test_a_dry_run_leaves_nothing(capture, protocol, tmp_path, capsys):
