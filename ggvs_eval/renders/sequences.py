@@ -14,6 +14,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import decode_image, read_encoded, read_image, to_8_bit
 from ggvs_eval.files.listing import IMAGE_SUFFIXES, VIDEO_SUFFIXES, list_files
 from ggvs_eval.files.names import numbers_in
+from ggvs_eval.files.packed_maps import unpack
 from ggvs_eval.files.plain import check_plain
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.renders.array_stack import ArrayStack, npz_members
@@ -129,7 +130,8 @@ def _load(path: Path) -> NDArray[Any]:
             array: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
         else:
             with np.load(path, allow_pickle=False) as archive:
-                array = archive[_member(path)]
+                maps = unpack(archive)
+            array = maps[MEMBER if MEMBER in maps else _member(path)]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise RenderError(f"{path}: wanted an array of numbers ({error}); save it with numpy.save") from error
     if array.dtype.kind not in "fiu":

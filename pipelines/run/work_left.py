@@ -30,7 +30,7 @@ from ggvs_eval.progress import counted, duration
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 
 # Bytes per pixel: depth as it is stored, PNG of frames with and without sensor noise as on the demo.
-DEPTH_BYTES, TRUTH_BYTES, RENDER_BYTES, PATH_DEPTH_BYTES = 5.0, 2.1, 1.5, 4.0
+DEPTH_BYTES, TRUTH_BYTES, RENDER_BYTES, PATH_DEPTH_BYTES = 2.9, 2.1, 1.5, 4.0
 PAGE_SHARE = 0.3  # of the renders; a page keeps small copies of them
 GB = 1e9
 WORTH_A_TABLE_S = 120.0  # of a core; below, two lines are enough
