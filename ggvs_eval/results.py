@@ -17,7 +17,7 @@ from ggvs_eval.files.atomic import atomic_file, write_text
 if TYPE_CHECKING:
     import pandas as pd
 
-# By these variables libraries are told to use fewer instruction sets than the processor has.
+# These variables make libraries use fewer instruction sets than the processor has.
 INSTRUCTION_SETS = (
     *("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "OPENCV_CPU_DISABLE", "OPENCV_IPP", "ONEDNN_MAX_CPU_ISA"),
     *("ATEN_CPU_CAPABILITY", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR", "GLIBC_TUNABLES"),

@@ -27,9 +27,6 @@ class Fetched:
     """Record of a download, by which later ones are judged.
 
     Attributes:
-        url: where from.
-        n_bytes: how large it is.
-        sha256: of all bytes.
         date: of the day, ISO 8601, UTC.
     """
 
@@ -54,7 +51,6 @@ def download(url: str, file: Path, record: Path) -> Fetched:
     """Bring a file here, or take the one that lies there, and see that it is what it was at the first time.
 
     Args:
-        url: its address.
         file: where it goes. A stopped download lies in ``FILE.part``, which the next call goes on from while the server still
             has the same file.
         record: JSON file that keeps size and SHA-256 of the first download, by which later ones are judged.
@@ -82,11 +78,7 @@ def download(url: str, file: Path, record: Path) -> Fetched:
 
 
 def read_record(record: Path) -> Fetched | None:
-    """Read the record of the first download; None where there was none.
-
-    Raises:
-        DownloadError: a damaged record.
-    """
+    """Read the record of the first download; None where there was none."""
     try:
         return Fetched(**json.loads(record.read_text(encoding="utf-8"))) if record.is_file() else None
     except (OSError, ValueError, TypeError) as error:
@@ -128,7 +120,7 @@ def _chunks(answer: IO[bytes]) -> Iterator[bytes]:
 
 
 def _require_secure(asked: str, answered: str) -> None:
-    """Refuse a redirection of an https address to where anybody can change what is sent."""
+    """Refuse a redirection of an https address to a protocol that does not protect what is sent."""
     there = urlsplit(answered)
     if there.scheme != "https" and (urlsplit(asked).scheme == "https" or there.hostname not in LOOPBACK):
         raise ValueError(f"an answer over {there.scheme} from {there.hostname}, which is not secure")

@@ -48,11 +48,7 @@ def read_image(path: Path, as_stored: bool = False) -> Image8:
     """Read an 8-bit RGB image, (H, W, 3), turned as its EXIF tag says.
 
     Args:
-        path: PNG or JPEG.
         as_stored: take the pixels as they lie in the file, whatever the tag says.
-
-    Raises:
-        CaptureError: absent, damaged or not an image.
     """
     encoded = read_encoded(path)
     image = decode_image(encoded, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -65,11 +61,7 @@ def read_image(path: Path, as_stored: bool = False) -> Image8:
 
 
 def read_encoded(path: Path) -> NDArray[np.uint8]:
-    """The bytes of a picture's file.
-
-    Raises:
-        CaptureError: absent, empty, no regular file, or larger than a picture is.
-    """
+    """The bytes of a picture's file."""
     try:
         encoded = np.frombuffer(read_plain(path, LARGEST_PICTURE), np.uint8)
     except OSError as error:

@@ -35,10 +35,6 @@ class Engine:
 
         Args:
             work: a module-level function or a `functools.partial` of one.
-            items: in the order in which they are begun.
-
-        Raises:
-            RenderError: options that contradict each other, or dask is wanted and not there.
         """
         if self.jobs < 1:
             raise RenderError(f"--jobs {self.jobs}: wanted at least 1")

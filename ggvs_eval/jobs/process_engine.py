@@ -39,7 +39,6 @@ def run_in_processes(
 
     Args:
         work: a module-level function or a `functools.partial` of one.
-        items: in the order in which they are begun.
 
     Yields:
         (index of an item, what came of it), in the order in which they end.
@@ -85,7 +84,7 @@ def _fits(running: int) -> bool:
 
 
 def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
-    """Try an item in a process that nobody else's death can end; its errors are printed when it has ended.
+    """Try an item in a process of its own, which no other item can end; its errors are printed when it has ended.
 
     Raises:
         RenderError: the process died of an exception of its own, as every other one would: before the work began, since what the

@@ -19,12 +19,10 @@ class StageStatus:
     """Progress of one stage.
 
     Attributes:
-        stage: fit, render or score.
         done: number of jobs with a result.
         in_hand: names of jobs that a process is working on.
         failed: why jobs failed when they were last tried, and are not tried again now.
         missing: names of jobs that wait.
-        n_bytes: size of the results.
         left_s: estimate of the time that the rest takes, in seconds; None where nothing runs or nothing is done yet.
     """
 
@@ -42,9 +40,6 @@ def read_status(root: Path) -> list[StageStatus]:
 
     Args:
         root: folder of a run or a sweep, or of a run in a sweep.
-
-    Raises:
-        ResultsError: nothing was begun there.
     """
     ledgers = _ledgers(root)
     if not ledgers:

@@ -35,13 +35,7 @@ def instead_of_all(path: Path, request: FrameRequest) -> str:
 
 
 def respelled(view: str, names: Mapping[str, str], request: FrameRequest) -> str:
-    """The name that was meant to be a view's, and what to do; empty where there is none.
-
-    Args:
-        view: name of the capture.
-        names: what there is, and how it is shown.
-        request: knows the other cameras.
-    """
+    """The name that was meant to be a view's, and what to do; empty where there is none."""
     others = {name: shown for name, shown in names.items() if name not in request.cameras}
     for name, shown in others.items():
         if name.casefold() == view.casefold():

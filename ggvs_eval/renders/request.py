@@ -82,12 +82,7 @@ class RenderSet:
 
 
 def request_of(run: RunFolder, label: str, first_frame: int | None = None) -> FrameRequest:
-    """Return what a run asks of a method; `first_frame` as of `FrameRequest`.
-
-    Raises:
-        ResultsError: not a run folder.
-        RenderError: a run folder without captured frames.
-    """
+    """Return what a run asks of a method; `first_frame` as of `FrameRequest`."""
     protocol, record = run.protocol(), run.capture_record()
     frames = protocol.frames.numbers
     views = protocol.views.test
@@ -153,27 +148,20 @@ def _absent(frames: list[int], view: str, renders: RenderSet, request: FrameRequ
 def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
     """Refuse renders that are not exactly what is wanted.
 
-    Args:
-        fitted: what fits and what does not.
-        path: of the renders.
-        numbering: how their numbers were understood.
-
     Raises:
         RenderError: anything missing, extra or unusable; up to 20 of each are named, and all are counted.
     """
     groups = {"frames are missing": fitted.missing, "cannot be used": fitted.faulty, "belongs to nothing": fitted.extras}
     listed = [f"{title}: {_listed(items)}" for title, items in groups.items() if items]
     if listed:
-        told = [numbering] if numbering else []
-        raise RenderError(f"{path}: {'; '.join([*told, *listed])}; put this right, or give --allow-partial to score what fits")
+        numbered = [numbering] if numbering else []
+        raise RenderError(
+            f"{path}: {'; '.join([*numbered, *listed])}; put this right, or give --allow-partial to score what fits"
+        )
 
 
 def partial_text(fitted: Fit, request: FrameRequest) -> str:
-    """Describe what a row of these renders stands on; empty where nothing is missing.
-
-    Raises:
-        RenderError: nothing at all fits.
-    """
+    """Describe what a row of these renders stands on; empty where nothing is missing."""
     if not fitted.usable:
         raise RenderError(
             f"{request.label}: not a single frame fits the protocol: {_listed((*fitted.missing, *fitted.faulty))}; "

@@ -13,7 +13,6 @@ class Schedule:
 
     Attributes:
         learning_rate: of AdamW after the warm-up.
-        weight_decay: of AdamW.
         warm_up: steps over which the learning rate rises from zero.
         cool_down: share of all steps, at their end, over which it falls to zero again.
         clip: largest norm of the gradient.

@@ -29,7 +29,6 @@ class PixelGrid:
 
     Args:
         camera: its K holds for the distorted picture and for the undistorted one alike.
-        lens: distortion coefficients.
 
     Attributes:
         camera: as given.
@@ -119,10 +118,7 @@ class View:
     """A camera before the static part of a room, at which it looks only once.
 
     Args:
-        static: what never moves.
-        camera: where to look from.
         supersampling: rays per pixel along each side.
-        lens: distortion of the image.
     """
 
     def __init__(self, static: Geometry, camera: Camera, supersampling: int = 2, lens: Coefficients = ()) -> None:

@@ -32,7 +32,6 @@ class Instant:
     """The room at one time, lit.
 
     Attributes:
-        static: what never moves.
         moving: what does; None where all of it is taken away.
         static_light: irradiance of the static vertices, RGB, (V, 3).
         moving_light: irradiance of the moving vertices, RGB, (V', 3).
@@ -92,7 +91,7 @@ class LitRoom:
 
     @cached_property
     def _baked(self) -> _Baked:
-        """Computed when it is first asked for: whoever only recalls instants needs none of it."""
+        """Light baked into what stands still; made on first use, as recalling instants needs none of it."""
         return _Baked(*self._bake())
 
     @cached_property
