@@ -74,7 +74,7 @@ class TruthFrame:
     Attributes:
         image: the frame, (H, W, 3).
         previous: the captured frame before; None for the first.
-        disoccluded: where no source camera sees the view, (H, W); None where nobody knows.
+        disoccluded: where no source camera sees the view, (H, W); None where that is unknown.
     """
 
     def __init__(self, image: Image8, previous: Image8 | None = None, disoccluded: Mask | None = None) -> None:
@@ -98,9 +98,7 @@ class FramePair:
     Attributes:
         index: which frame of those that are measured.
         rendered: (H, W, 3).
-        truth: the captured frame.
         previous: the rendered frame before; None for the first.
-        options: variants of the metrics.
         colour_map: of the view where colours are corrected per view.
     """
 
@@ -173,10 +171,10 @@ class Metric:
         function: its definition, images (or for deviations errors) in, numbers out.
         unit: unit of a value, empty where it has none.
         higher_is_better: direction of the arrow in tables.
-        group: table that it stands in.
+        group: table that it belongs to.
         decimals: digits after the point in tables; None for four significant ones.
         pooling: how its number on a scene comes from values per view and frame. Where that is no mean of its own values it names
-            parts that stand in the table too: what its scorer returns beside it, or another metric.
+            parts that are in the table too: what its scorer returns beside it, or another metric.
         describe: one line for a reader who meets the metric for the first time.
         note: what a protocol's options add to that line.
         reference: where it is defined.

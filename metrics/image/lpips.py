@@ -108,14 +108,9 @@ def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> "list[to
     Args:
         image: (H, W, 3), uint8 in 0..255 or float in [0, 1].
         net: ``vgg``, ``alex`` or ``vgg-bf16``.
-        device: where the network computes.
 
     Returns:
         Feature maps of the compared layers, each (1, C, H', W'), float32.
-
-    Raises:
-        MetricError: the frame is too small, or no such network.
-        WeightsError: the weights have not been fetched, or the file is damaged.
     """
     import torch
 
@@ -135,7 +130,6 @@ class LpipsDistance:
     """LPIPS of two frames.
 
     Attributes:
-        value: the distance.
         maps: of each compared layer the distance at every place of its own size, (H', W'); the sum of their means is the value.
     """
 
@@ -143,11 +137,7 @@ class LpipsDistance:
     maps: tuple[NDArray[np.float32], ...]
 
     def inside(self, mask: Mask) -> float:
-        """The distance of a part of the frame, (H, W) bool; a place of a layer counts by the share of its pixels that lie inside.
-
-        Raises:
-            MetricError: the part has fewer than 64 pixels.
-        """
+        """Distance of a part of the frame, (H, W) bool; a place of a layer counts by the share of its pixels that lie inside."""
         count_inside(mask, mask.shape)
         weight = mask.astype(np.float32)
         total = 0.0
@@ -163,11 +153,7 @@ def lpips_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", n
 
 
 def compare_features(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", net: LpipsNet) -> LpipsDistance:
-    """LPIPS of two frames from their `lpips_features`; those of an 8-bit truth serve float renders too.
-
-    Raises:
-        MetricError: the frames differ in size, or hold values that are not finite.
-    """
+    """LPIPS of two frames from their `lpips_features`; those of an 8-bit truth serve float renders too."""
     import torch
 
     if [layer.shape for layer in rendered] != [layer.shape for layer in truth]:
@@ -182,11 +168,7 @@ def compare_features(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]"
 
 @lru_cache(maxsize=2)
 def load_weights(net: LpipsNet, device: str = "cpu") -> "dict[str, torch.Tensor]":
-    """The tensors of a network from the cache folder, read once per process; those of convolutions as the network computes.
-
-    Raises:
-        WeightsError: absent, damaged, or tensors of another network.
-    """
+    """The tensors of a network from the cache folder, read once per process; those of convolutions as the network computes."""
     import torch
     from safetensors import SafetensorError
     from safetensors.torch import load_file
@@ -203,7 +185,7 @@ def load_weights(net: LpipsNet, device: str = "cpu") -> "dict[str, torch.Tensor]
     if set(tensors) != convolution_names | {f"head{i}.weight" for i in range(heads)}:
         raise WeightsError(f"{path}: holds the tensors of another network; delete it and run `{FETCH_COMMAND}`")
     dtype = torch.bfloat16 if net == "vgg-bf16" else torch.float32
-    with torch.inference_mode(False):  # whoever asks first, a training may learn by them later
+    with torch.inference_mode(False):  # whatever asks first, as a training may learn by them later
         return {
             name: tensor.to(device, copy=True) if name.startswith("head") else _kernel(tensor.to(device, dtype, copy=True))
             for name, tensor in tensors.items()
