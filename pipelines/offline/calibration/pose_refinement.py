@@ -30,7 +30,6 @@ class Rig:
     """Cameras as they are known, and what they see.
 
     Attributes:
-        lenses: C cameras of COLMAP.
         turns: worlds to cameras, (C, 3, 3).
         centres: world units, (C, 3).
         deviations: of each camera's freedoms, (C, 9): radians, world units, a factor, pixels.

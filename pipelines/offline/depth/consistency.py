@@ -58,16 +58,11 @@ def check_consistency(
     where it sees farther through the point, and abstains where it sees a nearer surface, nothing, or not there at all.
 
     Args:
-        camera: the camera of the depth map.
         depth_map: depth and confidence, (H, W).
-        others: other cameras with theirs; sizes may differ.
 
     Returns:
         Depth, 0 where it is unknown, and confidence: the mean over the camera and those that see the point, who contradicts
-        counting 0; half of what it was where nobody does. `fill_background` guesses the rest.
-
-    Raises:
-        DepthError: a depth map that does not fit its camera.
+        counting 0; half of what it was where none does. `fill_background` guesses the rest.
 
     Reading:
         The paper's depth comes from stereo pairs; holding views against each other is ours. Three validation rooms (demo seeds

@@ -43,7 +43,6 @@ class Registration:
 
         Args:
             depth: z as given, world units, 0 = unknown, (h, w): the camera's view at any size.
-            camera: the colour camera.
             taken_at: world_to_camera when the depth was measured, (4, 4); the camera's own without a delay.
 
         Returns:
