@@ -16,11 +16,7 @@ MILLIMETRES = 100.0  # times the far bound, from which on depth is taken for mil
 
 
 class Doubts:
-    """Warnings about a rig, its depth and the places of the virtual camera, at most one of each kind.
-
-    Args:
-        cameras: the rig.
-    """
+    """Warnings about a rig, its depth and the places of the virtual camera, at most one of each kind."""
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
         self._centres = np.stack([camera.centre for camera in cameras])  # (N, 3)

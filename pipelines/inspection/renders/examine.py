@@ -25,8 +25,8 @@ def examine(
 ) -> list[Finding]:
     """Find what went wrong between a method and the folder of its renders.
 
-    An honest rendering, blurred, ghosted, off in colour as it may be, gets no finding: a fault is told only where it explains the
-    pictures better than no fault does, by a margin, at every instant looked at.
+    An honest rendering, blurred, ghosted, off in colour as it may be, gets no finding: a fault is reported only where it explains
+    the pictures better than no fault does, by a margin, at every instant looked at.
 
     Args:
         views: name -> rendered and captured frames.
@@ -35,9 +35,6 @@ def examine(
 
     Returns:
         Findings by view, in the order of the views.
-
-    Raises:
-        CaptureError: a frame that cannot be read.
     """
     readers = dict(cameras or {}) | {name: view.truth for name, view in views.items()}
     pictures = {name: remember(read) for name, read in readers.items()}
