@@ -30,7 +30,6 @@ def fit_job(capture: Capture, fit: FitPlan, spec: FittedMethod, shared: Path) ->
 
     Args:
         capture: whose footage is prepared by the time the job runs.
-        spec: of its method.
         shared: folder of the captured frames, of the depth store and of the fits.
     """
     footage = fold_footage(capture, fit, DepthStore(shared / "depth"), spec.seed)
@@ -79,7 +78,6 @@ def _fit(name: str, fitter: SceneFitter, footage: Footage, device: str, folder: 
 
 
 def _machine(device: str) -> str:
-    """The processor or the graphics card, in words."""
     if device == "cpu":
         return describe_machine()["processor"]
     from ggvs_eval.compute_device import describe_device
@@ -113,12 +111,7 @@ class FitClock:
         return self._before_s + time.monotonic() - self.begun_s
 
     def note(self, done: int, total: int) -> None:
-        """Note how far the fit is.
-
-        Args:
-            done: steps from the fit's very beginning.
-            total: steps in all.
-        """
+        """Note how far the fit is."""
         now_s = time.monotonic()
         if self._first_done is None:
             self._first_done = done

@@ -54,7 +54,6 @@ def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], record
     """Write ``references.json``, which the report shows as grey rows.
 
     Args:
-        paths: see `score_path.read_paths`.
         records: see `read_ceilings`.
     """
     groups: dict[str, list[str]] = {}

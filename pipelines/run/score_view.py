@@ -28,13 +28,7 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames
 def view_job(
     run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], view: str, device: str = "cpu"
 ) -> Job:
-    """The job of one view; in it all metrics of a method are stale when a frame changes, and one metric when its code does.
-
-    Args:
-        protocol: metrics and how they are measured.
-        coverage: which frames of which method there are.
-        device: where metrics compute that can.
-    """
+    """The job of one view; in it all metrics of a method are stale when a frame changes, and one metric when its code does."""
     options = metric_options(protocol.measurement, device)
     measurement = protocol.measurement
     metrics = scored_by_view(measurement.metrics)

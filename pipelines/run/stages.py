@@ -26,9 +26,7 @@ class Stages:
 
     Attributes:
         root: folder of the run, or of the sweep; its ledgers know all jobs.
-        engine: where jobs run.
         goes_on: note what fails and go on with the rest; otherwise the first stage with a failure raises it.
-        failures: noted so far.
     """
 
     root: Path

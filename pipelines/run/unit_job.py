@@ -11,7 +11,6 @@ class UnitJob(Job):
     """A job of one method.
 
     Attributes:
-        label: of the method.
         units: the test view that it renders, or ``path``; of a fit, all that are rendered from it.
     """
 

@@ -29,10 +29,7 @@ class Piece:
     """A part of the remaining work: files that are missing in one folder, or a scene to fit.
 
     Attributes:
-        kind: of what.
         folder: where they will lie; runs that share it have the piece in common.
-        count: how many.
-        n_bytes: of all of them.
         label: of the method that renders them.
     """
 
@@ -48,11 +45,8 @@ class Workload:
     """Remaining work of a run, or of several.
 
     Attributes:
-        title: frames, views, methods, size.
         pieces: of all runs, each once.
-        folder: where the runs go.
         frame_seconds: method -> seconds of a frame, as its jobs that are done took; methods without one are missing.
-        jobs: processes.
     """
 
     title: str
@@ -115,11 +109,7 @@ class Workload:
         return [f"time: about {duration(seconds)} to render, as the frames took that are rendered{more}"]
 
     def require_disk(self) -> None:
-        """Refuse what cannot fit.
-
-        Raises:
-            ProtocolError: the disk has less room than the runs need.
-        """
+        """Refuse what cannot fit."""
         needed, free = self.disk_bytes, self.free_bytes
         if needed > free:
             raise ProtocolError(
@@ -129,12 +119,7 @@ class Workload:
 
 
 def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workload:
-    """Count what runs still have to do.
-
-    Args:
-        plans: of the runs, which lie below one folder.
-        folder: where all of them go.
-    """
+    """Count what runs still have to do."""
     seconds: dict[str, list[float]] = defaultdict(list)
     for plan in plans:
         for label in plan.request.labels:
@@ -239,7 +224,6 @@ def _frame_seconds(plan: RunPlan, label: str) -> list[float]:
 
 
 def _title(plans: Sequence[RunPlan]) -> str:
-    """Describe the runs in one line."""
     first = plans[0]
     width, height = first.original.cameras[0].size
     labels = first.request.labels
@@ -250,7 +234,6 @@ def _title(plans: Sequence[RunPlan]) -> str:
 
 
 def _existing(folder: Path) -> Path:
-    """The folder, or the nearest one above it that there is."""
     folder = folder.resolve()
     while not folder.is_dir():
         folder = folder.parent

@@ -77,11 +77,7 @@ def sources_at(clip: Clip, frame: int, switches: float, seed: int) -> tuple[Sour
 
 
 def require_sources(clip: Clip, count: int) -> Clip:
-    """The clip, if it has so many source cameras.
-
-    Raises:
-        RenderError: fewer than so many.
-    """
+    """The clip, if it has so many source cameras."""
     if len(clip.sources) < count:
         raise RenderError(f"view {clip.name}: wanted {count} source cameras with depth to render from, got {len(clip.sources)}")
     return clip

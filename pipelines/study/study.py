@@ -49,16 +49,10 @@ def run_study(out: Path, captures: Sequence[Path], options: StudyOptions, worker
     """Plant degradations in clips, measure them, and write ``values.csv`` and ``study.json``; what is measured stays.
 
     Args:
-        out: folder to write.
         captures: see `make_takes`.
-        options: what is planted and measured.
 
     Returns:
         What ``study.json`` holds.
-
-    Raises:
-        MetricError: an unknown metric or ladder.
-        CaptureError: see `make_takes`.
     """
     metrics, ladders = study_metrics(options.metrics), select_ladders(options.ladders)
     takes = make_takes(out, captures, options.takes, workers)

@@ -37,12 +37,8 @@ class BlendTask:
     Attributes:
         training: samples to learn from; their `prepare` makes them.
         validation: samples that are never learned from.
-        config: shape of the network.
         seed: of the weights and the crops.
         crop_width: of the crops, pixels.
-        crop_height: of the crops.
-        batch_size: crops per step.
-        weights: of the loss.
         augmentation: of the crops; None leaves them as they are but for mirroring and the order of colours.
         schedule: see `Schedule`; the weight decay is the paper's.
 

@@ -26,8 +26,6 @@ class RawViews:
     """The K views in the target view as splatting and warping give them, nearest camera first.
 
     Attributes:
-        target: camera of the maps.
-        sources: cameras of the views.
         splats: splatted colour, (K, H, W, 3), float32 in [0, 1].
         depths: splatted depth, (K, H, W), float32, world units, 0 where the view shows nothing.
         alphas: coverage of the splats, (K, H, W), float32 in [0, 1).
@@ -93,12 +91,8 @@ def blend_sample(instant: Instant, truth: Image8, device: str = "cpu") -> BlendS
     """The sample of what a method is shown of a target, and what the target's camera took.
 
     Args:
-        instant: the target and its K source views.
         truth: (H, W, 3) uint8.
         device: where views are splatted and warped; another one than ``cpu`` wants NVIDIA Warp.
-
-    Raises:
-        DeviceError: no such device here, or its memory is out.
 
     Reading:
         The paper shifts the principal point to render a crop; a crop of the whole rendering shows the same.
@@ -176,11 +170,7 @@ def write_sample(path: Path, sample: BlendSample) -> None:
 
 
 def read_sample(path: Path) -> BlendSample:
-    """Read what `write_sample` wrote.
-
-    Raises:
-        TrainingError: absent or damaged.
-    """
+    """Read what `write_sample` wrote."""
     with stored_arrays(path) as arrays:
         target, *sources = stored_cameras(arrays)
         views = RawViews(

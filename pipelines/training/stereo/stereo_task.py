@@ -26,16 +26,11 @@ class StereoTask:
     """The training of RAFT-Stereo.
 
     Attributes:
-        config: shape of the network.
         seed: of the weights and the pairs.
         width: of the crops, pixels, a multiple of 32.
-        height: of the crops.
-        batch_size: pairs per step.
-        iterations: updates per forward pass.
         started: share of the pairs that start from semi-global matching; as many again as remain, halved, start from nothing
             and from a displaced truth, as a previous frame's disparity would be.
         matching_weight: of the loss on the features themselves.
-        validation_pairs: how many pairs validate.
         schedule: see `Schedule`.
     """
 
