@@ -21,11 +21,7 @@ def main_captions(
     """Sentences on what the numbers of a table stand on.
 
     Args:
-        key: of the table.
-        runs: of one protocol.
-        results: theirs in one.
         names: label of each row -> name to show.
-        metrics: columns.
     """
     protocol = runs[0].protocol
     if key == "path":
