@@ -61,7 +61,7 @@ class Camera:
     range_origin: RangeOrigin = field(default="given", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse what no later step could use, naming the camera."""
+        """Validate the camera; errors name it."""
         for name, shape in (("K", (3, 3)), ("world_to_camera", (4, 4))):
             matrix = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if matrix.shape != shape or not np.isfinite(matrix).all():

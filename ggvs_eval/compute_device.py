@@ -70,7 +70,7 @@ def rendering_on(device: torch.device) -> Iterator[None]:
 
 @contextmanager
 def out_of_memory(device: torch.device | str, mend: str) -> Iterator[None]:
-    """Within, a GPU whose memory is out is an error of the user's, with what may mend it."""
+    """Turn running out of GPU memory into an error that says what to do."""
     try:
         yield
     except torch.OutOfMemoryError as error:

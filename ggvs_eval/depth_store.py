@@ -97,7 +97,7 @@ class DepthStore:
 
     @staticmethod
     def key(spec: Mapping[str, object]) -> str:
-        """The name of what `describe_depth` described: sha256 of its JSON text."""
+        """Key of a description by `describe_depth`: sha256 of its JSON text."""
         return hashlib.sha256(json.dumps(spec, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
     def folder(self, key: str) -> Path:

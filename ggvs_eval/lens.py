@@ -1,4 +1,4 @@
-"""Lens distortion: what lies between the image of a real lens and the pinhole image that everything else assumes."""
+"""Lens distortion, between the image of a real lens and the pinhole image that everything else assumes."""
 
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -12,7 +12,7 @@ NEAR_M = 0.2  # what is closer to the target camera is not splatted, as the refe
 
 @dataclass(frozen=True)
 class SourceView:
-    """One source camera at one instant: what carries its pixels from the decoder to the kernels.
+    """One source camera at one instant: its pixels on the way from the decoder to the kernels.
 
     A step that changes some of it - a filter its depth, exposure compensation its image - hands on a view with that replaced.
 
@@ -82,7 +82,7 @@ class Method(Protocol):
     """A strictly online synthesiser; one object renders one sequence of one target."""
 
     def step(self, instant: Instant) -> Rendering:
-        """Synthesise the target view of one instant from what was seen up to it."""
+        """Synthesise the target view of one instant from the views up to it."""
 
 
 @runtime_checkable

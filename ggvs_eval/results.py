@@ -39,7 +39,7 @@ class Absence(NamedTuple):
 
 @dataclass(frozen=True)
 class Results:
-    """Every value of one evaluation, and what it was measured from.
+    """Every value of one evaluation, with its provenance.
 
     Attributes:
         table: one row per value with the columns `COLUMNS`; ``view`` is None where a value belongs to the whole rig (SDV),
@@ -73,7 +73,7 @@ class Results:
 
     @classmethod
     def read(cls, folder: Path) -> "Results":
-        """Read what `write` wrote.
+        """Read the results that `write` wrote.
 
         Raises:
             ResultsError: no results in that folder, or damaged ones.

@@ -73,7 +73,7 @@ class RunFolder:
         return self.root / "path" / label
 
     def disoccluded(self, view: str) -> Path:
-        """Masks of what no source camera sees of a test view."""
+        """Masks of the parts of a test view that no source camera sees."""
         return self.root / "disoccluded" / view
 
     def ceilings(self, view: str) -> Path:

@@ -66,7 +66,7 @@ class MetricOptions:
 
 
 class TruthFrame:
-    """A captured frame with what metrics derive from it alone, computed once for all methods.
+    """A captured frame, with everything derived from it alone computed once for all methods.
 
     SSIM's moments of the truth are not kept: the kernel filters four maps while they are in cache, and keeping one of them would
     save at most a quarter of its 8.8 ms at 1352x1014, less than the 2.7 ms of reading 33 MB of moments back.
@@ -128,10 +128,10 @@ class Scorer(Protocol):
         """The metrics it computes."""
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
-        """Take the next frame and return what it completes."""
+        """Take the next frame and return the values it completes."""
 
     def finish(self) -> list[Value]:
-        """Return what only the whole view has."""
+        """Return the values of the whole view."""
 
 
 class FrameScorer:

@@ -1,4 +1,4 @@
-"""All metrics of one view in one pass, two instants in memory at most; what the truth alone decides is computed once."""
+"""All metrics of one view in one pass, two instants in memory at most; work on the truth alone is done once."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass

@@ -14,7 +14,7 @@ SHRINK = 1.6  # a Gaussian that is split leaves two, smaller by this
 
 @dataclass(frozen=True)
 class DensityOptions:
-    """When and where Gaussians are added and taken away; the published values of 3D Gaussian splatting.
+    """Density control, by which Gaussians are added and taken away; the published values of 3D Gaussian splatting.
 
     Attributes:
         first: step of the first round.

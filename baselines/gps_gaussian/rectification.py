@@ -115,7 +115,7 @@ def rectify(left: Camera, right: Camera, whole: bool = False) -> RectifiedPair:
 
 
 def _shrink(corners: Array, image_pixels: int) -> float:
-    """How much smaller, per side, a canvas that holds all corners (2, 4, 2) must be to stay within `MOST_PIXELS`; at most 1."""
+    """Factor per side, at most 1, that keeps a canvas of all corners (2, 4, 2) within `MOST_PIXELS`."""
     width, height = np.ptp(corners[..., 0], axis=1).max(), np.ptp(corners[..., 1])
     return float(min(1.0, np.sqrt(MOST_PIXELS * image_pixels / (width * height))))
 

@@ -1,4 +1,4 @@
-"""``corrections.toml`` in a capture: cameras that are out of step or brighter than the others, and what frames become for it.
+"""``corrections.toml`` in a capture: cameras that are out of step or too bright, and the corrections of their frames.
 
 `ggvs-eval check CAPTURE --repair` writes the file; every reader of the capture applies it.
 """
@@ -183,7 +183,7 @@ def _corrected_extras(extras: Extras, start: int, correction: Correction, n_fram
 
 
 def describe_corrections(corrections: Mapping[str, Correction]) -> str:
-    """Describe what is done, for people.
+    """Describe the corrections in words.
 
     Examples:
         >>> describe_corrections({"cam03": Correction("cam03", offset_frames=-2)})

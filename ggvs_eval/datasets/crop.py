@@ -1,4 +1,4 @@
-"""Frames that are a part of the pictures a calibration was made for, and ``crop.toml``, which says what part."""
+"""Frames that are a part of the pictures a calibration was made for, and ``crop.toml``, which says which part."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -61,7 +61,7 @@ class DepthFrames:
 
     @cached_property
     def digest(self) -> str:
-        """Identifies the files and what is done to them."""
+        """Identifies the files and their processing."""
         matrices = [np.zeros(9) if K is None else K.ravel() for K in (self.K, self.K_depth)]
         values = [self.scale_to_units, self.width, self.height, *np.concatenate(matrices)]
         values += [] if self.depth_to_colour is None else self.depth_to_colour.ravel().tolist()

@@ -1,4 +1,4 @@
-"""Known traps: scenes and cameras of public data sets of which it is known that something is wrong, and what."""
+"""Known faults of scenes and cameras of public data sets."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -52,7 +52,7 @@ class TrapTable:
 
 
 def apply_known_traps(capture: Capture, leave_out: bool = True) -> Capture:
-    """Leave out the cameras that are known to be no good, and note what else is known of a capture.
+    """Leave out cameras that are known to be faulty, and note the other known faults of a capture.
 
     Args:
         leave_out: leave cameras out; when False they are kept, and the note says what is wrong with them.

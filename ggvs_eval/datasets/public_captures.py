@@ -19,7 +19,7 @@ LIMITS = Limits(n_files=500_000, n_bytes=200 << 30)  # of an archive; the disk's
 
 @dataclass(frozen=True)
 class ByHand:
-    """A scene that no single address gives, and what to do for it."""
+    """A scene without a single address, with instructions to get it."""
 
     scene: str
     mend: str

@@ -42,7 +42,7 @@ class UndistortedFrames:
 
     @cached_property
     def digest(self) -> str:
-        """Identifies the frames and what is done to them."""
+        """Identifies the frames and their processing."""
         values = [*self.lens.K.ravel(), *self.lens.coefficients, *self.K.ravel()]
         return digest_values(self.source.digest, self.lens.model, *(f"{value:.17g}" for value in values))
 

@@ -30,7 +30,7 @@ UNSAFE_PATH = re.compile(r"[\x00-\x1f\x7f]|^[A-Za-z]:")
 
 @dataclass(frozen=True)
 class Limits:
-    """Upper limits on what an archive may hold."""
+    """Upper limits on the contents of an archive."""
 
     n_files: int
     n_bytes: int
@@ -46,7 +46,7 @@ class _Member:
 
 
 class _RefusedError(Exception):
-    """An archive holds what is not unpacked."""
+    """An archive holds something that is not unpacked."""
 
 
 def is_archive(path: Path) -> bool:

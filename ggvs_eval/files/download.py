@@ -1,4 +1,4 @@
-"""Files from the network: fetched in pieces that a stopped download goes on from, and what was fetched, recorded."""
+"""Files from the network: resumable downloads, each recorded."""
 
 import hashlib
 import json
@@ -37,18 +37,18 @@ class Fetched:
 
 
 class DownloadError(GgvsError):
-    """A file cannot be fetched, or is not what it was."""
+    """A file cannot be fetched, or has changed."""
 
 
 def cache_folder() -> Path:
-    """Return the folder of what is fetched once: $GGVS_EVAL_CACHE, else ggvs-eval under $XDG_CACHE_HOME or ~/.cache."""
+    """Return the folder of downloads: $GGVS_EVAL_CACHE, else ggvs-eval under $XDG_CACHE_HOME or ~/.cache."""
     if own := os.environ.get("GGVS_EVAL_CACHE"):
         return Path(own)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ggvs-eval"
 
 
 def download(url: str, file: Path, record: Path) -> Fetched:
-    """Bring a file here, or take the one that lies there, and see that it is what it was at the first time.
+    """Download a file, or take the one that is there, and verify that it has not changed since the first time.
 
     Args:
         file: where it goes. A stopped download lies in ``FILE.part``, which the next call goes on from while the server still

@@ -1,4 +1,4 @@
-"""8-bit images: what is measured is what lies on disk."""
+"""8-bit images, as they are stored and measured."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -30,7 +30,7 @@ PNG_LEVEL = 1  # two thirds of the time that level 3 takes, for files 4 % larger
 
 
 def quantise(image: NDArray[np.floating]) -> Image8:
-    """Round an image in [0, 1] to 8 bit, as it will be saved; what lies outside is clipped.
+    """Round an image in [0, 1] to 8 bit, as it will be saved; values outside are clipped.
 
     Examples:
         >>> quantise(np.array([[-0.1, 0.0, 0.5, 1.0]])).tolist()

@@ -1,4 +1,4 @@
-"""Headers of pictures: coding, size, and what is lost or made up when one is read as 8-bit RGB."""
+"""Headers of pictures: coding, size, and the conversion to 8-bit RGB."""
 
 from io import BytesIO
 from pathlib import Path

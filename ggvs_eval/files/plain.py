@@ -1,4 +1,4 @@
-"""Plain files: what is no regular file, or larger than such a file can be, is refused before it is read."""
+"""Plain files: anything but a regular file of a plausible size is refused before it is read."""
 
 import codecs
 import errno
@@ -25,7 +25,7 @@ class NotPlainError(OSError):
 
 
 def check_plain(path: Path, most_bytes: int | None = None) -> int:
-    """Refuse what reading would wait for, or never end with.
+    """Refuse files that reading would wait for, or never end with.
 
     Args:
         most_bytes: that it may have; None where nothing of it is read at once.

@@ -109,7 +109,7 @@ def _exact_conversion() -> int:
 
 
 class FrameTime(NamedTuple):
-    """When a frame is shown and handed to the decoder, in ticks of its stream; hidden ones only lead to others (edit lists)."""
+    """Presentation and decoding time of a frame, in ticks of its stream; hidden ones only lead to others (edit lists)."""
 
     presented: int
     decoded: int
@@ -156,7 +156,7 @@ class VideoFrames:
 
     @cached_property
     def times_s(self) -> Array:
-        """When each frame is shown, seconds after the first, (T,); the whole file is read for it."""
+        """Presentation times of the frames, seconds after the first, (T,); the whole file is read for it."""
         with self._open() as container:
             tick_s = float(container.streams.video[0].time_base or 0)
         return tick_s * np.array([frame.presented - self._shown[0].presented for frame in self._shown], np.float64)
@@ -245,7 +245,7 @@ class VideoFrames:
 
     @cached_property
     def _timestamps(self) -> list[FrameTime]:
-        """When each frame is decoded and presented, in the order of presentation."""
+        """Decoding and presentation times of the frames, in the order of presentation."""
         import av
 
         try:

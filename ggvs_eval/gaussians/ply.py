@@ -77,7 +77,7 @@ def read_ply(path: Path) -> GaussianCloud:
 
 
 def unknown_properties(path: Path) -> list[str]:
-    """Properties of a cloud's Gaussians that are passed over, not knowing what they mean."""
+    """Properties of a cloud's Gaussians that are not understood and passed over."""
     with path.open("rb") as file:
         names = next(each for each in _read_header(file, path) if each.name == "vertex").row.names or ()
     known = {*MEANS, *COLOURS, "opacity", *SCALES, *TURNS, *HARMLESS, *PACKED}

@@ -1,4 +1,4 @@
-"""Blending of ellipses front to back in torch, tile by tile: what the compiled kernel is measured by, and the path on a GPU.
+"""Blending of ellipses front to back in torch, tile by tile: reference of the compiled kernel, and the path on a GPU.
 
 Autograd differentiates it. Any float, so that its gradients can be held against finite differences in double precision.
 """

@@ -29,7 +29,7 @@ class Engine:
     scheduler: str | None = None
 
     def run(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | LostJob]]:
-        """Do the work for every item and yield (index, what came of it) in the order in which they end.
+        """Do the work for every item and yield (index, result) in the order in which they end.
 
         An item whose process dies is done again; one that takes its process with it every time is a `LostJob`.
 

@@ -110,7 +110,7 @@ class BrokenJobError(RuntimeError):
 
 
 def run_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger: Ledger | None = None) -> int:
-    """Run what is not done yet; one failure does not stop the others.
+    """Run the jobs that are not done yet; one failure does not stop the others.
 
     Args:
         workers: where they run; 1 runs them in this process.
@@ -130,7 +130,7 @@ def run_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger: Le
 
 
 def attempt_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger: Ledger | None = None) -> Attempt:
-    """Run what is not done yet and tell what failed; arguments as of `run_jobs`."""
+    """Run the jobs that are not done yet and return the failures; arguments as of `run_jobs`."""
     open_jobs = [job for job in jobs if not job.is_done()]
     for job in open_jobs:
         remove_leftovers(job.folder)

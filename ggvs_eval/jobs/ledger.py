@@ -54,7 +54,7 @@ class Failure:
     traceback: str = ""
 
     def __str__(self) -> str:
-        """Say in one line what failed and why."""
+        """Name the job and the reason in one line."""
         return f"{self.name}: {' '.join(self.message.split())}"
 
     @classmethod
@@ -93,7 +93,7 @@ class Ledger:
         return self.root / JOBS_FOLDER / f"{self.stage}.json"
 
     def write(self, entries: Sequence[Entry], keep: bool = False) -> None:
-        """Say what is wanted.
+        """Write the list of jobs.
 
         Args:
             keep: leave in the list what is there for other folders: another shard's, or another sweep's of the same root.
@@ -104,7 +104,7 @@ class Ledger:
         write_json(self.file, {"begun_s": time.time(), "jobs": jobs})
 
     def read(self) -> tuple[float, list[Entry]]:
-        """When the stage was begun, in seconds since 1970, and its jobs."""
+        """Read when the stage was begun, in seconds since 1970, and its jobs."""
         record = read_json(self.file)
         entries = [Entry(job["name"], self.root / folder, job["sha256"]) for folder, job in record["jobs"].items()]
         return record["begun_s"], entries

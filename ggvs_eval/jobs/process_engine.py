@@ -56,7 +56,7 @@ def run_in_processes(
 def _run_pool(
     work: Callable[[Item], Result], waiting: deque[Entry[Item]], workers: int
 ) -> Generator[tuple[int, Result], None, list[Entry[Item]]]:
-    """Work until nothing waits or the pool breaks; give back what was in hand then."""
+    """Work until nothing waits or the pool breaks; return the items in hand then."""
     running: dict[Future[Result], Entry[Item]] = {}
     try:
         with borrowed_pool(min(workers, len(waiting)), workers) as pool:

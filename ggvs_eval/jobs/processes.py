@@ -83,7 +83,7 @@ class _WorkerPool(ProcessPoolExecutor):
             return super().submit(work, *arguments, **named)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> bool | None:
-        """Wait for what runs; after Ctrl-C end it."""
+        """Wait for running work; after Ctrl-C end it."""
         if kind in (KeyboardInterrupt, SystemExit):
             for child in active_children():
                 child.terminate()
@@ -117,7 +117,7 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str) -> None:
-    """Wait for jobs with a progress bar; the first that fails cancels what has not begun.
+    """Wait for jobs with a progress bar; the first that fails cancels those not begun.
 
     Raises:
         Exception: what the job that failed raised.

@@ -1,4 +1,4 @@
-"""Progress of a run or a sweep: what is done, in hand, failed and missing, read from its folders alone."""
+"""Progress of a run or a sweep: jobs done, in hand, failed and missing, read from its folders alone."""
 
 import os
 import time
@@ -48,7 +48,7 @@ def read_status(root: Path) -> list[StageStatus]:
 
 
 def describe_status(root: Path) -> str:
-    """The same as text: a line per stage, then what is in hand, what failed, and how large the folder is."""
+    """The same as text: a line per stage, then jobs in hand, failures, and the size of the folder."""
     lines = []
     for stage in read_status(root):
         counts = f"{stage.done} done, {len(stage.in_hand)} running, {len(stage.failed)} failed, {len(stage.missing)} missing"

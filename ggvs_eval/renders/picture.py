@@ -31,7 +31,7 @@ def read_header(path: Path) -> PictureHeader:
 
 
 def size_fault(size: tuple[int, int], wanted: tuple[int, int]) -> str:
-    """Say how a frame's (width, height) differs from what is wanted; empty where it does not.
+    """Describe a wrong (width, height) of a frame; empty where it is right.
 
     Examples:
         >>> size_fault((320, 120), (160, 120))

@@ -55,7 +55,7 @@ class RenderedView(Protocol):
         """Frame number -> why this frame cannot be used at (width, height), e.g. ``64 x 48 instead of 128 x 96``."""
 
     def write(self, folder: Path, numbers: tuple[int, ...]) -> list[str]:
-        """Put these frames into a folder as ``<frame>.png``; gives back what people should know of it."""
+        """Put these frames into a folder as ``<frame>.png``; returns remarks for people."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class Fit:
 
 
 def fit(renders: RenderSet, request: FrameRequest) -> Fit:
-    """Hold what was found against what is wanted."""
+    """Compare the renders found with those wanted."""
     usable, missing, faulty = {}, [], []
     for view in request.views:
         rendered = renders.views.get(view)
@@ -146,7 +146,7 @@ def _absent(frames: list[int], view: str, renders: RenderSet, request: FrameRequ
 
 
 def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
-    """Refuse renders that are not exactly what is wanted.
+    """Refuse renders that are not exactly those wanted.
 
     Raises:
         RenderError: anything missing, extra or unusable; up to 20 of each are named, and all are counted.
@@ -161,7 +161,7 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
 
 
 def partial_text(fitted: Fit, request: FrameRequest) -> str:
-    """Describe what a row of these renders stands on; empty where nothing is missing."""
+    """Describe the frames behind a row of these renders; empty where none is missing."""
     if not fitted.usable:
         raise RenderError(
             f"{request.label}: not a single frame fits the protocol: {_listed((*fitted.missing, *fitted.faulty))}; "

@@ -35,7 +35,7 @@ def difference(one: Image8, other: Image8) -> float:
 
 
 def check_truth(claims: Claims, request: FrameRequest) -> float:
-    """Refuse renders whose own copy of the truth is not what was captured.
+    """Refuse renders whose own copy of the truth differs from the capture.
 
     Args:
         claims: (view, frame) -> their picture of it; views and frames of the protocol.

@@ -1,4 +1,4 @@
-"""Confidence intervals of the numbers in a table, from what varies over time, views and scenes."""
+"""Confidence intervals of the numbers in a table, from variation over time, views and scenes."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -59,7 +59,7 @@ class Spread:
 
     @property
     def note(self) -> str:
-        """Caveats in words: what is taken as given, and that a clip is too short; empty where there are none."""
+        """Caveats in words: assumptions, and a clip that is too short; empty where there are none."""
         return "; ".join(filter(None, (f"given {', '.join(self.given)}" if self.given else "", self.short)))
 
     @property

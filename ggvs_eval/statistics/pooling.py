@@ -56,7 +56,7 @@ class Pooling:
 
     @classmethod
     def read(cls, record: Mapping[str, Any]) -> "Pooling":
-        """Read what `record` wrote."""
+        """Read a rule from its record."""
         return cls(record["rule"], tuple(record["parts"]), record["settings"])
 
     def record(self) -> dict[str, Any]:

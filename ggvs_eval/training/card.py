@@ -1,4 +1,4 @@
-"""The model card beside trained weights: what was learned from what, at which cost, and how well."""
+"""The model card of trained weights: data, cost and quality of the training."""
 
 import csv
 import hashlib

@@ -1,4 +1,4 @@
-"""A training sample of a learned baseline: what a method is shown of a target view, and what the target's camera saw."""
+"""A training sample of a learned baseline: the input of a method for a target view, and the captured target."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -96,7 +96,7 @@ def write_instant(path: Path, sample: InstantSample) -> None:
 
 
 def read_instant(path: Path) -> InstantSample:
-    """Read what `write_instant` wrote; confidence is 1 where depth is known."""
+    """Read a sample of `write_instant`; confidence is 1 where depth is known."""
     with stored_arrays(path) as arrays:
         target, *cameras = stored_cameras(arrays)
         depths = arrays["depths"].astype(np.float32) * np.float32(arrays["unit"])

@@ -33,7 +33,7 @@ class TrainingLog:
         _append(self._steps, step, figures)
 
     def validation(self, steps: int, figures: Mapping[str, float]) -> None:
-        """Write what a network scores after so many steps."""
+        """Write the validation scores of a step."""
         _append(self._validations, steps, figures)
 
 

@@ -1,4 +1,4 @@
-"""Affine colour correction: takes out what no method can know, how the target camera's colours differ from its sources'."""
+"""Affine colour correction: removes the colour difference between target and source cameras, which no method can know."""
 
 import cv2
 import numpy as np

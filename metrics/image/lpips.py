@@ -220,7 +220,7 @@ def network_input_of(images: "torch.Tensor") -> "torch.Tensor":
 def tapped_layers(
     features: "torch.Tensor", layers: tuple[Layer, ...], weights: "dict[str, torch.Tensor]"
 ) -> "list[torch.Tensor]":
-    """Run `network_input` of frames (B, 3, H, W) through the network and keep what is compared."""
+    """Run `network_input` of frames (B, 3, H, W) through the network and keep the compared layers."""
     from torch.nn import functional
 
     taps: list[torch.Tensor] = []

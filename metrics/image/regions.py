@@ -1,4 +1,4 @@
-"""Metrics of a part of the image: what stands still, what moves, what no source camera sees."""
+"""Metrics of parts of the image: static, moving, and unseen by every source camera."""
 
 from collections.abc import Iterable, Sequence
 from functools import partial

@@ -1,4 +1,4 @@
-"""Noise of sensor and codec, measured on what stands still in a captured view, and further realisations of it."""
+"""Noise of sensor and codec, measured on the static parts of a captured view, and further realisations of it."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

@@ -47,7 +47,7 @@ class ColmapConsistency:
 
 
 def colmap_consistency(images: Iterable[Image], cameras: Sequence[Camera] | None = None) -> ColmapConsistency:
-    """Solve the path from its images alone by COLMAP (SIFT, sequential matching, incremental mapping) and see what comes of it.
+    """Solve the path from its images alone by COLMAP (SIFT, sequential matching, incremental mapping).
 
     Args:
         images: views in the order of the path, (H, W, 3), uint8 in 0..255 or float in [0, 1].

@@ -1,4 +1,4 @@
-"""A rendered camera path as its metrics see it, gathered pose by pose, and what a metric of a path is."""
+"""A rendered camera path, gathered pose by pose, and its metrics' interface."""
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""From a pose of a camera path to the next: what a pose shows, carried there by depth, and compared."""
+"""Reprojection from one pose of a camera path to the next, by depth, and comparison there."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

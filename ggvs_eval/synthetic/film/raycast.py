@@ -136,7 +136,7 @@ class View:
         self._radiance = np.zeros_like(self._fine.rays)
 
     def render(self, instant: Instant) -> Picture:
-        """Render what the camera sees of the same room at an instant."""
+        """Render the camera's view of the same room at an instant."""
         linear, covered = self.light(instant)
         return Picture(expose(linear), covered, self.depth(instant))
 

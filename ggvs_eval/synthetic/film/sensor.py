@@ -124,7 +124,7 @@ def to_linear(image: Array32) -> Array32:
 
 
 def to_srgb(linear: Array32) -> Array32:
-    """SRGB of linear light, any shape; what is below black or above white is cut off."""
+    """SRGB of linear light, any shape, clipped to black and white."""
     linear = np.clip(linear, 0, 1)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * power(linear, 1 / 2.4) - 0.055).astype(np.float32)
 

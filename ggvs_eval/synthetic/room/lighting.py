@@ -1,4 +1,4 @@
-"""Light on every vertex: soft shadows and several bounces, baked once for what stands still, updated where something moves."""
+"""Light on every vertex: soft shadows and several bounces, baked once for static surfaces, updated where something moves."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -46,7 +46,7 @@ class Instant:
 
 
 class _Baked(NamedTuple):
-    """Light of what stands still.
+    """Light of the static surfaces.
 
     Attributes:
         transfer: share of each sample point's power that reaches each vertex, (V, S).
@@ -100,7 +100,7 @@ class LitRoom:
         return _sum_over_points(self._baked.transfer, self._power(0.0)) + self._baked.ambient
 
     def _bake(self) -> tuple[Array32, Array32, Array32]:
-        """Light what stands still; what `_Baked` has."""
+        """Compute the light of the static surfaces."""
         transfer = self._direct_transfer(self.static, self.static)
         faces = self._seen_faces(self.static, self.static.vertices, self.static.normals)  # (V, A)
         return transfer, *self._bounce(_sum_over_points(transfer, self._power(0.0)), faces)

@@ -1,4 +1,4 @@
-"""Procedural albedo: what walls, boards, cloth and labels look like, each from a seeded generator.
+"""Procedural albedo of walls, boards, cloth and labels, each from a seeded generator.
 
 Every function returns an sRGB image, uint8 (H, W, 3), at `TEXELS_PER_METRE`; the first image axis points down.
 """

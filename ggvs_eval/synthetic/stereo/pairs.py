@@ -1,4 +1,4 @@
-"""Rectified pairs with exact disparity, taken of the procedural room and garden: what stereo networks learn from."""
+"""Rectified pairs with exact disparity, of the procedural room and garden, for stereo networks to learn from."""
 
 from copy import copy
 from dataclasses import dataclass, replace
