@@ -45,7 +45,7 @@ class RunSection:
 
 @dataclass(frozen=True)
 class RunGroup:
-    """Runs of one protocol, with what is shown of them.
+    """Runs of one protocol, with their tables and figures.
 
     Attributes:
         name: short, and no other group of the report has it.

@@ -1,4 +1,4 @@
-"""Doubts about what a rig is given live: mistakes that give a picture all the same, each said once."""
+"""Doubts about the input of a live rig: mistakes that still give a picture, each reported once."""
 
 import warnings
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Diagnostics: what a method decided on the way to its image, as pictures beside its frames that the page shows."""
+"""Diagnostics: a method's intermediate maps, as pictures beside its frames that the page shows."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path

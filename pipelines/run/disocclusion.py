@@ -1,4 +1,4 @@
-"""Disocclusion: what no source camera sees of a test view, which methods must invent, whatever they are."""
+"""Disocclusion: the part of a test view that no source camera sees, which every method must invent."""
 
 from collections.abc import Mapping
 from functools import partial

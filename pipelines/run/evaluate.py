@@ -30,7 +30,7 @@ def evaluate(
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
 ) -> Path:
-    """Evaluate methods on a capture; a second call does only what is missing.
+    """Evaluate methods on a capture; a second call computes only missing results.
 
     Args:
         root: run folder, see `ggvs_eval.run_folder`.

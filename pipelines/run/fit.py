@@ -60,7 +60,7 @@ def _identity(capture: Capture, fit: FitPlan, spec: FittedMethod) -> dict[str, A
 
 
 def _fit(name: str, fitter: SceneFitter, footage: Footage, device: str, folder: Path) -> dict[str, Any]:
-    """Fit, or go on; returns what the tables say about it."""
+    """Fit, or go on; returns the record for the tables."""
     clock = FitClock(name, folder)
     fitter.fit(footage, folder, clock.note)
     record = {
@@ -87,7 +87,7 @@ def _machine(device: str) -> str:
 
 @dataclass
 class FitClock:
-    """Time of a fit over all its attempts, and a line per minute about what is left.
+    """Time of a fit over all its attempts, and a line per minute about the time left.
 
     Attributes:
         name: of the fit, for people.
@@ -99,7 +99,7 @@ class FitClock:
     begun_s: float = field(default_factory=time.monotonic)
 
     def __post_init__(self) -> None:
-        """Pick up what earlier attempts took."""
+        """Pick up the time of earlier attempts."""
         file = self.folder / TIME_FILE
         self._before_s: float = read_json(file)["seconds"] if file.is_file() else 0.0
         self._first_done: int | None = None

@@ -1,4 +1,4 @@
-"""Folds of test cameras for methods that are fitted: which are held out together, and what each fit may see.
+"""Folds of test cameras for methods that are fitted: those held out together, and the input of each fit.
 
 A feed-forward method renders each test camera from all others at no cost. A fit takes minutes to hours, so test cameras that lie
 far apart are held out together: the neighbours of each stay training cameras.
@@ -139,7 +139,7 @@ def fill_folds(protocol: Protocol, capture: Capture) -> Protocol:
 
 
 def plan_folds(capture: Capture, folds: Folds, along_path: bool, options: DepthOptions) -> tuple[FoldPlan, ...]:
-    """Plan what each fit is shown.
+    """Plan the input of each fit.
 
     Args:
         capture: holds the cameras that may be seen; test cameras among them or not.

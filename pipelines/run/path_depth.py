@@ -60,7 +60,7 @@ def poses_left(files: MadeFiles, n_poses: int) -> list[int]:
 
 
 def read_path_depth(folder: Path, pose: int) -> NDArray[np.float32]:
-    """Read what `write_path_depth` wrote for one pose."""
+    """Read the depth of one pose."""
     file = pose_file(folder, pose)
     try:
         return np.asarray(np.load(file, allow_pickle=False), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Prepare: what every method needs of a capture under a protocol - truth frames, source views, depth, a camera path."""
+"""Prepare: the input of every method under a protocol - truth frames, source views, depth, a camera path."""
 
 import os
 from collections.abc import Sequence
@@ -85,7 +85,7 @@ def _fill_store(prepared: RunPlan, store: DepthStore, workers: Workers) -> None:
 
 
 def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Workers = 1) -> RunFolder:
-    """Write protocol, capture record and truth frames of the test views into a run folder: what scoring alone needs.
+    """Write protocol, capture record and truth frames of the test views into a run folder, as scoring alone needs.
 
     Args:
         root: the run folder; made if absent. `prepare` can go on with it.

@@ -42,7 +42,7 @@ def ceiling_jobs(run: RunFolder, protocol: Protocol, views: Sequence[str]) -> li
 
 
 def read_ceilings(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
-    """Read what `ceiling_jobs` have found.
+    """Read the results of `ceiling_jobs`.
 
     Returns:
         view -> ``noise_free`` and ``second_recording``, metric -> value, and ``not_computed``, metric -> reason.

@@ -1,4 +1,4 @@
-"""The plan of a run: what is wanted, and everything that follows from it before anything is written.
+"""The plan of a run: the request, and everything that follows from it before anything is written.
 
 A plan is made once. What is left to do is counted on it, and prepare, render and score work through it.
 """

@@ -50,7 +50,7 @@ def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list
 
 
 def read_paths(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
-    """Read what `path_jobs` have measured.
+    """Read the results of `path_jobs`.
 
     Returns:
         label (or ``truth``) -> ``values``, a list of (measure, pose or -1, value), and ``not_computed``, measure -> reason.

@@ -77,7 +77,7 @@ def _score_view(
     options: MetricOptions,
     _folder: Path,
 ) -> dict[str, Any]:
-    """Measure what is stale, methods with the same frames and stale metrics side by side; all other values stay."""
+    """Measure stale metrics, methods with the same frames and stale metrics side by side; all other values stay."""
     record_file = run.scores(view) / JOB_FILE
     records = read_json(record_file)["methods"] if record_file.is_file() else {}
     methods = {label: record for label, record in records.items() if label not in asked}

@@ -20,7 +20,7 @@ class UnitJob(Job):
 
 @dataclass(frozen=True)
 class RunJobs:
-    """Jobs of the methods of a run, made once; what is counted, shown and run is a part of these lists.
+    """Jobs of the methods of a run, made once; counting, status and running use parts of these lists.
 
     Attributes:
         fit: scenes to fit, one per method and fold.

@@ -1,4 +1,4 @@
-"""Work left: what runs still have to do, counted on their plans and what their folders hold; nothing is written."""
+"""Work left in runs, counted from their plans and folders; nothing is written."""
 
 import shutil
 from collections import defaultdict
@@ -109,7 +109,7 @@ class Workload:
         return [f"time: about {duration(seconds)} to render, as the frames took that are rendered{more}"]
 
     def require_disk(self) -> None:
-        """Refuse what cannot fit."""
+        """Refuse runs that the disk has no room for."""
         needed, free = self.disk_bytes, self.free_bytes
         if needed > free:
             raise ProtocolError(
@@ -119,7 +119,7 @@ class Workload:
 
 
 def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workload:
-    """Count what runs still have to do."""
+    """Count the work left in runs."""
     seconds: dict[str, list[float]] = defaultdict(list)
     for plan in plans:
         for label in plan.request.labels:
@@ -130,7 +130,7 @@ def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workloa
 
 
 def work_left(plan: RunPlan) -> list[Piece]:
-    """List what one run lacks."""
+    """List the missing parts of one run."""
     width, height = plan.original.cameras[0].size
     n_pixels, run, of_path = width * height, plan.run, len(plan.path)
     pieces: list[Piece] = []

@@ -1,4 +1,4 @@
-"""Clips that degradations are planted in: true frames of a view or along a camera path, and what could render them."""
+"""Clips that degradations are planted in: true frames of a view or a camera path, with the sources that could render them."""
 
 import json
 from collections.abc import Iterator
@@ -94,7 +94,7 @@ class Take:
 
     @classmethod
     def open(cls, folder: Path, name: str) -> "Take":
-        """Open what `write_take` wrote."""
+        """Open the clips of `write_take`."""
         files = sorted(folder.glob("*.npz"))
         if not files:
             raise CaptureError(f"{folder}: wanted clips of a metric study, there are none; delete the folder and run it again")

@@ -1,4 +1,4 @@
-"""Degradations of what frames are rendered from: depth that boils, and source cameras that are exchanged.
+"""Degradations of the input of rendering: depth that boils, and source cameras that are exchanged.
 
 The online method renders the clip, without its network; what it makes of undisturbed inputs is the undegraded clip.
 """

@@ -57,7 +57,7 @@ def sweep_cells(
     networks: NetworkOptions,
     shared: Path | None = None,
 ) -> tuple[list[Cell], dict[str, str]]:
-    """The runs of a sweep, and what of it cannot be computed: title -> reason.
+    """The runs of a sweep, and its rows that cannot be computed: title -> reason.
 
     Args:
         shared: folder of the frames and the depth that all runs use; that of their capture in the sweep where None.

@@ -93,7 +93,7 @@ def plan_cells(
 
 @kept_workers()
 def run_sweep(planned: SweepPlan, workers: Workers) -> SweepResult:
-    """Evaluate what is planned; what exists is not computed again, and what fails does not stop the rest.
+    """Evaluate a plan; existing results are not computed again, and a failure does not stop the rest.
 
     Of several captures the means are shown beside the single tables.
     """

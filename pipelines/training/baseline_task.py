@@ -67,7 +67,7 @@ class BaselineTask:
     has_statistics: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what does not fit together."""
+        """Refuse options that do not fit together."""
         require_room(self.training, self.recipe.crop_width, self.recipe.crop_height)
 
     @property
@@ -77,7 +77,7 @@ class BaselineTask:
 
     @property
     def summary(self) -> str:
-        """Sentence of the model card on what is trained."""
+        """Sentence of the model card on the network."""
         return f"The training of {self.baseline.title} ({self.baseline.source})."
 
     @property
@@ -87,7 +87,7 @@ class BaselineTask:
 
     @property
     def evaluated_on(self) -> str:
-        """Sentence of the model card on what `validate` measures."""
+        """Sentence of the model card on the measures of `validate`."""
         step, refusals = self.recipe.validated_step, [each for each in self._refusals if each]
         measured = "PSNR (dB) and SSIM, means of whole views, single instants"
         if step > 1:

@@ -28,7 +28,7 @@ NETWORKS: tuple[Network, ...] = (
 def train_all(
     folder: Path, request: TrainingRequest, jobs: int | None = None, networks: Sequence[Network] = NETWORKS
 ) -> list[Path]:
-    """Train all networks of a comparison on the same views; what is done already is not done again.
+    """Train all networks of a comparison on the same views; finished ones are not trained again.
 
     Args:
         folder: gets a folder per network, with state, logs, curve, weights and card, and the samples.

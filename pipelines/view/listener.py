@@ -76,7 +76,7 @@ class Listener:
 
 
 def require_viser() -> None:
-    """Say how to install what the viewer is built on, before anything is computed for it."""
+    """Require viser, with the command that installs it, before anything is computed."""
     if importlib.util.find_spec("viser") is None:
         raise CommandError(MISSING)
 

@@ -68,7 +68,7 @@ class _Running:
 
 @dataclass
 class LiveView:
-    """Pictures of one size for one viewer, each method with the history of what it was shown.
+    """Pictures of one size for one viewer, each method with its history.
 
     A method sees instants as they come: the same one again while time stands still, the next one while it plays. It begins anew
     after any other jump in time, since it would take what it remembers for the instant before.
@@ -86,7 +86,7 @@ class LiveView:
     _running: dict[str, _Running] = field(default_factory=dict)
 
     def picture(self, request: ViewRequest) -> Picture:
-        """Synthesise what is asked for."""
+        """Synthesise the picture of a request."""
         target = fitted(request.pose, self.pixels)
         self._running = {label: each for label, each in self._running.items() if label in request.methods}
         seconds: dict[str, dict[str, float]] = {}
@@ -100,7 +100,7 @@ class LiveView:
         return Picture(divided(images, request.divider), seconds, tuple(camera.name for camera in sources))
 
     def restart(self) -> None:
-        """Forget what the methods were shown."""
+        """Forget the methods' history."""
         self._running.clear()
 
     def _step(self, label: str, request: ViewRequest, target: Camera) -> Rendering:

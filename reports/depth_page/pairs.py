@@ -28,7 +28,7 @@ DOT_COLOURS = ((213, 94, 0), (0, 158, 115), (204, 121, 167), (0, 114, 178), (230
 
 @dataclass(frozen=True)
 class PairErrors:
-    """A camera, one it is matched with, and what matched features say of the two.
+    """A camera, a partner, and the errors of their matched features.
 
     Attributes:
         baseline: distance of their centres, world units.

@@ -1,4 +1,4 @@
-"""The pictures of one camera's depth: what it saw, how far that is, how sure we are, and what it looks like made again."""
+"""The pictures of one camera's depth: image, depth, confidence, and the image resynthesised."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

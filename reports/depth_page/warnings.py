@@ -1,4 +1,4 @@
-"""Warnings about a capture's depth, in words, with what to do about each."""
+"""Warnings about a capture's depth, in words, each with a remedy."""
 
 from collections.abc import Iterator, Sequence
 
@@ -26,7 +26,7 @@ def find_warnings(record: DepthRecord) -> list[str]:
 
 
 def find_notes(record: DepthRecord) -> list[str]:
-    """Note what is not necessarily wrong but good to know."""
+    """Note facts that are not necessarily wrong but good to know."""
     notes = []
     notes += [f"{pair.camera}-{pair.partner} cannot be rectified: {pair.obstacle}." for pair in record.pairs if pair.obstacle]
     unmeasured = [f"{pair.camera}-{pair.partner}" for pair in record.pairs if not pair.matches and not pair.obstacle]

@@ -1,4 +1,4 @@
-"""Figure of metric studies: what each metric answers to each degradation, a field of cells for each study."""
+"""Figure of metric studies: the answer of each metric to each degradation, a field of cells for each study."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

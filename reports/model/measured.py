@@ -1,4 +1,4 @@
-"""A scored run folder as the reports see it: who was measured, under what name, and what each number means."""
+"""A scored run folder as the reports see it: methods, names to show, and the meaning of each number."""
 
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -39,7 +39,7 @@ class Reference:
 
 
 def read_references(folder: RunFolder) -> tuple[Reference, ...]:
-    """Read what the score step wrote beside the results; nothing where it wrote none."""
+    """Read the references of the score step; none where it wrote none."""
     file = folder.root / REFERENCES_FILE
     return tuple(Reference(**entry) for entry in read_json(file)) if file.is_file() else ()
 

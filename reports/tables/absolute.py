@@ -1,4 +1,4 @@
-"""A method's number beside what this capture allows and what others publish, and where its error lies."""
+"""A method's number beside the capture's ceiling and published values, and where its error lies."""
 
 from collections.abc import Sequence
 from functools import cache

@@ -63,7 +63,7 @@ class Difference:
 
     @property
     def verdict(self) -> str:
-        """Who is better and whether that is more than chance, in words."""
+        """The better method and whether that is more than chance, in words."""
         difference = self.comparison.difference
         if difference == 0.0:
             return "equal"

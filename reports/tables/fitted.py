@@ -1,4 +1,4 @@
-"""Tables of methods that are fitted: what they cost, how far seeds move them, and what being online costs beside them."""
+"""Tables of methods that are fitted: their cost, their spread over seeds, and the price of being online."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -33,7 +33,7 @@ COST_COLUMNS = (
 
 
 def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
-    """Label -> what its fits took, one record per fold; of methods that are fitted alone."""
+    """Label -> cost of its fits, one record per fold; of fitted methods alone."""
     records: dict[str, list[dict[str, Any]]] = {}
     for label in run.labels:
         fits = [record["fit"] for record in render_records(run, label) if "fit" in record]

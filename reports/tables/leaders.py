@@ -1,4 +1,4 @@
-"""Who is best: the first thing that a page says."""
+"""Best method of each metric, the first thing on a page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ HEADLINES = ("PSNR", "SSIM", "LPIPS", "TCC", "STED", "SDT", "SDV")  # those of t
 
 @dataclass(frozen=True)
 class Leader:
-    """Who is best in one column of a table.
+    """Best method in one column of a table.
 
     Attributes:
         dataset: that the table is of.

@@ -1,4 +1,4 @@
-"""Every published cell of the paper beside what was measured here, and whether that reproduces it."""
+"""Every published cell of the paper beside our measurement, and whether that reproduces it."""
 
 import csv
 import math

@@ -1,4 +1,4 @@
-"""Who is best and by how much, in words and places of a drawing: what a page says first."""
+"""Best method and its margin, in words and as a drawing: the head of a page."""
 
 import math
 from collections.abc import Sequence
@@ -74,7 +74,7 @@ class Verdict:
     tied: tuple[str, ...]
 
     def shown(self, run: MeasuredRun) -> tuple[str, ...]:
-        """Whose pictures say most of a run: the best, and ours beside it, or the runner-up where ours is the best."""
+        """Methods whose pictures say most of a run: the best, and ours beside it, or the runner-up where ours is the best."""
         labels = [one.label for one in (*self.contenders, *self.parts) if one.label in run.pictured]
         beside = [label for label in labels[1:] if label in run.ours] if labels and labels[0] not in run.ours else []
         return tuple(dict.fromkeys([*labels[:1], *beside, *labels[1:]]))[:2]
@@ -82,7 +82,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class _Field:
-    """Who competes in a metric.
+    """Contenders in a metric.
 
     Attributes:
         dataset: that the table is of.
@@ -152,7 +152,7 @@ def _labels(runs: Sequence[MeasuredRun], results: Results, dataset: str) -> list
 
 
 def _field(leader: Leader, runs: Sequence[MeasuredRun], results: Results, tables: Sequence[Table]) -> _Field:
-    """Who competes in a column, ours represented by one."""
+    """Contenders in a column, ours represented by one."""
     table, column = _table_of(leader, tables), leader.column
     at, labels = table.columns.index(column), _labels(runs, results, leader.dataset)
     competing = [

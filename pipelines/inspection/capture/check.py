@@ -166,7 +166,7 @@ def record_cameras(capture: Capture, workers: int) -> list[CameraRecord]:
 
 
 def examine_frames(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:
-    """Answer what frames alone tell."""
+    """Answer the questions that need frames alone."""
     return (*frames.check_frames(capture, records), *frames.check_frozen(records), *colour.check_noise(records))
 
 
@@ -193,7 +193,7 @@ def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...
 
 
 def _examine_unopened(path: Path, message: str, workers: int) -> tuple[Finding, ...]:
-    """Report what can be said of a capture that does not open: why, and what its frames tell where there are some."""
+    """Report why a capture does not open, and findings on its frames where there are some."""
     found: tuple[Finding, ...] = (Finding(RIG, OPENS, "bad", message, {}, "mend this first"),)
     try:
         filmed = uncalibrated_capture(path, find_rig_frames(path))

@@ -1,4 +1,4 @@
-"""Epipolar error: which cameras' calibration contradicts what their images show, and the likely reason."""
+"""Epipolar error: cameras whose calibration contradicts their images, and the likely reason."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

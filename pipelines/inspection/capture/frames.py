@@ -1,4 +1,4 @@
-"""Frames: how many, what cannot be read or is black, and which stand still while the others go on."""
+"""Frames: their number, those unreadable or black, and those frozen while the others go on."""
 
 from collections.abc import Sequence
 from pathlib import Path

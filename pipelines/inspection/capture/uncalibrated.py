@@ -1,4 +1,4 @@
-"""Frames that have no calibration yet: what can be said of them, and what comes next."""
+"""Frames without a calibration yet: findings on them, and the next step."""
 
 from collections.abc import Mapping
 from pathlib import Path

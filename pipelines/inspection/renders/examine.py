@@ -1,4 +1,4 @@
-"""The examination of renders: each question in turn, and what it finds is mended before the next is asked."""
+"""The examination of renders: each question in turn, its finding corrected before the next."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -81,7 +81,7 @@ def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
 
 
 def _examine_picture(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], count: int) -> _Examined:
-    """Examine a picture: what it shows, when, in which colours, and where."""
+    """Examine a picture: its view, instant, colours and placement."""
     findings, view = find_identity(name, view, cameras)
     placed = find_placement(name, view)
     view = placed.view

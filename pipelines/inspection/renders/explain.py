@@ -61,7 +61,7 @@ FAMILIES: Mapping[str, Callable[[Mapping[str, ViewFrames], Masks], list[Recomput
 
 @dataclass(frozen=True)
 class Convention:
-    """One way to compute a metric, and what comes of it here.
+    """One way to compute a metric, with its result.
 
     Attributes:
         name: what is done, in words.
@@ -186,7 +186,7 @@ def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention
 
 
 def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> str:
-    """Say what the number is, told from what it may be by chance; matches over all views before those over one."""
+    """Name the convention of the number, apart from chance matches; those over all views before those over one."""
     everywhere = [one for one in conventions if one.views == ALL_VIEWS]
     for tried in (everywhere, conventions):
         matching = [one for one in tried if one.matches]

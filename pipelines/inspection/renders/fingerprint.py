@@ -1,4 +1,4 @@
-"""Sensor noise of the truth as its fingerprint: no method guesses it, so what a rendering has of it was taken from the truth."""
+"""Sensor noise of the truth as its fingerprint: no method can guess it, so a rendering that has it took it from the truth."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -66,7 +66,7 @@ class CalibrationOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself."""
+        """Refuse options that contradict each other."""
         if self.known_intrinsics is not None and self.known_poses is not None:
             choice = f"{self.known_intrinsics} and {self.known_poses}"
             raise CaptureError(f"calibrate: wanted known intrinsics or known poses, which bring theirs, got {choice}; give one")

@@ -27,7 +27,7 @@ DIFFERENCE = 1e-5  # of a prior's standard deviation, for derivatives
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras as they are known, and what they see.
+    """Known cameras and their features.
 
     Attributes:
         turns: worlds to cameras, (C, 3, 3).

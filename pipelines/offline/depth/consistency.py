@@ -1,4 +1,4 @@
-"""Depth of one camera held against that of others: what they see through goes, what they agree on is averaged or filled in."""
+"""Depth of one camera held against that of others: contradicted depth is removed, confirmed depth averaged or filled in."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -23,7 +23,7 @@ Indices = NDArray[np.int32]
 
 @dataclass(frozen=True)
 class ConsistencyOptions:
-    """When depth maps agree, and what follows.
+    """Agreement of depth maps, and its consequences.
 
     Attributes:
         error_px: two depths of a point agree when their reprojections into each other's image differ by no more than this, ...

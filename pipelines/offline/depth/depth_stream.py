@@ -1,4 +1,4 @@
-"""Depth of one camera over consecutive instants: keyframes from nothing, between them only what has changed."""
+"""Depth of one camera over consecutive instants: keyframes anew, between them only changed pixels."""
 
 from collections.abc import Sequence
 

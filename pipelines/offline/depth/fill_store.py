@@ -244,7 +244,7 @@ def _in_workers(
     workers: Workers,
     title: str,
 ) -> None:
-    """Do what is missing of some jobs, one process each."""
+    """Do the missing parts of some jobs, one process each."""
     missing = [job for job in dict.fromkeys(jobs) if _missing(store, job.key, frames)]
     run_all(partial(work, capture, frames, store, options), missing, workers, title)
 
@@ -264,7 +264,7 @@ def _check(capture: Capture, frames: Sequence[int], store: DepthStore, options: 
 
 
 def _run(capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
-    """Compute what is missing of one job; runs in a worker."""
+    """Compute the missing frames of one job; runs in a worker."""
     key = store.write_spec(job.spec)
     missing = _missing(store, key, frames)
     if not missing:

@@ -23,7 +23,7 @@ SAMPLES = 20_000  # points of a camera that tell how large the scene is
 
 @dataclass(frozen=True)
 class FuseOptions:
-    """Options of the fusion: what is fused, and how finely.
+    """Options of the fusion.
 
     Attributes:
         voxel: edge of a voxel, world units, of the mesh and of the point cloud; 0 chooses one that suits the pixels.

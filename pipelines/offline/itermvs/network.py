@@ -192,7 +192,7 @@ class RecurrentUnit(nn.Module):
 
 
 class Update(nn.Module):
-    """The recurrent state, and what it says of depth and confidence."""
+    """The recurrent state, and its depth and confidence."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -96,7 +96,7 @@ class RegisteredDepth:
 
     @property
     def digest(self) -> str:
-        """Identifies the given depth and what is done to it."""
+        """Identifies the given depth and its processing."""
         values = [
             *asdict(self.registration).values(),
             *self.camera.K.ravel(),

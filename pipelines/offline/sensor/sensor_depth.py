@@ -1,4 +1,4 @@
-"""Depth that a sensor measured beside the images, made fit for rendering: what no surface explains goes, small holes close."""
+"""Depth that a sensor measured beside the images, made fit for rendering: outliers removed, small holes closed."""
 
 from dataclasses import asdict, dataclass, field
 from typing import Literal
@@ -63,7 +63,7 @@ class SensorDepthOptions:
 
 
 class SensorDepthEstimator:
-    """Depth of one camera from the sensor beside it, frame by frame: what `DepthEstimator` is to stereo."""
+    """Depth of one camera from the sensor beside it, frame by frame, as `DepthEstimator` for stereo."""
 
     def __init__(self, camera: Camera, source: DepthSource, options: SensorDepthOptions) -> None:
         self.camera = camera

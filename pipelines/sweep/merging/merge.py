@@ -76,7 +76,7 @@ def _union(units: Sequence[Unit]) -> dict[str, Unit]:
 
 
 def _require_alike(runs: Sequence[RunFolder]) -> None:
-    """Refuse what does not belong in one table."""
+    """Refuse runs that do not belong in one table."""
     if not runs:
         raise ResultsError("wanted run folders to merge, got none")
     first, *others = runs
@@ -92,7 +92,7 @@ def _require_alike(runs: Sequence[RunFolder]) -> None:
 
 
 def _identity(run: RunFolder) -> dict[str, Any]:
-    """Return what runs must have in common, by the words that a message uses."""
+    """Return the properties that runs must share, by the words that a message uses."""
     record = run.capture_record()
     depth = read_json(run.depth_record) if run.depth_record.is_file() else {}
     return {

@@ -37,7 +37,7 @@ def perceptual_loss(image: Tensor, truth: Tensor) -> Tensor:
 
 
 def require_perceptual(width: int, height: int) -> None:
-    """Refuse what the term cannot be computed for, before anything is.
+    """Refuse crops or weights the term cannot be computed with, before any work.
 
     Args:
         width: of the crops, pixels.

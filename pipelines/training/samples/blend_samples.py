@@ -1,4 +1,4 @@
-"""A training sample of the blending network: the views of one instant in a target view, and what the target's camera saw."""
+"""A training sample of the blending network: the views of one instant in a target view, and the captured target."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -119,7 +119,7 @@ def rendered_views(instant: Instant, device: str) -> tuple[RawViews, Map]:
 
 
 class _Recorder:
-    """A blender that keeps what it was given and what another one made of it."""
+    """A blender that keeps its input and another one's result."""
 
     def __init__(self, blender: Blender) -> None:
         self.inputs: list[BlendingInputs] = []
@@ -127,7 +127,7 @@ class _Recorder:
         self._blender = blender
 
     def blend(self, inputs: BlendingInputs) -> Blended:
-        """Return what the other blender makes, and keep it."""
+        """Return the other blender's result, and keep it."""
         self.inputs.append(inputs)
         blended = self._blender.blend(inputs)
         self.images.append(blended.image)
@@ -170,7 +170,7 @@ def write_sample(path: Path, sample: BlendSample) -> None:
 
 
 def read_sample(path: Path) -> BlendSample:
-    """Read what `write_sample` wrote."""
+    """Read a sample of `write_sample`."""
     with stored_arrays(path) as arrays:
         target, *sources = stored_cameras(arrays)
         views = RawViews(

@@ -52,7 +52,7 @@ class StereoTask:
 
     @property
     def summary(self) -> str:
-        """Sentence of the model card on what is trained."""
+        """Sentence of the model card on the network."""
         return "The training of RAFT-Stereo."
 
     @property
@@ -62,7 +62,7 @@ class StereoTask:
 
     @property
     def evaluated_on(self) -> str:
-        """Sentence of the model card on what `validate` measures."""
+        """Sentence of the model card on the measures of `validate`."""
         return (
             f"{self.validation_pairs} pairs of 512x320 of scenes of their own, every pixel, occluded ones included: end-point "
             "error and share of pixels off by more than 1 and 3 px, from semi-global matching (8 iterations), `zero_` from "
