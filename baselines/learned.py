@@ -23,7 +23,6 @@ class Rendition:
     """One of the ways in which a learned baseline renders, each with a label of its own.
 
     Attributes:
-        title: how tables call it.
         describe: one line for the help and the report.
         retrained: configuration of the weights that ship for it; empty where the user has to give a checkpoint.
         variant: what its label has behind the baseline's name and a ``+``.

@@ -60,7 +60,7 @@ class Call:
     result: Any
 
     def operations(self) -> float | None:
-        """Floating-point operations; None where nobody counted."""
+        """Floating-point operations; None where they were not counted."""
         if self.name == "unet":
             return self._unet_operations()
         if self.name not in OPERATIONS:

@@ -202,7 +202,7 @@ def rig(generator: Generator, views: int, frames: int, correlation: float, heavy
 
 
 def check_package(repetitions: int) -> Iterator[str]:
-    """Coverage of means and of SDT, which is shown to nobody, and false alarms of paired comparisons of both, all in %."""
+    """Coverage of means and of SDT, which is not shown, and false alarms of paired comparisons of both, all in %."""
     yield "\nfrom `measure_spread`, in %: coverage of the mean and of SDT; false alarms of pairs of both; pairs called too short"
     yield "frames  views  tails   rho      mean       SDT  alarms, mean  alarms, SDT  too short"
     cases = [(t, v, h, c) for t in FRAMES for v in (1, 3, 9) for h in (False, True) for c in (0.0, 0.7, 0.9) if not h or v == 3]

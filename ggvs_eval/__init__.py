@@ -6,14 +6,14 @@ The names below are the public interface. Each is loaded when it is first asked 
     >>> ggvs_eval.load_protocol("dynerf").synthesis.k
     4
 
-Metrics stand in `ggvs_eval.metrics`.
+Metrics are in `ggvs_eval.metrics`.
 """
 
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
-# Module of each public name. As text, since these rooms stand above the package itself; __init__.pyi tells type checkers.
+# Module of each public name. As text, since these rooms lie above the package itself; __init__.pyi tells type checkers.
 _PUBLIC = {
     "Camera": "camera",
     "Capture": "capture",

@@ -1,4 +1,4 @@
-"""The kinds of arrays that everything speaks of, by element and by what they hold."""
+"""Array types by element and meaning."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -61,7 +61,7 @@ class Camera:
     range_origin: RangeOrigin = field(default="given", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse what no later step could use, naming the camera."""
+        """Validate the camera; errors name it."""
         for name, shape in (("K", (3, 3)), ("world_to_camera", (4, 4))):
             matrix = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if matrix.shape != shape or not np.isfinite(matrix).all():
@@ -95,11 +95,7 @@ class Camera:
             raise CameraError(f"camera {self.name}: depth range must satisfy 0 < near < far, got {self.near:g} .. {self.far:g}")
 
     def _straighten(self) -> None:
-        """Put the nearest rotation in the place of one that is off by a little.
-
-        Raises:
-            CameraError: off by more.
-        """
+        """Put the nearest rotation in the place of one that is off by a little."""
         rotation, deviation = nearest_rotation(self.rotation)
         if deviation > LARGEST_DEVIATION:
             raise CameraError(
@@ -251,9 +247,6 @@ class Camera:
 def nearest_rotation(matrix: Array) -> tuple[Array, float]:
     """The rotation nearest to a matrix, by the sum of squared differences of their entries.
 
-    Args:
-        matrix: (3, 3), finite.
-
     Returns:
         The rotation, (3, 3), and the largest difference of an entry.
 
@@ -274,9 +267,6 @@ def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> li
 
     Ties are broken by name, so that equal inputs give equal lists.
 
-    Raises:
-        CameraError: fewer than `count` other cameras.
-
     Examples:
         >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
         >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
@@ -294,7 +284,6 @@ def translated_path(camera: Camera, span: float, count: int) -> list[Camera]:
     """A camera path for epipolar plane images: the camera moves along its own horizontal axis and never turns.
 
     Args:
-        camera: stands in the middle of the path.
         span: length of the path in world units.
         count: number of poses, from left to right; they are called ``path0000``, ...
 

@@ -75,7 +75,6 @@ class CaptureEdit:
         hold_frames: number of instants for which one is held still; 0 lets time go on as it did.
         hold_frame: which one is held still.
         sensor_noise_255: standard deviation of noise on every camera and instant, truth included, of 255 levels.
-        noise_seed: of that noise.
     """
 
     hold_frames: int = 0
@@ -137,8 +136,6 @@ class Capture:
         """Decode frames start <= t < stop of one camera, one at a time, at the size of that camera.
 
         Args:
-            name: camera name.
-            start: first frame.
             stop: one past the last frame; all frames when None.
 
         Yields:

@@ -38,8 +38,6 @@ def depth_colours(depth: Map, nearest: float, farthest: float) -> Image8:
 
     Args:
         depth: (H, W), world units, 0 = invalid.
-        nearest: depth of the brightest colour.
-        farthest: depth of the darkest.
 
     Examples:
         >>> depth_colours(np.array([[1.0, 4.0]], np.float32), nearest=1.0, farthest=4.0).tolist()

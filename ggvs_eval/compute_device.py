@@ -21,13 +21,10 @@ def one_thread() -> Iterator[None]:
 
 
 def compute_device(name: str) -> torch.device:
-    """The device of a name that somebody has typed.
+    """Resolve the name of a device.
 
     Args:
         name: ``cpu``, ``cuda``, ``cuda:1`` and so on, or ``auto``: the GPU where torch finds one.
-
-    Raises:
-        DeviceError: no such device here.
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -59,9 +56,6 @@ def computing_on(device: torch.device) -> Iterator[None]:
 def rendering_on(device: torch.device) -> Iterator[None]:
     """`computing_on` for a picture: no gradients, one thread on the CPU, whole single precision on a GPU.
 
-    Raises:
-        DeviceError: the GPU's memory is out.
-
     Reading:
         cuDNN rounds the factors of convolutions to ten bits unless told otherwise, which moves pixels of a render by levels.
     """
@@ -76,11 +70,7 @@ def rendering_on(device: torch.device) -> Iterator[None]:
 
 @contextmanager
 def out_of_memory(device: torch.device | str, mend: str) -> Iterator[None]:
-    """Within, a GPU whose memory is out is an error of the user's, with what may mend it.
-
-    Raises:
-        DeviceError: it is.
-    """
+    """Turn running out of GPU memory into an error that says what to do."""
     try:
         yield
     except torch.OutOfMemoryError as error:

@@ -48,9 +48,6 @@ def describe_depth(
     """Everything a depth map depends on, as it is written into `spec.json`.
 
     Args:
-        camera: the camera whose depth is computed.
-        partners: the cameras it is matched with, in order.
-        digests: content of each of these cameras' frames, by name.
         options: parameters and code of the algorithm, values that JSON knows.
     """
     cameras = [{"name": each.name, **each.to_json(), "frames": digests[each.name]} for each in (camera, *partners)]
@@ -65,7 +62,7 @@ class DepthJob:
         camera_name: the camera whose depth is wanted.
         partner_names: the cameras it is matched with, in order; none where a sensor measured its depth.
         checked_with: depth of other cameras that its own is held against; none for depth as it was found.
-        spec: all that the depth depends on, as JSON values; whoever plans the job writes it, once.
+        spec: all that the depth depends on, as JSON values; written once, when the job is planned.
     """
 
     camera_name: str
@@ -84,12 +81,7 @@ class DepthJob:
         return replace(self, checked_with=(), spec={name: self.spec[name] for name in self.spec if name not in CHECK_ENTRIES})
 
     def checked_against(self, others: tuple["DepthJob", ...], check: Mapping[str, object]) -> "DepthJob":
-        """Depth as it was found, held against that of other cameras.
-
-        Args:
-            others: depth of other cameras, as it was found.
-            check: how, with its parameters.
-        """
+        """Depth as it was found, held against that of other cameras."""
         spec = dict(self.spec) | dict(zip(CHECK_ENTRIES, ([other.key for other in others], check), strict=True))
         return replace(self, checked_with=others, spec=spec)
 
@@ -106,7 +98,7 @@ class DepthStore:
 
     @staticmethod
     def key(spec: Mapping[str, object]) -> str:
-        """The name of what `describe_depth` described: sha256 of its JSON text."""
+        """Key of a description by `describe_depth`: sha256 of its JSON text."""
         return hashlib.sha256(json.dumps(spec, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
     def folder(self, key: str) -> Path:

@@ -78,7 +78,7 @@ class PluginError(GgvsError):
 
 
 class ResultsError(GgvsError):
-    """Results are absent, or two results must not stand in one table."""
+    """Results are absent, or two results that do not belong in one table."""
 
 
 def one_line(text: str) -> str:
@@ -121,8 +121,6 @@ def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6, prefix: s
     """Suggest the known name that a mistyped one was meant to be, as the tail of a message.
 
     Args:
-        name: as the user wrote it.
-        names: the names that there are.
         cutoff: likeness from 0 to 1 below which nothing is suggested.
         prefix: of the suggestion, such as the section of a file that the names belong to.
 

@@ -38,7 +38,6 @@ def run_apt(*words: str, wait_s: float = LOCK_WAIT_S) -> int:
     """Run apt-get; where another process holds one of its locks, wait for it.
 
     Args:
-        words: arguments of apt-get.
         wait_s: how long to wait, seconds.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Lens distortion: what lies between the image of a real lens and the pinhole image that everything else assumes."""
+"""Lens distortion, between the image of a real lens and the pinhole image that everything else assumes."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -27,7 +27,6 @@ class Lens:
         model: ``opencv`` (radial, tangential, rational: k1 k2 p1 p2 [k3 [k4 k5 k6 ...]]) or ``fisheye`` (equidistant: k1 .. k4).
         coefficients: of the model, in OpenCV's order.
         width: of the distorted image, pixels.
-        height: of the distorted image, pixels.
 
     Examples:
         >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
@@ -95,11 +94,8 @@ class Lens:
     def undistorted_K(self) -> Array:
         """Intrinsics of a pinhole image of the same size in which no pixel is blank.
 
-        The lens's own K where that leaves no blank pixel (barrel distortion), else one zoomed in just far enough. Likewise where
+        The lens's own K where that leaves no blank pixel (barrel distortion), else one zoomed in just far enough. The same where
         the model folds over, as strong barrel distortion does beyond the angles that it was calibrated for.
-
-        Raises:
-            CameraError: even a fourfold zoom leaves blank pixels; the coefficients cannot be right.
         """
         if self._covers(1.0):
             return self.K

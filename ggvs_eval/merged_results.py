@@ -1,4 +1,4 @@
-"""Results of several runs as one table: no value twice, no scene taken for another, and what does not compare marked."""
+"""Results of several runs as one table: no value twice, no scene taken for another, incomparable values marked."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -123,7 +123,7 @@ def _absent_everywhere(part: Results, measured: set[str]) -> list[Absence]:
 
 
 def join_versions(records: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """Name -> what several records say of it, once each.
+    """Name -> the different entries of several records.
 
     Examples:
         >>> join_versions([{"torch": "2.3.0"}, {"torch": "2.4.1"}, {"torch": "2.3.0"}])

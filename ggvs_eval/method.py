@@ -12,7 +12,7 @@ NEAR_M = 0.2  # what is closer to the target camera is not splatted, as the refe
 
 @dataclass(frozen=True)
 class SourceView:
-    """One source camera at one instant: what carries its pixels from the decoder to the kernels.
+    """One source camera at one instant: its pixels on the way from the decoder to the kernels.
 
     A step that changes some of it - a filter its depth, exposure compensation its image - hands on a view with that replaced.
 
@@ -40,7 +40,6 @@ class Instant:
         index: frame number; consecutive calls of `Method.step` have increasing numbers.
         target: camera to synthesise; it may move from instant to instant.
         sources: the K source views, nearest first.
-        units_per_metre: world units per metre.
     """
 
     index: int
@@ -68,7 +67,7 @@ class Rendering:
         image: synthesised view, float32 RGB in [0, 1], (H, W, 3).
         depth: geometry it used, (H, W), world units, 0 where it has none; None for methods without geometry in the target view.
         seconds: time of each stage, in the method's own words, for the timing table.
-        diagnostics: what it decided on the way to the image, for whoever wants to know why a pixel flickers; any of ``depth``
+        diagnostics: what it decided on the way to the image, for finding out why a pixel flickers; any of ``depth``
             (h, w), world units, 0 where unknown, ``coverage`` (h, w), how far the views show the pixel, ``motion`` (h, w) and
             ``weights`` (K, h, w), the share of each source view in the image, all in [0, 1]; (h, w) is the target's size or less.
     """
@@ -83,7 +82,7 @@ class Method(Protocol):
     """A strictly online synthesiser; one object renders one sequence of one target."""
 
     def step(self, instant: Instant) -> Rendering:
-        """Synthesise the target view of one instant from what was seen up to it."""
+        """Synthesise the target view of one instant from the views up to it."""
 
 
 @runtime_checkable

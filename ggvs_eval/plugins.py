@@ -101,7 +101,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             return self._check(plugin.name, plugin.load())
         except GgvsError:
             raise
-        except Exception as error:  # whatever a module of somebody else's raises while it is imported
+        except Exception as error:  # whatever a foreign module raises while it is imported
             raise PluginError(
                 f"plug-in {plugin.origin}: {self._kind} {plugin.name!r} cannot be used ({_reason(error)}); mend or remove it"
             ) from error
@@ -125,28 +125,20 @@ def use_file(path: Path) -> None:
 
 
 def imported(reference: str) -> Any:
-    """The object of ``module:name``, with modules of the working folder.
-
-    Raises:
-        PluginError: it cannot be imported.
-    """
+    """The object of ``module:name``, with modules of the working folder."""
     module, _, name = reference.partition(":")
     if (here := os.getcwd()) not in sys.path:
         sys.path.append(here)
     try:
         return pkgutil.resolve_name(f"{module}:{name}")
-    except Exception as error:  # whatever a module of somebody else's raises while it is imported
+    except Exception as error:  # whatever a foreign module raises while it is imported
         raise PluginError(
             f"{reference}: wanted a module and what it defines, as my_method:Mine ({_reason(error)}); correct it"
         ) from error
 
 
 def plugin_digest(module: str) -> str:
-    """SHA-256 of the code of a module that is not ours: of all sources of the package that it lies in, or of its file.
-
-    Raises:
-        PluginError: its sources are not to be found.
-    """
+    """SHA-256 of the code of a module that is not ours: of all sources of the package that it lies in, or of its file."""
     top = module.partition(".")[0]
     spec = importlib.util.find_spec(top)
     if spec is None or not spec.origin:
@@ -163,7 +155,6 @@ def plugin_digest(module: str) -> str:
 
 @cache
 def _offered(kind: Kind, taken: frozenset[str]) -> dict[str, Plugin]:
-    """Offers of entry points and files by name; the first of a name stays."""
     offered: dict[str, Plugin] = {}
     for plugin in (*_of_packages(kind), *_of_files(kind)):
         if plugin.name in taken or plugin.name in offered:
@@ -196,7 +187,7 @@ def _module_of(file: Path) -> ModuleType:
         sys.path.append(str(file.parent))
     try:
         module = importlib.import_module(file.stem)
-    except Exception as error:  # whatever a file of somebody else's raises while it is imported
+    except Exception as error:  # whatever a foreign file raises while it is imported
         raise PluginError(f"plug-in {file}: cannot be imported ({_reason(error)}); mend it") from error
     if Path(str(module.__file__)).resolve() != file:
         raise PluginError(f"{file}: its name is that of the module {module.__file__}; rename it")
@@ -204,7 +195,6 @@ def _module_of(file: Path) -> ModuleType:
 
 
 def _reason(error: Exception) -> str:
-    """Error of a plug-in's module, in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 

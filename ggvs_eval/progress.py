@@ -16,7 +16,6 @@ def track(items: Iterable[Item], description: str, total: int | None = None) -> 
 
     Args:
         items: what is worked on; consumed lazily.
-        description: what is being done, a few words.
         total: number of items where `len(items)` does not tell.
     """
     from rich.console import Console

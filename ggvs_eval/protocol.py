@@ -92,7 +92,7 @@ class CameraPath:
 
     Attributes:
         poses: number of virtual cameras; 0 for no path. A capture that carries a true path brings its own number.
-        cameras: the poses themselves where somebody chose them, e.g. by `ggvs-eval view`; they come before all others.
+        cameras: the poses themselves where they were chosen, e.g. by `ggvs-eval view`; they come before all others.
         frame: the instant at which such poses are synthesised.
     """
 
@@ -108,7 +108,7 @@ class Measurement:
     Attributes:
         metrics: names of the metrics, see `ggvs_eval.metrics.registry.METRICS`.
         width: both images are resized to this width before anything is measured; 0 keeps the rendered size.
-        height: likewise.
+        height: of both images, as `width`.
         resize_filter: how they are resized.
         ssim: which SSIM, see `ggvs_eval.metrics.image.ssim_variants.SSIM_VARIANTS`.
         lpips_net: backbone of LPIPS v0.1; vgg-bf16 computes VGG in bfloat16, which is faster and not the same number.
@@ -142,7 +142,7 @@ class Protocol:
 
     Attributes:
         name: what the protocol is called.
-        dataset: what tables call the data; published values stand beside measured ones only under the same name.
+        dataset: name of the data in tables; published values are shown beside measured ones only under the same name.
     """
 
     name: str
@@ -251,7 +251,6 @@ def packaged_protocols() -> list[str]:
 
 
 def _checked(protocol: Protocol, file: str) -> Protocol:
-    """Refuse values of the right type that make no sense."""
     synthesis, measurement = protocol.synthesis, protocol.measurement
     views, folded = protocol.views.test, [view for fold in protocol.views.folds for view in fold]
     rules = {

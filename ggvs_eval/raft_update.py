@@ -28,9 +28,6 @@ class Correlation:
     Args:
         left: (B, C, H, W).
         right: (B, C, H, W).
-        levels: number of averages.
-        radius: cells looked up on either side.
-        volume_bytes: memory for the volume.
     """
 
     def __init__(self, left: Tensor, right: Tensor, levels: int, radius: int, volume_bytes: int = VOLUME_BYTES) -> None:
@@ -200,7 +197,6 @@ def walk(
     """All iterations of one pair or several.
 
     Args:
-        block: one iteration.
         gates: of each level, the convolution that makes the context's share of its gates.
         of_left: features that are correlated, (B, C, H, W).
         of_right: (B, C, H, W).

@@ -9,13 +9,6 @@ class ResidualBlock(nn.Module):
     """Two 3x3 convolutions beside a shortcut, ReLU after each normalisation and after the sum.
 
     Names of modules are those of the published checkpoints of RAFT-Stereo, GPS-Gaussian and MVSplat.
-
-    Args:
-        width_in: channels of the input.
-        width: channels of the output.
-        normalise: makes the normalisation of so many channels.
-        stride: how many times smaller the output is.
-        bias: whether the two convolutions have one.
     """
 
     def __init__(

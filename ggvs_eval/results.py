@@ -17,7 +17,7 @@ from ggvs_eval.files.atomic import atomic_file, write_text
 if TYPE_CHECKING:
     import pandas as pd
 
-# By these variables libraries are told to use fewer instruction sets than the processor has.
+# These variables make libraries use fewer instruction sets than the processor has.
 INSTRUCTION_SETS = (
     *("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "OPENCV_CPU_DISABLE", "OPENCV_IPP", "ONEDNN_MAX_CPU_ISA"),
     *("ATEN_CPU_CAPABILITY", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR", "GLIBC_TUNABLES"),
@@ -39,7 +39,7 @@ class Absence(NamedTuple):
 
 @dataclass(frozen=True)
 class Results:
-    """Every value of one evaluation, and what it was measured from.
+    """Every value of one evaluation, with its provenance.
 
     Attributes:
         table: one row per value with the columns `COLUMNS`; ``view`` is None where a value belongs to the whole rig (SDV),
@@ -73,7 +73,7 @@ class Results:
 
     @classmethod
     def read(cls, folder: Path) -> "Results":
-        """Read what `write` wrote.
+        """Read the results that `write` wrote.
 
         Raises:
             ResultsError: no results in that folder, or damaged ones.

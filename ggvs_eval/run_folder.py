@@ -73,7 +73,7 @@ class RunFolder:
         return self.root / "path" / label
 
     def disoccluded(self, view: str) -> Path:
-        """Masks of what no source camera sees of a test view."""
+        """Masks of the parts of a test view that no source camera sees."""
         return self.root / "disoccluded" / view
 
     def ceilings(self, view: str) -> Path:
@@ -166,10 +166,6 @@ def require_frames(folders: dict[str, Path], indices: range) -> None:
 
     Args:
         folders: what each folder is, e.g. ``ours in cam00`` -> its path.
-        indices: frames that each must hold.
-
-    Raises:
-        RenderError: any gap.
     """
     gaps = {name: missing_frames(folder, indices) for name, folder in folders.items()}
     listed = [f"{name} lacks {as_ranges(missing)}" for name, missing in gaps.items() if missing]
@@ -202,11 +198,7 @@ def write_json(path: Path, record: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file that this package wrote.
-
-    Raises:
-        ResultsError: absent or damaged.
-    """
+    """Read a JSON file that this package wrote."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

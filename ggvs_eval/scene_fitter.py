@@ -33,7 +33,6 @@ class Footage:
         cameras: training cameras at synthesis size, in the order of the capture.
         indices: frame numbers of the instants, ascending.
         fps: instants per second; 0 for a single instant.
-        units_per_metre: world units per metre.
         seed: of everything random in the fit.
         frames: view -> its frames.
         depth_keys: view -> key of its estimated depth in `depths`.

@@ -1,4 +1,4 @@
-"""A sweep: which methods stand in a table, and over which numbers of source cameras; one TOML file."""
+"""A sweep: the methods of a table and the numbers of source cameras they are run with; one TOML file."""
 
 import dataclasses
 import re
@@ -47,11 +47,7 @@ class SweepRow:
         return self.path if self.method.startswith(RENDERED) else None
 
     def frames_of(self, capture: str) -> Path | None:
-        """Return the path of others' frames of a capture, or None for a method that is rendered here.
-
-        Args:
-            capture: name of its folder.
-        """
+        """Return the path of others' frames of a capture, or None for a method that is rendered here."""
         return None if self.rendered is None else Path(self.rendered.replace(CAPTURE, capture))
 
     def splats_of(self, capture: str) -> Path | None:
@@ -64,8 +60,6 @@ class Sweep:
     """Table of methods (rows) to compare, over numbers of source cameras.
 
     Attributes:
-        name: of the sweep.
-        describe: one line.
         row: the methods, in the order of the table.
         k: numbers of source cameras; the protocol's own where empty, and beside these where a row wants it.
         all_cameras: also with every camera as a source, but the one that is synthesised.
@@ -81,7 +75,6 @@ class Sweep:
         """One protocol per variant, by the name of its run folder: ``k4``, or the protocol's own name where only K = its own.
 
         Args:
-            protocol: what the variants start from.
             cameras: of the capture; a K of the sweep that it cannot serve has no variant.
         """
         own, most = protocol.synthesis.k, cameras - 1
@@ -101,9 +94,6 @@ def load_sweep(source: str) -> Sweep:
     """Read a sweep from a TOML file, or one that ships with the package by its name (``ablations``, ``k``).
 
     Paths of what others rendered or fitted are taken from the folder of the file.
-
-    Raises:
-        ProtocolError: no such file, not TOML, or an unknown, missing or mistyped key.
 
     Examples:
         >>> sweep = load_sweep("k")

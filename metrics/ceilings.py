@@ -22,7 +22,7 @@ SOFTENED, SOFTENED_TWICE = ("TCC", "STED"), ("STED",)  # bounds behind every cod
 MARGINS = {"PSNR": 1.0, "SSIM": 0.005}  # of a bound, for the colour that is put back where 4:2:0 took it
 MARGIN_SHARES = {"STED": 0.85}  # by which a bound is multiplied, for the noise that is drawn
 FINEST_GRAIN = 0.4  # share of single pixels in the noise of colour; 4:2:0 leaves none
-LEAST_VARIANCE = 0.05  # of noise whose grain can be told, grey levels squared
+LEAST_VARIANCE = 0.05  # of noise whose grain can be measured, grey levels squared
 
 Bound = Literal["at most", "at least"]
 SIDES: dict[str, Bound] = {"PSNR": "at most", "SSIM": "at most", "TCC": "at most", "STED": "at least"}  # a perfect score's
@@ -67,13 +67,12 @@ def ceilings(
         frames: gives the captured frames of the view, (H, W, 3) uint8, from the first on each time it is called; called twice,
             and more often where they were coded.
         metrics: names out of `registry.METRICS`, but no metric of the whole rig; see `registry.ceiling_metrics`.
-        options: as for the scores that stand beside.
         seed: of the noise that is drawn; equal seeds give equal bits.
         coding: how the frames were coded; None where each pixel is as the sensor gave it.
 
     Raises:
         MetricError: unknown metric, fewer than 2 frames, frames that differ in size, too little stands still, or frames that
-            were coded nobody knows how.
+            were coded in an unknown way.
 
     Reading:
         Frames that were never coded, with their real noise, are the truth. Where a pixel stands still, its average over time is

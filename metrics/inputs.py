@@ -19,11 +19,6 @@ def check_pair(rendered: Image, truth: Image, ndim: int = 3) -> None:
 
     Args:
         rendered: (H, W, 3), or (T, H, W, 3) with ``ndim=4``; uint8 in 0..255 or float in [0, 1].
-        truth: same shape and kind.
-        ndim: number of axes wanted.
-
-    Raises:
-        MetricError: shapes differ, not RGB, or one is uint8 and the other float.
     """
     if rendered.shape != truth.shape:
         raise MetricError(f"rendered is {rendered.shape}, truth is {truth.shape}; resize or render again, metrics never resample")
@@ -40,11 +35,7 @@ def check_pair(rendered: Image, truth: Image, ndim: int = 3) -> None:
 
 
 def check_mask(mask: Mask, shape: tuple[int, ...]) -> None:
-    """Refuse a mask that is not (H, W) of truth values.
-
-    Raises:
-        MetricError: another shape or kind.
-    """
+    """Refuse a mask that is not (H, W) of truth values."""
     if mask.shape != shape or mask.dtype != np.bool_:
         raise MetricError(f"mask: wanted {shape} bool, got {mask.shape} {mask.dtype}")
 
@@ -73,11 +64,7 @@ def mean_inside(rendered: Image, truth: Image, mask: Mask, norm: int) -> float:
 
 
 def count_inside(mask: Mask, shape: tuple[int, ...]) -> int:
-    """Number of pixels inside a mask.
-
-    Raises:
-        MetricError: see `check_mask`, or fewer than `LEAST_PIXELS`.
-    """
+    """Number of pixels inside a mask."""
     check_mask(mask, shape)
     n_pixels = int(np.count_nonzero(mask))
     if n_pixels < LEAST_PIXELS:
@@ -86,11 +73,7 @@ def count_inside(mask: Mask, shape: tuple[int, ...]) -> int:
 
 
 def require_finite(value: float, metric: str) -> float:
-    """The value of a metric, or an error where a frame of floats held NaN or infinity: no score is NaN in silence.
-
-    Raises:
-        MetricError: the value is not finite.
-    """
+    """The value of a metric, or an error where a frame of floats held NaN or infinity: no score is NaN in silence."""
     if not np.isfinite(value):
         raise MetricError(f"{metric}: the frames hold values that are not finite; render them again")
     return value

@@ -66,7 +66,7 @@ class MetricOptions:
 
 
 class TruthFrame:
-    """A captured frame with what metrics derive from it alone, computed once for all methods.
+    """A captured frame, with everything derived from it alone computed once for all methods.
 
     SSIM's moments of the truth are not kept: the kernel filters four maps while they are in cache, and keeping one of them would
     save at most a quarter of its 8.8 ms at 1352x1014, less than the 2.7 ms of reading 33 MB of moments back.
@@ -74,7 +74,7 @@ class TruthFrame:
     Attributes:
         image: the frame, (H, W, 3).
         previous: the captured frame before; None for the first.
-        disoccluded: where no source camera sees the view, (H, W); None where nobody knows.
+        disoccluded: where no source camera sees the view, (H, W); None where that is unknown.
     """
 
     def __init__(self, image: Image8, previous: Image8 | None = None, disoccluded: Mask | None = None) -> None:
@@ -98,9 +98,7 @@ class FramePair:
     Attributes:
         index: which frame of those that are measured.
         rendered: (H, W, 3).
-        truth: the captured frame.
         previous: the rendered frame before; None for the first.
-        options: variants of the metrics.
         colour_map: of the view where colours are corrected per view.
     """
 
@@ -130,10 +128,10 @@ class Scorer(Protocol):
         """The metrics it computes."""
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
-        """Take the next frame and return what it completes."""
+        """Take the next frame and return the values it completes."""
 
     def finish(self) -> list[Value]:
-        """Return what only the whole view has."""
+        """Return the values of the whole view."""
 
 
 class FrameScorer:
@@ -173,10 +171,10 @@ class Metric:
         function: its definition, images (or for deviations errors) in, numbers out.
         unit: unit of a value, empty where it has none.
         higher_is_better: direction of the arrow in tables.
-        group: table that it stands in.
+        group: table that it belongs to.
         decimals: digits after the point in tables; None for four significant ones.
         pooling: how its number on a scene comes from values per view and frame. Where that is no mean of its own values it names
-            parts that stand in the table too: what its scorer returns beside it, or another metric.
+            parts that are in the table too: what its scorer returns beside it, or another metric.
         describe: one line for a reader who meets the metric for the first time.
         note: what a protocol's options add to that line.
         reference: where it is defined.

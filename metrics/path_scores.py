@@ -70,7 +70,6 @@ def measured_on_path(names: Collection[str]) -> list[PathMetric]:
 
 
 def _measured(path: RenderedPath, scorers: Iterable[PathScorer]) -> PathScores:
-    """Scores of a whole path."""
     values: list[Value] = []
     not_computed: dict[str, str] = {}
     for scorer in scorers:

@@ -1,4 +1,4 @@
-"""The metrics by the names that stand in protocols, tables and figures."""
+"""The metrics by their names in protocols, tables and figures."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
@@ -45,7 +45,7 @@ from ggvs_eval.metrics.time.temporal_variation import MTV, MTV2
 from ggvs_eval.metrics.time.vmaf import VMAF
 from ggvs_eval.plugins import Registry
 
-# In the order in which they are scored and stand in the results.
+# In the order in which they are scored and listed in the results.
 _OF_IMAGES = (PSNR, SSIM, L1, LPIPS, PSNR_CC, SSIM_CC, LPIPS_CC, IV_PSNR, PSNR_YCBCR, MS_SSIM, DSSIM1, DSSIM2, FLIP, DISTS)
 _ALL: tuple[Metric, ...] = (
     *_OF_IMAGES,
@@ -60,7 +60,6 @@ _ALL: tuple[Metric, ...] = (
 
 
 def _checked(name: str, metric: object) -> Metric:
-    """A metric of a plug-in."""
     if not isinstance(metric, Metric) or isinstance(metric, DepthMetric):
         raise TypeError(f"wanted a ViewMetric, TableMetric or PathMetric, got {type(metric).__name__}")
     if metric.name != name:
@@ -76,9 +75,6 @@ DEPTH_METRICS: dict[str, DepthMetric] = {
 
 def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
     """The metrics of these names, in this order, and next to each the one that it is not to be read without.
-
-    Raises:
-        MetricError: an unknown name; the message has the nearest known one.
 
     Example:
         >>> [metric.name for metric in select_metrics(["mTV", "PSNR"])]
@@ -116,8 +112,6 @@ def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_m
 
     Args:
         metrics: see `scored_by_view`.
-        options: their variants.
-        colour_map: of the view where colours are corrected per view.
     """
     together: dict[ScorerFactory, list[str]] = {}
     for metric in metrics:
@@ -137,9 +131,7 @@ def derived_rows(
     """Values of those metrics that are made of other metrics' values.
 
     Args:
-        metrics: any.
         values: metric -> view -> frame -> value.
-        options: variants.
 
     Returns:
         Metric -> values, and metric -> reason why there are none.

@@ -47,9 +47,6 @@ def score_depths(depths: Iterable[Map], static: Mask | None = None) -> ViewScore
         depths: in order, each (H, W) float, any unit, 0 = unknown; depth or disparity; consumed as a stream, three are in memory.
         static: see `score_frames`.
 
-    Returns:
-        See `score_frames`.
-
     Raises:
         MetricError: no depth maps, or maps that do not fit each other or the mask.
 

@@ -1,4 +1,4 @@
-"""All metrics of one view in one pass, two instants in memory at most; what the truth alone decides is computed once."""
+"""All metrics of one view in one pass, two instants in memory at most; work on the truth alone is done once."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class ViewScores:
     Attributes:
         values: (metric, frame, value); the frame counts from 0, None stands for the whole view. The value of a pair of frames
             stands at its first frame. ``STED`` comes with its parts per pair, ``STED_spatial`` and ``STED_temporal``, whose
-            means over any set of pairs multiply to the score of that set; ``STED_ssn`` likewise.
+            means over any set of pairs multiply to the score of that set; so it is for ``STED_ssn``.
         not_computed: metric -> reason.
     """
 
@@ -43,9 +43,6 @@ def score_view(
         options: see `score_views`.
         colour_map: see `score_views`.
         disoccluded: see `score_views`.
-
-    Returns:
-        See `score_views`.
 
     Example:
         >>> import numpy as np
@@ -73,7 +70,7 @@ def score_views(
         metrics: names out of `registry.METRICS`. Metrics of the whole rig (SDV) and of camera paths are passed over here.
         options: variants of the metrics; the defaults where None.
         colour_maps: each method's map of this view, see `fit_colour_maps`; needed where colours are corrected per view.
-        disoccluded: for each instant, where no source camera sees the view, (H, W); None where nobody knows.
+        disoccluded: for each instant, where no source camera sees the view, (H, W); None where that is unknown.
 
     Returns:
         For each method, values of every frame, pair and the view. A metric that a view cannot have (too few frames, too small,
@@ -117,9 +114,6 @@ def fit_colour_maps(frames: Iterable[tuple[Sequence[Image8], Image8]]) -> list[C
 
     Args:
         frames: as for `score_views`; consumed as a stream.
-
-    Raises:
-        MetricError: no frames, or frames that do not fit each other.
     """
     moments: list[ColourMoments] = []
     for renderings, image in frames:
@@ -144,7 +138,6 @@ def _with_derived(scores: ViewScores, asked: Sequence[Metric], hidden: Collectio
 
 
 def _attempt(scorer: Scorer, measure: Callable[[], list[Value]], scores: ViewScores) -> bool:
-    """Record the values, or the reason why there are none."""
     try:
         scores.values.extend(measure())
     except (MetricError, WeightsError) as error:

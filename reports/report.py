@@ -27,11 +27,6 @@ def write_tables(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction],
     """Write all tables of the page, and every value that the paper publishes beside ours.
 
     Of several groups each file holds all: ``tables.csv`` tells them apart by its columns of the protocol, the others by titles.
-
-    Args:
-        groups: runs by protocol.
-        reproduced: the paper's values beside ours.
-        out: folder to write to.
     """
     everything = [table for group in groups for table in _titled(group, len(groups) > 1)]
     notes = _notes(groups)
@@ -76,7 +71,7 @@ def write_report(
 ) -> Path:
     """Write ``index.html``, ``tables.*``, ``reproduction.*`` (the paper's values beside ours) and ``figures/*.png``.
 
-    Runs of one protocol share their tables, as scenes of one data set; runs of another protocol stand in a group of their own,
+    Runs of one protocol share their tables, as scenes of one data set; runs of another protocol are a group of their own,
     on the same page and in the same files.
 
     Args:
@@ -85,9 +80,6 @@ def write_report(
         out: folder to write to; None takes ``report`` in the first of them.
         tables_of: folders of sweeps that are shown by their tables and curves alone, without their runs.
         with_figures: also the figures, which the page does without; a page that is going to grow does not need them yet.
-
-    Returns:
-        The page.
 
     Raises:
         ResultsError: no run, a run given twice, or a folder that is not a scored run.

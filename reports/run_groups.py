@@ -30,12 +30,9 @@ class RunSection:
     """Everything that the page shows of one run.
 
     Attributes:
-        run: the run.
         view_tables: where the error lies, where it varies, and one per metric.
-        timing: time per stage.
         fitted: costs and seeds, where some method is fitted.
         slices: along the path and over time.
-        panels: error curves.
     """
 
     run: MeasuredRun
@@ -48,12 +45,11 @@ class RunSection:
 
 @dataclass(frozen=True)
 class RunGroup:
-    """Runs of one protocol, with what is shown of them.
+    """Runs of one protocol, with their tables and figures.
 
     Attributes:
         name: short, and no other group of the report has it.
         heading: the same for a reader of the page.
-        sections: one per run.
         results: of all runs in one.
         tables: quality, consistency and whatever else was measured, over all runs.
         price: of being online, where some method is fitted.
@@ -103,15 +99,7 @@ def read_groups(roots: Sequence[Path]) -> tuple[RunGroup, ...]:
 
 
 def runs_by_protocol(roots: Sequence[Path], read: Callable[[Path], MeasuredRun]) -> list[list[MeasuredRun]]:
-    """Read runs and sort them by the hash of their protocol, in the order in which they are given.
-
-    Args:
-        roots: run folders.
-        read: reads one.
-
-    Raises:
-        ResultsError: no run, a run given twice, or what `read` raises.
-    """
+    """Read runs and sort them by the hash of their protocol, in the order in which they are given."""
     if not roots:
         raise ResultsError("wanted at least one run folder, got none; make one with `ggvs-eval run`")
     places = [Path(root).resolve() for root in roots]

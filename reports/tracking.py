@@ -24,7 +24,6 @@ class TrackedMethod:
     """One method in one run, as trackers know it: a run of their own.
 
     Attributes:
-        name: run folder and method.
         settings: what was asked for: the protocol's values under dotted names, its hash, scene and method.
         means: metric -> its number, as in the tables.
         curves: metric -> (frame, mean over the views) of those that have a value per frame.
@@ -44,9 +43,6 @@ def track_results(roots: Sequence[Path], tracker: Tracker, out: Path) -> Path:
         out: folder for the tracker's files. MLflow writes a database there unless ``MLFLOW_TRACKING_URI`` names a place, W&B
             stays offline unless ``WANDB_MODE`` says otherwise.
 
-    Returns:
-        The folder.
-
     Raises:
         ResultsError: the tracker's package is not installed, or a folder that is no scored run.
     """
@@ -63,7 +59,7 @@ def track_results(roots: Sequence[Path], tracker: Tracker, out: Path) -> Path:
 
 
 def tracked_methods(run: MeasuredRun, name: str) -> list[TrackedMethod]:
-    """List the methods of a run of that name with what trackers are told of each."""
+    """List the methods of a run of that name with what trackers get of each."""
     table = run.results.table
     labels = run.results.row_labels
     means: dict[Any, dict[Any, Any]] = run.results.summary().droplevel("dataset").to_dict("index")

@@ -24,12 +24,6 @@ class ENeRF:
         coarse_planes: planes of the coarse volume, a multiple of 4; by default those of the weights' configuration: 64 in the
             published training, 32 in the authors' runs on real scenes and in our compact one.
         pixels_per_chunk: pixels that are rendered together; by default as many as suit the device.
-        device: where the networks compute, see `compute_device`.
-
-    Raises:
-        DeviceError: no such device here.
-        WeightsError: the weights cannot be used.
-        RenderError: `coarse_planes` is no positive multiple of 4.
 
     Reading:
         Depths are searched between the nearest and the farthest of the cameras of the instant. Lengths are scaled so that the
@@ -50,11 +44,7 @@ class ENeRF:
         self._pixels_per_chunk = pixels_per_chunk or suitable
 
     def step(self, instant: Instant) -> Rendering:
-        """Synthesise one instant; nothing is remembered.
-
-        Raises:
-            RenderError: fewer than two source views.
-        """
+        """Synthesise one instant; nothing is remembered."""
         if len(instant.sources) < FEWEST_VIEWS:
             raise RenderError(
                 f"ENeRF wants at least {FEWEST_VIEWS} source views, got {len(instant.sources)}; raise k in the protocol"

@@ -69,7 +69,6 @@ class CostNetwork(nn.Module):
     """A 3D U-Net.
 
     Args:
-        width_in: channels of the volume.
         deep: a third strided stage, for the fine level.
     """
 
@@ -167,11 +166,7 @@ class RadianceNetwork(nn.Module):
 
 
 class ViewPooling(nn.Module):
-    """One feature of all views: each knows mean and variance over all, then they are weighted.
-
-    Args:
-        width: channels of a view's features and colour.
-    """
+    """One feature of all views: each knows mean and variance over all, then they are weighted."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -213,9 +208,6 @@ def load_enerf(path: Path) -> Networks:
 
     Args:
         path: the authors' checkpoint, a dict with ``net``, safetensors whose names begin so, or what our training wrote.
-
-    Raises:
-        WeightsError: absent, damaged, more than tensors inside, or tensors of another network.
     """
     configuration = configuration_of(path, COARSE_PLANES, "ENeRF")
     networks = Networks(configuration or FULL)

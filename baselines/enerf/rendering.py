@@ -24,9 +24,7 @@ def render_pixels(
     """Colour and depth of some pixels.
 
     Args:
-        networks: the trained ones.
         views: at least two.
-        surface: where to look.
         centre: of the target camera in the world, (3,).
         rays: directions in the world such that centre + depth * ray has that depth, (N, 3).
         pixels: their rows and columns, (N,) each.
@@ -104,9 +102,7 @@ def render_coarsely(
     """Colour and depth of each fourth pixel of every fourth row.
 
     Args:
-        networks: to be trained.
         views: as `coarse_views` gives them.
-        surface: where to look.
         centre: of the target camera in the world, (3,).
         rays: directions in the world such that centre + depth * ray has that depth, (H / 4, W / 4, 3).
 

@@ -63,7 +63,6 @@ def see(network: FeatureNetwork, source: SourceView, unit: float = 1.0) -> SeenV
     """Features of a source view.
 
     Args:
-        network: the trained one.
         unit: the network's units of length per world unit.
     """
     return see_together(network, [source], unit)[0]

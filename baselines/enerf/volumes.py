@@ -84,11 +84,8 @@ def find_surface(
     """Search depth between near and far, coarsely and then around the expectation.
 
     Args:
-        networks: the trained ones.
         views: at least two.
-        target: where to search.
         near: depth of the first coarse plane, in the network's units of length.
-        far: depth of the last one.
         planes: number of coarse planes, a multiple of 4.
     """
     return refine_surface(networks, views, target, search_coarsely(networks, views, target, near, far, planes))
@@ -120,7 +117,6 @@ def disagreement(views: Sequence[SeenView], target: TargetGrid, level: int, dept
 
     Args:
         views: at least two.
-        target: what the planes lie before.
         level: 0 the coarse, 1 the fine volume.
         depths: of the planes' cells, (D, h, w).
 

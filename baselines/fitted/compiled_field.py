@@ -22,7 +22,7 @@ def evaluate(
     axes: Sequence[tuple[int, int]],
     layers: Sequence[Tensor],
 ) -> tuple[Tensor, ...]:
-    """What each head of a field says of points; the same bits for any number of threads.
+    """Outputs of each head of a field at points; the same bits for any number of threads.
 
     Args:
         points: (N, 3), float32 on the CPU.
@@ -67,7 +67,6 @@ class _Field(torch.autograd.Function):
 def _arguments(
     options: tuple[float, Axes, int], tensors: Sequence[Tensor]
 ) -> tuple[Any, Any, float, tuple[Any, ...], Axes, tuple[Any, ...]]:
-    """Arrays in the kernel's order."""
     time, axes, n_planes = options
     points, box, *others = (tensor.detach().contiguous().numpy() for tensor in tensors)
     return points, box, time, tuple(others[:n_planes]), axes, tuple(others[n_planes:])

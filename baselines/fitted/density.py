@@ -14,10 +14,9 @@ SHRINK = 1.6  # a Gaussian that is split leaves two, smaller by this
 
 @dataclass(frozen=True)
 class DensityOptions:
-    """When and where Gaussians are added and taken away; the published values of 3D Gaussian splatting.
+    """Density control, by which Gaussians are added and taken away; the published values of 3D Gaussian splatting.
 
     Attributes:
-        every: steps between rounds.
         first: step of the first round.
         last: no round after this step.
         gradient: mean norm of the screen gradient, in units of half the image, from which on a Gaussian is not enough.
@@ -43,7 +42,6 @@ def watch_gradients(state: FitState, gradient_px: Tensor, radii: Tensor, camera:
     """Add what one view says to the statistic.
 
     Args:
-        state: of the fit, with N Gaussians.
         gradient_px: of the loss by the centres in the image, pixels, (M, 2) with M >= N; the fit's own come first.
         radii: in the image, 0 where not visible, (M,).
     """
@@ -57,10 +55,7 @@ def control_density(state: FitState, extent: float, options: DensityOptions, see
     """Clone small Gaussians and split large ones where the gradient is high; prune what is transparent.
 
     Args:
-        state: of the fit.
         extent: of the rig, world units.
-        options: thresholds.
-        seed: of where the halves of split Gaussians lie.
     """
     with torch.no_grad():
         pull = state.gradient_sum / state.visits.clamp(min=1)

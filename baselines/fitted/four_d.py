@@ -32,9 +32,6 @@ class FourD(GaussianFitter):
         steps: images that are looked at, a quarter of them without motion where a field moves the Gaussians.
         points, most, degree, structure, save_every, device: as of `GaussianFitter`.
 
-    Raises:
-        RenderError: no such motion, or numbers that make no sense.
-
     Reading:
         Not as published: first points from estimated depth; spherical harmonics of degree 1 from the first step on; a smaller
         field without a head for sizes; Adam goes on through both stages; black background; one image per step;
@@ -75,7 +72,6 @@ class FourD(GaussianFitter):
         return MovingScene(folder, self.device)
 
     def _state(self, footage: Footage, shots: Shots, checkpoint: Path, device: torch.device) -> FitState:
-        """The state that a killed fit has left, or a fresh one."""
         if checkpoint.is_file():
             return FitState.read(checkpoint, self._motion(footage, shots, torch.zeros(2, 3)).to(device), device)
         with torch.device("cpu"):

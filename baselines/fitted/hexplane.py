@@ -30,7 +30,6 @@ class FieldConfiguration:
         levels: nodes of the spatial axes, one number per level; their features are concatenated.
         time_nodes: nodes of the time axis.
         channels: features of a level.
-        width: of the hidden layers.
         heads: which properties move, of `HEADS`.
         harmonics: outputs of the head of colours: three per term of the spherical harmonics.
         is_published: as the authors' files: with the parts of the network that they keep and never use, heads that begin with
@@ -53,10 +52,6 @@ def compact(instants: int, degree: int) -> FieldConfiguration:
     """The small field for a clip of so many instants, with half as many nodes in time, as the authors advise.
 
     Only sizes do not change over time. Colours must: a screen that shows a film is most of the error without them.
-
-    Args:
-        instants: of the clip.
-        degree: of the cloud's spherical harmonics.
     """
     heads = ("pos", "rotations", "opacity", "shs")
     return FieldConfiguration((32, 64), max(2, -(-instants // 2)), 8, 32, heads, harmonics=3 * (degree + 1) ** 2)
@@ -67,8 +62,6 @@ class PlaneGrid(nn.Module):
 
     Args:
         box: corners of what the planes span, (2, 3), the larger one first: so do the authors, which mirrors the axes.
-        configuration: its sizes.
-        axes: which two axes each plane spans.
 
     Reading:
         Points outside the box take the border's features.
@@ -120,10 +113,9 @@ def _plane(channels: int, sizes: tuple[int, ...], pair: tuple[int, int]) -> nn.P
 def field_outputs(
     grid: PlaneGrid, trunk: nn.Module, heads: Sequence[nn.Module], points: Tensor, time: float = 0.0
 ) -> tuple[Tensor, ...]:
-    """What heads make of the features of points, by a kernel where there is one.
+    """Outputs of heads at points, by a kernel where there is one.
 
     Args:
-        grid: the planes.
         trunk: the layer that all heads share.
         heads: each a rectifier, a layer, a rectifier and a layer.
         points: (N, 3).
@@ -168,7 +160,6 @@ class DeformationNetwork(nn.Module):
 
     Args:
         box: bounding box of the initial points, (2, 3), the larger corner first.
-        configuration: sizes.
 
     Reading:
         Heads begin with a tenth of the authors' first weights, which shifts next to nothing; not at zero: planes of time would
@@ -212,14 +203,7 @@ def _bend(plane: Tensor) -> Tensor:
 
 
 def read_deformation(path: Path) -> DeformationNetwork:
-    """The field of a ``deformation.pth`` of the authors.
-
-    Args:
-        path: the file, of their DyNeRF or MultipleView configuration.
-
-    Raises:
-        WeightsError: absent, damaged, or a name or a shape differs.
-    """
+    """The field of a ``deformation.pth`` of the authors."""
     network = DeformationNetwork(torch.zeros(2, 3), PUBLISHED)
     load_strict(read_tensors(path, of=OWNER), network, path, OWNER)
     return network

@@ -1,6 +1,6 @@
 """Motion of Gaussians: by a field (4DGS), along polynomials (Spacetime Gaussians), along lines (FreeTimeGS), or not at all.
 
-What a motion keeps per Gaussian stands beside the canonical properties under names of its own, and is thinned and split with
+What a motion keeps per Gaussian is stored beside the canonical properties under names of its own, and thinned and split with
 them; what all Gaussians share are the parameters of the module.
 """
 
@@ -27,7 +27,6 @@ class Motion(nn.Module, ABC):
     """Canonical Gaussians and a time -> the Gaussians of that time.
 
     Attributes:
-        kind: names it in files.
         rates: learning rate of each tensor that it keeps per Gaussian.
         lengths: which of them are lengths, whose rate counts in extents of the rig and falls with that of the means.
         has_coarse_stage: whether Gaussians are first fitted to all times together, without motion.
@@ -81,7 +80,6 @@ class HexPlaneMotion(Motion):
     """Differences from a deformation field, added before activations: 4DGS.
 
     Args:
-        network: the field.
         reach: what an output of 1 moves a Gaussian, world units.
 
     Reading:
@@ -186,7 +184,6 @@ class TransformationMotion(Motion):
     Args:
         box: what the planes span, (2, 3), the larger corner first.
         reach: what an output of 1 moves a Gaussian, world units.
-        seed: of its first weights, with which nothing moves.
 
     Reading:
         The authors' hash tables begin near zero, where their rate of 2e-3 soon makes neighbours differ. Planes begin at 0.1 to
@@ -232,11 +229,7 @@ class TransformationMotion(Motion):
 
 
 class Backdrop(Motion):
-    """Gaussians beside others that are not learned.
-
-    Args:
-        others: the others, which stay where they are.
-    """
+    """Gaussians beside others that are not learned."""
 
     kind = "backdrop"
 

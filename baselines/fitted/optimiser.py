@@ -23,14 +23,12 @@ WATCHED = 4  # training images whose PSNR is the curve
 
 @dataclass(frozen=True, kw_only=True)
 class GaussianFitter(SceneFitter):
-    """A fitter of Gaussians, and what each of them can be told.
+    """A fitter of Gaussians, with the options that all of them share.
 
     Attributes:
         points: first points at most.
         most: Gaussians at most.
-        degree: of the spherical harmonics.
         structure: share of 1 - SSIM in the loss; 0 for L1 alone, as the authors of 4DGS.
-        save_every: steps between checkpoints.
         device: where it is fitted and rendered.
     """
 
@@ -46,9 +44,6 @@ class GaussianFitter(SceneFitter):
 
         Args:
             names: of the options that count, beside those that all have.
-
-        Raises:
-            RenderError: which one.
         """
         for each in (*names, "points", "most", "save_every"):
             if getattr(self, each) < 1:
@@ -64,10 +59,8 @@ class OptimiserOptions:
     Attributes:
         steps: images that are looked at.
         coarse_steps: of these, without motion, where the motion has a coarse stage.
-        rate: times the learning rates.
         density: when Gaussians are added and taken away; None for never.
         structure: share of 1 - SSIM in the loss; the rest is L1, all of it where this is 0.
-        save_every: steps between checkpoints.
         measure_every: steps between points of the curve; 0 for none.
     """
 
@@ -84,11 +77,9 @@ def clip_options(steps: int, coarse_steps: int, most: int, structure: float, sav
     """Options of a fit from first points to the end: density control in the first half, less often only in long fits.
 
     Args:
-        steps: images that are looked at.
         coarse_steps: of these, without motion.
         most: Gaussians at most.
         structure: share of 1 - SSIM in the loss.
-        save_every: steps between checkpoints.
     """
     density = DensityOptions(every=max(1, min(100, steps // 40)), first=min(500, steps // 10), last=steps // 2, most=most)
     return OptimiserOptions(steps, coarse_steps, density=density, structure=structure, save_every=save_every)
@@ -99,11 +90,6 @@ class Journal:
 
     Args:
         folder: gets ``log.csv``, ``validation.csv`` and the picture.
-        name: of the picture.
-        steps: of all fits together.
-        before: steps of the fits before the present one.
-        done: steps of the present one that are done.
-        progress: is told of each.
     """
 
     def __init__(self, folder: Path, name: str, steps: int, before: int, done: int, progress: Progress) -> None:
@@ -129,9 +115,6 @@ def optimise(state: FitState, shots: Shots, options: OptimiserOptions, journal: 
 
     Args:
         state: of the fit, changed in place.
-        shots: its training images.
-        options: how it runs.
-        journal: is told of every step.
         checkpoint: file of the state, for going on after a kill; None where the fit is too short to be worth one.
     """
     while state.step < options.steps:
@@ -184,6 +167,5 @@ def _set_rates(state: FitState, options: OptimiserOptions, extent: float) -> Non
 
 @torch.no_grad()
 def _squared_error(state: FitState, shot: Shot, near: float) -> float:
-    """Mean squared error of one training image."""
     image = render_gaussians(state.motion.cloud(state.gaussians, shot.time), shot.camera, near=near).image
     return float((image.clamp(max=1) - shot.image).square().mean())

@@ -32,9 +32,6 @@ class PerInstant(GaussianFitter):
         steps: images that are looked at for each instant.
         points, most, degree, structure, save_every, device: as of `GaussianFitter`.
 
-    Raises:
-        RenderError: numbers that make no sense.
-
     Reading:
         Not as published: first points from estimated depth instead of structure from motion, fewer steps, spherical harmonics of
         degree 1, opacity never reset.
@@ -80,12 +77,7 @@ def fresh_or_stored(footage: Footage, index: int, cloud: tuple[int, int], checkp
 
 
 class InstantScenes(FittedScene):
-    """A cloud per instant.
-
-    Args:
-        folder: of the fit.
-        device: where it is rendered.
-    """
+    """A cloud per instant."""
 
     def __init__(self, folder: Path, device: str) -> None:
         self._folder, self._device = folder, device

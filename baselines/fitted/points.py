@@ -59,12 +59,7 @@ def initial_points(footage: Footage, indices: Sequence[int], most: int) -> Point
     """Points of some instants, those of what never moves once.
 
     Args:
-        footage: of the training cameras.
-        indices: the instants whose depth is taken.
         most: points at most.
-
-    Raises:
-        DepthError: cameras agree on no point.
     """
     parts = [_fused(footage, index) for index in indices]
     means = np.concatenate([part[0] for part in parts])

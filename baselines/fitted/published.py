@@ -24,11 +24,6 @@ class PublishedScene(FittedScene):
             last one is taken.
         instants: frame numbers of the clip that it was fitted to.
         near: Gaussians at or before this depth are not rendered, world units.
-        device: where it is rendered.
-
-    Raises:
-        RenderError: no such files, or a cloud that cannot be read.
-        WeightsError: a field of other names or shapes.
 
     Reading:
         The time of the i-th of n instants is i / n, as their loaders give it. Every Gaussian is moved; which ones are is a table
@@ -44,11 +39,7 @@ class PublishedScene(FittedScene):
         self._instants, self._near, self._device = instants, near, device
 
     def cloud(self, index: int) -> GaussianCloud:
-        """The Gaussians of an instant.
-
-        Raises:
-            RenderError: an instant outside the clip.
-        """
+        """The Gaussians of an instant."""
         if index not in self._instants:
             raise RenderError(f"{self._folder}: wanted instants {self._instants[0]}..{self._instants[-1]}, got {index}")
         return self._motion.cloud(self._gaussians, self._instants.index(index) / len(self._instants))

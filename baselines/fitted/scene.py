@@ -44,16 +44,11 @@ class StoredScene:
 
     Args:
         path: what `write_scene` wrote.
-        device: where its tensors are to lie.
 
     Attributes:
         gaussians: name -> a row per Gaussian.
-        motion: how they move.
         first, last: instants of the footage at the ends of the clip.
         near: Gaussians at or before this depth are not rendered, world units.
-
-    Raises:
-        WeightsError: absent, damaged, or no scene.
     """
 
     def __init__(self, path: Path, device: str = "cpu") -> None:
@@ -69,11 +64,7 @@ class StoredScene:
         self.first, self.last, self.near = notes["first"], notes["last"], notes["near"]
 
     def cloud(self, index: int) -> GaussianCloud:
-        """The Gaussians of an instant.
-
-        Raises:
-            RenderError: an instant that the fit has not seen.
-        """
+        """The Gaussians of an instant."""
         if not self.first <= index <= self.last:
             raise RenderError(f"fitted scene: wanted instants {self.first}..{self.last}, got {index}; fit these instants too")
         return self.motion.cloud(self.gaussians, (index - self.first) / max(1, self.last - self.first))
@@ -103,12 +94,7 @@ def render_cloud(cloud_of: Callable[[], GaussianCloud], target: Camera, near: fl
 
 
 class MovingScene(FittedScene):
-    """One cloud that moves through the whole clip.
-
-    Args:
-        folder: of its fit.
-        device: where it is rendered.
-    """
+    """One cloud that moves through the whole clip."""
 
     def __init__(self, folder: Path, device: str) -> None:
         self._path, self._device = folder / SCENE, device

@@ -24,7 +24,6 @@ class Shot:
     """One training image.
 
     Attributes:
-        camera: that took it.
         time: of the clip, in [0, 1].
         image: what it saw, in [0, 1], (H, W, 3).
     """
@@ -40,9 +39,6 @@ class Shots:
     Frames of videos lie behind one another; they are decoded once, into a file beside the fit, which is read in any order.
 
     Args:
-        footage: of the training cameras.
-        indices: the instants.
-        folder: gets the decoded frames.
         salt: makes the order of this fit another than that of the folder's other fits.
     """
 

@@ -45,8 +45,6 @@ class FitState:
     """A fit between two steps.
 
     Args:
-        gaussians: first values; none of them is changed.
-        motion: how they move.
         learns_gaussians: whether they are learned, or only what the motion shares.
 
     Attributes:
@@ -55,7 +53,6 @@ class FitState:
         optimiser: Adam, with one group for each tensor, named.
         gradient_sum: norms of screen gradients since the last round of density control, in units of half the image, (N,).
         visits: views that have seen each Gaussian since then, (N,).
-        step: steps done.
     """
 
     def __init__(self, gaussians: Gaussians, motion: Motion, *, learns_gaussians: bool = True) -> None:
@@ -121,15 +118,7 @@ class FitState:
 
     @classmethod
     def read(cls, path: Path, motion: Motion, device: torch.device) -> "FitState":
-        """Read a checkpoint.
-
-        Args:
-            motion: of the same kind and sizes; gets its parameters.
-            device: where the fit goes on.
-
-        Raises:
-            TrainingError: damaged, or of another fit.
-        """
+        """Read a checkpoint."""
         try:
             values = torch.load(path, map_location=device, weights_only=True)
             motion.load_state_dict(values["motion"])

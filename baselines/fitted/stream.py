@@ -38,9 +38,6 @@ class Stream(GaussianFitter):
         spawned: Gaussians added at most.
         points, most, degree, structure, save_every, device: as of `GaussianFitter`.
 
-    Raises:
-        RenderError: numbers that make no sense.
-
     Reading:
         Not as published: first points from estimated depth, a field of three dense planes at two resolutions instead of hash
         grids (the same at the size of a room, and without tiny-cuda-nn), its box that of all Gaussians instead of set by hand,
@@ -131,10 +128,6 @@ class StreamedScene(FittedScene):
     """The cloud of the first instant, and a field and a few Gaussians for each later one.
 
     Instants are made one after the other; asked for in that order, each costs one field.
-
-    Args:
-        folder: of the fit.
-        device: where it is rendered.
     """
 
     def __init__(self, folder: Path, device: str) -> None:

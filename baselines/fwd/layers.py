@@ -21,8 +21,6 @@ class ResidualBlock(nn.Module):
     """Two 3x3 convolutions, each after normalisation and ReLU, beside a 1x1 shortcut.
 
     Args:
-        width_in: channels of the input.
-        width: channels of the output.
         resampling: ``up`` doubles the size before the first convolution (nearest neighbour), ``down`` halves it after the second
             (mean of four); the shortcut does the same.
     """
@@ -95,10 +93,6 @@ class DepthCompletion(nn.Module):
 
 class ViewFusion(nn.Module):
     """Multi-head attention over views, pixel by pixel; any number of views, in any order.
-
-    Args:
-        width: channels of a view's features.
-        value_width: channels that a head carries on.
 
     Reading:
         The token is added to what the heads give, then a layer normalisation follows. A view without a point at a pixel is left

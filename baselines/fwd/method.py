@@ -19,7 +19,6 @@ class Fwd:
     Attributes:
         weights: file of its weights, see `load_network`.
         points_per_pixel: most points that a view blends at a pixel; by default as many as the weights were trained with.
-        device: where the network computes, see `compute_device`.
     """
 
     weights: Path
@@ -33,11 +32,7 @@ class Fwd:
         compute_device(self.device)
 
     def step(self, instant: Instant) -> Rendering:
-        """Synthesise one instant.
-
-        Raises:
-            WeightsError: no usable weights.
-        """
+        """Synthesise one instant."""
         device = compute_device(self.device)
         network = load_network(self.weights, device)
         with rendering_on(device):

@@ -48,10 +48,6 @@ CONFIGURATIONS = {
 class FwdNetwork(nn.Module):
     """The network; names of its parameters are ours.
 
-    Args:
-        completes_depth: whether depth is completed before it is used.
-        configuration: which of `CONFIGURATIONS`.
-
     Reading:
         The encoder keeps the size; its widths between 3 and 61 are ours. Normalisation is by batch.
     """
@@ -122,9 +118,6 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> FwdNetwork:
     """The network of a weights file, in evaluation mode, on a device.
 
     Whether it completes depth is known from its tensors, which configuration it is from its header.
-
-    Raises:
-        WeightsError: absent, damaged, more than tensors inside, or tensors of another network.
     """
     tensors = read_tensors(path, of=OF)
     configuration = configuration_of(path, CONFIGURATIONS, OF) or FULL

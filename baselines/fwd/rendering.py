@@ -25,7 +25,6 @@ class HalfView:
     """One source view at half its size.
 
     Attributes:
-        camera: of that size.
         image: (H, W, 3), in [-1, 1].
         depth: (H, W), world units, 0 where unknown.
     """
@@ -130,9 +129,6 @@ def warp_view(
     """Features of a view as the target sees them; gradients reach the network's parameters.
 
     Args:
-        network: gives features, and completes depth if it can.
-        view: the source at half its size.
-        target: the camera to render, at half its size.
         near: points at or before this depth in the target are left out, world units.
         smallest: smallest depth of the scene seen from any source, world units.
         count: most points per pixel.

@@ -28,7 +28,6 @@ class GpsGaussian:
         depth: ``own`` stereo between the two images, or the depth ``given`` with the sources; Gaussians are its own either way.
         pairs: how many pairs are rendered together; by default what the weights' configuration says, one for the authors'.
         rotations_in: what the network's rotations refer to, see `GpsGaussianOptions`, which says it where nothing is said here.
-        device: where the network computes and Gaussians are rendered, see `compute_device`.
 
     Reading:
         The network knows metres: inverse depth goes in per metre, and scales, at most 0.01 m, come out in metres. What that is in
@@ -55,12 +54,7 @@ class GpsGaussian:
         compute_device(self.device)
 
     def step(self, instant: Instant) -> Rendering:
-        """Synthesise one instant.
-
-        Raises:
-            RenderError: no two of the sources make a stereo pair.
-            WeightsError: no usable weights.
-        """
+        """Synthesise one instant."""
         device = compute_device(self.device)
         network = load_network(self.weights, device)
         config = network.config

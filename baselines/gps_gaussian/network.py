@@ -53,11 +53,7 @@ CONFIGURATIONS = {
 
 
 class GpsGaussianNetwork(nn.Module):
-    """The network; parameters bear the names of the published checkpoint.
-
-    Args:
-        configuration: which of `CONFIGURATIONS`.
-    """
+    """The network; parameters bear the names of the published checkpoint."""
 
     def __init__(self, configuration: str = FULL) -> None:
         super().__init__()
@@ -73,11 +69,7 @@ class GpsGaussianNetwork(nn.Module):
         return pyramid
 
     def flow(self, features: Pyramid, iterations: int = ITERATIONS) -> Tensor:
-        """Column of each pixel's match in the other image less its own, pixels, (2, 1, H, W).
-
-        Raises:
-            WeightsError: the configuration has no stereo.
-        """
+        """Column of each pixel's match in the other image less its own, pixels, (2, 1, H, W)."""
         if self.raft_stereo is None:
             raise WeightsError(
                 f"GPS-Gaussian ({self.configuration}) finds no depth of its own; render gps-gaussian+given-depth, or give the "
@@ -99,7 +91,6 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> GpsGaussianN
     Args:
         path: the authors' checkpoint (a dict with ``network`` beside ``total_steps``, ``optimizer`` and ``scheduler``), or
             safetensors whose names begin with ``network.``, or what our training wrote.
-        device: where the network shall lie.
 
     Raises:
         WeightsError: absent, damaged, more than tensors and plain values inside, or tensors of another network.
@@ -113,4 +104,4 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> GpsGaussianN
 
 
 def _nothing(*_: object) -> None:
-    """Stands in for what a checkpoint need not bring back."""
+    """Nothing, in place of a result that a checkpoint need not bring back."""

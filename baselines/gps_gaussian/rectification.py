@@ -84,12 +84,8 @@ def rectify(left: Camera, right: Camera, whole: bool = False) -> RectifiedPair:
     """Rectify a pair.
 
     Args:
-        left: the camera that becomes the left one.
         right: the other one; a right camera below the left one gives canvases on their sides.
         whole: canvases that hold the whole images, instead of ones of the images' size.
-
-    Raises:
-        RenderError: the cameras share a centre, stand behind each other, or look apart.
 
     Reading:
         As the authors' recipe: both canvases have the size of the images, one focal length and one row for the horizon, and each
@@ -119,7 +115,7 @@ def rectify(left: Camera, right: Camera, whole: bool = False) -> RectifiedPair:
 
 
 def _shrink(corners: Array, image_pixels: int) -> float:
-    """How much smaller, per side, a canvas that holds all corners (2, 4, 2) must be to stay within `MOST_PIXELS`; at most 1."""
+    """Factor per side, at most 1, that keeps a canvas of all corners (2, 4, 2) within `MOST_PIXELS`."""
     width, height = np.ptp(corners[..., 0], axis=1).max(), np.ptp(corners[..., 1])
     return float(min(1.0, np.sqrt(MOST_PIXELS * image_pixels / (width * height))))
 
@@ -174,18 +170,13 @@ def _view(camera: Camera, K: Array, axes: Array, size: tuple[int, int]) -> Recti
 
 
 def choose_pairs(target: Camera, cameras: Sequence[Camera], count: int) -> list[tuple[int, int]]:
-    """The nearest pairs that can be rectified; no camera stands in two of them.
+    """The nearest pairs that can be rectified; no camera is in two of them.
 
     Args:
-        target: the camera to synthesise.
-        cameras: the source cameras.
         count: pairs wanted; fewer come back where there are no more.
 
     Returns:
         Indices of the cameras of each pair, nearest pair first; in each, left camera first.
-
-    Raises:
-        RenderError: no two of the cameras can be rectified.
 
     Reading:
         The authors name their pair by hand: the neighbours between which the target stands on a ring. Here it is the rectifiable

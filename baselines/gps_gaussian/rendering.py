@@ -119,11 +119,9 @@ def blend_batches(footprints: Footprints, features: Tensor, members: Tensor, sta
     """Features of every tile, its Gaussians blended front to back: the nearest of all tiles first, then the next ones.
 
     Args:
-        footprints: Gaussians on the image.
         features: of each, (N, C).
         members: indices of the Gaussians of each tile, nearest first, (M,).
         starts: where each tile's begin, (T + 1,), tiles row by row.
-        columns: tiles in a row.
 
     Returns:
         (T, TILE, TILE, C).

@@ -24,7 +24,6 @@ class PyramidEncoder(nn.Module):
 
     Args:
         channels: of the input: 3 for images, 1 for inverse depth.
-        widths: channels of the three stages.
     """
 
     def __init__(self, channels: int, widths: tuple[int, int, int]) -> None:
@@ -76,7 +75,6 @@ class GaussianRegressor(nn.Module):
     """A U-Net over features of image and depth ('gs_parm_regresser').
 
     Args:
-        encoder_widths: channels of either pyramid.
         decoder_widths: channels of the decoder at 1/2, 1/4 and 1/8 of the size.
     """
 

@@ -23,11 +23,6 @@ class IBRNet:
     Args:
         weights: the authors' checkpoint, see `load_ibrnet`.
         rays_per_chunk: rays that pass through the networks together; by default as many as suit the device.
-        device: where the networks compute, see `compute_device`.
-
-    Raises:
-        DeviceError: no such device here.
-        WeightsError: the weights cannot be used.
 
     Reading:
         Depths are searched from 0.9 times the nearest to 1.6 times the farthest of the cameras of the instant, the margins of
@@ -41,11 +36,7 @@ class IBRNet:
         self._rays_per_chunk = rays_per_chunk
 
     def step(self, instant: Instant) -> Rendering:
-        """Synthesise one instant; nothing is remembered.
-
-        Raises:
-            RenderError: fewer than two source views, or one too small for the network.
-        """
+        """Synthesise one instant; nothing is remembered."""
         _check(instant)
         started = clock_s(self._device)
         with rendering_on(self._device):

@@ -24,7 +24,6 @@ class FeatureNetwork(nn.Module):
 
     Args:
         width: channels of the first stage; the next ones have twice and four times as many.
-        blocks: residual blocks of the stages.
     """
 
     def __init__(self, width: int = 64, blocks: tuple[int, int, int] = (3, 4, 6)) -> None:
@@ -140,11 +139,7 @@ CONFIGURATIONS = {"full": IbrnetOptions(), "compact": IbrnetOptions(16, (2, 2, 2
 
 
 class Networks(nn.Module):
-    """All that is trained, under the names of the published checkpoint's three state dicts.
-
-    Args:
-        configuration: which of `CONFIGURATIONS`.
-    """
+    """All that is trained, under the names of the published checkpoint's three state dicts."""
 
     def __init__(self, configuration: str = FULL) -> None:
         super().__init__()
@@ -161,9 +156,6 @@ def load_ibrnet(path: Path) -> Networks:
     Args:
         path: the authors' checkpoint, a dict with ``net_coarse``, ``net_fine`` and ``feature_net``, or safetensors whose names
             begin so.
-
-    Raises:
-        WeightsError: absent, damaged, more than tensors inside, or tensors of another network.
     """
     networks = Networks(configuration_of(path, CONFIGURATIONS, "IBRNet") or FULL)
     for part in PARTS:

@@ -29,12 +29,10 @@ def render_rays(
     """Colour and depth of some rays.
 
     Args:
-        networks: the trained ones.
         views: at least two.
         centre: of the target camera in the world, (3,).
         rays: directions in the world such that centre + depth * ray has that depth, (R, 3).
         near: depth of the first sample, world units.
-        far: depth of the last sample.
 
     Returns:
         RGB, (R, 3), and expected depth, (R,), 0 where a ray met less than half an opaque surface.
@@ -76,7 +74,7 @@ def rays_at_once(views: int, samples: int, device: torch.device | None = None) -
 def _shade(
     network: RayNetwork, views: Sequence[SeenView], of_pass: Pass, centre: Tensor, rays: Tensor, depths: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """RGB (R, S, 3) and density (R, S) of the samples at the depths (R, S); compiled on the CPU where nobody wants gradients."""
+    """RGB (R, S, 3) and density (R, S) of the samples at the depths (R, S); compiled on the CPU where no gradients are wanted."""
     if rays.device.type == "cpu" and not (torch.is_grad_enabled() and network.s.requires_grad):
         return shade_by_kernel(network, views, of_pass, centre, rays, depths)
     points_world = centre + depths[..., None] * rays[:, None]  # (R, S, 3)
@@ -106,7 +104,6 @@ def finer_depths(depths: Tensor, weights: Tensor, count: int) -> Tensor:
     Args:
         depths: of the first pass, (R, S), increasing.
         weights: share of each in its pixel's colour, (R, S).
-        count: how many to add.
 
     Returns:
         (R, S + count), increasing.
@@ -127,7 +124,6 @@ def quantiles(edges: Tensor, weights: Tensor, count: int) -> Tensor:
     Args:
         edges: (R, M + 1), increasing.
         weights: of the M intervals, (R, M); a small constant is added to each.
-        count: number of quantiles.
 
     Returns:
         (R, count), increasing.
@@ -150,9 +146,7 @@ def shade_by_kernel(
     """Colour and density of samples, as `RayNetwork.forward` computes them from `SeenView.look_up` and `directions`.
 
     Args:
-        network: of the pass.
         views: at least two.
-        of_pass: whose features the views are looked up in.
         centre: of the target camera, (3,).
         rays: (R, 3).
         depths: (R, S).

@@ -19,9 +19,6 @@ from ggvs_eval.training.instant_samples import InstantSample
 class IbrnetRecipe(TrainingRecipe[Networks]):
     """The training of IBRNet.
 
-    Attributes:
-        rays: drawn from each crop.
-
     Reading:
         The authors' loss, the squared error of both passes, of rays drawn from a window instead of the whole view, so that the
         sources need not be seen whole. Depth is not used. Every ray counts; the authors leave out those with at most eight

@@ -52,7 +52,6 @@ class SeenView:
 
         Args:
             points_world: (..., 3).
-            of_pass: whose features.
 
         Returns:
             (..., 35), linear between pixels, and (..., 1) bool.

@@ -21,12 +21,7 @@ Block = tuple[slice, slice, int, int]  # rows, columns, and into how many window
 
 
 class ConvolutionalEncoder(nn.Module):
-    """Features of one image at a quarter of its size ('backbone').
-
-    Args:
-        widths: channels of the three stages.
-        width: channels of the features.
-    """
+    """Features of one image at a quarter of its size ('backbone')."""
 
     def __init__(self, widths: tuple[int, int, int], width: int) -> None:
         super().__init__()
@@ -53,12 +48,7 @@ def _stage(width_in: int, width: int, stride: int = 1) -> nn.Sequential:
 
 
 class AttentionLayer(nn.Module):
-    """Attention of one head within windows, added to what asks; after it a perceptron where there is one.
-
-    Args:
-        width: channels.
-        perceptron: whether there is one.
-    """
+    """Attention of one head within windows, added to what asks; after it a perceptron where there is one."""
 
     def __init__(self, width: int, perceptron: bool) -> None:
         super().__init__()
@@ -81,7 +71,6 @@ class AttentionLayer(nn.Module):
         Args:
             views: (K, h, w, C).
             others: what each view sees of the others, features of all K; None where each looks at itself.
-            blocks: how the cells are cut into windows.
         """
         target = views if others is None else others
         seen = _attend(self.q_proj(views), self.k_proj(target), self.v_proj(target), blocks, across=others is not None)
@@ -127,11 +116,7 @@ def _whole(windows: Tensor, down: int, right: int, shape: torch.Size) -> Tensor:
 
 
 class TransformerBlock(nn.Module):
-    """A view looks at itself, then at the others.
-
-    Args:
-        width: channels.
-    """
+    """A view looks at itself, then at the others."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -145,12 +130,7 @@ class TransformerBlock(nn.Module):
 
 
 class Transformer(nn.Module):
-    """Layers whose windows lie alternately on the grid and half a window off it.
-
-    Args:
-        layers: how many.
-        width: channels.
-    """
+    """Layers whose windows lie alternately on the grid and half a window off it."""
 
     def __init__(self, layers: int, width: int) -> None:
         super().__init__()
@@ -173,9 +153,6 @@ def window_blocks(height: int, width: int, window: tuple[int, int], shifted: boo
     """Cut a map into windows, grouped by their size.
 
     Args:
-        height: of the map, cells.
-        width: of the map, cells.
-        window: height and width of a window.
         shifted: whether the grid is moved by half a window; what is left at the borders are smaller windows.
 
     Reading:
@@ -213,13 +190,7 @@ def window_position(height: int, width: int, channels: int) -> Tensor:
 
 
 class Backbone(nn.Module):
-    """Features of every view ('backbone'), and those that know of the other views ('transformer').
-
-    Args:
-        stages: channels of the convolutional stages.
-        width: channels of the features.
-        layers: of the transformer.
-    """
+    """Features of every view ('backbone'), and those that know of the other views ('transformer')."""
 
     def __init__(self, stages: tuple[int, int, int], width: int, layers: int) -> None:
         super().__init__()

@@ -36,15 +36,7 @@ class PixelMaps(NamedTuple):
 
 
 class DepthPredictor(nn.Module):
-    """Cost volumes, their refinement, and the heads at full resolution.
-
-    Args:
-        width: channels of the features.
-        candidates: planes of a cost volume.
-        cost_width: channels of its U-Net.
-        refinement_width: channels of the U-Net at full resolution.
-        shape_channels: of `PixelMaps.shape`.
-    """
+    """Cost volumes, their refinement, and the heads at full resolution."""
 
     def __init__(self, width: int, candidates: int, cost_width: int, refinement_width: int, shape_channels: int) -> None:
         super().__init__()
@@ -76,7 +68,6 @@ class DepthPredictor(nn.Module):
 
         Args:
             together: features that know of the other views, (K, C, H / 4, W / 4).
-            alone: those of each image, same shape.
             views: at least two.
         """
         images = views.images

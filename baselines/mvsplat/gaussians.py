@@ -23,11 +23,6 @@ OTHER_AXES = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 def pixel_cloud(pixels: PixelMaps, views: Views, published: bool) -> GaussianCloud:
     """The Gaussians of all pixels of all images, view after view, row after row, in world units.
 
-    Args:
-        pixels: of padded images.
-        views: what they were regressed from.
-        published: whether they are read as the authors' code does.
-
     Reading:
         The authors search depth along the optical axis and place Gaussians as if it were distance from the camera; their
         harmonics are turned to the world in the axes of another library. Their weights know nothing else, so `published` does
@@ -44,7 +39,6 @@ def rendered_part(cloud: GaussianCloud) -> GaussianCloud:
 
 
 def _view_cloud(pixels: PixelMaps, views: Views, number: int, published: bool) -> GaussianCloud:
-    """Gaussians of one view."""
     width, height = views.sizes[number].tolist()
     raw, disparity, logit, image = (
         maps[number, :, :height, :width].flatten(1).T

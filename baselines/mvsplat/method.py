@@ -21,7 +21,6 @@ class Mvsplat:
 
     Attributes:
         weights: file of its weights, see `load_network`.
-        device: where the network computes and Gaussians are rendered, see `compute_device`.
 
     Reading:
         The authors render with the principal point in the middle of the image and in units of the nearest depth; here it stays
@@ -36,12 +35,7 @@ class Mvsplat:
         compute_device(self.device)
 
     def step(self, instant: Instant) -> Rendering:
-        """Synthesise one instant.
-
-        Raises:
-            RenderError: fewer than two source views.
-            WeightsError: no usable weights.
-        """
+        """Synthesise one instant."""
         if len(instant.sources) < FEWEST_VIEWS:
             raise RenderError(
                 f"MVSplat wants at least {FEWEST_VIEWS} source views, got {len(instant.sources)}; raise k in the protocol"

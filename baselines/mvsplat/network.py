@@ -25,13 +25,10 @@ class MvsplatOptions:
 
     Attributes:
         stages: channels of the convolutional stages.
-        width: channels of the features.
-        layers: of the transformer.
         window: cells along the side of an attention's window; None for windows of half the map, which grow with the image.
         candidates: planes of a cost volume.
         cost_width: channels of the cost volume's U-Net.
         refinement_width: channels of the U-Net at full resolution.
-        degree: of the spherical harmonics.
         published: whether Gaussians are read as the authors' code does, see `ggvs_eval.baselines.mvsplat.gaussians`.
     """
 
@@ -63,11 +60,7 @@ CONFIGURATIONS = {
 
 
 class MvsplatNetwork(nn.Module):
-    """The network; parameters bear the names of the published checkpoint, without ``encoder.``.
-
-    Args:
-        configuration: which of `CONFIGURATIONS`.
-    """
+    """The network; parameters bear the names of the published checkpoint, without ``encoder.``."""
 
     def __init__(self, configuration: str = FULL) -> None:
         super().__init__()
@@ -94,7 +87,6 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> MvsplatNetwo
     Args:
         path: the authors' checkpoint (a dict with ``state_dict``, whose names begin with ``encoder.``), or safetensors of those
             names, or what our training wrote.
-        device: where the network shall lie.
 
     Raises:
         WeightsError: absent, damaged, more than tensors and plain values inside, or tensors of another network.

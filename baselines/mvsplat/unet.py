@@ -9,12 +9,7 @@ HEAD_WIDTH = 32  # channels of an attention's head; fewer where the whole has fe
 
 
 class ResidualUnit(nn.Module):
-    """Two convolutions, each normalised after it, beside a shortcut.
-
-    Args:
-        width_in: channels of the input.
-        width: channels of the output.
-    """
+    """Two convolutions, each normalised after it, beside a shortcut."""
 
     def __init__(self, width_in: int, width: int) -> None:
         super().__init__()
@@ -29,11 +24,7 @@ class ResidualUnit(nn.Module):
 
 
 class JointAttention(nn.Module):
-    """Every cell of every view looks at every cell of every view.
-
-    Args:
-        width: channels.
-    """
+    """Every cell of every view looks at every cell of every view."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -55,11 +46,7 @@ class JointAttention(nn.Module):
 
 
 class Halving(nn.Module):
-    """A convolution that halves both sides.
-
-    Args:
-        width: channels.
-    """
+    """A convolution that halves both sides."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -72,11 +59,7 @@ class Halving(nn.Module):
 
 
 class Doubling(nn.Module):
-    """Each cell four times, then a convolution.
-
-    Args:
-        width: channels.
-    """
+    """Each cell four times, then a convolution."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -92,7 +75,6 @@ class UNet(nn.Module):
     """One residual unit on each level down, two on each level up.
 
     Args:
-        width: channels, the same everywhere.
         levels: each after the first at half the size of that before it.
     """
 

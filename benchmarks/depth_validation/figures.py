@@ -64,7 +64,7 @@ def quoted_figures(
 
     Args:
         group: as for `figures_of`.
-        measures: as for `figures_of`; those that nobody published are left out.
+        measures: as for `figures_of`; unpublished ones are left out.
         values: as for `figures_of`.
         quoted: published values of each peer, by the measures' names.
     """

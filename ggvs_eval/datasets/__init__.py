@@ -54,7 +54,6 @@ class DatasetSpec:
 
 
 def _checked(name: str, spec: object) -> DatasetSpec:
-    """A layout of a plug-in."""
     if not isinstance(spec, DatasetSpec):
         raise TypeError(f"wanted a DatasetSpec, got {type(spec).__name__}")
     return spec
@@ -169,9 +168,6 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
 
     Args:
         layout: the only one to consider; all when None.
-
-    Raises:
-        CaptureError: no layout fits; the message has the reason of each.
     """
     if layout is not None and layout not in DATASETS:
         layouts = ", ".join(DATASETS)

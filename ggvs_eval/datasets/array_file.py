@@ -1,4 +1,4 @@
-"""Arrays in ``.npy`` files that nobody vouches for."""
+"""Arrays in ``.npy`` files from untrusted sources."""
 
 from pathlib import Path
 from tokenize import TokenError

@@ -42,15 +42,9 @@ def assemble_capture(
     """Check that all cameras have the same instants and bring each camera to the size of its frames.
 
     Args:
-        layout: name of its layout.
-        cameras: at the size they are calibrated for.
-        sources: frames of each camera.
         units: world units per metre.
         scene: what the scene is called; the last part of the path by default.
         fps: frames per second where the layout says it; by default that of the videos, 30 for images.
-        extras: of each camera, or none.
-        notes: what was left out and why.
-        test_views: cameras that the capture's authors hold out.
 
     Raises:
         CaptureError: cameras that differ in frame count or rate, frames of another shape than the calibration, or two cameras of
@@ -86,17 +80,12 @@ def assemble_capture(
 
 
 def check_rig_size(path: Path, n_cameras: int) -> None:
-    """Refuse a rig that nobody has, before anything is computed of it.
-
-    Raises:
-        CaptureError: more than `LARGEST_RIG` cameras.
-    """
+    """Refuse an implausibly large rig before anything is computed of it."""
     if n_cameras > LARGEST_RIG:
         raise CaptureError(f"{path}: wanted at most {LARGEST_RIG} cameras, got {n_cameras}; leave some out")
 
 
 def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
-    """List repairs and remaining faults."""
     notes = []
     slanted = [camera for camera in cameras if camera.deviation]
     if slanted:

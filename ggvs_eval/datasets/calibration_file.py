@@ -41,7 +41,6 @@ class Kind:
 
     Attributes:
         describe: its layout in one line.
-        suffixes: of the names of such files.
         content: what their text holds; None where the suffix says enough.
         read: gives the cameras of a file.
     """
@@ -72,7 +71,6 @@ class CalibrationFile:
     """Cameras of calibration files.
 
     Attributes:
-        cameras: by name.
         units: 1 per metre where the unit is known; None where it is not.
     """
 
@@ -95,11 +93,7 @@ def find_calibration_files(path: Path, kind: str | None = None) -> list[Path]:
 
 
 def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFile:
-    """Read a calibration file, or all those of a folder that `find_calibration_files` gives.
-
-    Raises:
-        CaptureError: none there, a damaged one, or two cameras of one name.
-    """
+    """Read a calibration file, or all those of a folder that `find_calibration_files` gives."""
     read, files = _find(path, kind)
     cameras = [camera for file in files for camera in read(file)]
     check_rig_size(path, len(cameras))
@@ -119,11 +113,6 @@ def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFil
 
 def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     """Open a folder of videos or images with its calibration file; frames are undistorted as they are read.
-
-    Args:
-        kind: a name in `KINDS`.
-        path: the folder, or the calibration file in it.
-        units: world units per metre or a file that says how to measure them; see `choose_units`.
 
     Raises:
         CaptureError: a damaged file, fewer than two of its cameras with frames, or a camera without pose.

@@ -44,8 +44,6 @@ class FileCamera:
     Attributes:
         name: as the file calls it.
         K: intrinsics in pixels, (3, 3), pixel centres at halves.
-        model: of the lens.
-        coefficients: of the lens.
         size: (width, height) of the calibrated images; None where the file does not say.
         world_to_camera: (4, 4); None where only the lens is known.
         is_metric: whether the pose is known to be in metres.
@@ -79,9 +77,6 @@ class FileCamera:
 def read_qualisys(path: Path) -> list[FileCamera]:
     """Read the cameras of a ``.qca.txt``, an XML file of Qualisys Track Manager; in metres.
 
-    Raises:
-        CaptureError: damaged, or a number that is absent.
-
     Reading:
         The rows r11 r12 r13, ... of ``transform`` are the camera's axes right, up and backwards in the world, x y z its centre.
         Numbers of ``intrinsic`` are 64ths of a pixel of the whole sensor, of which the video is the part ``fov_video``; its
@@ -109,9 +104,6 @@ def read_qualisys(path: Path) -> list[FileCamera]:
 
 def read_anipose(path: Path) -> list[FileCamera]:
     """Read the cameras of a TOML file of anipose, freemocap, pose2sim or caliscope.
-
-    Raises:
-        CaptureError: damaged, or an entry that is absent or of another shape.
 
     Reading:
         freemocap notes the size of its board in millimetres, so its poses become metres. What unit others have only the size of
@@ -161,9 +153,6 @@ def read_opencv(path: Path) -> list[FileCamera]:
     ``fisheye_model`` or ROS' ``distortion_model``, and its pose as ``R``, ``T`` or ``rvec``, ``tvec``; it is called
     ``camera_name`` or like the file. Two have ``M1 D1 M2 D2`` (or ``K1``, ``cameraMatrix1``, ...) with ``R`` and ``T`` in the
     same file or in ``extrinsics.yml`` beside it; they are called by ``names``, or left and right, and the first is the world.
-
-    Raises:
-        CaptureError: damaged, or neither of the two.
     """
     file = FileStorageYaml(path, is_plain=True)
     single = next((key for key in MATRIX_KEYS if file.has(key)), None)

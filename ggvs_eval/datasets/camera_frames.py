@@ -59,9 +59,6 @@ def find_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
 
     Args:
         image_names: camera -> its image in the calibration, relative to ``images/`` or to the capture.
-
-    Raises:
-        CaptureError: several files of one camera.
     """
     spelled = {same_name(name): name for name in image_names}
     for arrangement in ARRANGEMENTS:
@@ -77,11 +74,7 @@ def find_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
 
 
 def require_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
-    """Find the frames of all of some cameras; arguments as of `find_frames`.
-
-    Raises:
-        CaptureError: no frames, or none for some cameras.
-    """
+    """Find the frames of all of some cameras; arguments as of `find_frames`."""
     found = find_frames(path, image_names)
     if not found.sources:
         raise CaptureError(f"{path}: wanted frames of {listed(list(image_names))}, got {instead_of_frames(path, image_names)}")

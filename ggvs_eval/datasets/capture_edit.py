@@ -55,13 +55,7 @@ class NoisyFrames:
 
 @dataclass(frozen=True)
 class HeldFrames:
-    """One frame of one camera, again and again, a `FrameSource`.
-
-    Attributes:
-        source: where it comes from.
-        frame: which one.
-        n_frames: how often.
-    """
+    """One frame of one camera, again and again, a `FrameSource`."""
 
     source: FrameSource
     frame: int
@@ -82,13 +76,7 @@ class HeldFrames:
 
 @dataclass(frozen=True)
 class HeldDepths:
-    """Measured depth of one instant, again and again, a `DepthSource`.
-
-    Attributes:
-        source: where it comes from.
-        frame: which one.
-        n_frames: how often.
-    """
+    """Measured depth of one instant, again and again, a `DepthSource`."""
 
     source: DepthSource
     frame: int
@@ -111,11 +99,7 @@ def perturb_capture(capture: Capture, edit: CaptureEdit) -> Capture:
     """The same cameras with their frames as wanted, the frames that serve as truth included.
 
     Args:
-        capture: as it was taken.
         edit: what is done to it; nothing with the defaults.
-
-    Raises:
-        CaptureError: an instant that the capture does not have, or a negative number.
 
     Reading:
         Noise falls on the pixels that the capture yields, before the protocol resizes them: averaging four pixels to one halves
@@ -137,7 +121,6 @@ def perturb_capture(capture: Capture, edit: CaptureEdit) -> Capture:
 
 
 def _check(capture: Capture, edit: CaptureEdit) -> None:
-    """Refuse what cannot be."""
     senseless = [f"{name} {value:g}" for name, value in asdict(edit).items() if not 0 <= value < np.inf]
     if senseless:
         raise CaptureError(
@@ -166,7 +149,6 @@ def _held_extras(extras: Extras, edit: CaptureEdit) -> Extras:
 
 
 def _describe(edit: CaptureEdit) -> str:
-    """For people."""
     parts = [f"frame {edit.hold_frame} held still for {edit.hold_frames} instants"] if edit.hold_frames else []
     if edit.sensor_noise_255:
         parts.append(f"sensor noise of {edit.sensor_noise_255:g}/255 added to every camera (seed {edit.noise_seed})")

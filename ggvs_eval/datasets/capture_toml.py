@@ -32,7 +32,6 @@ class LensTable:
 
     Attributes:
         model: ``opencv`` or ``fisheye``.
-        coefficients: in OpenCV's order.
     """
 
     model: LensModel
@@ -44,11 +43,9 @@ class CameraTable:
     """One ``[[camera]]``.
 
     Attributes:
-        name: of the camera.
         frames: video, folder of images or image, relative to the file.
         K: intrinsics, 3 x 3, pixels.
         width: of the images the calibration was made for.
-        height: likewise.
         world_to_camera: 4 x 4; this or camera_to_world.
         camera_to_world: 4 x 4.
         distortion: of the lens; none where absent.
@@ -82,7 +79,6 @@ class CaptureTable:
         camera: the rig, in this order.
         scene: what the scene is called; the folder's name by default.
         fps: frames per second where the frames are images.
-        units_per_metre: world units per metre.
         pixel_centre: where the centre of the first pixel lies in the file's K: ``half`` (COLMAP) or ``whole`` (OpenCV).
     """
 
@@ -100,13 +96,6 @@ def refuse(path: Path) -> str | None:
 
 def load(path: Path, units: GivenUnits) -> Capture:
     """Open a rig described by ``capture.toml``, the file itself or its folder.
-
-    Args:
-        path: the file or its folder.
-        units: world units per metre or a file that says how to measure them; see `choose_units`.
-
-    Raises:
-        CaptureError: an unknown, missing or mistyped key, or frames that do not fit.
 
     Reading:
         Frames of a distorting lens are undistorted to the K of `Lens.undistorted_K`, in which no pixel is blank.

@@ -24,10 +24,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
     Frames of a distorting camera are undistorted as they are read. Images on disk that the model did not register are noted.
 
-    Args:
-        path: folder that holds the model and the frames.
-        units: world units per metre or a file that says how to measure them; see `choose_units`.
-
     Raises:
         CaptureError: the model is damaged, or a camera of the model has no frames on disk.
     """
@@ -48,11 +44,7 @@ def find_model(path: Path) -> Path | None:
 
 
 def by_camera(folder: Path, views: Sequence[CalibratedView]) -> dict[str, CalibratedView]:
-    """The views of a model by the names of their cameras, see `camera_names`.
-
-    Raises:
-        CaptureError: several images of one camera.
-    """
+    """The views of a model by the names of their cameras, see `camera_names`."""
     names = camera_names([view.image_name for view in views])
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

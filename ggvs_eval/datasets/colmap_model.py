@@ -83,9 +83,6 @@ def read_model(folder: Path) -> list[CalibratedView]:
 
     Args:
         folder: holds cameras, images and perhaps points3D, as text or binary.
-
-    Raises:
-        CaptureError: damaged, empty, or a camera model without an OpenCV equivalent.
     """
     # By its file: by its name it would first import every other reader.
     command = [sys.executable, "-P", str(Path(__file__).with_name("colmap_reader.py")), str(folder)]
@@ -113,7 +110,6 @@ def undistorted(source: SizedSource, lens: Lens, K: Array) -> SizedSource:
 
     Args:
         source: frames at the size of the calibration, or uniformly scaled.
-        lens: at the size of the calibration.
         K: of the pinhole image at the size of the calibration.
     """
     source = as_calibrated(source, lens.width, lens.height)

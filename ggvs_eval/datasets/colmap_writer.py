@@ -35,9 +35,7 @@ def write_model(folder: Path, cameras: Sequence[Camera], sightings: Sequence[Sig
     """Write cameras, images and points, numbered from 1.
 
     Args:
-        folder: to make.
         cameras: pinholes; each has an image called after it.
-        sightings: what each camera sees of the points.
         points: all points, world units, (P, 3); those that no camera sees are left out.
 
     Reading:

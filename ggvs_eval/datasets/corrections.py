@@ -1,4 +1,4 @@
-"""``corrections.toml`` in a capture: cameras that are out of step or brighter than the others, and what frames become for it.
+"""``corrections.toml`` in a capture: cameras that are out of step or too bright, and the corrections of their frames.
 
 `ggvs-eval check CAPTURE --repair` writes the file; every reader of the capture applies it.
 """
@@ -33,7 +33,6 @@ class Correction:
     """Corrections of one camera; one ``[[camera]]`` of the file.
 
     Attributes:
-        name: of the camera.
         offset_frames: frame t of the camera shows the instant of the others' frame t + offset; positive for one that is ahead.
         gain: factor on its sRGB values, red, green, blue.
     """
@@ -55,9 +54,7 @@ class CorrectedFrames:
     """Frames of one camera from a later one on, divided by its gain, a `FrameSource`.
 
     Attributes:
-        source: as they were filmed.
         start: its frame that becomes frame 0.
-        n_frames: how many are left.
         gain: of red, green and blue.
     """
 
@@ -140,11 +137,6 @@ def write_corrections(file: Path, corrections: Mapping[str, Correction]) -> None
 def apply_corrections(capture: Capture, corrections: Mapping[str, Correction], file: Path) -> Capture:
     """The capture with its cameras in step and of one brightness; a note says what was done.
 
-    Args:
-        capture: as it was filmed.
-        corrections: by camera.
-        file: where they come from, for messages.
-
     Raises:
         CaptureError: a camera that the capture does not have, or offsets that leave no instant.
 
@@ -191,7 +183,7 @@ def _corrected_extras(extras: Extras, start: int, correction: Correction, n_fram
 
 
 def describe_corrections(corrections: Mapping[str, Correction]) -> str:
-    """Describe what is done, for people.
+    """Describe the corrections in words.
 
     Examples:
         >>> describe_corrections({"cam03": Correction("cam03", offset_frames=-2)})

@@ -1,4 +1,4 @@
-"""Frames that are a part of the pictures a calibration was made for, and ``crop.toml``, which says what part."""
+"""Frames that are a part of the pictures a calibration was made for, and ``crop.toml``, which says which part."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,11 +26,7 @@ class Crop:
 
 
 def given_crop(folder: Path) -> Crop | None:
-    """Read ``crop.toml`` in a capture's folder; None without that file.
-
-    Raises:
-        CaptureError: a damaged file.
-    """
+    """Read ``crop.toml`` in a capture's folder; None without that file."""
     file = folder / CROP_FILE
     return build_table(Crop, read_toml(file, CaptureError), str(file), "", CaptureError) if file.exists() else None
 
@@ -46,13 +42,8 @@ def crop_lens(name: str, lens: Lens, frames: Size, crop: Crop | None) -> Lens:
     """The lens of a camera's frames; of pictures that are whole, or only scaled, the lens as it is.
 
     Args:
-        name: of the camera, for messages.
-        lens: at the size of the calibration.
         frames: (width, height) of the frames, pixels; the crop is of pixels of the calibrated size.
-        crop: where they begin in the calibrated picture; None where nobody has said.
-
-    Raises:
-        CameraError: a part that the calibrated picture does not have.
+        crop: where they begin in the calibrated picture; None where that is not given.
     """
     if crop is None or has_shape(frames, (lens.width, lens.height)):
         return lens

@@ -34,7 +34,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
     Args:
         path: ``SCENE.h5``, a folder that holds exactly one, or the folder of a scene's frames.
-        units: world units per metre or a file that says how to measure them; see `choose_units`.
 
     Raises:
         CaptureError: several scenes, poses and cameras that do not match, or a file that is damaged or no such file at all.

@@ -31,9 +31,9 @@ class DepthFrames:
         width: of the camera's frames, pixels.
         height: of the camera's frames, pixels.
         K: intrinsics of the camera's frames, (3, 3); None where both show the same field of view.
-        K_depth: intrinsics of the depth maps as they lie on disk, (3, 3); None likewise.
+        K_depth: intrinsics of the depth maps as they lie on disk, (3, 3); None in the same case.
         depth_to_colour: rigid transform of points in the depth camera's frame to the colour camera's, (4, 4), world units; None
-            where the sensor stands in the camera's centre and looks its way. Needs both intrinsics.
+            where the sensor shares the camera's centre and orientation. Needs both intrinsics.
 
     Reading:
         Nearest value, never a mean: a mean of two depths lies where nothing is. Where sensor and camera are one, each pixel's
@@ -61,7 +61,7 @@ class DepthFrames:
 
     @cached_property
     def digest(self) -> str:
-        """Identifies the files and what is done to them."""
+        """Identifies the files and their processing."""
         matrices = [np.zeros(9) if K is None else K.ravel() for K in (self.K, self.K_depth)]
         values = [self.scale_to_units, self.width, self.height, *np.concatenate(matrices)]
         values += [] if self.depth_to_colour is None else self.depth_to_colour.ravel().tolist()

@@ -44,7 +44,6 @@ class Placed(NamedTuple):
     """A camera whose depth range its capture may not give.
 
     Attributes:
-        name: of the camera.
         K: intrinsics of its pinhole image, (3, 3).
         world_to_camera: (4, 4).
         size: (width, height), pixels.
@@ -59,11 +58,7 @@ class Placed(NamedTuple):
 
 
 def ranged_cameras(rig: Sequence[Placed], file: Path) -> list[Camera]:
-    """The cameras of a rig; those without a depth range get that of `rig_depth_range`, and say that it is guessed.
-
-    Raises:
-        CaptureError: what is no camera; `file` is named.
-    """
+    """The cameras of a rig; those without a depth range get that of `rig_depth_range`, and say that it is guessed."""
     guesses = rig_depth_range([each.world_to_camera for each in rig])
     cameras = []
     for (name, K, pose, size, given), guess in zip(rig, guesses, strict=True):
@@ -75,11 +70,7 @@ def ranged_cameras(rig: Sequence[Placed], file: Path) -> list[Camera]:
 
 
 def given_depth_range(path: Path) -> tuple[float, float] | None:
-    """Return near and far of all cameras as ``depth_range.toml`` in a capture's folder gives them; None without that file.
-
-    Raises:
-        CaptureError: a damaged file, or no range.
-    """
+    """Return near and far of all cameras as ``depth_range.toml`` in a capture's folder gives them; None without that file."""
     file = path / DEPTH_RANGE_FILE
     if not file.exists():
         return None
@@ -168,7 +159,6 @@ def points_depth_range(
         pose: world_to_camera, (4, 4).
         K: intrinsics, (3, 3).
         size: of the image, pixels.
-        fewest: points that must be seen.
     """
     points_camera = points_world @ pose[:3, :3].T + pose[:3, 3]
     points_camera = points_camera[points_camera[:, 2] > 0]
@@ -182,11 +172,7 @@ def points_depth_range(
 
 
 def read_points(path: Path) -> Array:
-    """The vertices of a PLY file, (N, 3).
-
-    Raises:
-        CaptureError: damaged, or no finite point.
-    """
+    """The vertices of a PLY file, (N, 3)."""
     import trimesh
 
     try:

@@ -34,13 +34,6 @@ def refuse(path: Path) -> str | None:
 def load(path: Path, units: GivenUnits) -> Capture:
     """Open a DyNeRF capture with any number of cameras.
 
-    Args:
-        path: folder of the scene.
-        units: world units per metre or a file that says how to measure them; see `choose_units`.
-
-    Raises:
-        CaptureError: rows and cameras do not match, or a file is damaged.
-
     Reading:
         Row i belongs to the i-th camera in the order of names, never to the number in a name (numbers may be missing). One focal
         length, principal point in the image centre, both scaled from the size in the file to the size of the frames. Pictures in
@@ -103,11 +96,7 @@ class CameraPath:
 
 
 def open_path(capture_folder: Path) -> CameraPath | None:
-    """Open ``path/poses_bounds.npy`` and ``path/images/`` of a capture folder; None where it carries no path.
-
-    Raises:
-        CaptureError: damaged poses, or another number of images than of poses.
-    """
+    """Open ``path/poses_bounds.npy`` and ``path/images/`` of a capture folder; None where it carries no path."""
     poses_file = capture_folder / "path" / POSES
     if not poses_file.is_file():
         return None

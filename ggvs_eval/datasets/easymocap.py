@@ -41,13 +41,6 @@ def refuse(path: Path) -> str | None:
 def load(path: Path, units: GivenUnits) -> Capture:
     """Open an EasyMocap capture; frames and backgrounds are undistorted as they are read.
 
-    Args:
-        path: folder of one sequence.
-        units: world units per metre or a file that says how to measure them; see `choose_units`.
-
-    Raises:
-        CaptureError: a damaged file, or fewer than two cameras with pose and frames.
-
     Reading:
         Cameras without a pose or frames are left out and noted: lenses are often calibrated for more than were placed. The
         pinhole image keeps the lens's K, as ENeRF undistorts; pixels the lens did not see are black. A sequence with visual

@@ -23,7 +23,6 @@ class EasyMocapView:
     Attributes:
         name: as in ``names``.
         K: intrinsics at the size of the calibration, pixel centres at halves.
-        coefficients: of OpenCV's lens model.
         world_to_camera: (4, 4).
         size: (width, height) of the calibration; None where the file does not say.
         near_far: depth range; None where the file does not say.

@@ -25,7 +25,6 @@ class FileStorageYaml:
     """Numbers, matrices and sequences of texts by their key; every surprise is a `CaptureError`.
 
     Args:
-        path: the file, YAML or XML.
         is_plain: whether YAML without OpenCV's first line is read too, as ROS writes it.
     """
 
@@ -138,11 +137,7 @@ class FileStorageYaml:
 
 
 def parse_xml(path: Path, text: str, form: str) -> ElementTree.Element:
-    """The root of an XML text without declarations.
-
-    Raises:
-        CaptureError: no XML, or entities, which could grow beyond all measure.
-    """
+    """The root of an XML text without declarations."""
     try:
         if "<!" in text.replace("<!--", ""):
             raise refused(path, "XML without declarations", "one that begins with <!")

@@ -13,15 +13,8 @@ JPEG = (".jpg", ".jpeg")
 def coding_of(source: FrameSource, frames: range) -> Coding | None:
     """Say how frames were coded.
 
-    Args:
-        source: of one camera.
-        frames: those that are measured.
-
     Returns:
         None where every pixel is as it was given; `Coding.unknown` where it is not and nothing more is known.
-
-    Raises:
-        CaptureError: a video that does not decode.
     """
     stored = source
     while hasattr(stored, "source"):  # undistorted, held still, or with noise added

@@ -31,13 +31,6 @@ def refuse(path: Path) -> str | None:
 def load(path: Path, units: GivenUnits) -> Capture:
     """Open a capture; cameras are called as their images in the model, without suffix, in the order of names.
 
-    Args:
-        path: folder of the instants.
-        units: world units per metre or a file that says how to measure them; see `choose_units`.
-
-    Raises:
-        CaptureError: a damaged model, or a camera without pictures.
-
     Reading:
         The model of the first instant counts: the cameras stand still, and 3DGStream copies it to the others.
     """

@@ -46,11 +46,7 @@ class ImageFrames:
 
     @cached_property
     def files(self) -> tuple[Path, ...]:
-        """The images in the order of time.
-
-        Raises:
-            CaptureError: no image, two images for one instant, or a gap.
-        """
+        """The images in the order of time."""
         if self.path.is_file():
             return (self.path,)
         files = list_images(self.path)
@@ -67,11 +63,7 @@ class ImageFrames:
 
     @cached_property
     def size(self) -> tuple[int, int]:
-        """(width, height) in pixels, read from the header of every image.
-
-        Raises:
-            CaptureError: images that differ in size, or a file that is no image.
-        """
+        """(width, height) in pixels, read from the header of every image."""
         sizes = {file: self._size(header) for file, header in self._headers.items()}
         (size, _), *others = Counter(sizes.values()).most_common()
         if others:
@@ -164,11 +156,7 @@ class NumberedFrames(ImageFrames):
 
     @cached_property
     def files(self) -> tuple[Path, ...]:
-        """The images in the order of time.
-
-        Raises:
-            CaptureError: no image, two images for one instant, or a gap.
-        """
+        """The images in the order of time."""
         if not self.numbered:
             raise CaptureError(f"{self.path}: wanted images of each camera, got none of one; restore them")
         return self._in_time(self.numbered)

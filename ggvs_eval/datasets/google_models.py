@@ -34,7 +34,6 @@ class CameraModel:
         K: intrinsics for an image of width x height, (3, 3).
         world_to_camera: rigid transform, (4, 4), metres.
         width: of the image that was calibrated, not always a whole number of pixels.
-        height: likewise.
     """
 
     K: Array
@@ -44,11 +43,7 @@ class CameraModel:
 
 
 def load_models(file: Path) -> Any:
-    """Read the file as it stands.
-
-    Raises:
-        CaptureError: no JSON.
-    """
+    """Read the file as it stands."""
     try:
         return json.loads(read_plain_text(file))
     except (OSError, ValueError, RecursionError) as error:
@@ -58,11 +53,6 @@ def load_models(file: Path) -> Any:
 
 def read_camera_model(file: Path, model: Any, where: str) -> CameraModel:
     """Read the calibration of one camera.
-
-    Args:
-        file: named in errors.
-        model: its entry in the file.
-        where: the camera in words, for errors.
 
     Raises:
         CaptureError: a key that is absent or holds something else than finite numbers, or no size.

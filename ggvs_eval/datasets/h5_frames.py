@@ -1,4 +1,4 @@
-"""Frames in the HDF5 files of the compressed D3DMV: read one at a time, and from files that nobody vouches for."""
+"""Frames in the HDF5 files of the compressed D3DMV: read one at a time, from files that may be damaged or hostile."""
 
 import math
 from collections.abc import Iterator
@@ -58,7 +58,6 @@ class H5Frames:
     Of ``fg_rgb`` the alpha is given, white where the foreground is; ``bg_rgb`` is a single frame.
 
     Attributes:
-        file: the HDF5 file.
         dataset: ``rgb``, ``fg_rgb`` or ``bg_rgb``.
         camera: index of the camera in it.
     """
@@ -98,11 +97,7 @@ class H5Frames:
         return digest_values(self.file.digest, self.dataset, str(self.camera))
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
-        """Read frames start <= t < stop one by one, RGB uint8 (H, W, 3).
-
-        Raises:
-            CaptureError: frames that are not there, or damaged data.
-        """
+        """Read frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
         if not 0 <= start <= stop <= self.n_frames:
             raise CaptureError(f"{self.path}: wanted frames {start}..{stop - 1} of {self.dataset}, it has {self.n_frames}")
         with _opened(self.path, self.dataset) as stored:

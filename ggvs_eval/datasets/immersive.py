@@ -52,9 +52,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
         path: folder of the scene, with ``models.json`` and ``camera_XXXX.mp4``, or folders of the frames extracted from them.
         units: world units per metre or a file that says how to measure them; the data set is metric when None.
 
-    Raises:
-        CaptureError: ``models.json`` is damaged or knows another lens, or no camera has frames.
-
     Reading:
         The lens is the one of the data set's README: theta (1 + k1 theta^2 + k2 theta^4) focal lengths from the principal point,
         OpenCV's fisheye model with k3 = k4 = 0. The pinhole image has the fisheye image's size and focal length, without blank

@@ -18,11 +18,7 @@ LARGEST_LAG = 0.5  # steps between frames of one number, where rates vary: farth
 
 
 def common_count(path: Path, sources: Mapping[str, FrameSource]) -> int:
-    """The number of frames of every camera.
-
-    Raises:
-        CaptureError: they differ.
-    """
+    """The number of frames of every camera."""
     counts = {name: source.n_frames for name, source in sources.items()}
     if len(set(counts.values())) > 1:
         shown = listed([f"{name} {count}" for name, count in counts.items()])

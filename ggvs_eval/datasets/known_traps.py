@@ -1,4 +1,4 @@
-"""Known traps: scenes and cameras of public data sets of which it is known that something is wrong, and what."""
+"""Known faults of scenes and cameras of public data sets."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -18,11 +18,10 @@ class KnownTrap:
     Attributes:
         dataset: what people call the data set.
         reason: what is wrong, in words that follow the camera's or the scene's name.
-        source: where that is said.
         scenes: folders of the scenes that it concerns, whatever the case of their letters; any when empty.
         layout: name of the layout that it concerns; any when empty.
         camera: the camera that it concerns; the whole scene when empty.
-        leave_out: the camera is no good as a source and left out unless somebody asks for it.
+        leave_out: the camera is no good as a source and left out unless it is asked for.
         more_frames_than: it concerns captures with more frames only.
     """
 
@@ -53,10 +52,9 @@ class TrapTable:
 
 
 def apply_known_traps(capture: Capture, leave_out: bool = True) -> Capture:
-    """Leave out the cameras that are known to be no good, and note what else is known of a capture.
+    """Leave out cameras that are known to be faulty, and note the other known faults of a capture.
 
     Args:
-        capture: as it lies on disk.
         leave_out: leave cameras out; when False they are kept, and the note says what is wrong with them.
     """
     for trap in known_traps():

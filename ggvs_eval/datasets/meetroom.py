@@ -32,10 +32,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
     Args:
         path: folder with ``poses_bounds.npy`` and ``cam_<N>.mp4``; or what StreamRF extracts of these, a folder per instant with
             ``images/camNN.png`` and the same ``poses_bounds.npy``, in ``frames/`` or in the folder itself.
-        units: world units per metre or a file that says how to measure them; see `choose_units`.
-
-    Raises:
-        CaptureError: rows and cameras do not match, or a file is damaged.
 
     Reading:
         Row i belongs to the i-th camera in the order of numbers: StreamRF writes cam_2 as cam02 before it sorts. One focal length

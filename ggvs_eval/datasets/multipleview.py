@@ -26,7 +26,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
     Args:
         path: folder that holds ``sparse_/`` and ``camXX/``.
-        units: world units per metre or a file that says how to measure them; see `choose_units`.
 
     Raises:
         CaptureError: the model is damaged, or folders and images of the model do not match.
@@ -49,7 +48,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
 
 def _folders(path: Path) -> list[Path]:
-    """The folders of the cameras."""
     return [frames.path for name, frames in frames_in(path, "CAM/") if re.fullmatch(r"cam\d{1,6}", name)]
 
 

@@ -52,7 +52,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
     Args:
         path: folder that holds ``transforms.json``, or ``transforms_train.json`` and its like for other splits.
-        units: world units per metre or a file that says how to measure them; see `choose_units`.
 
     Raises:
         CaptureError: damaged JSON, a camera without pose, intrinsics or frames, or a camera model that OpenCV cannot express.

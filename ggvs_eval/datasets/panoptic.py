@@ -43,7 +43,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
     """Open a scene with the cameras of both files, called as their folders, in the order of their numbers.
 
     Args:
-        path: folder of the scene.
         units: world units per metre or a file that says how to measure them; the data set is metric when None.
 
     Raises:
@@ -64,7 +63,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
 
 def _read(file: Path) -> Iterator[tuple[str, _View]]:
-    """The cameras of one file by name."""
     try:
         yield from _views(json.loads(read_plain_text(file)))
     except DAMAGE as error:

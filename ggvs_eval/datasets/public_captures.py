@@ -19,7 +19,7 @@ LIMITS = Limits(n_files=500_000, n_bytes=200 << 30)  # of an archive; the disk's
 
 @dataclass(frozen=True)
 class ByHand:
-    """A scene that no single address gives, and what to do for it."""
+    """A scene without a single address, with instructions to get it."""
 
     scene: str
     mend: str
@@ -30,10 +30,9 @@ class PublicDataset:
     """A data set and where its scenes are.
 
     Attributes:
-        name: what stands before the colon.
+        name: the part before the colon.
         title: what people call it, with authors and venue.
         licence: under which it is published.
-        page: of its authors.
         url: of an archive, ``{archive}`` being its name.
         archives: names of the archives, each a scene or all of them.
         folders: scenes of the only archive; none where each archive is a scene.
@@ -79,11 +78,7 @@ def public_datasets() -> dict[str, PublicDataset]:
 
 
 def find_scene(name: str) -> tuple[PublicDataset, str]:
-    """The data set and the scene that ``DATASET:SCENE`` names.
-
-    Raises:
-        CaptureError: there is none of that name; the message lists those that are.
-    """
+    """The data set and the scene that ``DATASET:SCENE`` names."""
     dataset_name, _, scene = name.partition(":")
     datasets = public_datasets()
     if dataset_name not in datasets:
@@ -97,11 +92,7 @@ def find_scene(name: str) -> tuple[PublicDataset, str]:
 
 
 def locate(path: Path) -> Path:
-    """The folder of a capture: the path itself, or where ``DATASET:SCENE`` was put by `get_capture`.
-
-    Raises:
-        CaptureError: such a name, but nothing was fetched yet.
-    """
+    """The folder of a capture: the path itself, or where ``DATASET:SCENE`` was put by `get_capture`."""
     name = str(path)
     if path.exists() or not NAME.fullmatch(name) or name.partition(":")[0] not in public_datasets():
         return path

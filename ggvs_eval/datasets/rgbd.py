@@ -37,7 +37,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
     """Open a sequence; every frame is one camera of a single instant, called by its number in six digits, with its depth.
 
     Args:
-        path: folder of the sequence.
         units: world units per metre or a file that says how to measure them; the poses are metric when None.
 
     Raises:

@@ -29,7 +29,7 @@ SEVEN_SCENES_K: Array = np.array([[585.0, 0, 320], [0, 585, 240], [0, 0, 1]])
 TUM_K: Array = np.array([[525.0, 0, 319.5], [0, 525, 239.5], [0, 0, 1]])
 MILLIMETRE, TUM_STEP = 0.001, 1 / 5000  # metres per step of the depth maps
 SAME_INSTANT_S = 0.02  # between colour, depth and pose of a frame, as TUM's own tool associates them
-# A sensor less far off the camera, in metres or radians, shifts depth by less than a pixel and is taken to stand in its place.
+# A sensor less far off the camera, in metres or radians, shifts depth by less than a pixel and is taken to coincide with it.
 LEAST_EXTRINSIC = 1e-3
 # Farther off than this, metres, two sensors are no RGB-D camera: the numbers are millimetres or belong to another device.
 LARGEST_DISTANCE_M = 1.0
@@ -44,10 +44,9 @@ class RgbdSequence:
         depths: depth map of each frame.
         poses: camera_to_world of each frame, (4, 4); not finite where tracking was lost.
         K: intrinsics of the images, (3, 3), and the file that says so.
-        K_depth: intrinsics of the depth maps likewise; None where they have the images' field of view.
+        K_depth: the same for the depth maps; None where they have the images' field of view.
         depth_to_colour: rigid transform of points in the depth camera's frame to the colour camera's, (4, 4), metres; None where
             they are one.
-        metres_per_step: of the depth maps.
         note: what was left out and why; empty where nothing was.
     """
 
@@ -72,9 +71,6 @@ def _fits(path: Path, names: Sequence[str]) -> bool:
 
 def read_sequence(path: Path) -> RgbdSequence:
     """Read calibration and poses of a sequence, and find its pictures.
-
-    Raises:
-        CaptureError: a file that is missing or damaged.
 
     Reading:
         Row i of ``poses.txt`` is the i-th image in the order of numbers: with these poses depth warped between frames of the

@@ -34,11 +34,7 @@ def settle_depth_ranges(capture: Capture, measure: bool = True) -> Capture:
     """The capture with the best depth range of each camera that there is; what is not given is noted.
 
     Args:
-        capture: as its layout reads it.
         measure: match its first frames where a range is not given.
-
-    Raises:
-        CaptureError: ``depth_range.toml`` is damaged.
 
     Reading:
         ``depth_range.toml`` in the capture's folder goes before everything; then what the layout gives. Else the first frames of

@@ -48,10 +48,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
     Args:
         path: folder with ``cameras_parameters.txt`` and ``SCENE_undist_<frame>_<camera>.png``, or ``images/`` with these.
-        units: world units per metre or a file that says how to measure them; see `choose_units`.
-
-    Raises:
-        CaptureError: the parameters are damaged, or pictures and rows do not match.
 
     Reading:
         The data set has no public description. After HyperReel's loader: row i belongs to the pictures of number i; fx = f,
@@ -71,7 +67,6 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
 
 def _find_frames(path: Path) -> tuple[Path, dict[int, list[tuple[int, Path]]]] | None:
-    """The folder with the pictures, and those of each camera with their frame numbers."""
     for folder in (path / name for name in FOLDERS):
         by_camera: dict[int, list[tuple[int, Path]]] = {}
         for file in list_images(folder):

@@ -19,7 +19,6 @@ class UndistortedFrames:
     """A `FrameSource` whose frames are those of another, undistorted to a pinhole image of the same size.
 
     Attributes:
-        source: the frames as the lens made them.
         lens: the lens, at the size of these frames.
         K: intrinsics of the pinhole image.
 
@@ -43,16 +42,12 @@ class UndistortedFrames:
 
     @cached_property
     def digest(self) -> str:
-        """Identifies the frames and what is done to them."""
+        """Identifies the frames and their processing."""
         values = [*self.lens.K.ravel(), *self.lens.coefficients, *self.K.ravel()]
         return digest_values(self.source.digest, self.lens.model, *(f"{value:.17g}" for value in values))
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
-        """Decode and undistort frames start <= t < stop one by one, RGB uint8 (H, W, 3).
-
-        Raises:
-            CaptureError: the frames cannot be read.
-        """
+        """Decode and undistort frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
         for image in self.source.frames(start, stop):
             map_u, map_v, unseen = self._maps
             resampled_image = cv2.remap(image, map_u, map_v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)

@@ -1,4 +1,4 @@
-"""World units per metre: told, measured between two cameras or two marked points, known of a data set, or guessed."""
+"""World units per metre: given, measured between two cameras or two marked points, known of a data set, or guessed."""
 
 import json
 import sys
@@ -47,12 +47,7 @@ def choose_units(
     capture, what is known of the data set, a guess from the depth of the scene.
 
     Args:
-        given: by the user.
-        of_data_set: of the data set.
         median_depths: median scene depth per camera, world units, for the guess.
-
-    Raises:
-        CaptureError: a number that is not positive, or a damaged file.
     """
     file = given if isinstance(given, Path) else path / UNITS_FILE
     if isinstance(given, Path) or (given is None and file.is_file()):
@@ -80,11 +75,7 @@ def guess_units_per_metre(cameras: Sequence[Camera], median_depths: Sequence[flo
 
 
 def read_note(path: Path, key: str) -> float | None:
-    """A number that a synthetic capture notes about itself in ``demo.json``; None where there is no such file or note.
-
-    Raises:
-        CaptureError: the file is damaged or the note is no number.
-    """
+    """A number that a synthetic capture notes about itself in ``demo.json``; None where there is no such file or note."""
     file = path / DEMO_NOTES
     if not file.is_file():
         return None

@@ -30,12 +30,7 @@ UNSAFE_PATH = re.compile(r"[\x00-\x1f\x7f]|^[A-Za-z]:")
 
 @dataclass(frozen=True)
 class Limits:
-    """Upper limits on what an archive may hold.
-
-    Attributes:
-        n_files: entries.
-        n_bytes: all files together, unpacked.
-    """
+    """Upper limits on the contents of an archive."""
 
     n_files: int
     n_bytes: int
@@ -51,7 +46,7 @@ class _Member:
 
 
 class _RefusedError(Exception):
-    """An archive holds what is not unpacked."""
+    """An archive holds something that is not unpacked."""
 
 
 def is_archive(path: Path) -> bool:
@@ -65,7 +60,6 @@ def unpack(path: Path, folder: Path, limits: Limits, error: type[GgvsError]) -> 
     Args:
         path: ``.zip``, ``.tar``, ``.tar.gz``.
         folder: absent or empty.
-        limits: what it may hold.
         error: raised for what cannot be unpacked.
 
     Returns:
@@ -133,7 +127,6 @@ def _forbidden(name: str, kind: str) -> _RefusedError:
 
 @contextmanager
 def _opened(path: Path, limits: Limits) -> Iterator[Iterator[_Member]]:
-    """The archive's entries in its own order."""
     if path.name.lower().endswith(".zip"):
         with zipfile.ZipFile(path) as packed:
             yield _zip_members(packed)

@@ -33,7 +33,7 @@ def atomic_file(path: Path, ending: str = "") -> Iterator[Path]:
         ending: of the temporary name, for libraries that go by it: ``.ply``.
 
     Yields:
-        A name in the same folder that nobody else uses.
+        A name in the same folder that no other process uses.
 
     Raises:
         OSError: the file cannot be written. The error names it, where it would name no file or the temporary one.
@@ -162,7 +162,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def is_running(pid: int) -> bool:
-    """Tell whether a process of this machine is running; a zombie that nobody has reaped is not."""
+    """Tell whether a process of this machine is running; an unreaped zombie is not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:
@@ -179,5 +179,4 @@ def is_running(pid: int) -> bool:
 
 
 def _host() -> str:
-    """This machine, as part of a file's name."""
     return socket.gethostname().replace(".", "-")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 X264 = re.compile(rb"x264 - core \d+.*?options: ([ -~]*)")
 RATE_FACTOR = re.compile(r"\bcrf=([0-9.]+)|\brc=cqp.* qp=(0)\b")  # x264 turns a rate factor of 0 into lossless
 PIXEL_FORMATS = ("yuv420p", "yuvj420p")
-# As x264 prints a setting -> as it is told; what is left out does not change what frames look like, or is printed otherwise.
+# A setting as x264 prints it -> as it takes it; what is left out does not change what frames look like, or is printed otherwise.
 SETTINGS = {
     "ref": "ref",
     "subme": "subme",
@@ -43,7 +43,7 @@ class Coding:
     Attributes:
         size: of the coded frames, (width, height), pixels.
         crf: x264's constant rate factor.
-        settings: other settings of x264, as it is told them.
+        settings: other settings of x264, in its own syntax.
         frame_bytes: of each measured frame that is coded by its difference from others; of all frames where none is.
         unknown: why frames cannot be coded again in the same way; empty where they can.
     """
@@ -65,13 +65,9 @@ def read_coding(path: Path, frames: range) -> Coding:
 
     Args:
         path: MP4 or MOV file.
-        frames: those that are measured.
 
     Returns:
-        What x264 wrote into the first frame; `Coding.unknown` says what is missing where it did not, or was told a bit rate.
-
-    Raises:
-        CaptureError: the file is no video that can be decoded.
+        What x264 wrote into the first frame; `Coding.unknown` says what is missing where it did not, or worked to a bit rate.
     """
     import av
     from av.sidedata.sidedata import Type
@@ -87,20 +83,19 @@ def read_coding(path: Path, frames: range) -> Coding:
             packets = sorted((one.pts, one.size, one.is_keyframe) for one in container.demux(video=0) if one.pts is not None)
     except (av.error.FFmpegError, StopIteration) as error:
         raise CaptureError(f"{path}: wanted a video, got data that do not decode; copy or encode it again") from error
-    told = next((match[1].decode() for note in notes if (match := X264.search(note))), "")
-    factor = RATE_FACTOR.search(told)
+    printed = next((match[1].decode() for note in notes if (match := X264.search(note))), "")
+    factor = RATE_FACTOR.search(printed)
     if not factor:
-        return Coding(size, unknown="coded without a rate factor" if told else "coded by another encoder than x264")
+        return Coding(size, unknown="coded without a rate factor" if printed else "coded by another encoder than x264")
     if pixels not in PIXEL_FORMATS:
         return Coding(size, unknown=f"coded as {pixels}, not as {PIXEL_FORMATS[0]}")
     measured = packets[frames.start : frames.stop]
     differences = tuple(n_bytes for _, n_bytes, is_key in measured if not is_key) or tuple(packet[1] for packet in measured)
-    return Coding(size, float(factor[1] or 0), _settings(told), differences)
+    return Coding(size, float(factor[1] or 0), _settings(printed), differences)
 
 
-def _settings(told: str) -> str:
-    """Parse the options that x264 prints into a video."""
-    values = dict(setting.split("=", 1) for setting in told.split() if "=" in setting)
+def _settings(printed: str) -> str:
+    values = dict(setting.split("=", 1) for setting in printed.split() if "=" in setting)
     # Settings stand between colons, so that none may have one inside.
     settings = [f"{name}={values[key].replace(':', ',')}" for key, name in SETTINGS.items() if key in values]
     mode, _, strength = values.get("aq", "0").partition(":")

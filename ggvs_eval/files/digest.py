@@ -14,9 +14,6 @@ def digest_files(paths: Iterable[Path]) -> str:
     Args:
         paths: files; only their names enter, not their folders, so that a moved capture keeps its digest.
 
-    Raises:
-        CaptureError: no such file, or no regular one.
-
     Returns:
         64 hexadecimal digits.
     """

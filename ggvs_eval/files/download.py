@@ -1,4 +1,4 @@
-"""Files from the network: fetched in pieces that a stopped download goes on from, and what was fetched, recorded."""
+"""Files from the network: resumable downloads, each recorded."""
 
 import hashlib
 import json
@@ -27,9 +27,6 @@ class Fetched:
     """Record of a download, by which later ones are judged.
 
     Attributes:
-        url: where from.
-        n_bytes: how large it is.
-        sha256: of all bytes.
         date: of the day, ISO 8601, UTC.
     """
 
@@ -40,21 +37,20 @@ class Fetched:
 
 
 class DownloadError(GgvsError):
-    """A file cannot be fetched, or is not what it was."""
+    """A file cannot be fetched, or has changed."""
 
 
 def cache_folder() -> Path:
-    """Return the folder of what is fetched once: $GGVS_EVAL_CACHE, else ggvs-eval under $XDG_CACHE_HOME or ~/.cache."""
+    """Return the folder of downloads: $GGVS_EVAL_CACHE, else ggvs-eval under $XDG_CACHE_HOME or ~/.cache."""
     if own := os.environ.get("GGVS_EVAL_CACHE"):
         return Path(own)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ggvs-eval"
 
 
 def download(url: str, file: Path, record: Path) -> Fetched:
-    """Bring a file here, or take the one that lies there, and see that it is what it was at the first time.
+    """Download a file, or take the one that is there, and verify that it has not changed since the first time.
 
     Args:
-        url: its address.
         file: where it goes. A stopped download lies in ``FILE.part``, which the next call goes on from while the server still
             has the same file.
         record: JSON file that keeps size and SHA-256 of the first download, by which later ones are judged.
@@ -82,11 +78,7 @@ def download(url: str, file: Path, record: Path) -> Fetched:
 
 
 def read_record(record: Path) -> Fetched | None:
-    """Read the record of the first download; None where there was none.
-
-    Raises:
-        DownloadError: a damaged record.
-    """
+    """Read the record of the first download; None where there was none."""
     try:
         return Fetched(**json.loads(record.read_text(encoding="utf-8"))) if record.is_file() else None
     except (OSError, ValueError, TypeError) as error:
@@ -128,7 +120,7 @@ def _chunks(answer: IO[bytes]) -> Iterator[bytes]:
 
 
 def _require_secure(asked: str, answered: str) -> None:
-    """Refuse a redirection of an https address to where anybody can change what is sent."""
+    """Refuse a redirection of an https address to a protocol that does not protect what is sent."""
     there = urlsplit(answered)
     if there.scheme != "https" and (urlsplit(asked).scheme == "https" or there.hostname not in LOOPBACK):
         raise ValueError(f"an answer over {there.scheme} from {there.hostname}, which is not secure")

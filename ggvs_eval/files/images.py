@@ -1,4 +1,4 @@
-"""8-bit images: what is measured is what lies on disk."""
+"""8-bit images, as they are stored and measured."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -30,7 +30,7 @@ PNG_LEVEL = 1  # two thirds of the time that level 3 takes, for files 4 % larger
 
 
 def quantise(image: NDArray[np.floating]) -> Image8:
-    """Round an image in [0, 1] to 8 bit, as it will be saved; what lies outside is clipped.
+    """Round an image in [0, 1] to 8 bit, as it will be saved; values outside are clipped.
 
     Examples:
         >>> quantise(np.array([[-0.1, 0.0, 0.5, 1.0]])).tolist()
@@ -48,11 +48,7 @@ def read_image(path: Path, as_stored: bool = False) -> Image8:
     """Read an 8-bit RGB image, (H, W, 3), turned as its EXIF tag says.
 
     Args:
-        path: PNG or JPEG.
         as_stored: take the pixels as they lie in the file, whatever the tag says.
-
-    Raises:
-        CaptureError: absent, damaged or not an image.
     """
     encoded = read_encoded(path)
     image = decode_image(encoded, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -65,11 +61,7 @@ def read_image(path: Path, as_stored: bool = False) -> Image8:
 
 
 def read_encoded(path: Path) -> NDArray[np.uint8]:
-    """The bytes of a picture's file.
-
-    Raises:
-        CaptureError: absent, empty, no regular file, or larger than a picture is.
-    """
+    """The bytes of a picture's file."""
     try:
         encoded = np.frombuffer(read_plain(path, LARGEST_PICTURE), np.uint8)
     except OSError as error:

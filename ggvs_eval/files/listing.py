@@ -1,4 +1,4 @@
-"""Files in a folder: the one list of suffixes, in any case, without what operating systems leave beside them."""
+"""Files in a folder: the one list of suffixes, in any case, without the hidden files of operating systems."""
 
 import os
 import shlex

@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import PurePosixPath
 
 Number = int | Decimal
-# The last number of a name: what stands before it, its digits, and those behind a point, if that is the only one.
+# The last number of a name: the text before it, its digits, and those behind a point, if that is the only one.
 LAST = re.compile(r"(.*?)(?:(?<![\d.])(\d+)\.)?(\d+)\D*", re.DOTALL)
 STAMP_FROM = 10**9  # seconds since 1970, and all that counts finer
 
@@ -15,8 +15,8 @@ STAMP_FROM = 10**9  # seconds since 1970, and all that counts finer
 def numbers_in(stems: Sequence[str]) -> list[Number | None]:
     """The last number in each of the names of one folder's frames, without their suffixes; None where there is none.
 
-    Digits, a point and digits are one number, as time stamps have it, unless they are fields of a name: then what stands before
-    the point is the same in all of them, and what stands behind it counts.
+    Digits, a point and digits are one number, as time stamps have it, unless they are fields of a name: then the text before
+    the point is the same in all of them, and the digits behind it count.
 
     Raises:
         ValueError: names that can be read in both ways, each with another order.
@@ -77,6 +77,5 @@ def _order(numbers: Sequence[Number | None]) -> list[int]:
 
 
 def _are_even(numbers: Sequence[Number | None]) -> bool:
-    """Tell whether numbers go on in steps of one length."""
     ordered = sorted(number for number in numbers if number is not None)
     return len({later - earlier for earlier, later in pairwise(ordered)}) == 1

@@ -1,4 +1,4 @@
-"""Headers of pictures: coding, size, and what is lost or made up when one is read as 8-bit RGB."""
+"""Headers of pictures: coding, size, and the conversion to 8-bit RGB."""
 
 from io import BytesIO
 from pathlib import Path
@@ -18,12 +18,8 @@ class PictureHeader(NamedTuple):
     """Header of a picture by its first bytes; its name is not asked.
 
     Attributes:
-        form: how it is coded.
         width: in pixels, turned as its EXIF tag says.
-        height: likewise.
         colours: ``grey``, ``palette`` or ``CMYK`` where its pixels are no RGB; else empty.
-        bits: per sample.
-        has_alpha: whether it carries transparency.
         orientation: its EXIF tag, 1 to 8; 1 is shown as it is stored.
     """
 
@@ -105,7 +101,7 @@ def _orientation(exif: bytes) -> int:
     try:
         tags.load(exif)
         orientation = int(tags.get(EXIF_ORIENTATION, UPRIGHT))
-    except Exception:  # likewise
+    except Exception:  # as above
         return UPRIGHT
     return orientation if UPRIGHT <= orientation <= LYING[-1] else UPRIGHT
 

@@ -1,4 +1,4 @@
-"""Plain files: what is no regular file, or larger than such a file can be, is refused before it is read."""
+"""Plain files: anything but a regular file of a plausible size is refused before it is read."""
 
 import codecs
 import errno
@@ -20,19 +20,15 @@ class NotPlainError(OSError):
     """A pipe, a device, a folder, or more bytes than were asked for."""
 
     def __str__(self) -> str:
-        """Say what was met; whoever tells names the file."""
+        """Say what was found; the caller adds the file."""
         return str(self.strerror)
 
 
 def check_plain(path: Path, most_bytes: int | None = None) -> int:
-    """Refuse what reading would wait for, or never end with.
+    """Refuse files that reading would wait for, or never end with.
 
     Args:
-        path: a file.
         most_bytes: that it may have; None where nothing of it is read at once.
-
-    Returns:
-        Its size in bytes.
 
     Raises:
         NotPlainError: no regular file, or a larger one.
@@ -50,7 +46,7 @@ def check_plain(path: Path, most_bytes: int | None = None) -> int:
 def read_plain(path: Path, most_bytes: int) -> bytes:
     """The content of a regular file; arguments and errors as of `check_plain`."""
     check_plain(path, most_bytes)
-    # Not blocking: whoever makes a pipe of it meanwhile gains nothing.
+    # Not blocking, should it have become a pipe meanwhile.
     with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
         content = file.read(most_bytes + 1)
     if len(content) > most_bytes:  # files below /proc have no size

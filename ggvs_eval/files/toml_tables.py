@@ -29,7 +29,7 @@ def parse_toml(text: str, file: str, error: type[GgvsError]) -> dict[str, Any]:
 
 
 def load_toml(text: str) -> dict[str, Any]:
-    """`tomllib.loads` for texts that nobody vouches for.
+    """`tomllib.loads` for untrusted texts.
 
     Raises:
         ValueError: not TOML, or keys of so many parts that the parser, quadratic in them, would take hours.
@@ -58,8 +58,6 @@ def build_table(kind: type[Table], values: dict[str, Any], file: str, section: s
 
     Args:
         kind: a dataclass; its fields may be bool, int, float (finite), str, Literal, tuple[X, ...], X | None and dataclasses.
-        file: named in errors.
-        section: prefix of the keys in errors, "" or "name.".
         error: raised for an unknown, missing or mistyped key; the message names the nearest known one.
 
     Examples:
@@ -86,7 +84,6 @@ def build_table(kind: type[Table], values: dict[str, Any], file: str, section: s
 
 
 def _convert(field_type: Any, value: Any, file: str, key: str, error: type[GgvsError]) -> Any:
-    """Check one value against the type of its field."""
     origin, arguments = typing.get_origin(field_type), typing.get_args(field_type)
     if origin is types.UnionType:
         field_type = next(each for each in arguments if each is not types.NoneType)

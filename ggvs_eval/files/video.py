@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 MEND = "copy or encode this video again"
 KEY_FRAME_INTERVAL = 30
 # x264's macroblock tree gives other bytes once in some dozens of runs, with one thread too (seen at 64 x 48), and its assembly
-# others than its plain code unless it is told not to.
+# others than its plain code unless that is switched off.
 X264 = "mbtree=0:cpu-independent=1"
 HDR_TRANSFERS = {18: "HLG", 16: "PQ"}  # by their numbers in ITU-T H.273
 LARGEST_JITTER = 0.01  # of the longest step between frames, for a rate that is taken as constant
@@ -39,12 +39,8 @@ def write_video(path: Path, frames: Iterable[Image8], fps: float, crf: float = 1
     Args:
         path: file to write, usually ``*.mp4``.
         frames: RGB images, all of one even size, (H, W, 3); consumed one at a time.
-        fps: frames per second.
         crf: x264's constant rate factor; 12 is visually lossless, 0 the best the 4:2:0 format can do.
         settings: more of x264's parameters, ``name=value`` with colons between them.
-
-    Raises:
-        CaptureError: no frames, an odd size, or frames that differ in size.
     """
     import av
 
@@ -113,7 +109,7 @@ def _exact_conversion() -> int:
 
 
 class FrameTime(NamedTuple):
-    """When a frame is shown and handed to the decoder, in ticks of its stream; hidden ones only lead to others (edit lists)."""
+    """Presentation and decoding time of a frame, in ticks of its stream; hidden ones only lead to others (edit lists)."""
 
     presented: int
     decoded: int
@@ -136,11 +132,7 @@ class VideoFrames:
 
     @property
     def n_frames(self) -> int:
-        """Frames that are presented, counted in the file's index of samples.
-
-        Raises:
-            CaptureError: the file is not a video, or ends before its last frame.
-        """
+        """Frames that are presented, counted in the file's index of samples."""
         return self._header[0]
 
     @property
@@ -164,7 +156,7 @@ class VideoFrames:
 
     @cached_property
     def times_s(self) -> Array:
-        """When each frame is shown, seconds after the first, (T,); the whole file is read for it."""
+        """Presentation times of the frames, seconds after the first, (T,); the whole file is read for it."""
         with self._open() as container:
             tick_s = float(container.streams.video[0].time_base or 0)
         return tick_s * np.array([frame.presented - self._shown[0].presented for frame in self._shown], np.float64)
@@ -198,10 +190,6 @@ class VideoFrames:
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
         """Decode frames start <= t < stop one by one, from the last key frame before `start`; one frame is held at a time.
-
-        Args:
-            start: first frame.
-            stop: one past the last frame.
 
         Yields:
             RGB uint8 images, (H, W, 3).
@@ -257,7 +245,7 @@ class VideoFrames:
 
     @cached_property
     def _timestamps(self) -> list[FrameTime]:
-        """When each frame is decoded and presented, in the order of presentation."""
+        """Decoding and presentation times of the frames, in the order of presentation."""
         import av
 
         try:
@@ -299,7 +287,7 @@ class VideoFrames:
         try:
             with self._open() as container:
                 angle_deg = next((frame.rotation for frame in container.decode(video=0)), 0)
-        except av.error.FFmpegError:  # damaged: whoever reads frames says so better
+        except av.error.FFmpegError:  # damaged: reading frames gives the better message
             return 0
         if angle_deg % 90:
             expected = "frames that are shown upright or turned by right angles"
@@ -307,7 +295,6 @@ class VideoFrames:
         return angle_deg // 90 % 4
 
     def _open(self) -> "InputContainer":
-        """Open the container, with its first stream a video."""
         import av
 
         try:

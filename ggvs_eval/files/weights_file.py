@@ -19,10 +19,8 @@ def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Ten
     """The tensors of a weights file by name.
 
     Args:
-        path: safetensors, or a torch checkpoint.
         keys: where in a checkpoint the state dict lies: ``("net",)`` for ``checkpoint["net"]``. Safetensors of ours hold them
             under names that begin with the keys, ``net.``.
-        of: whose weights are wanted, for messages.
 
     Returns:
         Name -> tensor, names without ``module.``.
@@ -44,16 +42,8 @@ def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Ten
 def configuration_of(path: Path, names: Collection[str], of: str) -> str | None:
     """Name of the configuration that a weights file says it is.
 
-    Args:
-        path: safetensors, or a torch checkpoint.
-        names: names of the network's configurations.
-        of: whose weights are wanted, for messages.
-
     Returns:
         The name, None where the file says nothing: a checkpoint of the authors, or a copy of it, which is the full one.
-
-    Raises:
-        WeightsError: a name that is not known, or a damaged file.
     """
     name = read_notes(path).get(CONFIGURATION_NOTE)
     if name is not None and name not in names:
@@ -62,11 +52,7 @@ def configuration_of(path: Path, names: Collection[str], of: str) -> str | None:
 
 
 def read_notes(path: Path) -> dict[str, str]:
-    """The texts in the header of safetensors; none of a checkpoint, or where there is no file.
-
-    Raises:
-        WeightsError: a damaged file.
-    """
+    """The texts in the header of safetensors; none of a checkpoint, or where there is no file."""
     if path.suffix != ".safetensors" or not path.is_file():
         return {}
     try:
@@ -81,12 +67,6 @@ def load_strict(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, o
 
     Args:
         tensors: what `read_tensors` found; half precision is widened.
-        network: gets them.
-        path: where they come from, for messages.
-        of: which network, for messages.
-
-    Raises:
-        WeightsError: a name or a shape differs.
     """
     require_shapes(tensors, network, path, of)
     network.load_state_dict({name: tensor.float() if tensor.is_floating_point() else tensor for name, tensor in tensors.items()})
@@ -98,11 +78,6 @@ def require_shapes(tensors: Mapping[str, Tensor], network: nn.Module, path: Path
     Args:
         tensors: what `read_tensors` found.
         network: what they must fit; may lie on the device ``meta``, which costs no memory.
-        path: where they come from, for messages.
-        of: which network, for messages.
-
-    Raises:
-        WeightsError: a name or a shape differs.
     """
     own_shapes = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}

@@ -15,7 +15,7 @@ Pictures = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
 def splat(cloud: GaussianCloud, camera: Camera, near: float, screen_offsets: torch.Tensor | None) -> Pictures:
-    """Render without a background: what `torch_splat.splat` gives, for float32 on the CPU.
+    """Render without a background, as `torch_splat.splat` does, for float32 on the CPU.
 
     Gradients and pictures have the same bits for any number of threads and any instruction set.
     """

@@ -77,11 +77,7 @@ def read_ply(path: Path) -> GaussianCloud:
 
 
 def unknown_properties(path: Path) -> list[str]:
-    """Properties of a cloud's Gaussians that are passed over, not knowing what they mean.
-
-    Raises:
-        RenderError: no ``.ply`` of Gaussians.
-    """
+    """Properties of a cloud's Gaussians that are not understood and passed over."""
     with path.open("rb") as file:
         names = next(each for each in _read_header(file, path) if each.name == "vertex").row.names or ()
     known = {*MEANS, *COLOURS, "opacity", *SCALES, *TURNS, *HARMLESS, *PACKED}
@@ -92,7 +88,6 @@ def write_ply(path: Path, cloud: GaussianCloud) -> None:
     """Write a cloud in the layout of 3D Gaussian splatting; what is read back is the same, bit by bit.
 
     Args:
-        path: takes the place of a file that is there.
         cloud: on any device, written as float32.
     """
     parts = [tensor.detach().to("cpu", torch.float32).numpy() for tensor in cloud.parameters().values()]

@@ -43,8 +43,6 @@ def project(cloud: GaussianCloud, camera: Camera, near: float) -> Ellipses:
     """Project every Gaussian: cov2d = J W Sigma W^T J^T + 0.3 I, with the Jacobian J of the pinhole K at the Gaussian's centre.
 
     Args:
-        cloud: N Gaussians.
-        camera: its K with the principal point where it is.
         near: Gaussians at or before this depth are left out, world units.
 
     Reading:

@@ -41,7 +41,6 @@ def render_gaussians(
 
     Args:
         cloud: N Gaussians, world units.
-        camera: the view; its principal point may lie anywhere.
         background: colour behind everything, three numbers in [0, 1].
         screen_offsets: (N, 2), pixels, added to the centres in the image: zeros that want a gradient get that of the centres,
             which density control looks at.

@@ -1,4 +1,4 @@
-"""Blending of ellipses front to back in torch, tile by tile: what the compiled kernel is measured by, and the path on a GPU.
+"""Blending of ellipses front to back in torch, tile by tile: reference of the compiled kernel, and the path on a GPU.
 
 Autograd differentiates it. Any float, so that its gradients can be held against finite differences in double precision.
 """
@@ -24,13 +24,12 @@ def splat(
     """Render without a background.
 
     Args:
-        cloud: N Gaussians, on any device.
         near: Gaussians at or before this depth are left out, world units.
         screen_offsets: added to the centres in the image, pixels, (N, 2); or None.
 
     Returns:
         Sums of colour (H, W, 3) weighted by what each Gaussian covers, transmittance (H, W) to what lies behind all, sums of
-        depth (H, W), weighted likewise, and radii in pixels, (N,) int32.
+        depth (H, W), weighted in the same way, and radii in pixels, (N,) int32.
 
     Reading:
         A Gaussian ends where its alpha falls below 1/255. The reference cuts it also at the border of the 16-pixel tiles that a

@@ -76,7 +76,7 @@ def match_pair(first: int, second: int, one: Features, other: Features, longest_
 
 
 def consistent(uv_first: Array, uv_second: Array, tolerance_px: float) -> NDArray[np.bool_]:
-    """Which matches agree with the epipolar geometry that most of them share, found without any calibration, (M,)."""
+    """Mask of the matches that agree with the epipolar geometry most of them share, without any calibration, (M,)."""
     try:
         _, inliers = cv2.findFundamentalMat(uv_first, uv_second, cv2.USAC_MAGSAC, tolerance_px, 0.9999, 5000)
     except cv2.error:  # OpenCV 5 raises where it finds no model at all
@@ -140,7 +140,7 @@ def tolerances(camera: Camera) -> tuple[float, float]:
 
 
 def sound_matches(one: Camera, other: Camera, pair: MatchedPair) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Which matches have a depth under a calibration: near their epipolar lines, in front of both cameras, at a telling angle.
+    """Mask of matches with a depth under a calibration: near their epipolar lines, in front of both cameras, at a telling angle.
 
     Returns:
         (M,), and the depth of all matches in the first camera and in the other, world units, (M,) each.

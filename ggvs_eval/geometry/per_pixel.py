@@ -11,7 +11,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.kernels import get_threads
 
 FALL_OFF = 1.5  # power of the parallax by which a weight falls
-LEAST_PARALLAX_RAD = 2e-3  # cameras nearer than this stand in one place
+LEAST_PARALLAX_RAD = 2e-3  # cameras nearer than this are at one place
 
 
 def view_weights(target: Camera, cameras: Sequence[Camera], shares: Sequence[float] | None = None) -> NDArray[np.float32]:

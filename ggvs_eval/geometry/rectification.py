@@ -222,7 +222,7 @@ def _rays(camera: Camera) -> Array:
 
 
 def _corner_rays(camera: Camera) -> Array:
-    """Those of the four outermost pixels, (2, 2, 3)."""
+    """Rays of the four outermost pixels, (2, 2, 3)."""
     return _rays_at(camera, np.stack(np.meshgrid(*([0.5, side - 0.5] for side in camera.size)), axis=-1))
 
 

@@ -81,7 +81,7 @@ def advise_sight(target: Camera, k: int, cameras: Sequence[Camera], sensed: Coll
 
 
 def _matchable(source: Camera, partners: Sequence[Camera], points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which points some partner sees from a direction like the source's, (P,)."""
+    """Mask of the points that some partner sees from a direction like the source's, (P,)."""
     matched = np.zeros(len(points), bool)
     for partner in partners:
         matched |= sees(partner, points) & (ray_angles(source, partner, points) <= MOST_STEREO_RAD)

@@ -1,4 +1,4 @@
-"""Which cameras of a rig a view is synthesised from, and how far the choice counts on each: geometry of the calibration alone.
+"""Choice of the cameras that a view is synthesised from, and the weight of each: geometry of the calibration alone.
 
 A choice is a function of the target's pose and nothing else, and its shares are continuous in it: a camera that is about to give
 way to another one has hardly any share left at the instant of the exchange, and the other one begins with as little.
@@ -204,7 +204,7 @@ def share_of_view(camera: Camera, seen: NDArray[np.bool_], depths: int = DEPTHS)
 
 
 def sees(camera: Camera, points: Array) -> NDArray[np.bool_]:
-    """Which points lie in a camera's image, (P,); nothing occludes."""
+    """Mask of the points that lie in a camera's image, (P,); nothing occludes."""
     return _inside(camera, points, 0.0) > 0
 
 

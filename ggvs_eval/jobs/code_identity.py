@@ -36,7 +36,6 @@ class CodeTree:
     """The modules of the package, wherever its folders lie; taken not to change while the process runs.
 
     Attributes:
-        folder: of the package itself.
         apart: names of rooms that lie elsewhere, with their folders.
     """
 

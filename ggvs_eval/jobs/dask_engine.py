@@ -32,7 +32,6 @@ def run_on_dask(
 
     Args:
         work: a module-level function or a `functools.partial` of one, known to the workers.
-        items: in the order in which they are begun.
         workers: processes of the cluster on this machine; of no meaning to a scheduler that is given.
         scheduler: address; None starts a cluster on this machine.
 
@@ -40,7 +39,7 @@ def run_on_dask(
         (index of an item, what came of it), in the order in which they end.
 
     Raises:
-        RenderError: dask is not installed, or nobody answers at the address, or the scheduler has gone away.
+        RenderError: dask is not installed, or nothing answers at the address, or the scheduler has gone away.
     """
     distributed = _import_distributed()
     threads = None if scheduler else max(default_workers() // workers, 1)
@@ -81,7 +80,7 @@ def _outcome(distributed: Any, future: Any) -> Any:
 def _connect(distributed: Any, workers: int, scheduler: str | None) -> Iterator[Any]:
     """A client of the user's scheduler, or of a cluster that ends with it."""
     if scheduler:
-        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what is lost is told in one line, here
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # losses are reported in one line, here
         try:
             client = distributed.Client(scheduler, timeout=CONNECT_S)
         except (OSError, ValueError) as error:
@@ -97,7 +96,7 @@ def _connect(distributed: Any, workers: int, scheduler: str | None) -> Iterator[
 def _local_cluster(distributed: Any, workers: int) -> Iterator[Any]:
     """A cluster on this machine that obeys this process alone.
 
-    Whoever may talk to a scheduler may have it run code, and other users of this machine reach its ports: it and its workers
+    A scheduler runs code for anyone who can reach it, and other users of this machine reach its ports: it and its workers
     therefore ask for a certificate that exists in their memory only (TLS). Their HTTP servers, which cannot be left away, are
     left without a page.
     """
@@ -119,7 +118,6 @@ def _local_cluster(distributed: Any, workers: int) -> Iterator[Any]:
 
 
 def _root(error: BaseException) -> str:
-    """Root cause of an error, in one line."""
     while error.__cause__ is not None:
         error = error.__cause__
     return f"{type(error).__name__}: {' '.join(str(error).split())}"

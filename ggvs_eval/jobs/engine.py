@@ -29,16 +29,12 @@ class Engine:
     scheduler: str | None = None
 
     def run(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | LostJob]]:
-        """Do the work for every item and yield (index, what came of it) in the order in which they end.
+        """Do the work for every item and yield (index, result) in the order in which they end.
 
         An item whose process dies is done again; one that takes its process with it every time is a `LostJob`.
 
         Args:
             work: a module-level function or a `functools.partial` of one.
-            items: in the order in which they are begun.
-
-        Raises:
-            RenderError: options that contradict each other, or dask is wanted and not there.
         """
         if self.jobs < 1:
             raise RenderError(f"--jobs {self.jobs}: wanted at least 1")

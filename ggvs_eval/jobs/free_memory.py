@@ -12,7 +12,6 @@ def available_bytes(meminfo: Path = MEMINFO, cgroup: Path = CGROUP) -> float:
     """Memory that can be taken without swapping; infinite where the system does not tell.
 
     Args:
-        meminfo: the kernel's account of the machine.
         cgroup: the account of the container (control groups, version 2); its limit may be lower than the machine's.
     """
     machine = _field(meminfo, "MemAvailable:", KIB)
@@ -40,7 +39,6 @@ def has_room(running: int, pids: Iterable[int]) -> bool:
 
     Args:
         running: jobs that are being worked on; what they have not taken yet is kept for them.
-        pids: the processes that work on them.
     """
     held, most = resident_bytes(pids)
     return available_bytes() + held >= (running + 1) * most

@@ -35,7 +35,6 @@ class Job:
 
     Attributes:
         name: for people, e.g. ``ours-geometric in cam00``.
-        folder: where its result goes.
         identity: everything the result depends on, as JSON values.
         work: called with a temporary folder to fill; returns what job.json shall say beside the identity. It travels to another
             process, so it is a module-level function or a `functools.partial` of one.
@@ -100,7 +99,6 @@ class Attempt:
 
     Attributes:
         done: how many were run to their end; those that were done before do not count.
-        failures: of the others.
     """
 
     done: int
@@ -112,16 +110,10 @@ class BrokenJobError(RuntimeError):
 
 
 def run_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger: Ledger | None = None) -> int:
-    """Run what is not done yet; one failure does not stop the others.
+    """Run the jobs that are not done yet; one failure does not stop the others.
 
     Args:
-        jobs: in the order in which they are started.
         workers: where they run; 1 runs them in this process.
-        description: for the progress bar.
-        ledger: where `ggvs-eval status` finds them.
-
-    Returns:
-        How many jobs were run.
 
     Raises:
         RenderError: jobs failed for a reason that the user can mend; the message lists each.
@@ -138,11 +130,7 @@ def run_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger: Le
 
 
 def attempt_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger: Ledger | None = None) -> Attempt:
-    """Run what is not done yet and tell what failed; arguments as of `run_jobs`.
-
-    Raises:
-        RenderError: the jobs cannot be run at all, see `Engine.run`.
-    """
+    """Run the jobs that are not done yet and return the failures; arguments as of `run_jobs`."""
     open_jobs = [job for job in jobs if not job.is_done()]
     for job in open_jobs:
         remove_leftovers(job.folder)
@@ -172,7 +160,7 @@ def _run_one(job: Job, code: str | None) -> Failure | None:
 
 
 def _evaluate(job: Job, outcome: Failure | LostJob | None) -> Failure | None:
-    """Return the failure of a job, whoever noticed it, or None if its result is here."""
+    """Return the failure of a job, wherever it was noticed, or None if its result is here."""
     if isinstance(outcome, LostJob):
         return Failure(job.name, outcome.reason)
     if outcome is None and not job.is_done():

@@ -26,8 +26,6 @@ class Entry:
     """A job as a ledger knows it.
 
     Attributes:
-        name: for people.
-        folder: where its result goes.
         sha256: of everything the result depends on.
     """
 
@@ -48,8 +46,6 @@ class Failure:
     """Reason why something was not done.
 
     Attributes:
-        name: of the job.
-        message: one line.
         traceback: of our own bugs; empty where the user can mend it.
     """
 
@@ -58,17 +54,12 @@ class Failure:
     traceback: str = ""
 
     def __str__(self) -> str:
-        """Say in one line what failed and why."""
+        """Name the job and the reason in one line."""
         return f"{self.name}: {' '.join(self.message.split())}"
 
     @classmethod
     def of(cls, name: str, error: Exception) -> "Failure":
-        """Make the failure of a job from an error; call it while the error is handled.
-
-        Args:
-            name: of the job.
-            error: raised by the job.
-        """
+        """Make the failure of a job from an error; call it while the error is handled."""
         line = mendable(error)
         return cls(name, line) if line else cls(name, f"{type(error).__name__}: {error}", traceback.format_exc())
 
@@ -102,10 +93,9 @@ class Ledger:
         return self.root / JOBS_FOLDER / f"{self.stage}.json"
 
     def write(self, entries: Sequence[Entry], keep: bool = False) -> None:
-        """Say what is wanted.
+        """Write the list of jobs.
 
         Args:
-            entries: all jobs of the stage.
             keep: leave in the list what is there for other folders: another shard's, or another sweep's of the same root.
         """
         jobs = {self._relative(each): {"name": each.name, "sha256": each.sha256} for each in entries}
@@ -114,11 +104,7 @@ class Ledger:
         write_json(self.file, {"begun_s": time.time(), "jobs": jobs})
 
     def read(self) -> tuple[float, list[Entry]]:
-        """When the stage was begun, in seconds since 1970, and its jobs.
-
-        Raises:
-            ResultsError: nothing was written, or it is damaged.
-        """
+        """Read when the stage was begun, in seconds since 1970, and its jobs."""
         record = read_json(self.file)
         entries = [Entry(job["name"], self.root / folder, job["sha256"]) for folder, job in record["jobs"].items()]
         return record["begun_s"], entries

@@ -6,7 +6,7 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-REFERENCE_S = 0.40  # of the probe on the machine that times are told of: two quiet cores of a Xeon with AVX-512
+REFERENCE_S = 0.40  # of the probe on the machine for which times are given: two quiet cores of a Xeon with AVX-512
 SIZE, PRODUCTS, MATCHES = 768, 60, 10
 
 

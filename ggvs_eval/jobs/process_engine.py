@@ -39,7 +39,6 @@ def run_in_processes(
 
     Args:
         work: a module-level function or a `functools.partial` of one.
-        items: in the order in which they are begun.
 
     Yields:
         (index of an item, what came of it), in the order in which they end.
@@ -57,7 +56,7 @@ def run_in_processes(
 def _run_pool(
     work: Callable[[Item], Result], waiting: deque[Entry[Item]], workers: int
 ) -> Generator[tuple[int, Result], None, list[Entry[Item]]]:
-    """Work until nothing waits or the pool breaks; give back what was in hand then."""
+    """Work until nothing waits or the pool breaks; return the items in hand then."""
     running: dict[Future[Result], Entry[Item]] = {}
     try:
         with borrowed_pool(min(workers, len(waiting)), workers) as pool:
@@ -85,7 +84,7 @@ def _fits(running: int) -> bool:
 
 
 def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
-    """Try an item in a process that nobody else's death can end; its errors are printed when it has ended.
+    """Try an item in a process of its own, which no other item can end; its errors are printed when it has ended.
 
     Raises:
         RenderError: the process died of an exception of its own, as every other one would: before the work began, since what the

@@ -1,4 +1,4 @@
-"""Worker processes that share the CPUs evenly and do not outlive whoever started them."""
+"""Worker processes that share the CPUs evenly and do not outlive the process that started them."""
 
 import os
 import signal
@@ -23,9 +23,6 @@ def worker_pool(workers: int) -> ProcessPoolExecutor:
     """A pool of fresh processes, each with its share of the CPUs.
 
     Processes are spawned, not forked: threads and libraries of the parent would not survive a fork.
-
-    Args:
-        workers: number of processes.
     """
     threads = max(default_workers() // workers, 1)
     return _WorkerPool(workers, get_context("spawn"), initializer=_start_worker, initargs=(threads,))
@@ -48,12 +45,7 @@ def kept_workers() -> Iterator[None]:
 
 @contextmanager
 def borrowed_pool(workers: int, most: int) -> Iterator[ProcessPoolExecutor]:
-    """A pool of so many processes: the one that is kept, if any, or one of its own that ends with the block.
-
-    Args:
-        workers: number of processes.
-        most: number of processes that are kept.
-    """
+    """A pool of so many processes: the one that is kept, if any, or one of its own that ends with the block."""
     if _keeper is None:
         with worker_pool(workers) as pool:
             yield pool
@@ -62,7 +54,7 @@ def borrowed_pool(workers: int, most: int) -> Iterator[ProcessPoolExecutor]:
 
 
 class _Keeper:
-    """Keeps one pool as long as nobody breaks it, and all that it had until the end of a stack."""
+    """Keeps one pool until it breaks, and every pool it had until the end of a stack."""
 
     def __init__(self, stack: ExitStack) -> None:
         self._stack = stack
@@ -91,7 +83,7 @@ class _WorkerPool(ProcessPoolExecutor):
             return super().submit(work, *arguments, **named)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> bool | None:
-        """Wait for what runs; after Ctrl-C end it."""
+        """Wait for running work; after Ctrl-C end it."""
         if kind in (KeyboardInterrupt, SystemExit):
             for child in active_children():
                 child.terminate()
@@ -125,11 +117,7 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str) -> None:
-    """Wait for jobs with a progress bar; the first that fails cancels what has not begun.
-
-    Args:
-        pool: runs them.
-        description: what is being done, a few words.
+    """Wait for jobs with a progress bar; the first that fails cancels those not begun.
 
     Raises:
         Exception: what the job that failed raised.
@@ -143,11 +131,7 @@ def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str)
 
 
 def share_cpus(threads: int) -> None:
-    """Give this process its share of the CPUs, before any library starts threads of its own.
-
-    Args:
-        threads: how many each library may have.
-    """
+    """Give this process its share of the CPUs, before any library starts threads of its own."""
     for name in ("OMP_NUM_THREADS", "GGVS_EVAL_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ[name] = str(threads)
     import cv2

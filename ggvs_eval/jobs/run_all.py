@@ -19,9 +19,6 @@ def run_all(work: Callable[[Item], None], items: Sequence[Item], workers: Worker
 
     Args:
         work: writes what is missing of an item; a module-level function or a `functools.partial` of one.
-        items: in the order in which they are begun.
-        workers: where they run.
-        description: what is being done, a few words.
 
     Raises:
         RenderError: the work took its process with it as often as it was tried, or a worker has other code than this process.
@@ -37,7 +34,7 @@ def run_all(work: Callable[[Item], None], items: Sequence[Item], workers: Worker
 
 
 def _do_one(work: Callable[[Item], None], code: str, item: Item) -> None:
-    """Runs on a worker of another's cluster, which must have the code of whoever asks."""
+    """Do one item on a worker, which must have the caller's code."""
     if code != package_digest():
         raise RenderError(f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")
     work(item)

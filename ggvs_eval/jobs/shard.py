@@ -23,11 +23,7 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> "Shard":
-        """``i/n`` as it is typed.
-
-        Raises:
-            ProtocolError: not two such numbers.
-        """
+        """``i/n`` as it is typed."""
         number, _, of = text.partition("/")
         if not (number.isdecimal() and of.isdecimal() and int(number) <= int(of) and int(of) > 0):
             raise ProtocolError(f"--shard {text}: wanted i/n with i from 1 to n, such as 2/5, or 0/n to prepare only")

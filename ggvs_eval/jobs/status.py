@@ -1,4 +1,4 @@
-"""Progress of a run or a sweep: what is done, in hand, failed and missing, read from its folders alone."""
+"""Progress of a run or a sweep: jobs done, in hand, failed and missing, read from its folders alone."""
 
 import os
 import time
@@ -19,12 +19,10 @@ class StageStatus:
     """Progress of one stage.
 
     Attributes:
-        stage: fit, render or score.
         done: number of jobs with a result.
         in_hand: names of jobs that a process is working on.
         failed: why jobs failed when they were last tried, and are not tried again now.
         missing: names of jobs that wait.
-        n_bytes: size of the results.
         left_s: estimate of the time that the rest takes, in seconds; None where nothing runs or nothing is done yet.
     """
 
@@ -42,9 +40,6 @@ def read_status(root: Path) -> list[StageStatus]:
 
     Args:
         root: folder of a run or a sweep, or of a run in a sweep.
-
-    Raises:
-        ResultsError: nothing was begun there.
     """
     ledgers = _ledgers(root)
     if not ledgers:
@@ -53,7 +48,7 @@ def read_status(root: Path) -> list[StageStatus]:
 
 
 def describe_status(root: Path) -> str:
-    """The same as text: a line per stage, then what is in hand, what failed, and how large the folder is."""
+    """The same as text: a line per stage, then jobs in hand, failures, and the size of the folder."""
     lines = []
     for stage in read_status(root):
         counts = f"{stage.done} done, {len(stage.in_hand)} running, {len(stage.failed)} failed, {len(stage.missing)} missing"

@@ -1,1 +1,1 @@
-"""Anybody's renders: folders, videos, arrays and archives of frames become a method of a run."""
+"""Renders from elsewhere: folders, videos, arrays and archives of frames become a method of a run."""

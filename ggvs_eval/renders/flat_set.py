@@ -86,7 +86,6 @@ def find(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
 def _found_in_order(
     rendered: Sequence[Path], copies: Sequence[Path], pair: _Pair, request: FrameRequest, is_temporary: bool
 ) -> RenderSet:
-    """Renders whose names tell nothing, in the order that the copies of the truth tell."""
     try:
         order = find_order(copies, request)
         level = check_truth({place: copies[index] for index, place in order.places.items()}, request)
@@ -105,7 +104,6 @@ def _found_in_order(
 def _found_by_name(
     pair: _Pair, names: dict[Path, str], copies: dict[Path, Path], request: FrameRequest, is_temporary: bool
 ) -> RenderSet:
-    """Renders whose names tell view and frame."""
     items: dict[str, list[tuple[int | None, Path]]] = {}
     extras = []
     for (file, name), place in zip(names.items(), places_of(pair.rendered, names.values(), request.views), strict=True):

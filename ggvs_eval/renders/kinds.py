@@ -40,11 +40,7 @@ WEAKEST = "names"  # pictures may lie beside what is meant
 
 
 def detect(path: Path, request: FrameRequest) -> str:
-    """The kind of some renders, a key of `KINDS`.
-
-    Raises:
-        RenderError: none fits, with the reason of each; or several do.
-    """
+    """The kind of some renders, a key of `KINDS`."""
     reasons = {name: kind.refuse(path, request) for name, kind in KINDS.items()}
     fitting = [name for name, reason in reasons.items() if reason is None]
     if len(fitting) > 1 and WEAKEST in fitting:

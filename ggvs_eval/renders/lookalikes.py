@@ -13,7 +13,7 @@ LOOKED_THROUGH = 10_000
 
 
 def instead_of(path: Path, view: str, request: FrameRequest) -> str:
-    """Describe what lies in place of a view's frames, and what to do; empty where nothing looks like them."""
+    """Describe files that look like a view's missing frames, with a remedy; empty where there are none."""
     folder = find_below(path, view)
     unread = unread_pictures(folder)
     if unread or list_images(folder):
@@ -35,13 +35,7 @@ def instead_of_all(path: Path, request: FrameRequest) -> str:
 
 
 def respelled(view: str, names: Mapping[str, str], request: FrameRequest) -> str:
-    """The name that was meant to be a view's, and what to do; empty where there is none.
-
-    Args:
-        view: name of the capture.
-        names: what there is, and how it is shown.
-        request: knows the other cameras.
-    """
+    """The name that was probably meant to be a view's, with a remedy; empty where there is none."""
     others = {name: shown for name, shown in names.items() if name not in request.cameras}
     for name, shown in others.items():
         if name.casefold() == view.casefold():

@@ -53,11 +53,7 @@ class Place(NamedTuple):
 
 
 def frame_numbers(folder: Path, stems: Sequence[str], view: str = "") -> list[int | None]:
-    """The last whole number in each name, e.g. 12 of ``frame_0012``; one that is part of the view's name (``cam00``) is none.
-
-    Raises:
-        RenderError: names whose numbers can be read in two ways.
-    """
+    """The last whole number in each name, e.g. 12 of ``frame_0012``; one that is part of the view's name (``cam00``) is none."""
     rest = stems if view.isdigit() or not view else [re.sub(name_as_word(view), "", stem) for stem in stems]
     try:
         numbers = numbers_in(rest)
@@ -86,7 +82,6 @@ def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item
     """Give the items of all views the protocol's frame numbers.
 
     Args:
-        path: where they lie, for messages.
         views: view -> number in the name, and item, of each of its items.
         request: frames of the protocol and of the capture, and what the user says of the numbers.
 
@@ -138,11 +133,7 @@ def _decide(numbers: Mapping[str, Numbers], request: FrameRequest) -> tuple[int,
 
 
 def _first_number(used: Sequence[int], request: FrameRequest) -> int:
-    """The number of the capture's first instant, from the numbers of all views.
-
-    Raises:
-        RenderError: there are two, or there is none.
-    """
+    """The number of the capture's first instant, from the numbers of all views."""
     if used[0] > request.n_frames:
         return _beyond(used, request)
     from_0, from_1 = (_fits(used, first, request) for first in (0, 1))
@@ -217,7 +208,6 @@ def _shifted(used: Numbers, first: int) -> set[int]:
 
 
 def _taken(used: Sequence[int], first: int, request: FrameRequest) -> str:
-    """Describe which numbers are taken as which instants."""
     inside = [number for number in used if number - first in request.frames]
     instants = as_ranges([number - first for number in inside])
     if not inside:
@@ -234,7 +224,6 @@ def number_streams(path: Path, counts: Mapping[str, int], request: FrameRequest)
     """Give the frames of videos or stacks, which have an order and no numbers, the protocol's frame numbers.
 
     Args:
-        path: where they lie, for messages.
         counts: view -> how many frames there are.
         request: frames of the protocol and of the capture; ``first_frame`` is a place in the stream here.
 
@@ -243,7 +232,7 @@ def number_streams(path: Path, counts: Mapping[str, int], request: FrameRequest)
 
     Raises:
         RenderError: more frames than the protocol's, but not the whole capture, while the protocol starts inside it, or the whole
-            capture in some views alone: nobody can tell which are meant.
+            capture in some views alone: which are meant cannot be known.
     """
     start, n_wanted, n_frames = request.frames.start, len(request.frames), request.n_frames
     is_whole = n_wanted < n_frames and all(count == n_frames for count in counts.values())

@@ -18,11 +18,7 @@ from ggvs_eval.run_folder import as_ranges, frame_path
 
 
 def read_header(path: Path) -> PictureHeader:
-    """Size and kind of a picture, without decoding it.
-
-    Raises:
-        RenderError: no file, neither PNG nor JPEG, or cut before its size.
-    """
+    """Size and kind of a picture, without decoding it."""
     try:
         check_plain(path, LARGEST_PICTURE)
     except OSError as error:
@@ -35,7 +31,7 @@ def read_header(path: Path) -> PictureHeader:
 
 
 def size_fault(size: tuple[int, int], wanted: tuple[int, int]) -> str:
-    """Say how a frame's (width, height) differs from what is wanted; empty where it does not.
+    """Describe a wrong (width, height) of a frame; empty where it is right.
 
     Examples:
         >>> size_fault((320, 120), (160, 120))
@@ -105,7 +101,7 @@ class PictureView:
             remarks.add(number, image)
             if header.form == "JPEG":
                 converted["of JPEG, decoded once to PNG: what it lost counts against the method"].append(number)
-            for conversion in header._replace(colours=header.colours.replace("grey", "")).conversions:  # told by its pixels
+            for conversion in header._replace(colours=header.colours.replace("grey", "")).conversions:  # seen from its pixels
                 converted[f"read {conversion}"].append(number)
             if header.form == "JPEG" or header.colours:
                 write_image(target, image)

@@ -55,7 +55,7 @@ class RenderedView(Protocol):
         """Frame number -> why this frame cannot be used at (width, height), e.g. ``64 x 48 instead of 128 x 96``."""
 
     def write(self, folder: Path, numbers: tuple[int, ...]) -> list[str]:
-        """Put these frames into a folder as ``<frame>.png``; gives back what people should know of it."""
+        """Put these frames into a folder as ``<frame>.png``; returns remarks for people."""
 
 
 @dataclass(frozen=True)
@@ -82,12 +82,7 @@ class RenderSet:
 
 
 def request_of(run: RunFolder, label: str, first_frame: int | None = None) -> FrameRequest:
-    """Return what a run asks of a method; `first_frame` as of `FrameRequest`.
-
-    Raises:
-        ResultsError: not a run folder.
-        RenderError: a run folder without captured frames.
-    """
+    """Return what a run asks of a method; `first_frame` as of `FrameRequest`."""
     protocol, record = run.protocol(), run.capture_record()
     frames = protocol.frames.numbers
     views = protocol.views.test
@@ -120,7 +115,7 @@ class Fit:
 
 
 def fit(renders: RenderSet, request: FrameRequest) -> Fit:
-    """Hold what was found against what is wanted."""
+    """Compare the renders found with those wanted."""
     usable, missing, faulty = {}, [], []
     for view in request.views:
         rendered = renders.views.get(view)
@@ -151,12 +146,7 @@ def _absent(frames: list[int], view: str, renders: RenderSet, request: FrameRequ
 
 
 def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
-    """Refuse renders that are not exactly what is wanted.
-
-    Args:
-        fitted: what fits and what does not.
-        path: of the renders.
-        numbering: how their numbers were understood.
+    """Refuse renders that are not exactly those wanted.
 
     Raises:
         RenderError: anything missing, extra or unusable; up to 20 of each are named, and all are counted.
@@ -164,16 +154,14 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
     groups = {"frames are missing": fitted.missing, "cannot be used": fitted.faulty, "belongs to nothing": fitted.extras}
     listed = [f"{title}: {_listed(items)}" for title, items in groups.items() if items]
     if listed:
-        told = [numbering] if numbering else []
-        raise RenderError(f"{path}: {'; '.join([*told, *listed])}; put this right, or give --allow-partial to score what fits")
+        numbered = [numbering] if numbering else []
+        raise RenderError(
+            f"{path}: {'; '.join([*numbered, *listed])}; put this right, or give --allow-partial to score what fits"
+        )
 
 
 def partial_text(fitted: Fit, request: FrameRequest) -> str:
-    """Describe what a row of these renders stands on; empty where nothing is missing.
-
-    Raises:
-        RenderError: nothing at all fits.
-    """
+    """Describe the frames behind a row of these renders; empty where none is missing."""
     if not fitted.usable:
         raise RenderError(
             f"{request.label}: not a single frame fits the protocol: {_listed((*fitted.missing, *fitted.faulty))}; "

@@ -34,10 +34,6 @@ def read_frames(path: Path) -> Iterator[Image8]:
 
     Yields:
         (H, W, 3) uint8.
-
-    Raises:
-        RenderError: nothing of that kind there.
-        CaptureError: a damaged picture or video.
     """
     if path.is_dir():
         yield from map(read_image, _numbered(path, IMAGE_SUFFIXES, "pictures"))
@@ -52,7 +48,7 @@ def read_frames(path: Path) -> Iterator[Image8]:
 
 
 def read_depths(path: Path) -> Iterator[Map]:
-    """Read the maps of a depth video, whoever computed it.
+    """Read the maps of a depth video from any source.
 
     Args:
         path: a folder of .png (8 or 16 bit), .tif, .pfm, .npy or .npz (its array ``depth``, or its only one), taken by the last
@@ -61,10 +57,6 @@ def read_depths(path: Path) -> Iterator[Map]:
 
     Yields:
         (H, W) float32.
-
-    Raises:
-        RenderError: nothing of that kind there, or pictures of several colours.
-        CaptureError: a damaged picture or video.
     """
     if path.is_dir():
         yield from map(_read_depth, _numbered(path, DEPTH_SUFFIXES, "depth maps"))

@@ -35,11 +35,10 @@ def difference(one: Image8, other: Image8) -> float:
 
 
 def check_truth(claims: Claims, request: FrameRequest) -> float:
-    """Refuse renders whose own copy of the truth is not what was captured.
+    """Refuse renders whose own copy of the truth differs from the capture.
 
     Args:
         claims: (view, frame) -> their picture of it; views and frames of the protocol.
-        request: knows the captured frames.
 
     Returns:
         Their mean difference in levels of 255.
@@ -110,7 +109,6 @@ class Order:
     """An order in which a flat list of pictures may run.
 
     Attributes:
-        describe: in words.
         places: index in the list -> (view, frame), for those of the protocol.
     """
 
@@ -121,15 +119,8 @@ class Order:
 def find_order(copies: Sequence[Path], request: FrameRequest) -> Order:
     """Find out by the pictures which view and frame each place of a flat list is.
 
-    Args:
-        copies: their copies of the truth, in the list's order.
-        request: knows the captured frames.
-
     Returns:
         The order whose places fit best, which may be badly.
-
-    Raises:
-        RenderError: a count that no order has, or two orders that fit alike.
     """
     orders = list(_possible_orders(len(copies), request))
     if not orders:
@@ -173,6 +164,5 @@ def _possible_orders(count: int, request: FrameRequest) -> Iterable[Order]:
 
 
 def _spread(indices: list[int], count: int) -> list[int]:
-    """At most `count` of them, evenly."""
     step = max(len(indices) // count, 1)
     return list(islice(indices, 0, None, step))[:count] if len(indices) > count else indices

@@ -85,14 +85,8 @@ def picture_set(
     """Pictures of views under the protocol's frame numbers.
 
     Args:
-        path: where they lie.
         items: view -> number in the name, and file, of each of its pictures.
-        unexpected: names of what belongs to no view.
-        request: what the run asks for.
         is_temporary: see `PictureView`.
-
-    Raises:
-        RenderError: as of `number_views`.
     """
     numbered = number_views(path, items, request)
     extras = [file.relative_to(path).as_posix() for some in numbered.extras.values() for file in some]
@@ -111,7 +105,6 @@ def placed_pictures(renders: RenderSet) -> dict[tuple[str, int], Path]:
 
 
 def _unexpected_files(path: Path, request: FrameRequest) -> Iterable[str]:
-    """Pictures and folders of pictures that belong to no view."""
     yield from (file.name for file in list_images(path))
     views = [same_name(view) for view in request.views]
     for folder in list_entries(path):

@@ -45,7 +45,6 @@ class StreamView:
     """Frames of one view out of a stream, a `RenderedView`.
 
     Attributes:
-        stream: where they come from.
         indices: frame number -> place in the stream, both rising in steps of one.
         note: what people should know of the source, e.g. that it is a lossy video.
     """
@@ -85,7 +84,6 @@ class StreamView:
 
 
 def _float_notes(n_floats: int, clipped: Mapping[int, tuple[float, float]]) -> list[str]:
-    """List what was done to floats."""
     notes = [f"{counted(n_floats, 'frame')} of floats, rounded to 8 bit"] if n_floats else []
     if clipped:
         low, high = min(low for low, _ in clipped.values()), max(high for _, high in clipped.values())
@@ -145,7 +143,6 @@ def find_arrays(path: Path, request: FrameRequest, is_temporary: bool) -> Render
 def _found(
     path: Path, counted: Mapping[str, tuple[str, FrameStream, int]], unexpected: Iterable[str], note: str, request: FrameRequest
 ) -> RenderSet:
-    """Streams with their frames numbered."""
     unexpected = list(unexpected)
     numbered = number_streams(path, {view: count for view, (_, _, count) in counted.items()}, request)
     views: dict[str, RenderedView] = {
@@ -177,11 +174,7 @@ def _refuse_twice(path: Path, members: list[str]) -> None:
 
 
 def _one_each(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> dict[str, Path]:
-    """View -> its file.
-
-    Raises:
-        RenderError: two files for one view.
-    """
+    """View -> its file."""
     by_view: dict[str, Path] = {}
     for view, file in _by_view(path, suffixes, request):
         if view in by_view:
@@ -191,7 +184,6 @@ def _one_each(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> d
 
 
 def _by_view(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> list[tuple[str, Path]]:
-    """Views and the files that bear their names."""
     spelled = {same_name(view): view for view in request.views}
     named = [(spelled.get(same_name(file.stem)), file) for file in list_files(path, suffixes)]
     return [(view, file) for view, file in named if view is not None]

@@ -161,7 +161,6 @@ def model_variances(frames: int, correlations: Array, shares: Array, prior: Arra
     lags are a cosine and a sine transform, so that memory grows with T alone.
 
     Args:
-        frames: T.
         correlations: (G,), from frame to frame, of the correlated part.
         shares: (G,), of white noise in the variance.
         prior: (G,).

@@ -33,8 +33,6 @@ class TwoWay:
         view: (V,), sums to 0.
         time: (T,), sums to 0.
         rest: (V, T), the interaction and noise; each row and each column sums to 0.
-        views: names of the views.
-        frames: numbers of the frames.
     """
 
     mean: float
@@ -66,21 +64,13 @@ class TwoWay:
         return {name: square / total if total else 0.0 for name, square in squares.items()}
 
     def variance_over_time(self, ddof: int = 1) -> float:
-        """Mean over the views of the variance over time: the square of SDT but for the spread of SDT over the views.
-
-        Raises:
-            ResultsError: too few frames for this ddof.
-        """
+        """Mean over the views of the variance over time: the square of SDT but for the spread of SDT over the views."""
         views, frames = self.rest.shape
         _check_count(frames, ddof, "frames")
         return (self.ss_time + self.ss_rest) / (views * (frames - ddof))
 
     def variance_over_views(self, ddof: int = 1) -> float:
-        """Mean over the frames of the variance over views: the square of SDV but for the spread of SDV over the frames.
-
-        Raises:
-            ResultsError: too few views for this ddof.
-        """
+        """Mean over the frames of the variance over views: the square of SDV but for the spread of SDV over the frames."""
         views, frames = self.rest.shape
         _check_count(views, ddof, "views")
         return (self.ss_view + self.ss_rest) / (frames * (views - ddof))
@@ -103,9 +93,6 @@ def decompose(values: ArrayLike, views: tuple[str, ...] = (), frames: tuple[int,
         values: (V, T), finite, e.g. the L1 of each view and frame.
         views: names of its rows; numbers where not given.
         frames: numbers of its columns; from 0 where not given.
-
-    Raises:
-        ResultsError: not a matrix, empty, or with a cell that is not finite.
     """
     matrix = np.asarray(values, dtype=np.float64)
     if matrix.ndim != 2 or matrix.size == 0:

@@ -1,4 +1,4 @@
-"""Confidence intervals of the numbers in a table, from what varies over time, views and scenes."""
+"""Confidence intervals of the numbers in a table, from variation over time, views and scenes."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ class Interval:
     Attributes:
         value: the number of the whole table, as `ggvs_eval.results.Results.summary` has it.
         low: lower bound; None where there is no interval.
-        high: upper bound, as far above the value as `low` is below; None likewise.
+        high: upper bound, as far above the value as `low` is below; None where `low` is.
         note: what the interval takes as given (``given this scene, these 3 views``; empty where nothing), and that a clip is too
             short for it; or why there is none.
     """
@@ -49,7 +49,6 @@ class Spread:
     """A number and its random error.
 
     Attributes:
-        value: the number.
         parts: independent errors that add up: of each scene over time, and over views; or over scenes.
         given: what was taken as it is.
     """
@@ -60,7 +59,7 @@ class Spread:
 
     @property
     def note(self) -> str:
-        """Caveats in words: what is taken as given, and that a clip is too short; empty where there are none."""
+        """Caveats in words: assumptions, and a clip that is too short; empty where there are none."""
         return "; ".join(filter(None, (f"given {', '.join(self.given)}" if self.given else "", self.short)))
 
     @property
@@ -94,8 +93,6 @@ def intervals(results: Results, metric: str, dataset: str, level: float = LEVEL)
 
     Args:
         metric: name as in the table; of what is no mean, the influence of each view and frame is taken, see `pooling.Pooling`.
-        dataset: which data set of the table.
-        level: confidence.
 
     Returns:
         Label (``method`` or ``method+variant``) -> interval, or the reason why there is none; equal inputs give equal bits.
@@ -115,12 +112,6 @@ def intervals(results: Results, metric: str, dataset: str, level: float = LEVEL)
 
 def measure_spread(scenes: Sequence[PooledScene]) -> Spread:
     """Find out how far the mean over scenes of a number may be off by chance.
-
-    Args:
-        scenes: the number on each scene.
-
-    Raises:
-        ResultsError: there is nothing that varies: one frame, one view.
 
     Reading:
         With five scenes or more, scenes are a sample: their spread holds that of the views and frames in them, and counting
@@ -191,11 +182,7 @@ def _check_enough(scene: PooledScene, by_view: bool, by_time: bool) -> None:
 
 
 def _influence(scene: PooledScene, even: Array, pool: Callable[[Array], Array]) -> Array:
-    """Return the influence of each view or frame, how the number moves when it counts more, (count,); mean 0 to first order.
-
-    Raises:
-        ResultsError: the number is not finite.
-    """
+    """Return the influence of each view or frame, how the number moves when it counts more, (count,); mean 0 to first order."""
     nudged = (1.0 - NUDGE) * even + NUDGE * np.eye(even.shape[1])
     moved = np.asarray((pool(nudged) - pool(even)) / NUDGE)
     if not np.isfinite(moved).all():

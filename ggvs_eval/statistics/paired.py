@@ -16,10 +16,9 @@ class Comparison:
     """The difference of two methods, first minus second.
 
     Attributes:
-        difference: of their numbers.
         low: lower bound of its interval; None where there is none.
-        high: upper bound; None likewise.
-        p_value: two-sided p value of no difference; None likewise.
+        high: upper bound; None where `low` is.
+        p_value: two-sided p value of no difference; None where `low` is.
         note: what is taken as given (``given this scene, these 3 views``), or why there is no interval.
         short: why the clip is too short to tell who is better, whatever the p value; empty where it is not.
     """
@@ -34,7 +33,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Standing:
-    """Who is best in one metric, and who cannot be told from the best.
+    """Best method in one metric, and those that cannot be distinguished from it.
 
     Attributes:
         best: labels with the best number; several only where they are equal to the bit.
@@ -57,14 +56,7 @@ def compare(results: Results, metric: str, first: str, second: str, dataset: str
     """Compare two methods on the same views and frames.
 
     Args:
-        metric: name as in the table.
         first: label, ``method`` or ``method+variant``.
-        second: label of the other.
-        dataset: which data set of the table.
-        level: confidence.
-
-    Raises:
-        ResultsError: one of them has no values.
     """
     table = pool_table(results, metric, dataset)
     for label in (first, second):
@@ -75,15 +67,6 @@ def compare(results: Results, metric: str, first: str, second: str, dataset: str
 
 def rank_methods(results: Results, metric: str, higher_is_better: bool, dataset: str, level: float = LEVEL) -> Standing:
     """Find the best method of a table and compare every other one with it.
-
-    Args:
-        metric: name as in the table.
-        higher_is_better: direction.
-        dataset: which data set of the table.
-        level: confidence, of all comparisons together.
-
-    Raises:
-        ResultsError: nobody has a value.
 
     Reading:
         A method ties with the best unless Holm's corrected p value is below 1 - level: the more methods, the harder to be told

@@ -34,9 +34,6 @@ def read_panel(results: Results, metric: str, scene: str, method: str, variant: 
     """Cut one panel from the table.
 
     Args:
-        metric: name as in the table.
-        scene: name of the scene.
-        method: name of the method.
         variant: its variant, empty for the plain method.
         dataset: None where the results know one only.
 
@@ -58,7 +55,6 @@ def make_panel(cells: "pd.DataFrame", what: str) -> Panel:
 
     Args:
         cells: rows of the tidy table with ``view``, ``frame`` and ``value``.
-        what: whose values these are, for messages.
 
     Raises:
         ResultsError: no rows, two values for one cell, a missing cell, or a value that is not finite.

@@ -22,7 +22,6 @@ class PooledScene:
     """The number of one method (or the difference of two) on one scene.
 
     Attributes:
-        scene: name.
         views: names of the views; None alone where values belong to the whole rig.
         frames: numbers of the frames, -1 alone where values belong to the whole sequence.
         pool: (weights of the views (R, V) or (1, V), weights of the frames (R, T) or (1, T), rows sum to 1) -> numbers (R,).
@@ -48,11 +47,7 @@ class PooledScene:
         return np.full((1, views), 1.0 / views), np.full((1, frames), 1.0 / frames)
 
     def minus(self, other: "PooledScene") -> "PooledScene":
-        """The difference to another method under the same weights.
-
-        Raises:
-            ResultsError: the two were not measured on the same views and frames.
-        """
+        """The difference to another method under the same weights."""
         if (self.views, self.frames) != (other.views, other.frames):
             sizes = " and ".join(f"{len(scene.views)} x {len(scene.frames)}" for scene in (self, other))
             raise ResultsError(f"{self.scene}: not the same views and frames ({sizes}); score both methods alike")
@@ -64,10 +59,7 @@ def pool_scene(cells: "Mapping[str, pd.DataFrame]", metric: str, pooling: Poolin
 
     Args:
         cells: rows of the table of one method and scene by metric, those of the pooling's parts among them.
-        metric: whose number is wanted.
         pooling: how it is made.
-        scene: name of the scene.
-        what: the method and scene for messages.
 
     Raises:
         ResultsError: missing or infinite cells, or a number in the table that its parts do not give.

@@ -30,11 +30,7 @@ class PooledTable:
     no_interval: str = ""
 
     def scenes_of(self, label: str) -> tuple[PooledScene, ...]:
-        """The scenes of one method.
-
-        Raises:
-            ResultsError: its number cannot be made of views and frames.
-        """
+        """The scenes of one method."""
         if label not in self.scenes:
             raise ResultsError(self.refusals.get(label, f"{label}: no values in the results; score it"))
         return self.scenes[label]
@@ -45,8 +41,6 @@ def pool_table(results: Results, metric: str, dataset: str) -> PooledTable:
 
     Args:
         results: every measured value; their provenance says how each metric is pooled.
-        metric: name as in the table.
-        dataset: which data set of the table.
     """
     record = results.provenance.get("pooling", {}).get(metric)
     pooling = None if record is None else Pooling.read(record)

@@ -29,7 +29,7 @@ class Pooling:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse a rule that nobody knows."""
+        """Refuse an unknown rule."""
         if self.rule not in RULES:
             raise ResultsError(f"no rule of pooling {self.rule!r}, there are {', '.join(RULES)}; read it with what scored it")
 
@@ -51,12 +51,12 @@ class Pooling:
 
     @property
     def takes_views_as_given(self) -> bool:
-        """True if its views are not a sample of others: nobody knows the error of a deviation over few views."""
+        """True if its views are not a sample of others: the error of a deviation over few views is unknown."""
         return self.rule == OVER_VIEWS
 
     @classmethod
     def read(cls, record: Mapping[str, Any]) -> "Pooling":
-        """Read what `record` wrote."""
+        """Read a rule from its record."""
         return cls(record["rule"], tuple(record["parts"]), record["settings"])
 
     def record(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Answer of a metric to a degradation of known strength: rank correlation with an interval, and the least strength told."""
+"""Answer of a metric to a degradation of known strength: rank correlation with its interval, and least detected strength."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -22,10 +22,8 @@ class Answer:
         correlation: Spearman's, of strength and how much worse the metric says it is, mean over clips; +1 where the metric gets
             worse with every step, -1 where it gets better, 0 where it does not change.
         low: lower bound of the bootstrap interval over clips; None of one clip.
-        high: upper bound.
         least_strength: least strength from which on the mean worsening is larger than the spread over clips; None where there is
             none, or one clip.
-        clips: number of clips.
     """
 
     correlation: float
@@ -36,7 +34,7 @@ class Answer:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the metric ``sees`` the degradation, is ``blind`` to it, or ``rewards`` it; ``unclear`` of one clip."""
+        """Answer in a word: ``sees`` the degradation, is ``blind`` to it, ``rewards`` it; ``unclear`` of one clip."""
         if self.low is None or self.high is None:
             return "unclear"
         if self.low > 0:
@@ -50,7 +48,6 @@ def answer(strengths: Sequence[float], worse: Mapping[str, Sequence[Sequence[flo
     Args:
         strengths: rising, (S,); the first is 0 where the undegraded has a value.
         worse: clip -> one row for each seed of the degradation, (S,): the metric's values, turned so that more is worse.
-        seed: of the bootstrap.
 
     Example:
         >>> found = answer([0, 1, 2], {"first": [[30.0, 31.0, 35.0]], "second": [[29.0, 31.5, 34.0]]})

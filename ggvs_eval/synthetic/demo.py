@@ -41,15 +41,11 @@ def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -
 
     Args:
         folder: where to; absent, empty, or the same demo.
-        options: what to film, and in which layout.
         workers: processes, by default one per core; 1 stays in this process. The bytes do not depend on it.
 
     Returns:
         The folder: the files of the layout and ``demo.json``; ``depth/camXX.h5`` but for rgbd, which has a sensor's depth; with
         dynerf and colmap ``path/poses_bounds.npy`` and ``path/images/`` (one instant, without gain and noise).
-
-    Raises:
-        CaptureError: the folder holds something else, or has lost some of its files.
     """
     if _is_written(folder, options):
         return folder

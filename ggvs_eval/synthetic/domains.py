@@ -21,7 +21,6 @@ class Domain:
 
     Attributes:
         title: for tables, a few words.
-        description: one line.
         options: of the demo, by name, as validation films it; what is not named is as in `ROOM`.
         strengths: options that training draws evenly between two values for each seed, so that no network learns the one value
             by which it is chosen.
@@ -110,11 +109,7 @@ DOMAINS: dict[str, Domain] = {
 
 
 def find_domain(name: str) -> Domain:
-    """The domain of that name.
-
-    Raises:
-        CaptureError: there is none.
-    """
+    """The domain of that name."""
     if name not in DOMAINS:
         raise CaptureError(f"domain {name!r}: wanted one of {', '.join(DOMAINS)}; correct the name")
     return DOMAINS[name]
@@ -124,13 +119,8 @@ def domain_options(name: str, seed: int, width: int | None = None, height: int |
     """Choose the options of a capture of a domain.
 
     Args:
-        name: of the domain.
         seed: of the room; from `FIRST_TRAINING_SEED` on it also draws the strengths, each on its own.
         width: of the images, pixels; the domain's where None.
-        height: as width.
-
-    Raises:
-        CaptureError: no such domain.
     """
     domain = find_domain(name)
     size = {"width": width or domain.size[0], "height": height or domain.size[1]}

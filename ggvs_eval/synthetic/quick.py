@@ -38,11 +38,7 @@ def write_quick(folder: Path) -> Path:
 
 
 def pack_renders(renders: Path) -> None:
-    """Make the first frames of a method in a run of the demo the renders that ship, ``renders/ours`` when this was written.
-
-    Args:
-        renders: folder with VIEW/FRAME.png of the demo's test views.
-    """
+    """Make the first frames of a method in a run of the demo the renders that ship, ``renders/ours`` when this was written."""
     protocol = quick_protocol()
     for view in protocol.views.test:
         frames = [read_image(frame_path(renders / view, frame)) for frame in range(protocol.frames.numbers.stop)]

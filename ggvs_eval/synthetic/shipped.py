@@ -1,6 +1,6 @@
 """The demo capture that ships with the package, filmed once by `write_demo`.
 
-Whoever asks for it gets it in a second, and gets the same pictures whatever encoder is installed: decoding H.264 has one result,
+It is there in a second, with the same pictures whatever encoder is installed: decoding H.264 has one result,
 encoding has not.
 """
 

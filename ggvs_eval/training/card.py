@@ -1,4 +1,4 @@
-"""The model card beside trained weights: what was learned from what, at which cost, and how well."""
+"""The model card of trained weights: data, cost and quality of the training."""
 
 import csv
 import hashlib
@@ -17,14 +17,7 @@ def write_card(task: Task, folder: Path, command: str, note: str = "", device: s
     """Write ``<task>.md`` from the logs of a training.
 
     Args:
-        task: what was learned.
-        folder: of the training, with its logs and weights.
         command: that made them.
-        note: what a reader should know beside.
-        device: that it was trained on, see `ggvs_eval.compute_device.describe_device`.
-
-    Returns:
-        The card's file.
     """
     weights = folder / f"{task.name}.safetensors"
     notes = read_notes(weights)

@@ -24,11 +24,8 @@ class TrainingState:
     """Everything that changes while training.
 
     Attributes:
-        step: steps done.
         pixels: of target views that were learned from, those of the weights that it began with included.
         network: the weights that are moved.
-        average: their running average.
-        optimiser: with its moments.
     """
 
     step: int
@@ -58,11 +55,7 @@ def write_state(folder: Path, state: TrainingState) -> None:
 
 
 def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> TrainingState:
-    """The state of a folder poured into a fresh one; the fresh one itself where there is none.
-
-    Raises:
-        TrainingError: damaged, or of another network.
-    """
+    """The state of a folder poured into a fresh one; the fresh one itself where there is none."""
     path = state_file(folder)
     if not path.is_file():
         return fresh
@@ -79,13 +72,7 @@ def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> Trai
 
 
 def write_weights(path: Path, network: nn.Module, notes: Mapping[str, str]) -> None:
-    """Write a network's weights in half precision, under a temporary name first.
-
-    Args:
-        path: the .safetensors file.
-        network: whose weights.
-        notes: texts for the file's header.
-    """
+    """Write a network's weights in half precision, under a temporary name first."""
     tensors = {
         name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous().cpu()
         for name, tensor in network.state_dict().items()
@@ -98,9 +85,6 @@ def pour_weights(path: Path, network: nn.Module) -> int:
 
     Returns:
         Pixels that they have learned from, 0 where the file does not say.
-
-    Raises:
-        WeightsError: absent, damaged, or of another network.
     """
     completed = getattr(network, "completed", dict)
     load_strict(completed(read_tensors(path, of=NETWORK)), network, path, NETWORK)

@@ -1,4 +1,4 @@
-"""A training sample of a learned baseline: what a method is shown of a target view, and what the target's camera saw."""
+"""A training sample of a learned baseline: the input of a method for a target view, and the captured target."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,7 +44,6 @@ class InstantSample:
         """The same with each source cut to what the target's window can show of it at any depth, all to one size.
 
         Args:
-            margin_px: kept around that.
             multiple: sides are so many pixels times a whole number, if the sources are large enough.
         """
         boxes = np.stack([_window_in(source.camera, self.instant.target) for source in self.instant.sources])  # (K, 4)
@@ -97,11 +96,7 @@ def write_instant(path: Path, sample: InstantSample) -> None:
 
 
 def read_instant(path: Path) -> InstantSample:
-    """Read what `write_instant` wrote; confidence is 1 where depth is known.
-
-    Raises:
-        TrainingError: absent or damaged.
-    """
+    """Read a sample of `write_instant`; confidence is 1 where depth is known."""
     with stored_arrays(path) as arrays:
         target, *cameras = stored_cameras(arrays)
         depths = arrays["depths"].astype(np.float32) * np.float32(arrays["unit"])

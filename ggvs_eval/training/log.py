@@ -20,12 +20,7 @@ REFERENCES = ("geometric_", "start_")  # before a figure's name: of what the net
 
 
 class TrainingLog:
-    """Two growing CSV files; lines of steps that will be done again are cut off first.
-
-    Args:
-        folder: of the training.
-        step: steps done so far.
-    """
+    """Two growing CSV files; lines of steps that will be done again are cut off first."""
 
     def __init__(self, folder: Path, step: int) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -38,7 +33,7 @@ class TrainingLog:
         _append(self._steps, step, figures)
 
     def validation(self, steps: int, figures: Mapping[str, float]) -> None:
-        """Write what a network scores after so many steps."""
+        """Write the validation scores of a step."""
         _append(self._validations, steps, figures)
 
 
@@ -63,15 +58,7 @@ def _cut(path: Path, last: int) -> None:
 
 
 def draw_curves(folder: Path, name: str) -> Path:
-    """Write ``<name>.png`` from ``log.csv`` and ``validation.csv`` of a training.
-
-    Args:
-        folder: of the training.
-        name: of the task.
-
-    Returns:
-        The picture.
-    """
+    """Write ``<name>.png`` from ``log.csv`` and ``validation.csv`` of a training."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(2 * PANEL_IN[0], PANEL_IN[1]), layout="constrained")

@@ -32,17 +32,8 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
     """Train a network, or go on training it.
 
     Args:
-        task: what is learned.
         folder: gets ``state.pt`` (to go on from), ``log.csv``, ``validation.csv``, both drawn in ``<task>.png``, and
             ``<task>.safetensors``.
-        options: how.
-
-    Returns:
-        The file of the averaged weights.
-
-    Raises:
-        DeviceError: there is no such device here.
-        TrainingError: the folder's state belongs to another network, or is damaged.
     """
     device = compute_device(options.device)
     state = _start(task, folder, device, options.start_from)
@@ -69,7 +60,6 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
 
 
 def _start(task: Task, folder: Path, device: torch.device, start_from: Path | None) -> TrainingState:
-    """The folder's state, or a fresh one."""
     network, pixels = task.network(), 0
     if start_from is not None and not state_file(folder).is_file():
         pixels = pour_weights(start_from, network)
@@ -99,7 +89,6 @@ def _averaged(decay: float, average: torch.Tensor, current: torch.Tensor, count:
 
 
 def _remaining(task: Task, start: int, options: TrainingOptions) -> Iterator[tuple[int, Any]]:
-    """Each step that is still to do, with its batch."""
     steps = range(start, options.steps)
     numbered = zip(steps, _batches(task, start, options.steps, options.workers), strict=True)
     yield from track(numbered, f"training {task.name}", len(steps))
@@ -108,7 +97,6 @@ def _remaining(task: Task, start: int, options: TrainingOptions) -> Iterator[tup
 def _step(
     task: Task, state: TrainingState, batch: Any, step: int, options: TrainingOptions, device: torch.device
 ) -> dict[str, float]:
-    """Move the weights once."""
     rate = task.schedule.rate(step, options.steps)
     for group in state.optimiser.param_groups:
         group["lr"] = rate

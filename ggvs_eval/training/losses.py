@@ -8,7 +8,6 @@ def structural_loss(image: Tensor, truth: Tensor) -> Tensor:
 
     Args:
         image: (B, 3, H, W), at least 11 x 11.
-        truth: same shape.
     """
     from kornia.metrics import ssim
 

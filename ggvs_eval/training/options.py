@@ -9,7 +9,7 @@ Precision = Literal["auto", "float32", "bfloat16"]
 
 @dataclass(frozen=True)
 class LoopOptions:
-    """Options of the training loop; none changes what is learned but `steps`, `seed`, `precision` and the device.
+    """Options of the training loop; none changes the result but `steps`, `seed`, `precision` and the device.
 
     Attributes:
         steps: of the whole training, those of earlier calls included.

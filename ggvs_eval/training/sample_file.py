@@ -24,11 +24,7 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
 
 @contextmanager
 def stored_arrays(path: Path) -> Iterator[dict[str, Any]]:
-    """The arrays of a file; what they turn out not to hold while a sample is made of them is the file's fault too.
-
-    Raises:
-        TrainingError: absent or damaged.
-    """
+    """The arrays of a file; what they turn out not to hold while a sample is made of them is the file's fault too."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}

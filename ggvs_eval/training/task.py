@@ -13,7 +13,6 @@ class Schedule:
 
     Attributes:
         learning_rate: of AdamW after the warm-up.
-        weight_decay: of AdamW.
         warm_up: steps over which the learning rate rises from zero.
         cool_down: share of all steps, at their end, over which it falls to zero again.
         clip: largest norm of the gradient.
@@ -42,15 +41,15 @@ class Task(Protocol):
 
     @property
     def summary(self) -> str:
-        """One sentence for the model card: what is trained."""
+        """One sentence for the model card on the network."""
 
     @property
     def data(self) -> str:
-        """One sentence for the model card: what is learned from."""
+        """One sentence for the model card on the training data."""
 
     @property
     def evaluated_on(self) -> str:
-        """One sentence for the model card: what `validate` measures."""
+        """One sentence for the model card on the measures of `validate`."""
 
     @property
     def schedule(self) -> Schedule:
@@ -70,7 +69,7 @@ class Task(Protocol):
         """Return the loss to be minimised, and figures for the log."""
 
     def settle(self, network: nn.Module) -> None:
-        """Make a network that has learned ready to be used: what small crops tell badly is computed anew from whole views."""
+        """Make a trained network ready for use: statistics that small crops estimate badly are computed from whole views."""
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
         """Figures on data that is never trained on."""

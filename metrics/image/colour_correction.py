@@ -1,4 +1,4 @@
-"""Affine colour correction: takes out what no method can know, how the target camera's colours differ from its sources'."""
+"""Affine colour correction: removes the colour difference between target and source cameras, which no method can know."""
 
 import cv2
 import numpy as np
@@ -30,10 +30,6 @@ class ColourMoments:
 
         Args:
             rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
-            truth: captured frame, same shape and kind.
-
-        Raises:
-            MetricError: shapes or kinds differ.
         """
         check_pair(rendered, truth)
         white = white_level(truth)
@@ -52,9 +48,6 @@ class ColourMoments:
         Returns:
             (3, 4) so that truth is about map @ (r, g, b, 1), colours in [0, 1]; the shortest such map where the rendered colours
             do not span the space.
-
-        Raises:
-            MetricError: nothing was added, or values that are not finite.
         """
         if not self._sums[3, 3]:
             raise MetricError("colour correction: no pixels were added; render this view first")
@@ -69,13 +62,6 @@ def fit_colour_map(rendered: Image, truth: Image) -> ColourMap:
 
     Args:
         rendered: frames (T, H, W, 3).
-        truth: same shape and kind.
-
-    Returns:
-        As `ColourMoments.map`.
-
-    Raises:
-        MetricError: shapes or kinds differ.
     """
     check_pair(rendered, truth, ndim=4)
     moments = ColourMoments()
@@ -88,7 +74,6 @@ def apply_colour_map(colour_map: ColourMap, frame: Image) -> NDArray[np.float32]
     """The frame as the map changes it.
 
     Args:
-        colour_map: see `ColourMoments.map`.
         frame: (H, W, 3), uint8 in 0..255 or float in [0, 1].
 
     Returns:

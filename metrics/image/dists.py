@@ -150,11 +150,7 @@ def _weighted_mean(values: "torch.Tensor", share: "torch.Tensor") -> "torch.Tens
 
 @lru_cache(maxsize=1)
 def load_dists_weights(device: str = "cpu") -> "list[Statistics]":
-    """Weights of texture and of structure of each stage, (C,) each; together they sum to 1.
-
-    Raises:
-        WeightsError: absent, damaged, or tensors of another metric.
-    """
+    """Weights of texture and of structure of each stage, (C,) each; together they sum to 1."""
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 

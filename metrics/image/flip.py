@@ -38,11 +38,7 @@ def flip(rendered: Image, truth: Image) -> float:
 
 
 def flip_map(rendered: Image, truth: Image, pixels_per_degree: float | None = None) -> NDArray[np.float32]:
-    """FLIP error of each pixel, (H, W), 0 to 1; at the library's own 67.02 pixels per degree where nothing else is said.
-
-    Raises:
-        MetricError: as of `flip`.
-    """
+    """FLIP error of each pixel, (H, W), 0 to 1; at the library's own 67.02 pixels per degree where nothing else is said."""
     check_pair(rendered, truth)
     try:
         import flip_evaluator

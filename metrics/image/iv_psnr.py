@@ -19,7 +19,7 @@ def iv_psnr(rendered: Image, truth: Image, mask: Mask | None = None, colours: Co
     """IV-PSNR of one frame (Dziembowski, Mieloch, Stankowski, Grzelka 2022).
 
     The rounded mean difference of colour is taken out, by 3 levels at most. Then each rendered pixel is compared with
-    that true one within two pixels (5 x 5) which is nearest to it in colour, 4 dY^2 + dCb^2 + dCr^2, and each true one likewise.
+    that true one within two pixels (5 x 5) which is nearest to it in colour, 4 dY^2 + dCb^2 + dCr^2, and vice versa.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].

@@ -80,14 +80,9 @@ def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> "list[to
     Args:
         image: (H, W, 3), uint8 in 0..255 or float in [0, 1].
         net: ``vgg``, ``alex`` or ``vgg-bf16``.
-        device: where the network computes.
 
     Returns:
         Feature maps of the compared layers, each (1, C, H', W'), float32.
-
-    Raises:
-        MetricError: the frame is too small, or no such network.
-        WeightsError: the weights have not been fetched, or the file is damaged.
     """
     import torch
 
@@ -109,7 +104,6 @@ class LpipsDistance:
     """LPIPS of two frames.
 
     Attributes:
-        value: the distance.
         maps: of each compared layer the distance at every place of its own size, (H', W'); the sum of their means is the value.
     """
 
@@ -117,11 +111,7 @@ class LpipsDistance:
     maps: tuple[NDArray[np.float32], ...]
 
     def inside(self, mask: Mask) -> float:
-        """The distance of a part of the frame, (H, W) bool; a place of a layer counts by the share of its pixels that lie inside.
-
-        Raises:
-            MetricError: the part has fewer than 64 pixels.
-        """
+        """Distance of a part of the frame, (H, W) bool; a place of a layer counts by the share of its pixels that lie inside."""
         count_inside(mask, mask.shape)
         weight = mask.astype(np.float32)
         total = 0.0
@@ -137,11 +127,7 @@ def lpips_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", n
 
 
 def compare_features(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", net: LpipsNet) -> LpipsDistance:
-    """LPIPS of two frames from their `lpips_features`; those of an 8-bit truth serve float renders too.
-
-    Raises:
-        MetricError: the frames differ in size, or hold values that are not finite.
-    """
+    """LPIPS of two frames from their `lpips_features`; those of an 8-bit truth serve float renders too."""
     import torch
 
     if [layer.shape for layer in rendered] != [layer.shape for layer in truth]:

@@ -61,11 +61,7 @@ def masked_psnr(rendered: Image, truth: Image, mask: Mask) -> float:
 
 
 def decibels(mean_squared_error: float, white: float) -> float:
-    """PSNR of a mean squared error of images whose white is `white`, at most `PSNR_CEILING_DB`.
-
-    Raises:
-        MetricError: the error is not finite.
-    """
+    """PSNR of a mean squared error of images whose white is `white`, at most `PSNR_CEILING_DB`."""
     floor = 10.0 ** (-PSNR_CEILING_DB / 10.0)
     return float(-10.0 * np.log10(max(require_finite(mean_squared_error, "PSNR") / white**2, floor)))
 

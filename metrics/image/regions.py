@@ -1,4 +1,4 @@
-"""Metrics of a part of the image: what stands still, what moves, what no source camera sees."""
+"""Metrics of parts of the image: static, moving, and unseen by every source camera."""
 
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -30,13 +30,9 @@ def moving_mask(truth: NDArray[np.uint8], previous: NDArray[np.uint8]) -> Mask:
 
     Args:
         truth: captured frame, (H, W, 3) uint8.
-        previous: the captured frame before.
 
     Returns:
         (H, W), true where something moves.
-
-    Raises:
-        MetricError: the frames differ in size or are not 8-bit RGB.
 
     Reading:
         The paper's mask is a weight in [beta, 1]; moving is where it rises 0.05 above beta, which is a colour change of 9 of 255

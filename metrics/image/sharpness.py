@@ -1,4 +1,4 @@
-"""Sharpness of an image: the contrast of neighbouring pixels, which stands beside every value that blur improves."""
+"""Sharpness of an image: the contrast of neighbouring pixels, shown beside every value that blur improves."""
 
 import cv2
 

@@ -27,12 +27,10 @@ class SsimVariant:
     """One SSIM.
 
     Attributes:
-        window_px: side of the window.
         is_gaussian: Gaussian of sigma 1.5, or uniform.
         pads_with_zeros: whether windows reach over the border into black, or lie inside the image.
         data_range: what the formula takes for white, images being in [0, 1].
         unbiased: whether variances are divided by N - 1.
-        describe: who computes it so.
     """
 
     window_px: int
@@ -50,11 +48,7 @@ class SsimVariant:
         return np.asarray(weights / weights.sum(), dtype=np.float64)
 
     def require_window(self, height: int, width: int) -> None:
-        """Refuse images that are smaller than the window.
-
-        Raises:
-            MetricError: they are.
-        """
+        """Refuse images that are smaller than the window."""
         if min(height, width) < self.window_px:
             raise MetricError(f"SSIM needs {self.window_px} x {self.window_px} pixels for its window, got {height} x {width}")
 
@@ -72,15 +66,10 @@ def ssim_map(rendered: Image, truth: Image, name: SsimName = "gaussian-valid") -
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
-        truth: captured frame, same shape and kind.
-        name: which variant.
 
     Returns:
         (H, W, 3) where the border is padded, else (H - window + 1, W - window + 1, 3), one value per window, each within 1e-4 of
         the formula in float64 and together within 1e-6.
-
-    Raises:
-        MetricError: shapes or kinds differ, or an image is smaller than the window.
     """
     check_pair(rendered, truth)
     if name not in SSIM_VARIANTS:
@@ -117,11 +106,6 @@ def device_ssim(rendered: "torch.Tensor", truth: "torch.Tensor", name: SsimName 
 
     Args:
         rendered: (H, W, 3) uint8.
-        truth: captured frame, same shape, on the same device.
-        name: which variant.
-
-    Raises:
-        MetricError: the images are smaller than the window.
     """
     from ggvs_eval.metrics.on_device import unit_range, window_means
 
@@ -161,11 +145,7 @@ def masked_ssim(rendered: Image, truth: Image, mask: Mask, name: SsimName = "gau
 
 
 def windows_inside(rendered: Image, truth: Image, mask: Mask, name: SsimName = "gaussian-valid") -> NDArray[np.float32]:
-    """SSIM of each window that lies wholly inside a mask, (N, 3); arguments as of `masked_ssim`.
-
-    Raises:
-        MetricError: images or mask do not fit each other, or no window inside.
-    """
+    """SSIM of each window that lies wholly inside a mask, (N, 3); arguments as of `masked_ssim`."""
     check_pair(rendered, truth)
     check_mask(mask, truth.shape[:2])
     box = _bounding_box(mask)  # no window outside it counts

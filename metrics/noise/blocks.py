@@ -1,4 +1,4 @@
-"""Changes between frames in blocks of 8 x 8 pixels: which blocks stand still, and the grains of what changes in them."""
+"""Changes between frames in blocks of 8 x 8 pixels: static blocks, and the grain of the changes in them."""
 
 from functools import lru_cache
 
@@ -12,7 +12,7 @@ from ggvs_eval.errors import MetricError
 Field = NDArray[np.float32]
 
 BLOCK_PX = 8
-SCALES_PX = (1, 2, 4, 8, 16, 32)  # grains of noise that are told apart
+SCALES_PX = (1, 2, 4, 8, 16, 32)  # grains of noise that are distinguished
 N_LEVELS = 8  # bins of brightness
 MIN_BLOCKS = 40
 MIN_SQUARES = 8  # of 16 or 32 pixels
@@ -26,11 +26,7 @@ PLANES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))  # the order in which 
 
 
 def check_frame(frame: Image8, shape: tuple[int, ...] = ()) -> None:
-    """Refuse what is no 8-bit RGB frame of at least 16 x 16 pixels, or not of the shape of the frames before it.
-
-    Raises:
-        MetricError: with what was wanted and what came.
-    """
+    """Refuse anything but an 8-bit RGB frame of at least 16 x 16 pixels, of the shape of the frames before it."""
     if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[-1] != 3 or min(frame.shape[:2]) < 2 * BLOCK_PX:
         expected_shape = f"(height, width, 3) uint8, sides at least {2 * BLOCK_PX}"
         raise MetricError(f"wanted frames {expected_shape}, got {frame.shape} {frame.dtype}; give 8-bit RGB frames")

@@ -40,11 +40,7 @@ class CleanFrame(NamedTuple):
 
 
 def observe(frames: Iterable[Image8]) -> tuple[NoiseModel, Field]:
-    """First pass: the noise, and an average over the last frames to start the second pass from.
-
-    Raises:
-        MetricError: see `NoiseEstimator`.
-    """
+    """First pass: the noise, and an average over the last frames to start the second pass from."""
     estimator, background = NoiseEstimator(), np.zeros((1, 1, 3), np.float32)
     for index, frame in enumerate(frames):
         estimator.add(frame)

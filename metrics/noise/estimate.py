@@ -1,4 +1,4 @@
-"""Noise of sensor and codec, measured on what stands still in a captured view, and further realisations of it."""
+"""Noise of sensor and codec, measured on the static parts of a captured view, and further realisations of it."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -40,7 +40,6 @@ class NoiseModel:
         octave_variance: variance along each axis of the noise whose grain is 1, 2, 4, ... 32 pixels, (6, 3).
         octave_held: what each of these keeps from one frame to the next, a correlation in [0, 1), (6, 3).
         static_share: share of the blocks, over all frames, that stood still and were used.
-        n_frames: frames seen.
     """
 
     brightness_255: Array
@@ -85,7 +84,6 @@ class NoiseStream:
     """Noise for one frame after the other, all of one size.
 
     Args:
-        model: what to draw.
         random: source of all randomness; the same state gives the same noise, bit for bit.
     """
 
@@ -155,11 +153,7 @@ class NoiseEstimator:
         self._frames += 1
 
     def finish(self) -> NoiseModel:
-        """The noise of all frames.
-
-        Raises:
-            MetricError: fewer than 2 frames, or too little stands still.
-        """
+        """The noise of all frames."""
         if self._frames < 2:
             raise MetricError(f"noise is seen in the change between frames: {self._frames} frame; needs 2")
         limits = (self._long if self._long.n_blocks >= MIN_BLOCKS else self._short).limits()
@@ -185,9 +179,6 @@ def estimate_noise(frames: Iterable[Image8]) -> NoiseModel:
 
     Args:
         frames: (H, W, 3) uint8 in order, consumed as a stream.
-
-    Raises:
-        MetricError: see `NoiseEstimator`.
     """
     estimator = NoiseEstimator()
     for frame in frames:

@@ -33,12 +33,6 @@ class Recorder:
 
     Args:
         frames: gives the captured frames of the view, from the first on each time it is called.
-        coding: how they were coded.
-        seed: of the noise.
-        folder: for the videos it films.
-
-    Raises:
-        MetricError: see `NoiseEstimator`.
     """
 
     def __init__(self, frames: Callable[[], Iterable[Image8]], coding: Coding, seed: int, folder: Path) -> None:
@@ -66,7 +60,7 @@ class Recorder:
         return self._film(self.clean(), sigma_255, number)
 
     def doubt(self) -> str:
-        """Reason why nobody knows what another recording would look like; empty where it is known."""
+        """Reason why another recording cannot be simulated; empty where it can."""
         weakest = KEEPING_STEPS * self._coding.step_255
         if self.sigma_255 < weakest:
             hidden = f"below {weakest:.1f} grey levels x264 hides it at crf {self._coding.crf:g}"

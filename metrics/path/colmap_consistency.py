@@ -36,7 +36,6 @@ class ColmapConsistency:
         registered: share of the views whose camera COLMAP finds, and finds where it belongs, 0 to 1; higher is better.
         track_length: of these views per point of the model, mean, 0 without one. Blur, which leaves the strong points, raises it.
         matches: geometrically verified matches of a view with the next, mean; blur lowers it, one frozen image raises it.
-        n_points: points of the model.
         n_views: views that were looked at.
     """
 
@@ -48,14 +47,11 @@ class ColmapConsistency:
 
 
 def colmap_consistency(images: Iterable[Image], cameras: Sequence[Camera] | None = None) -> ColmapConsistency:
-    """Solve the path from its images alone by COLMAP (SIFT, sequential matching, incremental mapping) and see what comes of it.
+    """Solve the path from its images alone by COLMAP (SIFT, sequential matching, incremental mapping).
 
     Args:
         images: views in the order of the path, (H, W, 3), uint8 in 0..255 or float in [0, 1].
-        cameras: of each view; None where nobody knows.
-
-    Returns:
-        See `ColmapConsistency`; zeros where COLMAP finds nothing, which is an answer.
+        cameras: of each view; None where they are unknown.
 
     Raises:
         MetricError: fewer than 5 views, another number of cameras, or COLMAP fails.
@@ -86,11 +82,7 @@ def solve_views(folder: Path, n_views: int, cameras: Sequence[Camera] | None) ->
 
     Args:
         folder: work goes on in it, and what it leaves is left.
-        n_views: how many there are.
         cameras: see `colmap_consistency`.
-
-    Raises:
-        MetricError: see `colmap_consistency`.
     """
     if n_views < LEAST_VIEWS:
         raise MetricError(f"COLMAP consistency: {n_views} views; needs {LEAST_VIEWS}")

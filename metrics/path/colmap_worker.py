@@ -23,9 +23,6 @@ SEED = 0
 def run_job(folder: Path) -> dict[str, Any]:
     """Match neighbours and solve for cameras and points.
 
-    Args:
-        folder: see above.
-
     Returns:
         ``matches``: verified ones of each pair of neighbours; of the largest model ``poses``: place in the list -> ``[rotation,
         centre]`` of a view, and ``tracks``: for each point the places of the views that see it. Empty where there is no model.

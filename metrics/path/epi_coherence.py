@@ -38,15 +38,11 @@ def epi_coherence(epis: Iterable[Image], path: HorizontalPath) -> EpiCoherence:
     Args:
         epis: one or more rows of the image over the poses, each (V, W, 3), uint8 in 0..255 or float in [0, 1]; consumed as a
             stream.
-        path: the geometry of the camera path.
 
     Returns:
         (across - along) / (across + along), both summed over all pixels: `across` is the gradient energy across the line
         through a pixel and `along` the energy of the changes along it. The tensor's (l1 - l2) / (l1 + l2), weighted by its
         trace, where the line is the tensor's own axis.
-
-    Raises:
-        MetricError: no EPI, images without texture, or EPIs that `find_lines` refuses.
 
     Reading:
         Not in the paper, which shows EPIs and counts nothing. A line's slope must be one that a depth between the path's near

@@ -44,14 +44,10 @@ def slope_agreement(
     Args:
         epis: pairs of an EPI, (V, W, 3), uint8 in 0..255 or float in [0, 1], and the same rows of the poses' depth, (V, W)
             float32, world units, 0 = unknown; consumed as a stream.
-        path: the geometry of the camera path.
         options: thresholds; the defaults where None.
 
     Returns:
         The agreement over all pixels; the median is exact to 0.001 px.
-
-    Raises:
-        MetricError: no EPI, no depth, or EPIs that `find_lines` refuses.
 
     Reading:
         Not in the paper. Slopes are searched 1 px beyond those of near and far, and from there to 0, so that an image that

@@ -1,4 +1,4 @@
-"""A rendered camera path as its metrics see it, gathered pose by pose, and what a metric of a path is."""
+"""A rendered camera path, gathered pose by pose, and its metrics' interface."""
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
@@ -23,8 +23,8 @@ class PathPose:
     Attributes:
         camera: the pose.
         image: rendered image, (H, W, 3), uint8 in 0..255 or float in [0, 1].
-        depth: (H, W) float32, world units, 0 = unknown; None where nobody knows.
-        sources: names of the cameras that the image is made of, e.g. the K nearest; empty where nobody knows.
+        depth: (H, W) float32, world units, 0 = unknown; None without depth.
+        sources: names of the cameras that the image is made of, e.g. the K nearest; empty where unknown.
     """
 
     camera: Camera
@@ -79,12 +79,10 @@ class RenderedPath:
     """State of a path so far that the metrics need: chosen image rows, at most two whole poses, and the steps between.
 
     Attributes:
-        options: variants of the measures.
-        cameras: the poses.
         rows: image rows that EPIs are taken from.
-        depths: those rows of each pose's depth; None where nobody knows.
+        depths: those rows of each pose's depth; None without depth.
         sources: names of the source cameras of each pose.
-        n_switches: steps at which the source cameras change; None where nobody has measured these.
+        n_switches: steps at which the source cameras change; None where that was not measured.
         sharpness: of each pose's image, see `metrics.image.sharpness`.
         folder: where the whole images lie, see `write_view`; None where no metric wants them.
     """
@@ -130,11 +128,7 @@ class RenderedPath:
 
     @property
     def steps(self) -> list[StepError]:
-        """Each pose against the one before it.
-
-        Raises:
-            MetricError: poses that cannot be compared.
-        """
+        """Each pose against the one before it."""
         if self._no_steps:
             raise MetricError(self._no_steps)
         return self._steps

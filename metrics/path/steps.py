@@ -1,4 +1,4 @@
-"""From a pose of a camera path to the next: what a pose shows, carried there by depth, and compared."""
+"""Reprojection from one pose of a camera path to the next, by depth, and comparison there."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -45,9 +45,6 @@ def reprojection_steps(poses: Iterable[Pose], depth_tolerance: float = DEPTH_TOL
 
     Returns:
         One error per step, V - 1 of them.
-
-    Raises:
-        MetricError: fewer than two poses, or what `reprojection_step` refuses.
     """
     steps = [reprojection_step(before, after, depth_tolerance) for before, after in pairwise(poses)]
     if not steps:
@@ -59,13 +56,8 @@ def reprojection_step(before: Pose, after: Pose, depth_tolerance: float = DEPTH_
     """Carry a pose's image to the next pose and compare the two there.
 
     Args:
-        before: camera, image and depth of a pose.
-        after: of the next pose, where the comparison takes place.
         depth_tolerance: the poses see one surface where their depths differ by less than this share of the median depth;
             visibility falls to 0 at twice this.
-
-    Raises:
-        MetricError: no depth, or images or depths of another size than their camera.
 
     Reading:
         Not in the paper. Colours are sampled with Catmull-Rom splines, so that interpolation hardly blurs. Visibility weights

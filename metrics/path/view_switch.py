@@ -22,7 +22,6 @@ class SwitchScore:
         ratio: mean change at the switches over the mean elsewhere; 1 = no more than elsewhere, lower is better.
         excess_255: mean change at the switches less the mean elsewhere, grey levels of 255; 0 = no more than elsewhere.
         n_switches: measured steps at which the set changes.
-        n_steps: all measured steps.
     """
 
     ratio: float

@@ -31,16 +31,10 @@ def colour_video_vdp(
 
     Args:
         pairs: rendered and captured frame of each instant, in order, (H, W, 3) uint8, sRGB; spooled to disk.
-        device: where it computes.
-        display: a display model of the package.
-        frames_per_second: of the video.
 
     Returns:
         Just-objectionable differences: 10 for equal videos, 1 less where 3 of 4 viewers prefer the captured one; higher is
         better.
-
-    Raises:
-        MetricError: the package cvvdp is not installed, or no frames.
 
     Example:
         >>> import numpy as np
@@ -98,9 +92,9 @@ def _quality(frames: SpooledFrames, device: str, display: str = DISPLAY, frames_
 
 @lru_cache(maxsize=1)
 def load_package() -> Any:
-    """The metric's own module, without what its package imports for files, trained variants and progress bars.
+    """The metric's own module, without its package's imports for files, trained variants and progress bars.
 
-    Of torchvision it uses one Gaussian blur. Where a package is absent, or was compiled for another torch, a substitute stands in
+    Of torchvision it uses one Gaussian blur. Where a package is absent, or was compiled for another torch, a substitute is used
     for it while the module is imported: the blur does the same, and what is never called is empty.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Temporal variation of depth maps: the flicker of a depth video, whoever computed it, without truth."""
+"""Temporal variation of depth maps: the flicker of a depth video from any source, without truth."""
 
 from collections.abc import Sequence
 
@@ -70,9 +70,6 @@ def depth_blinking(later: Map, earlier: Map, static: Mask | None = None) -> floa
 
     Returns:
         Per cent of the pixels known in at least one of the frames; 0 where none is.
-
-    Raises:
-        MetricError: frames or mask do not fit each other, or negative depth.
 
     Example:
         >>> import numpy as np

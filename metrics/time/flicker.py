@@ -39,7 +39,6 @@ class Flicker:
         with_noise: signed as `excess`, but against the capture's whole change, noise included; 0 for a second recording.
         noise: the capture's change where the scene stands still: its noise. None if nothing stands still.
         static_share: share of the blocks that stand still.
-        n_pairs: pairs of neighbouring frames.
     """
 
     excess: float
@@ -92,11 +91,7 @@ class FlickerMeter:
         self._pairs += 1
 
     def finish(self) -> Flicker:
-        """The measures of all instants.
-
-        Raises:
-            MetricError: fewer than 2 instants.
-        """
+        """The measures of all instants."""
         if self._pairs < 1:
             raise MetricError(f"flicker is a change between frames: {int(self._previous is not None)} frame; needs 2")
         has_static = self._static[:, 0].sum() >= MIN_BLOCKS

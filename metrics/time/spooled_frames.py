@@ -29,11 +29,7 @@ class SpooledFrames:
         self.count = 0
 
     def add(self, rendered: Image8, truth: Image8) -> None:
-        """Write the next frame of both, (H, W, 3) uint8.
-
-        Raises:
-            MetricError: another size than the frames before.
-        """
+        """Write the next frame of both, (H, W, 3) uint8."""
         if self.count and truth.shape != self.shape:
             raise MetricError(f"frame {self.count} is {truth.shape}, the frames before are {self.shape}; a view has one size")
         for file, image in ((self.rendered, rendered), (self.truth, truth)):

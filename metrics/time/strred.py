@@ -106,11 +106,7 @@ def strred(
 
 
 def luma(rgb8: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """0.2989 R + 0.5870 G + 0.1140 B of an RGB image (H, W, 3), on the scale 0..255, not rounded.
-
-    Raises:
-        MetricError: not an 8-bit image, whose luma would have another scale.
-    """
+    """0.2989 R + 0.5870 G + 0.1140 B of an RGB image (H, W, 3), on the scale 0..255, not rounded."""
     if rgb8.dtype != np.uint8 or rgb8.ndim != 3:
         raise MetricError(f"STED: wanted RGB (H, W, 3) uint8 or luma (H, W) in 0..255, got {rgb8.shape} {rgb8.dtype}")
     weights = np.array([LUMA_WEIGHTS], dtype=np.float32)
@@ -140,11 +136,7 @@ def spatial_band(luma_255: NDArray) -> Array:
 
 
 def device_band(image: "torch.Tensor") -> Array:
-    """Compute `spatial_band` of the luma of an image, (H, W, 3) uint8, on its device; the band comes back to the host.
-
-    Raises:
-        MetricError: a side below 48 pixels.
-    """
+    """Compute `spatial_band` of the luma of an image, (H, W, 3) uint8, on its device; the band comes back to the host."""
     from ggvs_eval.metrics.on_device import correlate
 
     require_band(tuple(image.shape[:2]))
@@ -157,11 +149,7 @@ def device_band(image: "torch.Tensor") -> Array:
 
 
 def require_band(shape: tuple[int, ...]) -> None:
-    """Refuse planes that are too small for the band.
-
-    Raises:
-        MetricError: not a plane, or a side below 48 pixels.
-    """
+    """Refuse planes that are too small for the band."""
     if len(shape) != 2 or min(shape) < MIN_SIDE_PX:
         raise MetricError(f"STED needs a plane of at least {MIN_SIDE_PX} x {MIN_SIDE_PX} pixels, got {shape}")
 
@@ -202,7 +190,6 @@ def reduced_references(first_band: Array, second_band: Array, pairing: StedPairi
 
     Args:
         first_band: `spatial_band` of the earlier frame.
-        second_band: that of the later frame.
         pairing: the spatial part comes from the earlier frame when ``disjoint``, from the later one when ``consecutive``.
     """
     entropy, scale = block_entropies(first_band if pairing == "disjoint" else second_band)
@@ -212,11 +199,7 @@ def reduced_references(first_band: Array, second_band: Array, pairing: StedPairi
 
 
 def pair_difference(rendered: Entropies, truth: Entropies) -> PairDifference:
-    """Compare one rendered pair of frames with the true one.
-
-    Raises:
-        MetricError: the frames differ in size.
-    """
+    """Compare one rendered pair of frames with the true one."""
     if rendered.spatial.shape != truth.spatial.shape:
         raise MetricError(f"STED: {rendered.spatial.shape} rendered blocks, {truth.spatial.shape} true ones; sizes must agree")
     spatial, temporal = truth.spatial - rendered.spatial, truth.temporal - rendered.temporal
@@ -232,9 +215,6 @@ def pool(differences: Sequence[PairDifference], pooling: StedPooling = "means") 
         differences: at least one.
         pooling: ``means`` averages each part over the pairs and multiplies the averages; ``products`` multiplies the parts of
             each pair and averages the products, as VMAF's tools do.
-
-    Raises:
-        MetricError: no pair, or no such pooling.
     """
     if pooling not in get_args(StedPooling):
         raise MetricError(f"STED: no pooling {pooling!r}; there are {', '.join(get_args(StedPooling))}")

@@ -55,7 +55,6 @@ def temporal_change_ssim(rendered: Image, rendered_next: Image, truth: Image, tr
     Args:
         rendered: synthesised frame at t, (H, W, 3), uint8 in 0..255 or float in [0, 1].
         rendered_next: synthesised frame at t + 1.
-        truth: captured frame at t.
         truth_next: captured frame at t + 1.
 
     Returns:
@@ -77,11 +76,7 @@ def temporal_change_ssim(rendered: Image, rendered_next: Image, truth: Image, tr
 def device_change_ssim(
     rendered: "torch.Tensor", rendered_next: "torch.Tensor", truth: "torch.Tensor", truth_next: "torch.Tensor"
 ) -> float:
-    """Compute `temporal_change_ssim` in double precision where the frames are, (H, W, 3) uint8.
-
-    Raises:
-        MetricError: the images are smaller than the window.
-    """
+    """Compute `temporal_change_ssim` in double precision where the frames are, (H, W, 3) uint8."""
     change, true_change = (a.maximum(b) - a.minimum(b) for a, b in ((rendered, rendered_next), (truth, truth_next)))
     return float(np.maximum(device_ssim(change, true_change), 0.0).mean())
 

@@ -46,7 +46,7 @@ def mtv(later: Image, earlier: Image, static: Mask | None = None) -> float:
 
 
 def mtv2(frames: Sequence[Image], static: Mask | None = None) -> float:
-    """Mean absolute second difference of a rendering over time, times 100: what moves evenly and slowly cancels.
+    """Mean absolute second difference of a rendering over time, times 100: even and slow motion cancels.
 
     Args:
         frames: three rendered frames in order, each (H, W, 3), uint8 in 0..255 or float in [0, 1].

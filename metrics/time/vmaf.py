@@ -72,11 +72,7 @@ def _vmaf_of(frames: SpooledFrames, model: str = MODEL, matrix: str = "bt709") -
 
 
 def find_ffmpeg() -> str:
-    """The program that imageio-ffmpeg brings, or what its variable ``IMAGEIO_FFMPEG_EXE`` names.
-
-    Raises:
-        MetricError: the package, or a program for this machine, is absent.
-    """
+    """The program of imageio-ffmpeg, or that of its variable ``IMAGEIO_FFMPEG_EXE``."""
     try:
         import imageio_ffmpeg
 

@@ -160,11 +160,7 @@ def _show_warning(
 
 
 def _without_plugins(words: Sequence[str]) -> list[str]:
-    """The command line without ``--plugin FILE.py``, which any verb takes; the files' objects are known from then on.
-
-    Raises:
-        PluginError: a file that cannot be used.
-    """
+    """The command line without ``--plugin FILE.py``, which any verb takes; the files' objects are known from then on."""
     left = list(words)
     while PLUGIN in left:
         at = left.index(PLUGIN)

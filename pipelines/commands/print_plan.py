@@ -1,4 +1,4 @@
-"""The few lines that stand before runs."""
+"""The plan of runs, printed before they begin."""
 
 import sys
 from collections.abc import Sequence

@@ -26,7 +26,7 @@ def doctor(
     reading: CaptureFlags = CAPTURE_DEFAULTS,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Find what is wrong with rendered frames before anybody believes their numbers.
+    """Find what is wrong with rendered frames before their numbers are believed.
 
     Frame offset, reversed time, wrong camera, exchanged colour channels, gamma, range of video levels, flicker, shifts down to a
     quarter of a pixel, wrong resize or focal length, JPEG, frozen frames, truth copied into some frames or blended into all. The
@@ -72,7 +72,7 @@ def explain(
     reading: CaptureFlags = CAPTURE_DEFAULTS,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Recompute a number under every convention in use and say which one gives the value that somebody quotes, if any does.
+    """Recompute a number under every convention in use and say which one gives a quoted value, if any does.
 
     Args:
         renders: frames in any form that `score` takes, with --capture; or a run folder.

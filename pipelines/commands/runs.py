@@ -196,7 +196,7 @@ def sweep(
     Args:
         name: a packaged sweep (ablations, ablations_short, baselines, k, offline, online, readings, switches) or a .toml file.
         out: folder of the sweep; each variant is a run folder in it, of several captures in a folder called like the capture.
-        capture: folder of the capture, or of several, whose means then stand beside them; without one the demo capture is made.
+        capture: folder of the capture, or of several, whose means are then shown too; without one the demo capture is made.
         protocol: what the variants start from; by default the packaged one that fits the capture.
         weights: METHOD=FILE of a method whose weights do not ship; without, its rows are not computed.
         device: where networks compute, of methods and of depth (--matcher raft); on a GPU pixels may differ by a level from those
@@ -297,7 +297,6 @@ def _film(reading: ReadingOptions, jobs: int, dry_run: bool) -> "Film":
 
 
 def _demo_beside(run: Path, film: "Film") -> Capture:
-    """The demo beside a run folder."""
     from ggvs_eval.pipelines.sweep.demo_runs import capture_beside
     from ggvs_eval.synthetic.demo import SHIPPED
 
@@ -305,7 +304,6 @@ def _demo_beside(run: Path, film: "Film") -> Capture:
 
 
 def _announce(planned: "RunPlan | SweepPlan", jobs: int, dry_run: bool) -> "RunPlan | SweepPlan":
-    """Print the plan of a demo's run or sweep before it is made."""
     if isinstance(planned, RunPlan):
         print_plan([planned], jobs, planned.run.root, dry_run)
         return planned

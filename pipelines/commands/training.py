@@ -54,8 +54,6 @@ def train_blend(
 
 
 def _baseline(name: str) -> Callable[..., None]:
-    """The subcommand that trains one of the baselines."""
-
     def train_baseline(
         out: Output,
         training: Training = USUAL_LOOP,

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 # Of a question that is put to every camera: ok, could not be found out, look at it, or results would be spoilt. Of a fault that
-# is told only where there is one: an unusual rendering could explain the evidence too, or nothing else does.
+# is given only where there is one: an unusual rendering could explain the evidence too, or nothing else does.
 Verdict = Literal["ok", "unknown", "warn", "bad", "likely", "certain"]
-# From harmless to harmful: a rig is as good as its worst camera; what could not be found out is told, but stops nobody.
+# From harmless to harmful: a rig is as good as its worst camera; what could not be found out is reported, but stops nothing.
 SEVERITY: Mapping[str, int] = {"ok": 0, "unknown": 1, "warn": 2, "likely": 2, "bad": 3, "certain": 3}
 RIG = "rig"
 

@@ -18,8 +18,6 @@ def text_table(columns: Mapping[str, int], rows: Iterable[Sequence[str]], width:
 
     Args:
         columns: heading -> share of the space that is left; 0 for a column as wide as its text, which is never wrapped.
-        rows: cells, one for each heading.
-        width: of the text, characters.
     """
     from rich import box
     from rich.console import Console
@@ -45,8 +43,6 @@ def findings_table(
 
     Args:
         findings: of any subjects and questions; questions come in the order of their first finding.
-        width: of the text, characters.
-        heads: what questions and subjects are called.
         most_lines: groups that are shown of one question; of the others only their number.
     """
     columns = {heads[0]: 0, "verdict": 0, heads[1]: 0, "measured": 3, "what to do": 2}

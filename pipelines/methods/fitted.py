@@ -42,11 +42,7 @@ class FittedMethod(SceneMethod):
         return True
 
     def make_fitter(self) -> SceneFitter:
-        """Make the fitter with the options of the label.
-
-        Raises:
-            RenderError: an option that it has not.
-        """
+        """Make the fitter with the options of the label."""
         kind: type[SceneFitter] = resolve_name(self.fitter)
         device = {} if self.device == "cpu" else {"device": self.device}
         return build_table(kind, {**self.options, **device}, f"method {self.title}", "", RenderError)
@@ -60,22 +56,14 @@ class FittedMethod(SceneMethod):
         return {"fit": self._fit(unit).sha256, "shots": unit.identity_of_shots()}
 
     def scene(self, unit: RenderUnit) -> FittedScene:
-        """Load the fit.
-
-        Raises:
-            RenderError: it is not there.
-        """
+        """Load the fit."""
         fit = self._fit(unit)
         if not fit.is_done():
             raise RenderError(f"{fit.name}: its scene is not in {fit.folder}; render again, which fits it first")
         return self.make_fitter().load(fit.folder)
 
     def configured(self, label: str, variant: str) -> "FittedMethod":
-        """The method with other options of its fitter, and another seed.
-
-        Raises:
-            RenderError: an option that it has not, or a seed that is none.
-        """
+        """The method with other options of its fitter, and another seed."""
         values = option_values(variant)
         words = option_words(values)
         seed = values.pop("seed", 0)

@@ -24,11 +24,7 @@ AS_SHIPPED = NetworkOptions()
 
 
 def checked_device(wanted: str) -> str:
-    """The device behind what somebody has typed, ``auto`` included.
-
-    Raises:
-        DeviceError: no such device here.
-    """
+    """The device of a name, ``auto`` included."""
     if wanted == "cpu":  # needs no torch
         return wanted
     from ggvs_eval.compute_device import compute_device

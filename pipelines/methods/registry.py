@@ -33,7 +33,7 @@ METHODS = all_methods()
 
 
 def usual_methods() -> tuple[str, ...]:
-    """Labels of the methods that are rendered where nobody names any."""
+    """Labels of the methods that are rendered where none are named."""
     return tuple(label for label, spec in METHODS.shipped.items() if spec.usual)
 
 
@@ -49,9 +49,6 @@ def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec
         label: ``method`` or ``method+variant``.
         networks: the user's weights, instead of those that ship, and the device; a method that has neither weights is found but
             cannot be made.
-
-    Raises:
-        RenderError: unknown; the message names the nearest known one.
     """
     if label in networks.splats:
         return StoredSplats.of(label, networks.splats[label])
@@ -77,7 +74,6 @@ def _found(label: str, checkpoints: Mapping[str, Path]) -> MethodSpec:
 
 
 def _with_checkpoint(label: str, checkpoint: Path) -> MethodSpec:
-    """A method with the weights that the user gave."""
     spec = find_method(label)
     if not isinstance(spec, OnlineMethod) or spec.make_from is None:
         raise RenderError(f"method {label}: {spec.title} takes no weights from outside; these do: {', '.join(weights_takers())}")
@@ -86,7 +82,6 @@ def _with_checkpoint(label: str, checkpoint: Path) -> MethodSpec:
 
 
 def _configured(label: str, spec: MethodSpec, variant: str) -> MethodSpec:
-    """A method with the options that its label names."""
     if not spec.has_options:
         able = ", ".join(name for name, each in METHODS.shipped.items() if each.has_options)
         raise RenderError(f"method {label}: {spec.title} has no options to set; these have: {able}")

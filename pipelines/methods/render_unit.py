@@ -43,9 +43,6 @@ class RenderUnit:
     Attributes:
         name: of the test view, or `PATH`.
         plans: of the test view, or of every pose.
-        frames: of the protocol.
-        path_frame: instant of the path.
-        capture: at synthesis size.
         depths: folder of the depth store.
         fit: of the scene that it is rendered from; None for what is not fitted.
     """

@@ -1,4 +1,4 @@
-"""Specification of a method: what the command line, the folders and the tables know of it, and how it renders."""
+"""Specification of a method: its name, options, identity and rendering."""
 
 import hashlib
 import tomllib
@@ -136,7 +136,7 @@ class OnlineMethod(MethodSpec):
         self.make()
 
     def identity(self, unit: RenderUnit) -> dict[str, Any]:
-        """Settings, weights, and what it is shown."""
+        """Settings, weights and inputs."""
         return {"settings": self.settings, "weights": [digest_weights(file) for file in self.weights], **unit.identity()}
 
     def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:

@@ -33,9 +33,6 @@ class SplatsScene(FittedScene):
     Args:
         path: see `splats_files`.
 
-    Raises:
-        RenderError: neither, or the first of them cannot be read.
-
     Reading:
         Gaussians stand in the world of the capture's cameras. What lies at z <= 0.2 of the capture's units is left out, as 3D
         Gaussian splatting does while it fits; the background is black. The number of a file of a sequence is the last one in its
@@ -50,11 +47,7 @@ class SplatsScene(FittedScene):
         self._read(self._files[0])  # what is broken shows before anything is rendered
 
     def cloud(self, index: int) -> "GaussianCloud":
-        """The Gaussians of an instant.
-
-        Raises:
-            RenderError: a file that cannot be read, or none of this instant.
-        """
+        """The Gaussians of an instant."""
         if self._by_number and index not in self._by_number:
             first, last = min(self._by_number), max(self._by_number)
             raise RenderError(
@@ -109,9 +102,6 @@ def splats_files(path: Path) -> list[Path]:
     Args:
         path: a ``.ply``; a folder of them, one per instant; or the output folder of 3D Gaussian splatting or of 4DGS, whose last
             iteration is taken.
-
-    Raises:
-        RenderError: none of these.
     """
     if path.is_file():
         return [path]
@@ -156,14 +146,8 @@ def _frame_numbers(files: Sequence[Path]) -> list[Number | None]:
 def named_splats(labels: Sequence[str]) -> tuple[tuple[str, ...], dict[str, Path]]:
     """Give each ``splats:PATH`` or ``NAME=splats:PATH`` among some methods a name that folders can bear.
 
-    Args:
-        labels: as the user wrote them.
-
     Returns:
         The labels, and label -> path of those that are splats: ``splats-`` and the last part of the path, or the given name.
-
-    Raises:
-        RenderError: no path, a name that is none, or one name for two.
 
     Examples:
         >>> named_splats(["ours", "splats:out/room/point_cloud.ply", "mine=splats:/tmp/clouds"])

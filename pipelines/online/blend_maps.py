@@ -116,7 +116,7 @@ def nearest_first(inputs: BlendingInputs) -> list[int]:
 
 
 def nearness(camera: Camera, target: Camera) -> tuple[float, str]:
-    """What views are ordered by: the distance of their cameras from the target in world units, ties by name."""
+    """Order of views: the distance of their cameras from the target in world units, ties by name."""
     return float(np.linalg.norm(camera.centre - target.centre)), camera.name
 
 

@@ -13,7 +13,7 @@ from ggvs_eval.method import SourceView
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What changed in a source view since the instant before.
+    """Change in a source view since the instant before.
 
     Attributes:
         before: image of that instant, RGB uint8 (H, W, 3).

@@ -112,7 +112,7 @@ class OnlineOptions:
 
 @dataclass(frozen=True)
 class _Fused:
-    """Fused depth of the instant before: where it was seen from, and how much evidence stands behind it."""
+    """Fused depth of the instant before: where it was seen from, and how much evidence supports it."""
 
     index: int
     target: Camera
@@ -188,7 +188,7 @@ class GeometryGuided:
         return np.clip(image, 0, 1, out=image), diagnostics
 
     def _stillness(self, filtered: Instant, splats: list[Splat], depth: Map | None, changes: Changes) -> Map:
-        """How sure it is that nothing moves, as the views know that were there at the instant before."""
+        """Certainty that nothing moves, by the views that were there at the instant before."""
         known = [k for k, change in enumerate(changes) if change is not None]
         if not known:
             return np.zeros_like(cells(splats[0].alpha))

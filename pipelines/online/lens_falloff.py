@@ -11,7 +11,7 @@ from ggvs_eval.kernels import get_threads
 NOISE = 0.02  # of the logarithm of a look-up's colour; what is off by more than four times that says nothing of a lens
 ROUNDS = 4  # of reweighting
 PRIOR = 1.0  # weight of "none" beside the look-ups; squared tangents count in those of the picture's corner
-LEAST = 0.03  # of the logarithm of brightness in the corner: less is not told from none
+LEAST = 0.03  # of the logarithm of brightness in the corner: less is not distinguished from none
 
 
 class LensFallOff:
@@ -40,7 +40,7 @@ class LensFallOff:
         self._count, self._slope = 0, 0.0
 
     def step(self, pairs: Sequence[tuple[Map, Map]], corner: float) -> float:
-        """The slope by the present instant and those before, 0 where there is none to be told.
+        """The slope by the present instant and those before, 0 where none can be measured.
 
         Args:
             pairs: of each pair of sources, what they see together: the logarithm of the ratio of its two brightnesses, (N,), and

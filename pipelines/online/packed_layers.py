@@ -29,7 +29,7 @@ def packed_once(module: nn.Module, key: Hashable, pack: Callable[[], Packed]) ->
 
 
 def _version(parameter: nn.Parameter) -> int:
-    """How often it was written; inference tensors, which nothing trains, do not count."""
+    """Number of writes to a tensor; inference tensors, which nothing trains, do not count."""
     return -1 if parameter.is_inference() else parameter._version
 
 

@@ -1,4 +1,4 @@
-"""How sure it is that nothing moves: what changes in all source views alike is motion, what changes in one alone is noise."""
+"""Certainty that nothing moves: what changes in all source views alike is motion, what changes in one alone is noise."""
 
 from collections.abc import Sequence
 from dataclasses import replace

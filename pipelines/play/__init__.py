@@ -1,1 +1,1 @@
-"""A camera between the cameras: its trajectory, live synthesis, and the film of what it sees."""
+"""A camera between the cameras: its trajectory, live synthesis, and its film."""

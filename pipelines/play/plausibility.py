@@ -1,4 +1,4 @@
-"""Doubts about what a rig is given live: mistakes that give a picture all the same, each said once."""
+"""Doubts about the input of a live rig: mistakes that still give a picture, each reported once."""
 
 import warnings
 from collections.abc import Sequence
@@ -16,11 +16,7 @@ MILLIMETRES = 100.0  # times the far bound, from which on depth is taken for mil
 
 
 class Doubts:
-    """Warnings about a rig, its depth and the places of the virtual camera, at most one of each kind.
-
-    Args:
-        cameras: the rig.
-    """
+    """Warnings about a rig, its depth and the places of the virtual camera, at most one of each kind."""
 
     def __init__(self, cameras: Sequence[Camera]) -> None:
         self._centres = np.stack([camera.centre for camera in cameras])  # (N, 3)

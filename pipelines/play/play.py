@@ -44,14 +44,7 @@ def record(playback: Playback, out: Path, method: str = DEFAULT_METHOD, device: 
     """Synthesise every step of a playback into a video; frames and depth are read one instant at a time.
 
     Args:
-        playback: what to play.
         out: MP4 file to write; it appears when it is whole.
-        method: label of `ggvs_eval.pipelines.methods.registry.METHODS`.
-        device: where its networks compute.
-
-    Raises:
-        DeviceError: no such device here.
-        RenderError: the file cannot be written, or unknown method.
     """
     require_writable(out)
     synthesizer = OnlineSynthesizer(

@@ -34,9 +34,6 @@ def camera_loop(cameras: Sequence[Camera], count: int, width: int | None = None)
         cameras: the rig, at least two.
         count: number of poses, called ``pose0000``, ...
         width: of the view in pixels, made even, as videos want it; the size of the middle camera when None.
-
-    Raises:
-        CameraError: fewer than two cameras or no pose, or a view without pixels.
     """
     if len(cameras) < 2 or count < 1:
         raise CameraError(f"camera loop: wanted at least 2 cameras and 1 pose, got {len(cameras)} and {count}")
@@ -88,9 +85,6 @@ class PlayOptions:
     """Options of a playback.
 
     Attributes:
-        k: source views; those of the run's protocol, or 4, when None.
-        frames: instants from the first on, in which the camera goes round once; all, or 90 of a single instant, when None.
-        width: of the video in pixels; that of the rig's images when None.
         sources: which cameras are source views, see `choose_sources`; as the run's protocol says, or the nearest, when None.
     """
 
@@ -105,11 +99,8 @@ class Playback:
     """All that is needed to play: where the camera goes, and frames and depth of the cameras it passes.
 
     Attributes:
-        capture: cameras that have depth.
         poses: the virtual camera at each step.
         instants: frame number of the capture at each step.
-        k: source views.
-        store: holds the depth.
         depth_keys: camera -> key of its depth.
         sources: which cameras are source views.
     """
@@ -133,11 +124,7 @@ def make_playback(
 
 
 def playback_of_run(prepared: RunPlan, options: PlayOptions) -> Playback:
-    """Play a run folder: its frames and the depth that its test views have made it compute, nothing new.
-
-    Raises:
-        RenderError: more frames or sources than there are.
-    """
+    """Play a run folder: its frames and the depth that its test views have made it compute, nothing new."""
     keys: dict[str, str] = {}
     for plan in prepared.plans.values():
         keys = {**plan.depth_keys, **keys}  # a camera may have several; that of the first test view is taken
@@ -157,15 +144,8 @@ def playback_of_capture(
 
     Args:
         capture: what is played; of one instant, the camera moves while time stands still.
-        options: what is played of it.
-        depth: how depth is computed.
         cache: folder for frames and depth; what is there, and belongs to these frames, is kept.
         anywhere: make ready what any camera sees, for a target that may be anywhere, instead of one that goes round.
-
-    Raises:
-        CaptureError: frames that cannot be read.
-        DepthError: depth that cannot be computed.
-        RenderError: more frames or sources than there are.
 
     Reading:
         Sources change along the way. Depth of a camera is that of its own stereo, not held against the other sources of a view,
@@ -258,6 +238,5 @@ def _frames_by_camera(
 
 
 def _digest(capture: Capture) -> str:
-    """Names a folder by the frames in it."""
     sizes = [f"{camera.name} {camera.width} {camera.height}" for camera in capture.cameras]
     return digest_values(*map(capture.digest, capture.camera_names), *sizes, capture.resize_filter)[:12]

@@ -29,7 +29,6 @@ class OnlineSynthesizer:
     Args:
         cameras: the rig, at the size of its images.
         k: number of source views per step; may be set anew between steps.
-        units_per_metre: world units per metre.
         method: a label of `ggvs_eval.pipelines.methods.registry.METHODS`, or what makes a fresh method.
         device: where the networks of a method compute that is given by its label, see `compute_device`.
         sources: which cameras a step takes: the K ``nearest``, or those that see most of the target's view (``coverage``).
@@ -135,12 +134,7 @@ class OnlineSynthesizer:
 
 
 def online_method(method: str | Callable[[], Method], device: str = "cpu") -> Callable[[], Method]:
-    """Return the factory of a method, given its label and where its networks compute, or the factory itself.
-
-    Raises:
-        DeviceError: no such device here.
-        RenderError: unknown method, or one that wants to see the whole sequence first.
-    """
+    """Return the factory of a method, given its label and where its networks compute, or the factory itself."""
     networks = NetworkOptions(device=checked_device(device))
     make = find_method(method, networks).make if isinstance(method, str) else method
     if isinstance(make(), LookaheadMethod):

@@ -1,1 +1,1 @@
-"""One run under a protocol: what every method needs, their frames, their scores, and the report at the end."""
+"""One run under a protocol: preparation, rendering, scoring and the report."""

@@ -8,9 +8,6 @@ from ggvs_eval.protocol import Protocol, load_protocol
 def asked_protocol(source: str) -> Protocol:
     """Load a protocol and refuse metrics that there are not.
 
-    Args:
-        source: a .toml file or a packaged name.
-
     Raises:
         ProtocolError: no such protocol, or one that makes no sense; a mistyped metric is named with the nearest one.
     """

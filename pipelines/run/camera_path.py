@@ -14,14 +14,8 @@ from ggvs_eval.protocol import PathCamera, Protocol
 def choose_path(capture: Capture, protocol: Protocol) -> CameraPath:
     """The protocol's poses, else the capture's own path where it has one, else a translation around the first test view.
 
-    Args:
-        capture: at synthesis size.
-
     Returns:
         Poses at the size of a test view; none where the protocol wants none.
-
-    Raises:
-        CameraError: a pose of the protocol that is no camera.
 
     Reading:
         The paper moves the camera horizontally and does not say from where to where; ours spans the nearest cameras on both
@@ -41,11 +35,7 @@ def choose_path(capture: Capture, protocol: Protocol) -> CameraPath:
 
 
 def _chosen_poses(poses: Sequence[PathCamera], view: Camera) -> tuple[Camera, ...]:
-    """Poses that the protocol lists, at the size of a test view.
-
-    Raises:
-        CameraError: a pose that is no camera; it is called by its number.
-    """
+    """Poses that the protocol lists, at the size of a test view."""
     cameras = (Camera.from_json(f"path{index:04d}", asdict(pose)) for index, pose in enumerate(poses))
     return tuple(camera.resized(*view.size) for camera in cameras)
 

@@ -17,12 +17,7 @@ def require_owner(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
     """Refuse a folder that holds a run of another protocol or of other frames.
 
     Args:
-        run: the folder; one that holds no run belongs to anybody.
-        protocol: what is to be evaluated.
-        capture: at synthesis size.
-
-    Raises:
-        ProtocolError: naming what differs, and of frames the cameras.
+        run: the folder; one that holds no run is free.
     """
     require_protocol(run, protocol)
     if not run.protocol_file.is_file():
@@ -36,22 +31,14 @@ def require_owner(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
 
 
 def require_protocol(run: RunFolder, protocol: Protocol) -> None:
-    """Refuse a folder that holds a run of another protocol.
-
-    Raises:
-        ProtocolError: naming both.
-    """
+    """Refuse a folder that holds a run of another protocol."""
     if run.protocol_file.is_file() and not (kept := run.protocol()).agrees_with(protocol):
         asked = f"{protocol.name} {protocol.sha256[:12]}"
         _refuse(run, f"another protocol: {kept.name} {kept.sha256[:12]}, wanted {asked}; compare {run.protocol_file}")
 
 
 def claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
-    """Write protocol and capture into a folder that holds no run yet, or make sure that they are this run's.
-
-    Raises:
-        ProtocolError: see `require_owner`.
-    """
+    """Write protocol and capture into a folder that holds no run yet, or make sure that they are this run's."""
     require_owner(run, protocol, capture)
     if run.protocol_file.is_file() and not protocol.views.folds:
         protocol = run.protocol()  # folds that were stated once stay

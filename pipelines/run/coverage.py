@@ -41,11 +41,7 @@ class Coverage:
         return tuple(stretches)
 
     def require(self, run: RunFolder, views: Sequence[str], labels: Sequence[str]) -> None:
-        """Refuse a run in which frames are missing that should be there.
-
-        Raises:
-            RenderError: any gap.
-        """
+        """Refuse a run in which frames are missing that should be there."""
         whole = [label for label in labels if label not in self.partial]
         if whole:
             require_frames({f"{label} in {view}": run.renders(label, view) for label in whole for view in views}, self.numbers)

@@ -13,18 +13,7 @@ from ggvs_eval.reports.depth_page.record import StoredDepth
 
 
 def write_prepared_page(prepared: RunPlan, filled_confidence: float, workers: int = 1) -> Path:
-    """Write ``RUN/depth_page/`` of the first, middle and last instant.
-
-    Args:
-        filled_confidence: `DepthOptions.filled_confidence` of its depth.
-
-    Returns:
-        The page.
-
-    Raises:
-        DepthError: depth that is not stored.
-        CaptureError: frames that cannot be read.
-    """
+    """Write ``RUN/depth_page/`` of the first, middle and last instant."""
     frames, width_px = prepared.frames, prepared.capture.cameras[0].width
     shown = tuple(sorted({frames[0], frames[len(frames) // 2], frames[-1]}))
     stored = [StoredDepth(job, shown, _registration(job, width_px)) for job in prepared.view_jobs]
@@ -47,10 +36,6 @@ def fuse_prepared(prepared: RunPlan, frame: int | None = None, options: FuseOpti
 
     Args:
         frame: the instant; the protocol's first by default.
-        options: of the fusion.
-
-    Raises:
-        DepthError: an instant that was not prepared, or nothing that can be fused.
     """
     frame = prepared.frames[0] if frame is None else frame
     chosen, store = _one_per_camera(prepared, frame), DepthStore(prepared.run.depth)
@@ -70,10 +55,6 @@ def export_prepared(prepared: RunPlan, folder: Path, frame: int | None = None, o
     Args:
         folder: where to; absent or empty.
         frame: the instant; the protocol's first by default.
-        options: of the export.
-
-    Raises:
-        DepthError: an instant that was not prepared, or a folder that holds something.
     """
     frame = prepared.frames[0] if frame is None else frame
     chosen, store = _one_per_camera(prepared, frame), DepthStore(prepared.run.depth)
@@ -89,11 +70,7 @@ def export_prepared(prepared: RunPlan, folder: Path, frame: int | None = None, o
 
 
 def _one_per_camera(prepared: RunPlan, frame: int) -> list[DepthJob]:
-    """Of each camera with depth at an instant the job with most partners, in the order of the capture.
-
-    Raises:
-        DepthError: no camera has depth there.
-    """
+    """Of each camera with depth at an instant the job with most partners, in the order of the capture."""
     jobs = {
         *(prepared.view_jobs if frame in prepared.frames else ()),
         *(prepared.path_jobs if frame == prepared.path_frame else ()),

@@ -21,7 +21,6 @@ def seen_from(target: Camera, keys: Mapping[str, str]) -> dict[str, Any]:
     """A target and its sources' depth, as a note says them.
 
     Args:
-        target: camera at synthesis size.
         keys: source camera -> key of its depth in the depth store.
     """
     return {
@@ -52,7 +51,7 @@ class MadeFiles:
     """Files of a folder that are made once, and again where they are lost, changed since, or made from something else.
 
     A record holds the digest of each file and its status (inode, size, times); while the status is the same, so is the content,
-    since whatever writes a file sets a time (ctime) that nobody can set back. Files with another status are hashed.
+    since writing a file sets a time (ctime) that cannot be set back. Files with another status are hashed.
 
     Attributes:
         folder: holds the files and the record.

@@ -1,4 +1,4 @@
-"""Diagnostics: what a method decided on the way to its image, as pictures beside its frames that the page shows."""
+"""Diagnostics: a method's intermediate maps, as pictures beside its frames that the page shows."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -21,10 +21,7 @@ def write_diagnostics(folder: Path, index: int, diagnostics: Mapping[str, Map], 
     """Write one picture per kind of map.
 
     Args:
-        folder: of the method's frames in one view.
-        index: number of the frame.
         diagnostics: as of `Rendering`.
-        target: camera of the image, for the scale of depth.
     """
     for name, values in diagnostics.items():
         write_image(diagnostics_path(folder, name, index), diagnostics_picture(name, values, target))

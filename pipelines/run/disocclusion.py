@@ -1,4 +1,4 @@
-"""Disocclusion: what no source camera sees of a test view, which methods must invent, whatever they are."""
+"""Disocclusion: the part of a test view that no source camera sees, which every method must invent."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -25,10 +25,7 @@ def write_disocclusions(
     """Write a mask of every frame of every test view; what is there, and made from the same, is kept.
 
     Args:
-        capture: at synthesis size.
         views: test view -> its camera, its source cameras and the keys of their depth.
-        frames: consecutive instants.
-        store: root of the depth store.
         root: where ``<view>/<frame>.png`` goes, white where no source sees the view.
 
     Reading:
@@ -47,7 +44,6 @@ def mask_files(folder: Path, capture: Capture, target: Camera, keys: Mapping[str
 
 
 def _write(capture: Capture, frames: range, store: Path, view: tuple[MadeFiles, Camera, dict[str, str]]) -> None:
-    """Write the masks of one view; runs in a worker."""
     (files, target, keys), depths, near = view, DepthStore(store), NEAR_M * capture.units_per_metre
     for index in files.missing_frames(frames):
         covered = np.zeros((target.height, target.width), np.float32)

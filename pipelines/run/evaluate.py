@@ -30,7 +30,7 @@ def evaluate(
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
 ) -> Path:
-    """Evaluate methods on a capture; a second call does only what is missing.
+    """Evaluate methods on a capture; a second call computes only missing results.
 
     Args:
         root: run folder, see `ggvs_eval.run_folder`.
@@ -65,7 +65,6 @@ def reopen(root: Path, workers: Workers, labels: Sequence[str] = (), networks: N
 
     Args:
         labels: methods that will be rendered: those that are fitted need more depth than others.
-        networks: with which weights and where networks compute.
     """
     run = RunFolder(root)
     request = RunRequest(root, recorded_capture(run), run.protocol(), labels, networks=networks)

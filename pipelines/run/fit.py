@@ -30,7 +30,6 @@ def fit_job(capture: Capture, fit: FitPlan, spec: FittedMethod, shared: Path) ->
 
     Args:
         capture: whose footage is prepared by the time the job runs.
-        spec: of its method.
         shared: folder of the captured frames, of the depth store and of the fits.
     """
     footage = fold_footage(capture, fit, DepthStore(shared / "depth"), spec.seed)
@@ -61,7 +60,7 @@ def _identity(capture: Capture, fit: FitPlan, spec: FittedMethod) -> dict[str, A
 
 
 def _fit(name: str, fitter: SceneFitter, footage: Footage, device: str, folder: Path) -> dict[str, Any]:
-    """Fit, or go on; returns what the tables say about it."""
+    """Fit, or go on; returns the record for the tables."""
     clock = FitClock(name, folder)
     fitter.fit(footage, folder, clock.note)
     record = {
@@ -79,7 +78,6 @@ def _fit(name: str, fitter: SceneFitter, footage: Footage, device: str, folder: 
 
 
 def _machine(device: str) -> str:
-    """The processor or the graphics card, in words."""
     if device == "cpu":
         return describe_machine()["processor"]
     from ggvs_eval.compute_device import describe_device
@@ -89,7 +87,7 @@ def _machine(device: str) -> str:
 
 @dataclass
 class FitClock:
-    """Time of a fit over all its attempts, and a line per minute about what is left.
+    """Time of a fit over all its attempts, and a line per minute about the time left.
 
     Attributes:
         name: of the fit, for people.
@@ -101,7 +99,7 @@ class FitClock:
     begun_s: float = field(default_factory=time.monotonic)
 
     def __post_init__(self) -> None:
-        """Pick up what earlier attempts took."""
+        """Pick up the time of earlier attempts."""
         file = self.folder / TIME_FILE
         self._before_s: float = read_json(file)["seconds"] if file.is_file() else 0.0
         self._first_done: int | None = None
@@ -113,12 +111,7 @@ class FitClock:
         return self._before_s + time.monotonic() - self.begun_s
 
     def note(self, done: int, total: int) -> None:
-        """Note how far the fit is.
-
-        Args:
-            done: steps from the fit's very beginning.
-            total: steps in all.
-        """
+        """Note how far the fit is."""
         now_s = time.monotonic()
         if self._first_done is None:
             self._first_done = done

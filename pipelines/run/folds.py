@@ -1,4 +1,4 @@
-"""Folds of test cameras for methods that are fitted: which are held out together, and what each fit may see.
+"""Folds of test cameras for methods that are fitted: those held out together, and the input of each fit.
 
 A feed-forward method renders each test camera from all others at no cost. A fit takes minutes to hours, so test cameras that lie
 far apart are held out together: the neighbours of each stay training cameras.
@@ -60,7 +60,6 @@ class FitPlan:
     Attributes:
         label: of the method, its seed included.
         fold: what it is shown, and what is held out.
-        indices: instants of its footage.
         depth_indices: those at which it wants depth.
     """
 
@@ -72,9 +71,6 @@ class FitPlan:
 
 def choose_folds(cameras: Sequence[Camera]) -> Folds:
     """Distribute test cameras over at most three folds of nearly equal size, so that those of a fold lie far apart.
-
-    Args:
-        cameras: the test cameras.
 
     Returns:
         Names by fold: a partition of the test cameras, each fold in their order.
@@ -131,7 +127,7 @@ def _closeness(folds: Sequence[Sequence[int]], distances: Array) -> list[float]:
 def fill_folds(protocol: Protocol, capture: Capture) -> Protocol:
     """State the folds of a protocol that leaves them open: those of `choose_folds`.
 
-    Test cameras that nobody may see (``views.sources``) are held out by every fit anyway, and stand in the first fold.
+    Test cameras that no method may see (``views.sources``) are held out by every fit anyway, and are in the first fold.
     """
     views = protocol.views
     if views.folds:
@@ -143,17 +139,11 @@ def fill_folds(protocol: Protocol, capture: Capture) -> Protocol:
 
 
 def plan_folds(capture: Capture, folds: Folds, along_path: bool, options: DepthOptions) -> tuple[FoldPlan, ...]:
-    """Plan what each fit is shown.
+    """Plan the input of each fit.
 
     Args:
         capture: holds the cameras that may be seen; test cameras among them or not.
-        folds: a partition of the test cameras.
         along_path: also plan the fit of all cameras that may be seen.
-        options: parameters of depth.
-
-    Raises:
-        CameraError: a fold that leaves fewer than two training cameras.
-        DepthError: a training camera that no other can be matched with.
     """
     held_out = [(f"fold{number}", fold) for number, fold in enumerate(folds, start=1)] + ([(ALL, ())] if along_path else [])
     return tuple(FoldPlan(name, fold, _rig_depth(capture, name, fold, options)) for name, fold in held_out)
@@ -176,10 +166,7 @@ def plan_fits(
     """Plan every fit of every fitted method.
 
     Args:
-        fitters: by label.
         folds: see `plan_folds`.
-        frames: of the protocol.
-        path_frame: the instant of the camera path.
     """
     fits = []
     for label, fitter in fitters.items():
@@ -197,6 +184,6 @@ def _path_instants(fitter: SceneFitter, frames: range, path_frame: int) -> range
 
 
 def visible_cameras(capture: Capture, protocol: Protocol) -> Capture:
-    """The capture without the cameras that nobody may see (``views.sources``)."""
+    """The capture without the cameras that no method may see (``views.sources``)."""
     sources = protocol.views.sources
     return capture.without([name for name in capture.camera_names if name not in sources], "not seen") if sources else capture

@@ -11,14 +11,7 @@ if TYPE_CHECKING:  # how folds are planned is no part of what they show
 
 
 def fold_footage(capture: Capture, fit: "FitPlan", depths: DepthStore, seed: int) -> Footage:
-    """Give a fit its training cameras, one by one: what is not named here does not travel with it.
-
-    Args:
-        capture: at synthesis size.
-        fit: whose footage.
-        depths: where depth lies.
-        seed: of the fit.
-    """
+    """Give a fit its training cameras, one by one: what is not named here does not travel with it."""
     names = fit.fold.cameras
     training = capture.without([name for name in capture.camera_names if name not in names], "")
     return Footage(

@@ -32,11 +32,7 @@ class CachedFrames:
     digest: str
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
-        """Read frames start <= t < stop one by one, RGB uint8 (H, W, 3).
-
-        Raises:
-            CaptureError: a frame that is not here.
-        """
+        """Read frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
         for index in range(start, stop):
             yield read_image(frame_path(self.folder, index))
 
@@ -56,15 +52,11 @@ def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: P
     Cameras are decoded side by side, each video once and as a stream.
 
     Args:
-        capture: at the wanted size.
         numbers: camera -> frames, in any order.
         root: folder to write ``<camera>/<frame>.png`` into.
 
     Returns:
         The capture with these cameras read from there.
-
-    Raises:
-        CaptureError: frames that cannot be read.
     """
     absent = frames_left(capture, numbers, root)
     run_all(partial(_write, capture, root), [each for each in absent.items() if each[1]], workers, "frames per camera")
@@ -83,9 +75,7 @@ def cache_path(images: ImageFrames, size: tuple[int, int], resize_filter: Resize
     """Write the true images along a camera path that are not there as they were written.
 
     Args:
-        images: of the capture, one per pose.
         size: (width, height) to write them at.
-        resize_filter: of the protocol.
         folder: where ``<pose>.png`` goes.
     """
     if path_left(images, size, resize_filter, folder):
@@ -104,7 +94,6 @@ def _camera_files(capture: Capture, name: str, root: Path) -> MadeFiles:
 
 
 def _made_files(folder: Path, source: FrameSource, size: tuple[int, int], resize_filter: ResizeFilter) -> MadeFiles:
-    """The frames of a source at a size, as a folder holds them."""
     code = code_identity(*{type(each).__module__ for each in source_chain(source)}, resize.__module__)
     return MadeFiles(folder, {"frames": source.digest, "size": size, "resize": resize_filter, "code": code})
 

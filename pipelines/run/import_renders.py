@@ -152,7 +152,6 @@ def _check_label(label: str) -> None:
 
 
 def _identity(request: FrameRequest, path: Path, sources: list[Path], allow_partial: bool) -> dict[str, Any]:
-    """Everything that the import depends on."""
     names = [file.relative_to(path).as_posix() if file != path else path.name for file in sources]
     return {
         "files": {name: digest_files([file]) for name, file in zip(names, sources, strict=True)},

@@ -1,4 +1,4 @@
-"""Depth along a camera path that belongs to no method: what the view-consistency measures of all methods are told."""
+"""Depth along a camera path, the same for all methods: input of the view-consistency measures."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,10 +24,7 @@ def write_path_depth(
     """Fuse the depth of each pose's source cameras and write it; what is there, and made from the same, is kept.
 
     Args:
-        capture: at synthesis size.
         poses: each pose with its source cameras and the keys of their depth.
-        frame: the instant of the path.
-        store: depth of the source cameras.
         folder: where ``<pose>.npy`` goes, (H, W) float32, world units, 0 = unknown.
 
     Reading:
@@ -63,11 +60,7 @@ def poses_left(files: MadeFiles, n_poses: int) -> list[int]:
 
 
 def read_path_depth(folder: Path, pose: int) -> NDArray[np.float32]:
-    """Read what `write_path_depth` wrote for one pose.
-
-    Raises:
-        DepthError: absent or damaged.
-    """
+    """Read the depth of one pose."""
     file = pose_file(folder, pose)
     try:
         return np.asarray(np.load(file, allow_pickle=False), dtype=np.float32)

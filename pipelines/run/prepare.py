@@ -1,4 +1,4 @@
-"""Prepare: what every method needs of a capture under a protocol - truth frames, source views, depth, a camera path."""
+"""Prepare: the input of every method under a protocol - truth frames, source views, depth, a camera path."""
 
 import os
 from collections.abc import Sequence
@@ -32,19 +32,13 @@ def prepare(
 
     Args:
         root: the run folder; made if absent.
-        capture: the capture at its own size.
-        protocol: what to evaluate.
         depth: how depth is found; as the folder says, or the default.
-        labels: methods that will be rendered.
     """
     return prepare_run(plan_run(RunRequest(root, capture, protocol, labels, depth)), workers)
 
 
 def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
     """Write protocol, capture record, truth frames and depth into a run folder; what is there is kept.
-
-    Returns:
-        The plan.
 
     Raises:
         CaptureError: frames that cannot be read.
@@ -91,16 +85,10 @@ def _fill_store(prepared: RunPlan, store: DepthStore, workers: Workers) -> None:
 
 
 def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Workers = 1) -> RunFolder:
-    """Write protocol, capture record and truth frames of the test views into a run folder: what scoring alone needs.
+    """Write protocol, capture record and truth frames of the test views into a run folder, as scoring alone needs.
 
     Args:
         root: the run folder; made if absent. `prepare` can go on with it.
-        capture: the capture at its own size.
-        protocol: what to evaluate.
-
-    Raises:
-        CaptureError: the capture is unreadable or lacks what the protocol asks for.
-        ProtocolError: the folder belongs to another protocol or capture.
     """
     capture, run = fit_capture(capture, protocol), RunFolder(root)
     claim_folder(run, protocol, capture)

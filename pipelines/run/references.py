@@ -42,7 +42,7 @@ def ceiling_jobs(run: RunFolder, protocol: Protocol, views: Sequence[str]) -> li
 
 
 def read_ceilings(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
-    """Read what `ceiling_jobs` have found.
+    """Read the results of `ceiling_jobs`.
 
     Returns:
         view -> ``noise_free`` and ``second_recording``, metric -> value, and ``not_computed``, metric -> reason.
@@ -54,7 +54,6 @@ def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], record
     """Write ``references.json``, which the report shows as grey rows.
 
     Args:
-        paths: see `score_path.read_paths`.
         records: see `read_ceilings`.
     """
     groups: dict[str, list[str]] = {}

@@ -41,11 +41,7 @@ def run_for(root: Path | None, open_capture: Callable[[], Capture] | None, proto
 
 
 def named_renders(items: tuple[str, ...]) -> dict[str, Path]:
-    """Name -> path of ``NAME=PATH`` or of a bare path, which is called by its last part, as far as that is free and plain.
-
-    Raises:
-        ProtocolError: one name for two.
-    """
+    """Name -> path of ``NAME=PATH`` or of a bare path, which is called by its last part, as far as that is free and plain."""
     named: dict[str, Path] = {}
     for item in items:
         name, separator, path = item.partition("=")

@@ -1,4 +1,4 @@
-"""The plan of a run: what is wanted, and everything that follows from it before anything is written.
+"""The plan of a run: the request, and everything that follows from it before anything is written.
 
 A plan is made once. What is left to do is counted on it, and prepare, render and score work through it.
 """
@@ -38,15 +38,11 @@ WITHOUT_DEPTH = "methods that look at no depth, such as enerf and ibrnet, run al
 
 @dataclass(frozen=True)
 class RunRequest:
-    """One run that somebody wants.
+    """A run as it is asked for.
 
     Attributes:
-        root: run folder.
-        capture: at its own size.
-        protocol: what is evaluated.
         labels: methods; none where it is only prepared.
         depth: how depth is found; as the folder says, or the default.
-        networks: with which weights and where networks compute.
         shared: folder whose truth/ and depth/ it uses together with others; its own where None.
         views: units of a shard, test views or ``path``; None for all, none where the run is only prepared.
         imports: label -> renders of others, which become a method of the run.
@@ -76,15 +72,12 @@ class RunPlan:
 
     Attributes:
         request: what it was made of.
-        run: the folder.
-        methods: by their labels.
-        depth: how depth is found.
         depth_device: where a network computes that finds it; ``cpu`` where none does.
         original: the capture at synthesis size, its frames as they lie on disk.
         plans: test view -> how it is synthesised.
         path: poses of the camera path, each with its plan.
         path_frame: the instant at which the camera moves along the path.
-        path_images: what a camera would have seen there; None where nobody knows.
+        path_images: what a camera would have seen there; None where that is unknown.
         fits: of the methods that are fitted; none where no such method is wanted.
     """
 
@@ -177,7 +170,7 @@ class RunPlan:
         return range(self.path_frame, self.path_frame + 1)
 
     def depth_work(self) -> list[tuple[list[DepthJob], Sequence[int]]]:
-        """Jobs of depth with their instants, for views, path and fits; what the same maps are wanted for stands in several."""
+        """Jobs of depth with their instants, for views, path and fits; maps that are wanted for several are in each."""
         of_views, of_path = (self.view_jobs, self.frames), (self.path_jobs, self.path_frames)
         of_fits = {(fit.fold.name, fit.depth_indices): fit for fit in self.fits}
         return [of_views, of_path, *((list(fit.fold.jobs), fit.depth_indices) for fit in of_fits.values() if fit.depth_indices)]
@@ -275,11 +268,7 @@ def _state_folds(protocol: Protocol, run: RunFolder, capture: Capture, is_needed
 
 
 def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
-    """The capture at the protocol's size.
-
-    Raises:
-        CaptureError: it lacks views or frames that the protocol asks for.
-    """
+    """The capture at the protocol's size."""
     for doing, names, key in (("tests", protocol.views.test, "test"), ("shows", protocol.views.sources, "sources")):
         absent = [name for name in names if name not in capture.camera_names]
         if absent:

@@ -1,4 +1,4 @@
-"""Score: the 8-bit frames on disk against the captured ones, whoever rendered them.
+"""Score: the 8-bit frames on disk against the captured ones, wherever they were rendered.
 
 Each view is one job for all methods, because what the truth alone decides is then computed once; the values lie in
 ``RUN/scores/<view>/job.json``, and a method that is there already, with the same frames, is not measured again.
@@ -32,9 +32,6 @@ class Scores:
     """Scores of a run: jobs, made once, and their values when they are done.
 
     Attributes:
-        run: the run folder.
-        labels: methods.
-        coverage: their frames.
         views: a job per test view, for all methods.
         ceilings: a job per test view, where the protocol wants them.
         paths: a job per method along the camera path.
@@ -93,12 +90,7 @@ def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | 
     """List the jobs that measure some methods.
 
     Args:
-        run: a folder with truth and renders.
         units: test views, or ``path``, of which nothing may be missing; None for all.
-        device: where metrics compute that can.
-
-    Raises:
-        RenderError: no methods, or missing frames of these.
     """
     protocol = run.protocol()
     if not labels:
@@ -163,7 +155,6 @@ def _derived(
     """Rows (view, frame, metric, value) of what is made of other metrics' values, of whatever views and frames there are.
 
     Args:
-        protocol: the metrics that are wanted.
         values: metric -> view -> frame -> value.
         not_computed: takes the reason where there is none.
     """

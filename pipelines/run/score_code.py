@@ -1,4 +1,4 @@
-"""The code behind each score: a value is stale when what measures it has changed, and no other value is."""
+"""The code behind each score: a value is stale when the code that measures it has changed, and only then."""
 
 from collections.abc import Collection, Sequence
 

@@ -17,7 +17,7 @@ from ggvs_eval.pipelines.run.score_code import path_code
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, write_json
 
-PATH_VIEW = "path"  # stands in the table's column of views
+PATH_VIEW = "path"  # the name in the table's column of views
 TRUTH = "truth"
 
 
@@ -25,7 +25,6 @@ def write_path_record(run: RunFolder, frame: int, poses: Sequence[tuple[Camera, 
     """Note where the path's poses lie and which source cameras each has; nothing where there is no path.
 
     Args:
-        frame: the instant of the path.
         poses: each pose with the names of its source cameras, nearest first.
     """
     if not poses:
@@ -39,9 +38,6 @@ def write_path_record(run: RunFolder, frame: int, poses: Sequence[tuple[Camera, 
 def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list[Job]:
     """The jobs that measure the path of every method that has one, and of the truth where the capture has true images of it.
 
-    Args:
-        protocol: asks for measures of the path, or does not.
-
     Returns:
         One per method; empty where there is no path, or the protocol asks for none of its measures.
     """
@@ -54,7 +50,7 @@ def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list
 
 
 def read_paths(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
-    """Read what `path_jobs` have measured.
+    """Read the results of `path_jobs`.
 
     Returns:
         label (or ``truth``) -> ``values``, a list of (measure, pose or -1, value), and ``not_computed``, measure -> reason.

@@ -28,13 +28,7 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames
 def view_job(
     run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], view: str, device: str = "cpu"
 ) -> Job:
-    """The job of one view; in it all metrics of a method are stale when a frame changes, and one metric when its code does.
-
-    Args:
-        protocol: metrics and how they are measured.
-        coverage: which frames of which method there are.
-        device: where metrics compute that can.
-    """
+    """The job of one view; in it all metrics of a method are stale when a frame changes, and one metric when its code does."""
     options = metric_options(protocol.measurement, device)
     measurement = protocol.measurement
     metrics = scored_by_view(measurement.metrics)
@@ -83,7 +77,7 @@ def _score_view(
     options: MetricOptions,
     _folder: Path,
 ) -> dict[str, Any]:
-    """Measure what is stale, methods with the same frames and stale metrics side by side; all other values stay."""
+    """Measure stale metrics, methods with the same frames and stale metrics side by side; all other values stay."""
     record_file = run.scores(view) / JOB_FILE
     records = read_json(record_file)["methods"] if record_file.is_file() else {}
     methods = {label: record for label, record in records.items() if label not in asked}

@@ -26,9 +26,7 @@ class Stages:
 
     Attributes:
         root: folder of the run, or of the sweep; its ledgers know all jobs.
-        engine: where jobs run.
         goes_on: note what fails and go on with the rest; otherwise the first stage with a failure raises it.
-        failures: noted so far.
     """
 
     root: Path
@@ -45,7 +43,7 @@ class Stages:
         Ledger(self.root, stage).write([job.entry for job in jobs], keep=self.goes_on)
 
     def run(self, stage: str, jobs: Sequence[Job], doing: str) -> int:
-        """Run what is not done yet, and return how many that were."""
+        """Run the jobs not done yet, and return their number."""
         ledger = Ledger(self.root, stage)
         if not self.goes_on:
             return run_jobs(jobs, self.engine, doing, ledger)
@@ -64,7 +62,7 @@ def attempt(name: str, work: Callable[[], Value], failures: list[Failure]) -> Va
 
 
 def measure_runs(plans: Sequence[RunPlan], stages: Stages) -> list[tuple[RunPlan, Scores]]:
-    """Prepare, render and score what is left of some runs, as far as their requests name units.
+    """Prepare, render and score the rest of some runs, as far as their requests name units.
 
     Returns:
         The runs of which all is measured, with what `Scores.collect` makes their tables of.
@@ -79,7 +77,7 @@ def measure_runs(plans: Sequence[RunPlan], stages: Stages) -> list[tuple[RunPlan
 
 
 def render_runs(plans: Sequence[RunPlan], stages: Stages) -> int:
-    """Fit and render what is left; what waits for no fit comes first. Returns how many jobs were run that render.
+    """Fit and render the rest, jobs without a fit first. Returns the number of rendering jobs that were run.
 
     Raises:
         DeviceError: no such device here.

@@ -36,19 +36,7 @@ class Steadiness:
 def measure_steadiness(
     videos: Mapping[str, Path], *, depth: bool = False, mask: Path | None = None, with_colmap: bool = False
 ) -> Steadiness:
-    """Measure each video, or depth video, without truth.
-
-    Args:
-        videos: name -> folder, video or array, see `renders.sequences`.
-        depth: whether they hold depth.
-        mask: picture that is white where the scene stands still; all pixels where None.
-        with_colmap: also `colmap_consistency` of each, which is of frames alone.
-
-    Raises:
-        MetricError: frames that do not fit each other or the mask.
-        RenderError: a path that holds none.
-        CaptureError: a damaged picture or video.
-    """
+    """Measure each video, or depth video, without truth."""
     static = None if mask is None else read_image(mask)[..., 0] > 127
     metrics: list[Metric] = list(DEPTH_METRICS.values()) if depth else [METRICS[name] for name in OF_FRAMES]
     metrics += [METRICS[name] for name in COLMAP_NAMES if with_colmap]

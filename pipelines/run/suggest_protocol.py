@@ -1,4 +1,4 @@
-"""The protocol that a capture is evaluated under when nobody names one."""
+"""The protocol that a capture is evaluated under when none is named."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,6 @@ class Proposal:
     """A protocol for a capture, and why.
 
     Attributes:
-        protocol: what is proposed.
         reasons: of each camera, why it is held out as a test view or stays a source, in the capture's order.
     """
 
@@ -47,7 +46,6 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
     (`HAND_HELD`), the nearest places may look elsewhere: sources are chosen by what they see.
 
     Args:
-        capture: what will be evaluated.
         doubts: camera -> what is wrong with it, as `ggvs_eval.pipelines.inspection.capture.check.read_doubts` gives it.
     """
     doubts = doubts or {}

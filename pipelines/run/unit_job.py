@@ -11,7 +11,6 @@ class UnitJob(Job):
     """A job of one method.
 
     Attributes:
-        label: of the method.
         units: the test view that it renders, or ``path``; of a fit, all that are rendered from it.
     """
 
@@ -21,7 +20,7 @@ class UnitJob(Job):
 
 @dataclass(frozen=True)
 class RunJobs:
-    """Jobs of the methods of a run, made once; what is counted, shown and run is a part of these lists.
+    """Jobs of the methods of a run, made once; counting, status and running use parts of these lists.
 
     Attributes:
         fit: scenes to fit, one per method and fold.

@@ -1,4 +1,4 @@
-"""Work left: what runs still have to do, counted on their plans and what their folders hold; nothing is written."""
+"""Work left in runs, counted from their plans and folders; nothing is written."""
 
 import shutil
 from collections import defaultdict
@@ -42,10 +42,7 @@ class Piece:
     """A part of the remaining work: files that are missing in one folder, or a scene to fit.
 
     Attributes:
-        kind: of what.
         folder: where they will lie; runs that share it have the piece in common.
-        count: how many.
-        n_bytes: of all of them.
         label: of the method that renders them.
         core_seconds: of all of them at `pace` 1; None where they are not known.
     """
@@ -90,9 +87,7 @@ class Workload:
     """Remaining work of a run, or of several.
 
     Attributes:
-        title: frames, views, methods, size.
         pieces: of all runs, each once.
-        folder: where the runs go.
         frame_seconds: method -> seconds of a frame, as its jobs that are done took; methods without one are missing.
         jobs: processes.
         pace: seconds that work takes here for each second of `Piece.core_seconds`.
@@ -179,11 +174,7 @@ class Workload:
         return Stage(name, count, unknown, seconds / self.jobs, n_bytes)
 
     def require_disk(self) -> None:
-        """Refuse what cannot fit.
-
-        Raises:
-            ProtocolError: the disk has less room than the runs need.
-        """
+        """Refuse runs that the disk has no room for."""
         needed, free = self.disk_bytes, self.free_bytes
         if needed > free:
             raise ProtocolError(
@@ -193,12 +184,7 @@ class Workload:
 
 
 def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workload:
-    """Count what runs still have to do.
-
-    Args:
-        plans: of the runs, which lie below one folder.
-        folder: where all of them go.
-    """
+    """Count the work left in runs."""
     seconds: dict[str, list[float]] = defaultdict(list)
     for plan in plans:
         for label in plan.request.labels:
@@ -209,7 +195,7 @@ def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workloa
 
 
 def work_left(plan: RunPlan) -> list[Piece]:
-    """List what one run lacks."""
+    """List the missing parts of one run."""
     width, height = plan.original.cameras[0].size
     n_pixels, run, of_path = width * height, plan.run, len(plan.path)
     pieces: list[Piece] = []
@@ -307,7 +293,6 @@ def _frame_seconds(plan: RunPlan, label: str) -> list[float]:
 
 
 def _title(plans: Sequence[RunPlan]) -> str:
-    """Describe the runs in one line."""
     first = plans[0]
     width, height = first.original.cameras[0].size
     labels = first.request.labels
@@ -318,7 +303,6 @@ def _title(plans: Sequence[RunPlan]) -> str:
 
 
 def _existing(folder: Path) -> Path:
-    """The folder, or the nearest one above it that there is."""
     folder = folder.resolve()
     while not folder.is_dir():
         folder = folder.parent

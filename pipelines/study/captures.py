@@ -51,10 +51,6 @@ def study_protocol(
     """The protocol under which a capture is prepared, at the capture's own size.
 
     Args:
-        capture: resized to the study's size.
-        names: views that degradations are planted in.
-        frames: instants.
-        path: the camera path.
         sources: cameras that they are rendered from; all others where there are none.
     """
     base = suggest_protocol(capture)

@@ -1,4 +1,4 @@
-"""Clips that degradations are planted in: true frames of a view or along a camera path, and what could render them."""
+"""Clips that degradations are planted in: true frames of a view or a camera path, with the sources that could render them."""
 
 import json
 from collections.abc import Iterator
@@ -22,7 +22,6 @@ class SourceClip:
     """One source camera of a clip.
 
     Attributes:
-        camera: its calibration.
         images: of every instant, (T, H, W, 3), or of the only one, (1, H, W, 3).
         depths: from the offline half, world units, 0 = unknown, (T, H, W) or (1, H, W).
         confidences: of these depths, in [0, 1], same shape.
@@ -39,12 +38,10 @@ class Clip:
     """True frames of one view.
 
     Attributes:
-        name: of the view.
         truth: (T, H, W, 3).
-        cameras: the one that films, or one for each frame where it moves; none where nobody knows.
-        depths: true view's depth at each frame of a moving camera, (T, H, W), world units, 0 = unknown; None where nobody knows.
-        sources: cameras that the view can be rendered from, nearest first; none where nobody knows their depth.
-        units_per_metre: world units per metre.
+        cameras: the one that films, or one for each frame where it moves; none where unknown.
+        depths: true view's depth at each frame of a moving camera, (T, H, W), world units, 0 = unknown; None where unknown.
+        sources: cameras that the view can be rendered from, nearest first; none where their depth is unknown.
         rendering: what degradations are planted in, (T, H, W, 3); the truth where None.
     """
 
@@ -89,7 +86,6 @@ class Take:
     Attributes:
         folder: holds a file for each clip.
         name: of the scene and of what was taken of it.
-        digest: of the files.
     """
 
     folder: Path
@@ -98,11 +94,7 @@ class Take:
 
     @classmethod
     def open(cls, folder: Path, name: str) -> "Take":
-        """Open what `write_take` wrote.
-
-        Raises:
-            CaptureError: no clips there.
-        """
+        """Open the clips of `write_take`."""
         files = sorted(folder.glob("*.npz"))
         if not files:
             raise CaptureError(f"{folder}: wanted clips of a metric study, there are none; delete the folder and run it again")

@@ -18,7 +18,6 @@ class Ladder:
 
     Attributes:
         name: in tables and on the command line.
-        unit: of its strength.
         strengths: at least five, rising; 0, which is the undegraded clip, comes before them.
         plant: (clip, strength, seed) -> frames.
         describe: what is done, in a few words.
@@ -37,11 +36,7 @@ class Ladder:
     is_rendered: bool = False
 
     def frames(self, clip: Clip, strength: float, seed: int) -> Image8:
-        """The clip at this strength; at 0 the undegraded one, bit for bit.
-
-        Raises:
-            RenderError: a clip that cannot be rendered.
-        """
+        """The clip at this strength; at 0 the undegraded one, bit for bit."""
         if strength == 0 and not self.is_rendered:
             return clip.undegraded
         return self.plant(clip, strength, seed)
@@ -51,7 +46,7 @@ class Ladder:
         if self.wants_path and not clip.moves:
             return "the camera stands still"
         if self.wants_path and clip.depths is None:
-            return "nobody knows the depth along the path"
+            return "the depth along the path is unknown"
         least = rendered_ladders.SWITCHED if self.wants_path else 1
         if self.is_rendered and len(clip.sources) < least:
             return f"no {least} source cameras with depth" if least > 1 else "no source camera with depth"
@@ -113,11 +108,7 @@ LADDERS: dict[str, Ladder] = {ladder.name: ladder for ladder in _ALL}
 
 
 def select_ladders(names: tuple[str, ...]) -> tuple[Ladder, ...]:
-    """The ladders of these names; all where none is named.
-
-    Raises:
-        MetricError: an unknown name; the message has the nearest known one.
-    """
+    """The ladders of these names; all where none is named."""
     for name in names:
         if name not in LADDERS:
             raise MetricError(f"no ladder {name!r}{did_you_mean(name, LADDERS)}; all are {', '.join(LADDERS)}")

@@ -46,9 +46,6 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
     """Names of the metrics of a study: those that are not costly by default, ``all``, or those that are named.
 
     Parts of an image (``PSNR_static``, ...) are measured where they are named.
-
-    Raises:
-        MetricError: an unknown name.
     """
     named = [name for name in dict.fromkeys(names) if name != ALL]
     select_metrics(named)
@@ -62,11 +59,7 @@ def series_job(out: Path, take: Take, ladder: Ladder | None, seed: int, metrics:
     """The job of one series; in it a metric is measured again when its code has changed, and all when the frames have.
 
     Args:
-        out: folder of the study.
-        take: what is degraded.
         ladder: how; None for the undegraded frames.
-        seed: of the degradation.
-        metrics: names.
     """
     name = ladder.name if ladder else UNDEGRADED
     identity: dict[str, Any] = {
@@ -106,7 +99,6 @@ def _code(metric: Metric) -> str:
 
 
 def _measure(record_file: Path, take: Take, name: str, identity: dict[str, Any], _folder: Path) -> dict[str, Any]:
-    """Measure what is stale; all other values stay."""
     kept = read_json(record_file) if record_file.is_file() else {"identity": {}, "levels": []}
     fresh = fresh_metrics(kept["identity"], identity)
     stale = tuple(metric for metric in identity["metrics"] if metric not in fresh)
@@ -125,7 +117,6 @@ def _measure(record_file: Path, take: Take, name: str, identity: dict[str, Any],
 
 
 def _at(take: Take, ladder: Ladder | None, strength: float, seed: int, metrics: Sequence[str]) -> tuple[Numbers, Reasons]:
-    """Degrade and measure a take at one strength."""
     clips = list(take.clips())
     # Each view has a seed of its own, of the parity of the take's.
     frames = [ladder.frames(clip, strength, seed + 1000 * view) if ladder else clip.undegraded for view, clip in enumerate(clips)]
@@ -191,7 +182,6 @@ def _number(metric: Metric, values: Iterable[Value]) -> float | None:
 def _measure_paths(
     clips: Sequence[Clip], rendered: Sequence[Image8], metrics: Sequence[str], sources: Sequence[Sequence[tuple[str, ...]]]
 ) -> tuple[Numbers, Reasons]:
-    """Measure consistency along the camera paths among some clips."""
     names = [metric.name for metric in select_metrics(metrics) if isinstance(metric, PathMetric)]
     moving = [clip.moves for clip in clips]
     if not names or not any(moving):

@@ -1,4 +1,4 @@
-"""Degradations of what frames are rendered from: depth that boils, and source cameras that are exchanged.
+"""Degradations of the input of rendering: depth that boils, and source cameras that are exchanged.
 
 The online method renders the clip, without its network; what it makes of undisturbed inputs is the undegraded clip.
 """
@@ -77,11 +77,7 @@ def sources_at(clip: Clip, frame: int, switches: float, seed: int) -> tuple[Sour
 
 
 def require_sources(clip: Clip, count: int) -> Clip:
-    """The clip, if it has so many source cameras.
-
-    Raises:
-        RenderError: fewer than so many.
-    """
+    """The clip, if it has so many source cameras."""
     if len(clip.sources) < count:
         raise RenderError(f"view {clip.name}: wanted {count} source cameras with depth to render from, got {len(clip.sources)}")
     return clip

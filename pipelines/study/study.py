@@ -1,4 +1,4 @@
-"""The metric study from top to bottom: takes of captures, every series measured, and what each metric answers to each ladder."""
+"""The metric study from top to bottom: takes of captures, every series measured, and the answer of each metric to each ladder."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -40,7 +40,7 @@ class StudyOptions:
     takes: TakeOptions = field(default_factory=TakeOptions)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be planted."""
+        """Refuse options that cannot be planted."""
         if self.seeds < 1:
             raise MetricError(f"metric study: wanted at least 1 seed, got {self.seeds}")
 
@@ -49,16 +49,10 @@ def run_study(out: Path, captures: Sequence[Path], options: StudyOptions, worker
     """Plant degradations in clips, measure them, and write ``values.csv`` and ``study.json``; what is measured stays.
 
     Args:
-        out: folder to write.
         captures: see `make_takes`.
-        options: what is planted and measured.
 
     Returns:
         What ``study.json`` holds.
-
-    Raises:
-        MetricError: an unknown metric or ladder.
-        CaptureError: see `make_takes`.
     """
     metrics, ladders = study_metrics(options.metrics), select_ladders(options.ladders)
     takes = make_takes(out, captures, options.takes, workers)

@@ -36,8 +36,6 @@ class TakeOptions:
     """Options of the takes of a capture.
 
     Attributes:
-        frames: of a clip; poses of a stretch of a camera path.
-        size: of the shorter side of the images, pixels.
         on: what degradations are planted in: the ``truth``, where nothing else is wrong; or the online method's ``rendering`` of
             it, so that they compete with its own errors.
     """
@@ -62,7 +60,6 @@ class Draft:
 
     Attributes:
         name: what is taken of the capture.
-        make: makes the clips.
         depth: keys of the depth that they come with.
     """
 
@@ -73,11 +70,6 @@ class Draft:
 
 def make_takes(out: Path, captures: Sequence[Path], options: TakeOptions, workers: Workers) -> list[Take]:
     """Take clips of captures, or of the shipped demo where none is given; what is there is kept.
-
-    Args:
-        out: folder of the study.
-        captures: captures, folders of videos or of image sequences, videos.
-        options: how long and how large they are.
 
     Raises:
         CaptureError: a capture that cannot be read, or with fewer frames than a clip has.
@@ -125,15 +117,7 @@ def fill_take(make: Callable[[], list[Clip]], on: str, folder: Path) -> dict[str
     """Make the clips of a take and write them, with the rendering that degradations are planted in where they are.
 
     Args:
-        make: makes the clips.
         on: ``truth`` or ``rendering``.
-        folder: to write into.
-
-    Returns:
-        What the take's record says.
-
-    Raises:
-        RenderError: a clip that cannot be rendered.
     """
     clips = make()
     if on == "rendering":
@@ -169,12 +153,10 @@ def _drafts(root: Path, capture: Capture, options: TakeOptions, workers: Workers
 
 
 def _spread(names: Sequence[str], count: int) -> list[str]:
-    """So many of the names, evenly spread over them."""
     return [names[index * len(names) // count] for index in range(count)] if len(names) > count else list(names)
 
 
 def _views(capture: Capture, plan: RunPlan | None, names: Sequence[str], window: range) -> list[Clip]:
-    """The clips of some views in a time window."""
     clips = []
     for name in names:
         truth = np.stack(list(capture.frames(name, window.start, window.stop)))
@@ -227,7 +209,6 @@ def _stretches(
 
 
 def _depth_keys(planned: Sequence[SourcePlan]) -> list[str]:
-    """Keys of all depth that some targets are rendered from."""
     return sorted({key for plan in planned for key in plan.depth_keys.values()})
 
 

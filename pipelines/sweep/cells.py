@@ -1,4 +1,4 @@
-"""Cells of a sweep: one run per capture and variant of the protocol, each with the rows that stand in it."""
+"""Cells of a sweep: one run per capture and variant of the protocol, each with its rows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,9 +26,6 @@ class Cell:
 
     Attributes:
         folder: of its capture in the sweep; empty where there is one capture.
-        variant: name of the variant.
-        request: the run.
-        rows: that can be computed.
     """
 
     folder: str
@@ -60,17 +57,10 @@ def sweep_cells(
     networks: NetworkOptions,
     shared: Path | None = None,
 ) -> tuple[list[Cell], dict[str, str]]:
-    """The runs of a sweep, and what of it cannot be computed: title -> reason.
+    """The runs of a sweep, and its rows that cannot be computed: title -> reason.
 
     Args:
-        root: folder of the sweep.
-        captures: what is evaluated on.
-        sweep: rows and variants.
-        networks: with which weights and where networks compute.
         shared: folder of the frames and the depth that all runs use; that of their capture in the sweep where None.
-
-    Raises:
-        ProtocolError: no row has a method that can be rendered.
     """
     names = [capture.path.resolve().name for capture, _ in captures.values()]
     absent = {row.title: reason for row in sweep.row if (reason := _why_not(row, names, networks))}
@@ -119,7 +109,7 @@ def _with_rows(request: RunRequest, rows: Sequence[SweepRow]) -> RunRequest:
 
 
 def _why_not(row: SweepRow, captures: Sequence[str], networks: NetworkOptions) -> str | None:
-    """Return why a row cannot be computed; None where it can, as far as can be told before it is tried."""
+    """Return why a row cannot be computed; None where it can, as far as is known before it is tried."""
     label = row.label
     if row.path is not None and len(captures) > 1 and CAPTURE not in row.path:
         return f"{row.path}: wanted {CAPTURE} in the path, as there are {len(captures)} captures"

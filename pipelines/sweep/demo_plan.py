@@ -23,7 +23,6 @@ class FramesToRender:
     """Frames that a camera of the demo is going to show; there is nothing to decode.
 
     Attributes:
-        n_frames: how many.
         digest: tells the cameras apart, as content would.
     """
 
@@ -40,12 +39,7 @@ class FramesToRender:
 
 
 def demo_to_plan(folder: Path, options: DemoOptions, open_demo: Callable[[Path], Capture]) -> Capture:
-    """The demo in a folder where it is rendered already, else what it is going to be; nothing is written.
-
-    Args:
-        options: what is rendered where nothing is.
-        open_demo: opens the folder of a capture.
-    """
+    """The demo in a folder where it is rendered already, else what it is going to be; nothing is written."""
     return open_demo(folder) if (folder / DEMO_NOTES).is_file() else planned_demo(folder, options)
 
 
@@ -64,7 +58,7 @@ def planned_demo(folder: Path, options: DemoOptions) -> Capture:
 
 
 def _noted(options: DemoOptions, camera: Camera) -> Camera:
-    """A camera as the layout names it, in its units, with the depths that rooms have about: nobody has looked yet."""
+    """A camera as the layout names it, in its units, with the depths that rooms have about, as it is not measured yet."""
     camera = replace(camera, near=NEAR, far=FAR)
     return replace(in_metres(camera), name=easymocap_name(camera)) if options.layout == "enerf-outdoor" else camera
 

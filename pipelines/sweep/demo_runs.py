@@ -29,7 +29,7 @@ K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")
 # Seconds of filming and evaluating each room by the usual methods, and over K, times the cores: at `pace` 1.
 CORE_SECONDS = {MAIN: 380.0, "demo-enerf-outdoor": 100.0, "demo-d3dmv": 240.0, K_PROTOCOL: 130.0}
-# What the small rooms are evaluated by where nobody names methods: the smaller one by all that the paper compares itself with.
+# What the small rooms are evaluated by where no methods are named: the smaller one by all that the paper compares itself with.
 SMALL_ROOMS_METHODS = {
     "demo-enerf-outdoor": FEW,
     "demo-d3dmv": (*FEW[:2], "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", FEW[2]),
@@ -50,7 +50,6 @@ def demo_plans(
         root: run folder of the main room; the others' lie beside it, and each capture beside its run.
         labels: name of a room -> its methods, see `room_labels`.
         film: gives the capture of a folder: films it, or plans it.
-        networks: with which weights and where networks compute.
         rooms: name of the protocol -> what is rendered.
     """
     for name, options in rooms.items():
@@ -76,9 +75,6 @@ def evaluate_demos(
 
     Returns:
         The page of all rooms, in the main room's run folder.
-
-    Raises:
-        RenderError: a run over K failed; the page is there without it.
     """
     roots: list[Path] = []
     tables: list[Path] = []
@@ -103,7 +99,6 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
     """Say in one line how long the demo takes and when its first page can be opened; empty once its rooms are evaluated.
 
     Args:
-        root: run folder of the main room.
         labels: name of a room -> its methods.
         probe: seconds that work takes here for each second of `CORE_SECONDS`.
     """
@@ -118,12 +113,7 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
 
 
 def room_labels(labels: Sequence[str], usual: Sequence[str]) -> dict[str, Sequence[str]]:
-    """Name of a demo room -> its methods: where they are the usual ones, small rooms have lists of their own.
-
-    Args:
-        labels: what is wanted.
-        usual: what is wanted where nobody names methods.
-    """
+    """Name of a demo room -> its methods: where they are the usual ones, small rooms have lists of their own."""
     own = SMALL_ROOMS_METHODS if tuple(labels) == tuple(usual) else {}
     return {name: own.get(name, labels) for name in DEMO_ROOMS}
 

@@ -23,18 +23,7 @@ def write_commands(
     its results and does nothing.
 
     Args:
-        file: to write.
-        root: folder of the sweep.
         captures: as of `plan_cells`.
-        sweep: rows and variants.
-        networks: with which weights and where networks compute.
-        command: the words that run the whole sweep.
-
-    Returns:
-        The file.
-
-    Raises:
-        ProtocolError: no row can be computed.
     """
     cells, _ = sweep_cells(root, captures, sweep, None, networks)
     units = units_of(cells)
@@ -54,7 +43,6 @@ def flags(options: Any, default: Any) -> list[str]:
 
     Args:
         options: values that are truth values, numbers, texts, paths or None.
-        default: an object of the same class.
     """
     words: list[str] = []
     for field in fields(options):

@@ -50,7 +50,6 @@ class SweepPlan:
 
     Attributes:
         root: folder of the sweep; each variant is a run folder in it.
-        cells: all runs.
         absent: title of a row that cannot be computed -> reason.
         shard: which units are rendered and scored; only the whole has a table.
         plans: of the runs that the shard works on.
@@ -77,17 +76,11 @@ def plan_cells(
     """Plan every row under every variant; nothing is written.
 
     Args:
-        root: folder of the sweep.
         captures: name of the capture's folder in it -> the capture, and what its variants start from; a single one needs no name.
-        sweep: rows and variants.
         depth: how depth is found, see `DepthRunOptions`.
-        networks: with which weights and where networks compute.
         shard: which units are rendered and scored.
         shared: folder whose frames and depth all runs use; by default those of one capture have them in common, and fits, so that
             K = 2 finds what K = 6 has computed.
-
-    Raises:
-        ProtocolError: no row can be computed, or captures that are not measured alike.
     """
     kinds = {protocol.measurement for _, protocol in captures.values()}
     if len(kinds) != 1:
@@ -100,9 +93,9 @@ def plan_cells(
 
 @kept_workers()
 def run_sweep(planned: SweepPlan, workers: Workers) -> SweepResult:
-    """Evaluate what is planned; what exists is not computed again, and what fails does not stop the rest.
+    """Evaluate a plan; existing results are not computed again, and a failure does not stop the rest.
 
-    Of several captures the means stand beside the single tables.
+    Of several captures the means are shown beside the single tables.
     """
     stages = Stages(planned.root, as_engine(workers), goes_on=True, failures=[*planned.failures])
     measured = {plan.name: scores for plan, scores in measure_runs(planned.plans, stages)}

@@ -37,13 +37,7 @@ def baseline_task(
 
     Args:
         name: one of `LEARNED_BASELINES`.
-        cache: where rooms and samples are kept.
-        data: what is learned from.
-        seed: of the weights and the crops.
         is_trained: begins with weights that have learned already, and changes them less.
-
-    Raises:
-        TrainingError: nothing to learn from, or a configuration that cannot be trained here.
     """
     baseline = LEARNED_BASELINES[name]
     samples = sample_pools(cache, data, InstantKind(baseline.takes_depth))
@@ -58,9 +52,7 @@ class BaselineTask:
     Attributes:
         training: samples to learn from; their `prepare` makes them.
         validation: samples that are never learned from.
-        baseline: which one.
         recipe: its network, its loss and the size of its crops.
-        batch_size: crops per step.
         schedule: that of the blending network; what a rate for a GPU's day would learn in an hour of one core is little.
         has_statistics: the network begins with running statistics that are right, and learns under them; else they follow the
             crops, and are computed anew at the end.
@@ -75,7 +67,7 @@ class BaselineTask:
     has_statistics: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what does not fit together."""
+        """Refuse options that do not fit together."""
         require_room(self.training, self.recipe.crop_width, self.recipe.crop_height)
 
     @property
@@ -85,7 +77,7 @@ class BaselineTask:
 
     @property
     def summary(self) -> str:
-        """Sentence of the model card on what is trained."""
+        """Sentence of the model card on the network."""
         return f"The training of {self.baseline.title} ({self.baseline.source})."
 
     @property
@@ -95,7 +87,7 @@ class BaselineTask:
 
     @property
     def evaluated_on(self) -> str:
-        """Sentence of the model card on what `validate` measures."""
+        """Sentence of the model card on the measures of `validate`."""
         step, refusals = self.recipe.validated_step, [each for each in self._refusals if each]
         measured = "PSNR (dB) and SSIM, means of whole views, single instants"
         if step > 1:

@@ -55,7 +55,6 @@ class TrainingRequest(TrainingOptions, DataOptions):
 
 
 def _named(what: str) -> tuple[str, ...]:
-    """The options that a network has."""
     return (*LEARNED, "start_from") if what == "stereo" else OF_BLEND if what == "blend" else OF_BASELINES
 
 

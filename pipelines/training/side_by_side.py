@@ -29,8 +29,6 @@ class Training:
     """One of the trainings.
 
     Attributes:
-        name: of the network.
-        folder: of the training.
         arguments: of ``ggvs-eval``, the verb first.
         steps: that it is to have at its end.
     """
@@ -61,14 +59,10 @@ def run_trainings(trainings: Sequence[Training], jobs: int) -> dict[str, str]:
     """Run trainings, at most `jobs` at once, those given first first, and show how far they are.
 
     Args:
-        trainings: what to run.
         jobs: at least 1.
 
     Returns:
         Name of each training that failed, and one line that says why and where its log is.
-
-    Raises:
-        TrainingError: no job at all.
 
     Reading:
         A training keeps its log locked while it runs, so that a second call never trains into the same folder.
@@ -107,11 +101,7 @@ def last_line(path: Path) -> str:
 
 
 def _start(training: Training, jobs: int) -> subprocess.Popen[bytes]:
-    """The training as a process group of its own; what it prints is added to its log.
-
-    Raises:
-        TrainingError: it is still running since another call.
-    """
+    """The training as a process group of its own; what it prints is added to its log."""
     training.folder.mkdir(parents=True, exist_ok=True)
     with training.log.open("ab") as log:
         _lock(training, log)

@@ -28,15 +28,11 @@ NETWORKS: tuple[Network, ...] = (
 def train_all(
     folder: Path, request: TrainingRequest, jobs: int | None = None, networks: Sequence[Network] = NETWORKS
 ) -> list[Path]:
-    """Train all networks of a comparison on the same views; what is done already is not done again.
+    """Train all networks of a comparison on the same views; finished ones are not trained again.
 
     Args:
         folder: gets a folder per network, with state, logs, curve, weights and card, and the samples.
-        request: what is asked for, of each network.
         jobs: trainings at a time; by default all on a GPU, one per two cores on a CPU.
-
-    Returns:
-        Weights and card of each network.
 
     Raises:
         DeviceError: there is no such device here.
@@ -62,12 +58,7 @@ def train_all(
 
 
 def planned_trainings(folder: Path, request: TrainingRequest, networks: Sequence[Network] = NETWORKS) -> list[Training]:
-    """The command of each network's training.
-
-    Args:
-        folder: of all trainings.
-        request: what is asked for, of each network.
-    """
+    """The command of each network's training."""
     trainings = []
     for what, guidance in networks:
         name = weights_name(guidance) if what == "blend" else what
@@ -77,15 +68,7 @@ def planned_trainings(folder: Path, request: TrainingRequest, networks: Sequence
 
 
 def prepare_all(cache: Path, request: TrainingRequest, networks: Sequence[Network] = NETWORKS) -> None:
-    """Make the samples that any of the networks lacks, with all cores; rooms are rendered once for all.
-
-    Args:
-        cache: where rooms and samples are kept.
-        request: what is asked for.
-
-    Raises:
-        TrainingError: nothing to learn from, or captures that cannot be learned from.
-    """
+    """Make the samples that any of the networks lacks, with all cores; rooms are rendered once for all."""
     if any(what == "blend" for what, _ in networks):
         device = sample_device(request)
         prepare_samples(*sample_pools(cache, request, BlendKind(device)), sample_workers(device))

@@ -29,15 +29,9 @@ def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, 
 
     Args:
         what: stereo, blend, or one of `LEARNED_BASELINES`.
-        folder: of the training; samples are kept beside it.
-        request: what is asked for.
 
     Returns:
         The file of the weights, and the card.
-
-    Raises:
-        DeviceError: there is no such device here.
-        TrainingError: nothing to learn from, or the folder's state belongs to another network.
     """
     hardware = describe_device(compute_device(request.device))  # what is missing shows before anything is rendered
     task = planned_task(what, folder.parent / CACHE, request)
@@ -63,11 +57,7 @@ def planned_task(what: str, cache: Path, request: TrainingRequest) -> Task:
 
 
 def sample_device(request: TrainingRequest) -> str:
-    """Device of the blending network's samples: that of its training if NVIDIA Warp is installed, else on the CPU.
-
-    Raises:
-        DeviceError: there is no such device here.
-    """
+    """Device of the blending network's samples: that of its training if NVIDIA Warp is installed, else on the CPU."""
     return str(compute_device(request.device)) if find_spec("warp") else "cpu"
 
 

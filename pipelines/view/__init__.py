@@ -1,1 +1,1 @@
-"""A live view in the browser: the camera is dragged, and the online method renders what it would see."""
+"""A live view in the browser: the camera is dragged, and the online method renders its view."""

@@ -17,9 +17,7 @@ class FrameStock:
     """Cache of what the cameras of a playback see, at most at so many pixels; least recently used frames are dropped first.
 
     Args:
-        playback: the rig, its frames and its depth.
         pixels: per image, at most; images are made smaller, never larger.
-        memory: bytes to keep.
 
     Attributes:
         cameras: the rig at that size.

@@ -1,4 +1,4 @@
-"""The listening socket of the viewer, and who may talk to it: whoever was given the address with its token, on our own page."""
+"""The listening socket of the viewer, and its access control: the address with its token, on our own page."""
 
 import dataclasses
 import errno
@@ -37,9 +37,6 @@ class Listener:
     Args:
         host: address or name to listen at; 0.0.0.0 lets other machines in.
         port: the next free one is taken where it is in use; 0 takes any.
-
-    Raises:
-        CommandError: nothing can listen there.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
@@ -71,7 +68,7 @@ class Listener:
         return ""
 
     def _is_own(self, host: str) -> bool:
-        """Tell whether the Host of a request is a name of ours or a bare address, which nobody can point elsewhere."""
+        """Tell whether the Host of a request is a name of ours or a bare address, which no name server can point elsewhere."""
         with suppress(ValueError):
             name = urlsplit(f"//{host}").hostname or ""
             return name in self._names or ipaddress.ip_address(name) is not None
@@ -79,11 +76,7 @@ class Listener:
 
 
 def require_viser() -> None:
-    """Say how to install what the viewer is built on, before anything is computed for it.
-
-    Raises:
-        CommandError: it is not installed.
-    """
+    """Require viser, with the command that installs it, before anything is computed."""
     if importlib.util.find_spec("viser") is None:
         raise CommandError(MISSING)
 
@@ -91,12 +84,8 @@ def require_viser() -> None:
 def start_guarded(listener: Listener, start: Callable[[], "viser.ViserServer"]) -> "viser.ViserServer":
     """Start a server of viser that listens at our socket, and asks the listener about every request.
 
-    Args:
-        listener: where it listens.
-        start: makes the server.
-
     Raises:
-        CommandError: it was started in another way, and would let anybody in; it is stopped again.
+        CommandError: it was started in another way, and would let anyone in; it is stopped again.
     """
     from websockets.asyncio import server
 
@@ -107,7 +96,7 @@ def start_guarded(listener: Listener, start: Callable[[], "viser.ViserServer"]) 
         is_guarded = True
         return serve(handler, sock=listener.socket, process_request=_asking(listener, process_request), **options)
 
-    server.serve = serve_guarded  # type: ignore[misc, assignment]  # viser has no other way to be told
+    server.serve = serve_guarded  # type: ignore[misc, assignment]  # viser has no other hook
     try:
         started = start()
     finally:

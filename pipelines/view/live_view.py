@@ -31,7 +31,6 @@ class ViewRequest:
         pose: the virtual camera, at the size of the viewer's window.
         instant: frame number of the capture.
         methods: label of the method; of two, the first left of the divider and the second right of it.
-        k: source views.
         layer: the picture, or what the method decided on the way to it.
         divider: where the two meet, share of the width.
     """
@@ -69,16 +68,13 @@ class _Running:
 
 @dataclass
 class LiveView:
-    """Pictures of one size for one viewer, each method with the history of what it was shown.
+    """Pictures of one size for one viewer, each method with its history.
 
     A method sees instants as they come: the same one again while time stands still, the next one while it plays. It begins anew
     after any other jump in time, since it would take what it remembers for the instant before.
 
     Attributes:
-        stock: frames and depth.
-        units_per_metre: of the capture.
         pixels: of a picture, at most.
-        device: where networks compute.
         sources: which cameras are source views, see `choose_sources`.
     """
 
@@ -90,12 +86,7 @@ class LiveView:
     _running: dict[str, _Running] = field(default_factory=dict)
 
     def picture(self, request: ViewRequest) -> Picture:
-        """Synthesise what is asked for.
-
-        Raises:
-            CameraError: too few cameras look the pose's way.
-            RenderError: unknown method, or one that does not show this layer.
-        """
+        """Synthesise the picture of a request."""
         target = fitted(request.pose, self.pixels)
         self._running = {label: each for label, each in self._running.items() if label in request.methods}
         seconds: dict[str, dict[str, float]] = {}
@@ -109,7 +100,7 @@ class LiveView:
         return Picture(divided(images, request.divider), seconds, tuple(camera.name for camera in sources))
 
     def restart(self) -> None:
-        """Forget what the methods were shown."""
+        """Forget the methods' history."""
         self._running.clear()
 
     def _step(self, label: str, request: ViewRequest, target: Camera) -> Rendering:
@@ -128,11 +119,7 @@ class LiveView:
 
 
 def layer_image(rendering: Rendering, layer: Layer, target: Camera, label: str) -> Image8:
-    """The picture, or a map behind it in colours, at the target's size.
-
-    Raises:
-        RenderError: the method has no such map; the message names those it has.
-    """
+    """The picture, or a map behind it in colours, at the target's size."""
     if layer == "picture":
         return quantise(rendering.image)
     maps = dict(rendering.diagnostics)

@@ -19,11 +19,9 @@ class Recording:
     """The requests that were answered between start and stop; a new start forgets them.
 
     Attributes:
-        playback: the rig.
         view: camera whose size and depth range the recorded poses get.
         protocol: evaluates the capture; its path is replaced by the recorded one.
         folder: where files go, ``path000.mp4``, ``path000.toml``, ...
-        device: where networks compute.
         requests: what was recorded, in the order of time.
     """
 
@@ -48,11 +46,7 @@ class Recording:
             self.requests.append(request)
 
     def write_video(self) -> str:
-        """Render the path again at the rig's size, by the method that was shown last, into an MP4 file; says which.
-
-        Raises:
-            RenderError: nothing was recorded, or the file cannot be written.
-        """
+        """Render the path again at the rig's size, by the method that was shown last, into an MP4 file; says which."""
         poses, last = self._poses(), self.requests[-1]
         instants = [request.instant for request in self.requests]
         path = self._free_name(".mp4")
@@ -61,9 +55,6 @@ class Recording:
 
     def write_protocol(self) -> str:
         """Write the protocol with the recorded path; says how it is run.
-
-        Raises:
-            RenderError: less than two poses were recorded.
 
         Reading:
             A protocol's path is walked at one instant, so that its epipolar plane images show the method's contradictions alone;

@@ -52,11 +52,6 @@ def gazed_depth(stock: FrameStock, instant: int) -> float:
 def cloud(stock: FrameStock, instant: int, most: int = MOST_POINTS) -> tuple[Array, Image8]:
     """The surface that all cameras see at an instant, thinned evenly.
 
-    Args:
-        stock: frames and depth.
-        instant: frame number.
-        most: points, in all.
-
     Returns:
         Points in the world (N, 3) and their colours (N, 3), RGB uint8.
     """
@@ -74,12 +69,7 @@ def cloud(stock: FrameStock, instant: int, most: int = MOST_POINTS) -> tuple[Arr
 
 
 class Frusta:
-    """The cameras of a rig where they stand; one in which the viewer stands would frame the picture and is hidden.
-
-    Args:
-        scene: what they are drawn into.
-        cameras: the rig.
-    """
+    """The cameras of a rig where they stand; one in which the viewer stands would frame the picture and is hidden."""
 
     def __init__(self, scene: "viser.SceneApi", cameras: Sequence[Camera]) -> None:
         centres = np.stack([camera.centre for camera in cameras])

@@ -35,9 +35,6 @@ class ViewDefaults:
     """Initial settings of a window.
 
     Attributes:
-        method: label of the method.
-        methods: labels to choose from.
-        k: source views.
         protocol: evaluates the capture, for paths that are recorded.
         recordings: folder of what is recorded.
     """
@@ -55,13 +52,7 @@ class Session:
     The viewer calls `advance` again and again on one thread, `refine` on another; the browser's messages arrive on more.
 
     Args:
-        client: the window.
-        playback: what is looked at.
-        stocks: frames and depth, small and whole.
         pixels: of a small picture, at most.
-        defaults: what is shown at first.
-        device: where networks compute.
-        changed: called when there is something to do.
     """
 
     def __init__(

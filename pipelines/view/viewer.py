@@ -38,9 +38,7 @@ class Viewer:
 
     Args:
         playback: what is looked at; its poses are not used.
-        defaults: what a window shows at first.
         listener: where the page is served; its address is the one to open.
-        device: where networks compute.
     """
 
     def __init__(self, playback: Playback, defaults: ViewDefaults, listener: Listener, device: str = "cpu") -> None:
@@ -115,11 +113,7 @@ def _attempt(session: Session, work: Callable[[], bool | None]) -> bool:
 
 
 def open_server(listener: Listener) -> "viser.ViserServer":
-    """A server without a scene, which nobody can have publish itself.
-
-    Raises:
-        CommandError: this version of viser cannot be guarded.
-    """
+    """A server without a scene, which cannot be made to publish itself."""
     import viser
     from viser import _messages
 
@@ -148,9 +142,6 @@ def export_page(playback: Playback, instants: Sequence[int], file: Path, listene
     """Write a page that needs no server: the cameras, and the points of each instant, played one after the other.
 
     Args:
-        playback: what is looked at.
-        instants: which of it.
-        file: page to write.
         listener: of the server that viser makes the page by, for as long as that takes.
         pixels: of the frames that points are made of, at most.
 

@@ -46,18 +46,9 @@ def write_depth_page(
     """Write the page; a complete one of the same depth is left as it is.
 
     Args:
-        folder: where to; what is in it is replaced.
         capture: the capture that the depth was computed from, at that size.
-        stored: what to show; cameras may stand in it several times, matched with other partners.
-        filled_confidence: `DepthOptions.filled_confidence` of its computation.
+        stored: what to show; cameras may be in it several times, matched with other partners.
         workers: processes; the page does not depend on it.
-
-    Returns:
-        The page.
-
-    Raises:
-        DepthError: nothing to show, or depth that is not stored.
-        CaptureError: frames that cannot be read.
     """
     if not stored:
         raise DepthError(f"{folder}: wanted depth to show, got none; prepare a capture with at least one test view")
@@ -113,10 +104,7 @@ def examine_depth(
     """Evaluate depth maps and pairs and write the pictures, in three rounds: statistics and features, pairs, pictures.
 
     Args:
-        pool: does the work.
-        folder: where pictures go.
         capture: as in `write_depth_page`, and so is the rest.
-        stored: what to show.
         filled_confidence: of filled pixels.
     """
     statistics = _all(pool, [pool.submit(_describe, store, each, filled_confidence) for each in stored], "judging depth maps")
@@ -192,7 +180,6 @@ def _draw(
     filled_confidence: float,
     matches: dict[str, Array],
 ) -> CameraPictures:
-    """Write the pictures of one camera; runs in a worker."""
     camera = capture.camera(stored.job.camera_name)
     partners = [capture.camera(name) for name in stored.job.partner_names]
     nearest = nearest_cameras(camera, partners, 1)[0] if partners else None

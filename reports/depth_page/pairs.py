@@ -28,13 +28,10 @@ DOT_COLOURS = ((213, 94, 0), (0, 158, 115), (204, 121, 167), (0, 114, 178), (230
 
 @dataclass(frozen=True)
 class PairErrors:
-    """A camera, one it is matched with, and what matched features say of the two.
+    """A camera, a partner, and the errors of their matched features.
 
     Attributes:
-        camera: whose depth is wanted.
-        partner: the other.
         baseline: distance of their centres, world units.
-        angle_rad: between their viewing directions.
         d_min: smallest disparity that is looked for, pixels.
         d_max: largest.
         matches: number of matched features; 0 where too few agree with each other to say anything.
@@ -63,12 +60,6 @@ def measure_pair(camera: Camera, partner: Camera, features: Features, partner_fe
     Matches are chosen without any calibration, by the epipolar geometry that most of them share: a calibration that is wrong
     cannot choose those that fit it.
 
-    Args:
-        camera: whose depth is wanted.
-        partner: a camera it is matched with.
-        features: of an image of the camera.
-        partner_features: of the partner's image of the same instant.
-
     Returns:
         The errors, and the matches as pixels of the two images, (M, 2, 2).
     """
@@ -86,9 +77,6 @@ def on_canvas(pair: RectifiedPair, camera: Camera, partner: Camera, uv: Array) -
     """Bring matched pixels to the rectified canvas.
 
     Args:
-        pair: the rectification of the two cameras.
-        camera: the one that plays the left image.
-        partner: the one that plays the right.
         uv: pixels of the two images, (M, 2, 2).
 
     Returns:
@@ -151,11 +139,7 @@ def pair_picture(
     Rows become columns where that takes a quarter turn, and the halves stand one above the other.
 
     Args:
-        pair: the rectification.
-        camera: the reference, which plays the left image.
-        partner: the partner.
         image: of the reference, RGB (H, W, 3).
-        partner_image: of the partner.
         uv: matched pixels of the two, (M, 2, 2).
     """
     turns = _turns_upright(pair.rotation[0])

@@ -1,4 +1,4 @@
-"""The pictures of one camera's depth: what it saw, how far that is, how sure we are, and what it looks like made again."""
+"""The pictures of one camera's depth: image, depth, confidence, and the image resynthesised."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +27,6 @@ class Picture:
     """A JPEG file.
 
     Attributes:
-        file: its name.
         width: pixels.
         height: pixels.
     """
@@ -61,10 +60,6 @@ class InstantPictures:
     """A camera at one instant.
 
     Attributes:
-        frame: the instant.
-        image: what the camera saw.
-        depth: depth as colours.
-        confidence: confidence as colours.
         again: the image made again, None where the camera was matched with no other.
     """
 
@@ -80,8 +75,6 @@ class PictureOfPair:
     """A camera and one of its partners, rectified.
 
     Attributes:
-        partner: its name.
-        picture: both images.
         beside: True where the camera is on the left and the partner on the right, False where it is above it.
     """
 
@@ -104,13 +97,8 @@ def write_instant(
     """Write the pictures of a camera at one instant.
 
     Args:
-        folder: where to.
-        stem: what the names of the files begin with.
-        frame: the instant.
         image: what it saw, RGB uint8 (H, W, 3).
-        depth_map: its depth.
         depth_range: nearest and farthest depth of the colours, world units.
-        filled_confidence: `DepthOptions.filled_confidence` of its computation.
         other: the camera to make the image again from, with what that one saw at the same instant.
     """
     start = f"{stem}_{frame:06d}"
@@ -147,8 +135,6 @@ def write_pairs(
     """Write a picture of a camera with each of its partners.
 
     Args:
-        folder: where to.
-        stem: what the names of the files begin with.
         image: what it saw, RGB uint8 (H, W, 3).
         partners: the cameras it is matched with and what they saw.
         matches: partner -> matched pixels of camera and partner, (M, 2, 2).
@@ -178,7 +164,6 @@ def _sampled_mask(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _write(path: Path, image: Image8) -> Picture:
-    """Write a JPEG whole or not at all."""
     _, encoded = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     write_bytes(path, encoded.tobytes())
     return Picture(path.name, image.shape[1], image.shape[0])

@@ -36,7 +36,6 @@ class CameraPictures:
         partners: of the job that is pictured; where a camera has several, the one that measured least.
         depth_range: nearest and farthest depth of the colours, world units.
         again_from: the camera that images are made again from, the nearest partner; empty where there is none.
-        instants: one per instant.
         pairs: one per partner that the camera can be rectified with.
     """
 
@@ -52,9 +51,7 @@ class CameraRecord:
     """One source camera.
 
     Attributes:
-        name: of the camera.
         jobs: every job that computed its depth, with what came out at each instant.
-        pictures: of one of them.
     """
 
     name: str
@@ -62,7 +59,7 @@ class CameraRecord:
     pictures: CameraPictures
 
     def label(self, stored: StoredDepth) -> str:
-        """The camera's name, with the partners where it has several jobs that must be told apart."""
+        """The camera's name, with the partners where it has several jobs."""
         return self.name if len(self.jobs) == 1 else f"{self.name} with {', '.join(stored.job.partner_names)}"
 
 
@@ -71,8 +68,6 @@ class DepthRecord:
     """Everything on the page.
 
     Attributes:
-        scene: name of the capture.
-        units_per_metre: world units per metre.
         units_origin: where that number comes from.
         cameras: source cameras in the order of the capture.
         pairs: every pair of a camera and a partner, measured at the first instant.

@@ -21,7 +21,6 @@ class DepthStatistics:
     """Statistics of a depth map. Shares are of all pixels.
 
     Attributes:
-        frame: the instant.
         measured: share of pixels with a depth of their own.
         filled: share of pixels whose depth was filled in from others.
         empty: share of pixels without depth.
@@ -43,10 +42,6 @@ class DepthStatistics:
 
 def measured_pixels(depth_map: DepthMap, filled_confidence: float) -> NDArray[np.bool_]:
     """Pixels with a depth of their own, (H, W).
-
-    Args:
-        depth_map: as the store gives it.
-        filled_confidence: `DepthOptions.filled_confidence` of its computation.
 
     Reading:
         The store keeps no mark of filled pixels, only their low confidence. A measured pixel whose confidence is as low counts
@@ -96,11 +91,8 @@ def resynthesise(camera: Camera, depth: Map, image: Image8, other: Camera, other
     """Look up each pixel of a camera in another camera's image, by its depth.
 
     Args:
-        camera: the camera of the depth map.
         depth: (H, W), world units, 0 = invalid.
         image: what it saw, RGB uint8 (H, W, 3).
-        other: another camera.
-        other_image: what that one saw at the same instant.
 
     Reading:
         What the other camera cannot see is found by this very depth map, seen from there, not by the other's own: then only one

@@ -1,4 +1,4 @@
-"""Warnings about a capture's depth, in words, with what to do about each."""
+"""Warnings about a capture's depth, in words, each with a remedy."""
 
 from collections.abc import Iterator, Sequence
 
@@ -13,7 +13,7 @@ MOST_ROW_PX = 1.0  # a matcher looks for a match on one row; a pixel beside it e
 MOST_OUTSIDE = 0.05  # of the matches; mismatches alone stay well below
 MOST_ERROR = 2.0  # times what is usual among the cameras ...
 LEAST_ERROR = 8.0  # ... and not less than this, of 255 levels: sensor noise and resampling
-MOST_GAIN = 1.15  # matchers mind contrast, not exposure; but whoever blends the images will see it
+MOST_GAIN = 1.15  # matchers mind contrast, not exposure; but a blend of the images shows it
 
 
 def find_warnings(record: DepthRecord) -> list[str]:
@@ -26,7 +26,7 @@ def find_warnings(record: DepthRecord) -> list[str]:
 
 
 def find_notes(record: DepthRecord) -> list[str]:
-    """Note what is not necessarily wrong but good to know."""
+    """Note facts that are not necessarily wrong but good to know."""
     notes = []
     notes += [f"{pair.camera}-{pair.partner} cannot be rectified: {pair.obstacle}." for pair in record.pairs if pair.obstacle]
     unmeasured = [f"{pair.camera}-{pair.partner}" for pair in record.pairs if not pair.matches and not pair.obstacle]

@@ -72,7 +72,6 @@ def draw_failures(run: MeasuredRun, files: Sequence[Path], label: str, cases: in
 
 
 def _grid(size: tuple[float, float], heights: list[float], columns: int) -> tuple[Any, Any]:
-    """A figure and its axes (rows, columns)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained")

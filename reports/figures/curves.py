@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # Metadata keys that would carry a date or a version.
 VOLATILE = {".png": ("Software",), ".pdf": ("CreationDate", "Producer", "Creator"), ".svg": ("Date", "Creator")}
 DOTS_PER_INCH = 200
-# Okabe and Ito's colours, told apart by colour-blind readers; the page repeats them as CSS variables.
+# Okabe and Ito's colours, which colour-blind readers can distinguish; the page repeats them as CSS variables.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#b8a800", "#777777")
 DASHES = ("", "7 3", "2 3", "9 3 2 3")
 SIZE = (340, 170)
@@ -26,11 +26,7 @@ MARGIN = (46, 10, 10, 24)  # left, right, top, bottom
 
 
 def save_figure(figure: "Figure", out: Path) -> Path:
-    """Write a figure; the suffix of the file chooses the format.
-
-    Raises:
-        ResultsError: another suffix than ``.png``, ``.pdf`` or ``.svg``.
-    """
+    """Write a figure; the suffix of the file chooses the format."""
     if out.suffix not in VOLATILE:
         raise ResultsError(f"{out}: a figure's name must end in {', '.join(VOLATILE)}, got {out.suffix or 'no suffix'}")
     import matplotlib
@@ -63,11 +59,8 @@ class Panel:
     """One metric in one view along time.
 
     Attributes:
-        metric: name.
         unit: unit of the values; empty where there is none.
         better: ``higher is better`` or ``lower is better``.
-        view: test view.
-        curves: one per method.
         bounds: first and last frame, lower and upper end of the values; the same in all views.
     """
 

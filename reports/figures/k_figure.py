@@ -18,11 +18,7 @@ AN_EXAMPLE = "make one with `ggvs-eval sweep k FOLDER --capture CAPTURE`"
 
 
 def read_k_table(sweep: Path) -> pd.DataFrame:
-    """The table of a sweep over K: rows (method, K), rising in K; of several captures their mean.
-
-    Raises:
-        ResultsError: no sweep there, or none over at least two K.
-    """
+    """The table of a sweep over K: rows (method, K), rising in K; of several captures their mean."""
     file = sweep / SWEEP_FILE
     if not file.is_file():
         raise ResultsError(f"{sweep}: wanted the folder of a sweep, it has no {SWEEP_FILE}; {AN_EXAMPLE}")
@@ -45,11 +41,7 @@ def draw_k(sweep: Path, out: Path, metrics: tuple[str, ...] = ()) -> Path:
 
     Args:
         sweep: folder that ``ggvs-eval sweep`` has made.
-        out: file to write.
         metrics: which; PSNR and LPIPS, where they were measured, by default.
-
-    Raises:
-        ResultsError: no such sweep, or a metric that it lacks.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator

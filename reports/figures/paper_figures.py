@@ -33,16 +33,6 @@ def write_figure(
         folder: run folder, rendered and scored; of ``k`` the folder of a sweep.
         kind: ``crops`` of one frame, ``failures`` of a method, slices ``epi`` and ``time``, or the curves over ``k``.
         out: file to write; without a suffix both a PNG and a PDF.
-        rule: by which crops are chosen, see `ggvs_eval.reports.figures.regions.RULES`.
-        method: label whose worst squares are shown; ours, or the first, where None.
-        boxes: squares of crops, cases of failures.
-        view: test view of crops and ``time``.
-        frame: frame of crops.
-        row: image row of slices.
-        metrics: panels of ``k``.
-
-    Raises:
-        ResultsError: as of the single figures, or no boxes.
     """
     if boxes < 1:
         raise ResultsError(f"wanted at least one box, got {boxes}")
@@ -59,7 +49,7 @@ def write_figure(
 
 
 def first_choice(run: MeasuredRun) -> str:
-    """The method that a figure is about where nobody says: ours, or the first."""
+    """The method that a figure is about by default: ours, or the first."""
     if not run.pictured:
         raise ResultsError(f"{run.folder.root}: no method has whole renders to show; run `ggvs-eval render` again")
     return next((label for label in run.pictured if label in run.ours), run.pictured[0])

@@ -31,8 +31,6 @@ class Region:
     """A square of one frame.
 
     Attributes:
-        view: test view.
-        frame: number of the frame.
         top: first row, pixels.
         left: first column, pixels.
         side: pixels.

@@ -37,7 +37,6 @@ class Slices:
     Attributes:
         kind: ``epi`` or ``time``.
         view: test view of an x-t slice; empty for an epipolar plane image.
-        row: image row.
         chosen_by: who chose the row, in words.
         strips: the truth first, then every method.
         context: frame that the row is taken from.
@@ -58,14 +57,9 @@ def epipolar_plane_image(folder: Path, n_poses: int, row: int) -> Image8:
 
     Args:
         folder: ``0000.png``, ... one per pose.
-        n_poses: number of poses.
-        row: image row, from the top.
 
     Returns:
         (v, x, 3), v the pose; a scene point is a line whose slope grows with its nearness.
-
-    Raises:
-        ResultsError: no such row.
     """
     return _stack_rows(folder, range(n_poses), row)
 
@@ -73,16 +67,8 @@ def epipolar_plane_image(folder: Path, n_poses: int, row: int) -> Image8:
 def temporal_slice(folder: Path, frames: range, row: int) -> Image8:
     """One row of the frames of a fixed view, stacked over time.
 
-    Args:
-        folder: frames named by their number.
-        frames: which of them.
-        row: image row, from the top.
-
     Returns:
         (t, x, 3); what stands still is a vertical line, flicker is horizontal noise.
-
-    Raises:
-        ResultsError: no such row.
     """
     return _stack_rows(folder, frames, row)
 
@@ -127,9 +113,6 @@ def path_folders(run: MeasuredRun, labels: Iterable[str]) -> tuple[dict[str, Pat
 
     Returns:
         Label -> folder, and the number of poses, 0 where the run has no path.
-
-    Raises:
-        RenderError: poses are missing.
     """
     folders = {label: run.folder.path(label) for label in ("truth", *labels) if run.folder.path(label).is_dir()}
     n_poses = max((len(list(folder.glob("*.png"))) for folder in folders.values()), default=0)
@@ -143,10 +126,6 @@ def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
     Reading:
         The paper fixes a row without saying which; unless one is given, it is the row with the strongest horizontal gradients in
         the middle pose of the truth, or of all methods together on a virtual path, which has no truth.
-
-    Raises:
-        RenderError: poses are missing.
-        ResultsError: no such row.
     """
     folders, n_poses = path_folders(run, run.labels)
     if not n_poses:
@@ -169,9 +148,6 @@ def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
 
     Reading:
         The paper fixes a row without saying which; unless one is given, it is the row in which the truth changes most over time.
-
-    Raises:
-        ResultsError: no such view or row.
     """
     views = run.protocol.views.test
     if view not in views:
@@ -195,14 +171,10 @@ def write_slices(run: Path, kind: SliceKind, row: int | None, view: str | None, 
     """Write epipolar plane images or x-t slices of every method and the truth of a run.
 
     Args:
-        run: run folder, rendered and scored.
         kind: ``epi`` along the camera path, ``time`` in a fixed view.
         row: image row; None chooses one and the figure says how.
         view: test view of ``time``; None takes the first.
         out: file to write; its suffix chooses the format (``.png``, ``.pdf``, ``.svg``).
-
-    Returns:
-        The file.
 
     Raises:
         ResultsError: not a scored run, no camera path in it, no such view or row, or a suffix that is not a picture's.

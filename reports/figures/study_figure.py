@@ -1,4 +1,4 @@
-"""Figure of metric studies: what each metric answers to each degradation, a field of cells for each study."""
+"""Figure of metric studies: the answer of each metric to each degradation, a field of cells for each study."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 CELL_IN = (0.235, 0.175)
 LABELS_IN, HEAD_IN, FOOT_IN, GAP_IN = 1.35, 0.75, 0.6, 0.12
 WIDE_IN = 4.0  # from which on the legend fits into one line
-# Okabe and Ito's blue and vermillion, told apart by colour-blind readers.
+# Okabe and Ito's blue and vermillion, which colour-blind readers can distinguish.
 SEES, REWARDS, ABSENT = "#0072b2", "#d55e00", "#e6e6e6"
 LEGEND = {SEES: "worse with strength", REWARDS: "better with strength", "white": "blind", ABSENT: "not computed"}
 
@@ -26,10 +26,6 @@ def draw_study(folders: Mapping[str, Path], out: Path) -> Path:
 
     Args:
         folders: title of the field -> folder of a metric study.
-        out: file to write.
-
-    Raises:
-        ResultsError: no such study, or none of the metrics has an answer.
     """
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch

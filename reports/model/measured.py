@@ -1,4 +1,4 @@
-"""A scored run folder as the reports see it: who was measured, under what name, and what each number means."""
+"""A scored run folder as the reports see it: methods, names to show, and the meaning of each number."""
 
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -25,8 +25,7 @@ class Reference:
     """Values that were computed on this capture but belong to no method.
 
     Attributes:
-        group: table it stands in, e.g. ``consistency``.
-        name: what it is.
+        group: table it belongs to, e.g. ``consistency``.
         note: how it was made, one sentence.
         values: metric -> value, or the reason why there is none.
         bounds: metric -> ``at most`` or ``at least`` where its value is a bound.
@@ -40,7 +39,7 @@ class Reference:
 
 
 def read_references(folder: RunFolder) -> tuple[Reference, ...]:
-    """Read what the score step wrote beside the results; nothing where it wrote none."""
+    """Read the references of the score step; none where it wrote none."""
     file = folder.root / REFERENCES_FILE
     return tuple(Reference(**entry) for entry in read_json(file)) if file.is_file() else ()
 
@@ -119,18 +118,15 @@ class MeasuredRun:
     """One run folder that was rendered and scored.
 
     Attributes:
-        folder: where it lies.
-        protocol: what was asked for.
-        results: what came out.
         labels: folder names of the methods, in the order in which they were asked for.
         names: label -> name to show.
         ours: labels of the paper's method and its variants.
         metrics: metric -> its note.
         references: grey rows that belong to no method.
-        replicas: label of a fitted method -> labels of the same by other seeds, which stand in no table but that of the spread.
+        replicas: label of a fitted method -> labels of the same by other seeds, which are in no table but that of the spread.
         all_results: what came out, with these; None where there are none.
         from_sources: labels of the methods that render each instant from the source views of the protocol; others are fitted to
-            more, or nobody knows.
+            more, or it is unknown.
     """
 
     folder: RunFolder
@@ -183,7 +179,7 @@ class MeasuredRun:
 
     @property
     def pictured(self) -> tuple[str, ...]:
-        """Labels of the methods that have every frame, which alone can stand beside each other in pictures."""
+        """Labels of the methods that have every frame, which alone can be compared in pictures."""
         return tuple(label for label in self.labels if label not in self.partial)
 
     @property

@@ -17,13 +17,9 @@ class MetricNote:
     """A metric as a report knows it.
 
     Attributes:
-        name: as in the results.
         unit: e.g. ``dB``; empty where there is none.
-        higher_is_better: direction of the arrow.
-        describe: one sentence.
-        reference: publication that defines it.
-        group: short name of the table that it stands in.
-        group_title: what stands above that table.
+        group: short name of its table.
+        group_title: heading of that table.
         decimals: digits after the point; None for four significant ones.
     """
 
@@ -43,11 +39,7 @@ class MetricNote:
 
 
 def read_metric_notes(run: Path) -> dict[str, MetricNote]:
-    """Metric -> its note, in the order in which the protocol names them.
-
-    Raises:
-        ResultsError: an older version scored this run.
-    """
+    """Metric -> its note, in the order in which the protocol names them."""
     fields = {field.name for field in dataclasses.fields(MetricNote)} - {"name"}
     records = read_json(run / METRICS_FILE)
     for name, record in records.items():

@@ -12,11 +12,7 @@ Study = Mapping[str, Any]  # see `ggvs_eval.pipelines.study.study.run_study`
 
 
 def read_study(folder: Path) -> Study:
-    """Read what ``ggvs-eval metric-study`` wrote.
-
-    Raises:
-        ResultsError: no study there.
-    """
+    """Read a study of ``ggvs-eval metric-study``."""
     file = folder / STUDY_FILE
     if not file.is_file():
         raise ResultsError(

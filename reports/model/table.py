@@ -17,7 +17,6 @@ class Column:
     """Head of a column.
 
     Attributes:
-        name: metric, view or stage.
         unit: unit of its values; empty where there is none.
         higher_is_better: direction; None where values are not ranked.
         describe: what it is, one sentence.
@@ -41,14 +40,14 @@ class Cell:
     Attributes:
         text: rounded value and nothing else, or the reason why there is none; never empty.
         value: unrounded; None where there is none.
-        best: no measured row of this column is better, as far as can be told.
+        best: no measured row of this column is better, as far as is known.
         shade: strength of the blue behind it, 0 to 1.
         spread: rounded half width of its interval, ``± 0.21``; empty where there is none.
         low: lower bound of the interval, unrounded; None where there is none.
-        high: upper bound; None likewise.
+        high: upper bound; None where `low` is.
         note: what the interval takes as given, or why there is none.
         bound: ``at most`` or ``at least``, before the value, where it is a bound.
-        beside: what stands behind the value, such as a percentile.
+        beside: text behind the value, such as a percentile.
         unranked: why the value is neither marked as best nor kept from it by others; empty where it competes.
     """
 
@@ -91,7 +90,7 @@ class Row:
 
     @property
     def is_grey(self) -> bool:
-        """True for a row that only stands beside what was measured, and is not ranked."""
+        """True for a row that is shown for comparison and not ranked."""
         return self.kind in ("published", "reference")
 
     @property
@@ -106,12 +105,10 @@ class Table:
 
     Attributes:
         key: short name for files, labels and anchors.
-        title: what stands above it.
         caption: what it shows and how it was made.
         columns: heads, without the column of names.
         rows: measured rows first, published ones last.
-        dataset: what was measured on.
-        undecided: name of a column -> why nobody is named as its best, where somebody is not.
+        undecided: name of a column -> why no best is named in it.
     """
 
     key: str
@@ -160,10 +157,9 @@ def _decimals(value: float, decimals: int | None) -> int:
 def rank(columns: Sequence[Column], rows: Sequence[Row], told: Sequence[frozenset[int] | None] = ()) -> tuple[Row, ...]:
     """Mark the best measured value of each column and shade the better half; grey rows are left alone.
 
-    Where all would be marked, nothing is told apart and none is.
+    Where all would be marked, none is.
 
     Args:
-        columns: heads.
         told: per column the indices of the rows that are best or cannot be told from the best, to which those are added that
             print the same digits as the best; None, or nothing at all, leaves it at the printed digits.
     """

@@ -1,1 +1,1 @@
-"""The page and what it carries in itself: pictures, videos, heat maps, scripts."""
+"""The page with everything it carries: pictures, videos, heat maps, scripts."""

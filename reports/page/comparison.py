@@ -41,12 +41,7 @@ def diagnostics_label(run: MeasuredRun) -> str | None:
 
 
 def diagnostics_folders(frames: Path, label: str, indices: range) -> Iterator[tuple[str, Path]]:
-    """Key and folder of each kind of picture that is there for every frame.
-
-    Args:
-        frames: folder of the method's frames.
-        indices: of the frames.
-    """
+    """Key and folder of each kind of picture that is there for every frame."""
     for name in MEANINGS:
         folder = frames / DIAGNOSTICS / name
         if folder.is_dir() and not missing_frames(folder, indices):
@@ -69,14 +64,11 @@ class Comparison:
     """Frame comparison of one run.
 
     Attributes:
-        views: test views.
         frames: frame numbers shown, every ``stride``-th one.
         stride: 1 where all frames are shown.
         width: width of the pictures, pixels.
-        height: their height.
         full_size: width and height of the frames on disk.
         keys: ``truth``, the methods' labels, and what one of them decided inside, see `diagnostics_folders`.
-        names: what each is called.
         images: view -> key -> one picture per frame shown.
         errors: view -> label -> one error map per frame shown.
     """
@@ -99,9 +91,6 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
     Args:
         byte_budget: what the frames may take, before base64; it decides their width. Error maps and what a method decided inside
             take about a quarter more each.
-
-    Raises:
-        RenderError: a frame and its truth differ in size.
     """
     views, diagnostics = run.protocol.views.test, _diagnostics(run)
     keys = ("truth", *run.pictured, *next(iter(diagnostics.values())))
@@ -167,11 +156,6 @@ def error_map(rendered: Image8, truth: Image8, file: Path) -> Image8:
 
     Args:
         rendered: (H, W, 3), uint8.
-        truth: same shape.
-        file: where the rendered frame lies, for the message.
-
-    Raises:
-        RenderError: shapes differ.
     """
     if rendered.shape != truth.shape:
         truth_size, rendered_size = truth.shape[1::-1], rendered.shape[1::-1]

@@ -42,7 +42,6 @@ def fitting_width(samples: Sequence[Image8], bytes_each: float) -> int:
     """The largest width, at most the samples' own, at which they take no more than so many bytes on average.
 
     Args:
-        samples: pictures of one size that stand for all others.
         bytes_each: what one may take as WebP, before base64; the narrowest width of `WIDTHS` is taken where nothing fits.
     """
     own = samples[0].shape[1]

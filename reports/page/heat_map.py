@@ -19,9 +19,7 @@ class HeatMap:
     """One metric of every method over views and frames.
 
     Attributes:
-        metric: name.
         unit: unit of the values; empty where there is none.
-        higher_is_better: direction.
         low: smallest finite value of all methods.
         high: largest finite value of all methods.
         values: label -> view -> one value per frame of the run; None where there is none or none that is finite.

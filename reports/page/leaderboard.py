@@ -22,9 +22,6 @@ def write_leaderboard(runs: Sequence[Path], out: Path) -> Path:
         runs: folders with ``protocol.toml``, ``results.*``, ``methods.json`` and ``metrics.json`` of a run; frames may be absent.
         out: HTML file to write; equal runs give equal bytes.
 
-    Returns:
-        The file.
-
     Raises:
         ResultsError: no run, a run given twice, a folder that is no scored run, or a method that two runs measured on one scene.
     """
@@ -46,7 +43,6 @@ def write_leaderboard(runs: Sequence[Path], out: Path) -> Path:
 
 
 def _section(runs: Sequence[MeasuredRun]) -> dict[str, Any]:
-    """The template's context of one protocol."""
     return {
         "protocol": runs[0].protocol,
         "scenes": list(dict.fromkeys(run.scene for run in runs)),

@@ -75,10 +75,7 @@ def viewer_data(
     """Everything that the viewer, the linked slices and the heat maps of one run share.
 
     Args:
-        comparison: its frames, compressed.
         path: its frames along the camera path, compressed; None where there is none.
-        maps: its values per view and frame.
-        row: image row that the linked slices start with.
         fps: frames per second of the capture; 0 where unknown.
     """
     return {
@@ -105,7 +102,6 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
 
     Args:
         groups: runs by protocol; one alone has no heading of its own.
-        reproduced: every value that the paper publishes, beside ours.
         sweeps: tables and curves over K; they stand first where their runs follow, else behind the groups.
 
     Returns:

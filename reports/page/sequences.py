@@ -74,7 +74,6 @@ def method_videos(run: MeasuredRun, fps: float, byte_budget: int = VIDEO_BYTES) 
 
 
 def _encode(run: MeasuredRun, views: tuple[str, ...], width: int, fps: float, key: str) -> tuple[bytes, int, int]:
-    """One video as bytes, its width and height."""
     folders = [run.frame_folders(view)[key] for view in views]
     first = next(_pictures(folders[:1], run.frames, width))
     with TemporaryDirectory() as folder:
@@ -111,9 +110,6 @@ def path_pictures(run: MeasuredRun, byte_budget: int = PATH_BYTES) -> PathPictur
 
     Args:
         byte_budget: what they may take, before base64; it decides their width.
-
-    Raises:
-        RenderError: poses are missing.
     """
     folders, count = path_folders(run, run.pictured)
     if not count:
@@ -137,13 +133,7 @@ def _compress(width: int, file: Path) -> str:
 
 @dataclass(frozen=True)
 class PictureRoom:
-    """Bytes that the pictures of one run may take, before base64.
-
-    Attributes:
-        frames: of the viewer.
-        path: along the camera path.
-        videos: all of them together.
-    """
+    """Bytes that the pictures of one run may take, before base64."""
 
     frames: int
     path: int
@@ -177,5 +167,4 @@ def _n_frames(run: MeasuredRun) -> int:
 
 
 def _n_poses(run: MeasuredRun) -> int:
-    """Pictures along the camera path, of the truth and of all methods."""
     return sum(len(list(run.folder.path(key).glob("*.png"))) for key in ("truth", *run.pictured))

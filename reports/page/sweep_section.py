@@ -25,7 +25,6 @@ class SweepSection:
     """Section of the page about one sweep.
 
     Attributes:
-        name: of its folder.
         table: a row per method and variant.
         panels: a curve per method over K; none where the sweep has a single K.
         ks: numbers of source views, rising.
@@ -66,7 +65,6 @@ def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: boo
     Args:
         sweep: folder that ``ggvs-eval sweep`` has made.
         notes: metric -> unit and direction, of the sweep's runs.
-        runs_follow: whether the page shows these runs too.
     """
     caption = CAPTION + (RUNS_FOLLOW if runs_follow else RUNS_ELSEWHERE.format(shlex.quote(str(sweep))))
     table = _table(sweep, notes, caption)

@@ -1,4 +1,4 @@
-"""A method's number beside what this capture allows and what others publish, and where its error lies."""
+"""A method's number beside the capture's ceiling and published values, and where its error lies."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -22,8 +22,6 @@ def describe_absolute(name: str, cell: Cell, column: Column, table: Table, budge
     """One or two sentences on a method's number by itself; empty where there is nothing to hold it against.
 
     Args:
-        name: of the method, as tables have it.
-        cell: its number.
         table: the main table, whose grey rows have the ceilings of the capture.
         budgets: error budgets of the group's runs; the cause is of the first.
 

@@ -1,4 +1,4 @@
-"""Captions of the main tables: over what each mean is taken, from which images, and what does not compare."""
+"""Captions of the main tables: the extent of each mean, its images, and values that do not compare."""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,14 +18,10 @@ INTERCHANGE = (
 def main_captions(
     key: str, runs: Sequence[MeasuredRun], results: Results, names: Mapping[str, str], metrics: Sequence[str]
 ) -> list[str]:
-    """Sentences on what the numbers of a table stand on.
+    """Sentences on the basis of the numbers of a table.
 
     Args:
-        key: of the table.
-        runs: of one protocol.
-        results: theirs in one.
         names: label of each row -> name to show.
-        metrics: columns.
     """
     protocol = runs[0].protocol
     if key == "path":

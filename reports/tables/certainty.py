@@ -1,4 +1,4 @@
-"""Certainty of the numbers of a table: intervals, who is best, who cannot be told from it, and who is not ranked."""
+"""Certainty of the numbers of a table: intervals, the best method, its ties, and methods that are not ranked."""
 
 import math
 from collections import defaultdict
@@ -31,7 +31,7 @@ class Certainty:
 
     @property
     def told(self) -> frozenset[str] | None:
-        """Labels of the best and its ties; None where nobody could be compared with the best."""
+        """Labels of the best and its ties; None where none could be compared with the best."""
         if self.standing is None or (self.standing.comparisons and not self.standing.p_values):
             return None
         return self.standing.ties
@@ -65,9 +65,7 @@ def assess(note: MetricNote, results: Results, dataset: str, captured: float | N
     """Find intervals and standing of one metric.
 
     Args:
-        results: of all methods; partial ones are left out.
-        dataset: which data set of the table.
-        captured: what the captured images themselves score, of a metric without truth; None where nobody knows.
+        captured: what the captured images themselves score, of a metric without truth; None where unknown.
 
     Reading:
         A metric that sees no truth prefers what changes little, and blur changes least. Numbers better than those of the captured
@@ -103,7 +101,7 @@ def certainty_captions(certain: Mapping[str, Certainty], names: Mapping[str, str
     Args:
         certain: metric -> certainty.
         names: label -> name to show.
-        undifferentiated: metrics in which nothing is told apart, so that nothing is bold.
+        undifferentiated: metrics in which no method is distinguished, so that nothing is bold.
     """
     level = f"{100 * LEVEL:.0f} %"
     bounded = [one for certainty in certain.values() for one in certainty.intervals.values() if one.low is not None]
@@ -119,7 +117,7 @@ def certainty_captions(certain: Mapping[str, Certainty], names: Mapping[str, str
         )
     if undifferentiated:
         captions.append(f"Nothing is bold in {', '.join(undifferentiated)}: no method can be told from the best.")
-    said: dict[str, list[str]] = defaultdict(list)  # sentence with a gap -> what stands there
+    said: dict[str, list[str]] = defaultdict(list)  # sentence with a gap -> what fills it
     for metric, certainty in certain.items():
         if certainty.undecided and metric not in by_digits:
             said[f"No winner in {{}}: {certainty.undecided}."].append(metric)

@@ -19,10 +19,6 @@ class PublishedTerms:
 
     Attributes:
         protocol: packaged protocol that it belongs to.
-        source: publication.
-        frames: what was measured.
-        lpips_net: backbone of LPIPS.
-        dssim: which D-SSIM.
         checked: where each value was read.
         scenes: names of the scenes of which only the mean is published.
         withheld: why no value is shown beside measured ones; empty where they are.
@@ -62,11 +58,7 @@ def published_values() -> tuple[PublishedValue, ...]:
 
 
 def community_rows(protocol: Protocol, scenes: Collection[str], metrics: Sequence[str]) -> tuple[Row, ...]:
-    """Make the rows to stand in grey below what a run measured.
-
-    Args:
-        scenes: that it measured.
-        metrics: columns.
+    """Make the grey rows below what a run measured.
 
     Returns:
         A row per method and scene with a value in any column: of these scenes, and means over the whole data set. None for a run
@@ -102,7 +94,7 @@ def describe_published(protocol: Protocol, scenes: Collection[str]) -> list[str]
 
 
 def _shown(protocol: Protocol, scenes: Collection[str]) -> dict[tuple[str, str], dict[str, str]]:
-    """(method, scene) -> metric -> value of what may stand beside a run."""
+    """(method, scene) -> metric -> value of what may be shown beside a run."""
     terms = published_terms().get(protocol.name)
     if terms is None or terms.withheld or _difference(protocol, scenes):
         return {}

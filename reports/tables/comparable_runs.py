@@ -15,12 +15,9 @@ class PaperTerms:
     """The paper's protocol on one data set, as far as it states it.
 
     Attributes:
-        dataset: name in its tables.
         scenes: names of the scenes; empty where it names none.
         layouts: in which the data set lies on disk.
         test_views: how many; it does not say which.
-        k: number of source views.
-        frames: number of instants.
         size: width and height of the rendered images, pixels.
         metric_size: width and height at which is measured.
     """
@@ -100,7 +97,6 @@ class ComparableRuns:
 
     Attributes:
         runs: one per scene, of one protocol.
-        results: theirs in one.
         words: what was measured on, for the reader.
     """
 
@@ -111,10 +107,9 @@ class ComparableRuns:
 
 @dataclass(frozen=True)
 class NotComparable:
-    """That there is no such run, and why.
+    """Absence of such a run, with the reason.
 
     Attributes:
-        words: the reason.
         near: a run on part of the data set, or on other terms.
     """
 
@@ -148,7 +143,7 @@ def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> Comparabl
 
 
 def why_not_beside(dataset: str, runs: Sequence[MeasuredRun]) -> str:
-    """Say why the paper's values of a data set do not stand in a table of these runs; empty where they do."""
+    """Say why the paper's values of a data set are not in a table of these runs; empty where they are."""
     found = find_comparable_runs(dataset, runs)
     if isinstance(found, NotComparable):
         return found.words

@@ -24,9 +24,7 @@ class Side:
     """One of the two.
 
     Attributes:
-        name: what it is called.
         label: of its method, in its run.
-        results: of its run.
     """
 
     name: str
@@ -39,7 +37,6 @@ class Difference:
     """One metric of two methods, over all views or in one.
 
     Attributes:
-        note: the metric.
         view: test view; empty for the mean over all.
         first: number of the first method.
         second: of the second.
@@ -66,7 +63,7 @@ class Difference:
 
     @property
     def verdict(self) -> str:
-        """Who is better and whether that is more than chance, in words."""
+        """The better method and whether that is more than chance, in words."""
         difference = self.comparison.difference
         if difference == 0.0:
             return "equal"
@@ -79,11 +76,7 @@ class Difference:
 
 
 def method_sides(run: Path, first: str, second: str) -> tuple[Side, Side]:
-    """Two methods of one run.
-
-    Raises:
-        ResultsError: not a scored run, or a method that it has not.
-    """
+    """Two methods of one run."""
     results = Results.read(run)
     names = read_json(run / METHODS_FILE)["names"]
     for label in (first, second):
@@ -116,9 +109,7 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
     """Every metric that both have: over all views, and below it in each view.
 
     Args:
-        one: the first.
         other: the second.
-        run: run folder that says what the metrics are.
     """
     both = _both(one, other)
     dataset = str(both.table["dataset"].iloc[0])

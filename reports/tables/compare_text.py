@@ -50,15 +50,6 @@ def differences_csv(differences: Mapping[str, Sequence[Difference]]) -> str:
 def write_comparison(first: str, second: str, run: Path | None, views: bool = False, out: Path | None = None) -> str:
     """Compare two runs, or two methods of one.
 
-    Args:
-        first: run folder, or label of a method in `run`.
-        run: run folder of two methods; None where two runs are compared.
-        views: tell each view too.
-        out: CSV file to write; None writes none.
-
-    Returns:
-        The differences in words.
-
     Raises:
         ResultsError: different protocols or captured frames, no such run or method, or nothing in common.
     """

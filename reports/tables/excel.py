@@ -30,7 +30,6 @@ def write_excel(tables: Sequence[Table], values: dict[str, str], out: Path) -> P
     Args:
         tables: a sheet each, in which a cell without a value holds the reason.
         values: name of a further sheet -> CSV text with one line per value.
-        out: file to write.
     """
     content = io.BytesIO()
     names: list[str] = []

@@ -1,4 +1,4 @@
-"""Tables of methods that are fitted: what they cost, how far seeds move them, and what being online costs beside them."""
+"""Tables of methods that are fitted: their cost, their spread over seeds, and the price of being online."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -33,7 +33,7 @@ COST_COLUMNS = (
 
 
 def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
-    """Label -> what its fits took, one record per fold; of methods that are fitted alone."""
+    """Label -> cost of its fits, one record per fold; of fitted methods alone."""
     records: dict[str, list[dict[str, Any]]] = {}
     for label in run.labels:
         fits = [record["fit"] for record in render_records(run, label) if "fit" in record]
@@ -82,7 +82,7 @@ def _fit_cells(fits: Sequence[dict[str, Any]], n_cameras: int) -> tuple[Cell, Ce
 
 
 def _other_cells(run: MeasuredRun, label: str, n_cameras: int) -> tuple[Cell, Cell, Cell, Cell]:
-    """The same of a method that renders each instant from its sources; of what others made nobody knows."""
+    """The same of a method that renders each instant from its sources; of what others made that is unknown."""
     records = render_records(run, label)
     if not records or "splats" in records[0].get("identity", {}):
         return UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN
@@ -91,7 +91,6 @@ def _other_cells(run: MeasuredRun, label: str, n_cameras: int) -> tuple[Cell, Ce
 
 
 def _rendering_cell(run: MeasuredRun, label: str) -> Cell:
-    """Median time of a frame."""
     table = timing_table(run)
     total = next(at for at, column in enumerate(table.columns) if column.name == TOTAL)
     cell = table.rows[run.labels.index(label)].cells[total]
@@ -127,12 +126,7 @@ def _seed_cell(note: MetricNote, values: Sequence[float]) -> Cell:
 
 
 def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, ...]:
-    """Price of being online: every fitted method minus ours, per dataset; nothing where either is missing.
-
-    Args:
-        runs: under one protocol.
-        results: their results in one.
-    """
+    """Price of being online: every fitted method minus ours, per dataset; nothing where either is missing."""
     fitted = list(dict.fromkeys(label for run in runs for label in fit_records(run)))
     ours = [label for label in runs[0].ours_first if label in runs[0].ours and label not in fitted]
     if not fitted or not ours:

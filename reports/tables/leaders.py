@@ -1,4 +1,4 @@
-"""Who is best: the first thing that a page says."""
+"""Best method of each metric, the first thing on a page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,15 +10,12 @@ HEADLINES = ("PSNR", "SSIM", "LPIPS", "TCC", "STED", "SDT", "SDV")  # those of t
 
 @dataclass(frozen=True)
 class Leader:
-    """Who is best in one column of a table.
+    """Best method in one column of a table.
 
     Attributes:
-        column: its head.
         dataset: that the table is of.
-        name: of the best method.
-        cell: its value and interval.
-        ties: other methods that cannot be told from it.
-        undecided: why nobody is named as the best; empty where the first is.
+        ties: other methods that cannot be distinguished from it.
+        undecided: why none is named as the best; empty where the first is.
     """
 
     column: Column
@@ -30,12 +27,7 @@ class Leader:
 
 
 def leaders(tables: Sequence[Table], metrics: Sequence[str] = HEADLINES) -> tuple[Leader, ...]:
-    """The best method of each wanted metric that has one; of the first table's metrics where none is wanted that was measured.
-
-    Args:
-        tables: whose columns are metrics.
-        metrics: names of metrics.
-    """
+    """The best method of each wanted metric that has one; of the first table's metrics where none is wanted that was measured."""
     all_leaders = [leader for table in tables for leader in _leaders_of(table)]
     chosen = tuple(leader for leader in all_leaders if leader.column.name in metrics)
     return chosen or tuple(all_leaders[: len(tables[0].columns)] if tables else ())

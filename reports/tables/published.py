@@ -54,7 +54,7 @@ def paper_dataset(name: str) -> str:
 
 
 def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row, ...]:
-    """The paper's rows for one dataset, to stand in grey below what was measured on its terms, see `why_not_beside`."""
+    """The paper's rows for one dataset, shown in grey below what was measured on its terms, see `why_not_beside`."""
     methods = read_published(name).get(paper_dataset(dataset), {})
     return tuple(
         Row(f"{method}{PAPER}", tuple(published_cell(values.get(metric)) for metric in metrics), "published")

@@ -31,7 +31,6 @@ def main_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, .
 
     Args:
         runs: at least one, all under one protocol.
-        results: their results in one, see `ggvs_eval.merged_results.merge_results`.
 
     Returns:
         Per dataset one table for each group of the metrics that the protocol asks for, in its order.
@@ -138,10 +137,8 @@ def measured_rows(
     """A row per method, in the order of the runs' methods.
 
     Args:
-        runs: who was measured, under which names.
         values: rows (method, variant).
         keys: columns of `values` to show.
-        notes: metric of each of these columns.
         results: knows why a value may be absent.
         certain: metric -> what is known of its numbers; None shows numbers alone.
     """

@@ -1,4 +1,4 @@
-"""Every published cell of the paper beside what was measured here, and whether that reproduces it."""
+"""Every published cell of the paper beside our measurement, and whether that reproduces it."""
 
 import csv
 import math
@@ -35,7 +35,6 @@ class Reproduction:
     Attributes:
         table: key in `TABLES`.
         dataset: as the paper calls it.
-        method: likewise.
         metric: metric, or stage of the timing.
         unit: of both values; empty where there is none.
         paper: value with the digits that the paper prints.
@@ -147,9 +146,6 @@ def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = Non
     """Decide whether a measured value reproduces the published one.
 
     Args:
-        paper: value with the digits that the paper prints.
-        ours: measured, with its interval where there is one.
-        metric: says which direction is better.
         digits: after the point, of our numbers; None for four significant ones.
 
     Reading:

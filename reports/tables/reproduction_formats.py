@@ -20,12 +20,7 @@ METHODS_NAMED = 4  # from so many on a line counts methods
 
 @dataclass(frozen=True)
 class Block:
-    """The values of one of the paper's tables on one data set.
-
-    Attributes:
-        title: table and data set.
-        entries: its values.
-    """
+    """The values of one of the paper's tables on one data set."""
 
     title: str
     entries: tuple[Reproduction, ...]
@@ -106,9 +101,6 @@ def _words(title: str, line: Line) -> tuple[str, ...]:
 
 def paper_tables(entries: Sequence[Reproduction]) -> tuple[Table, ...]:
     """One table per table of the paper and data set.
-
-    Args:
-        entries: every published value and its standing, see `ggvs_eval.reports.tables.reproduction.reproduce`.
 
     Returns:
         Grey rows with the paper's values, ranked and shaded among themselves, each followed by a row of ours, which says the

@@ -1,4 +1,4 @@
-"""Tables of a metric study as Markdown: correlations, the least strength that is told, and what each metric is blind to."""
+"""Tables of a metric study as Markdown: correlations, the least strength that is detected, and the blind spots of each metric."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

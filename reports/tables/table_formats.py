@@ -60,7 +60,6 @@ def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], words: C
     """A table in GitHub's Markdown.
 
     Args:
-        heads: of the columns.
         rows: cells, one per head, in which nothing is escaped.
         words: columns that are set to the left; the others hold numbers.
     """

@@ -1,4 +1,4 @@
-"""Who is best and by how much, in words and places of a drawing: what a page says first."""
+"""Best method and its margin, in words and as a drawing: the head of a page."""
 
 import math
 from collections.abc import Sequence
@@ -31,12 +31,9 @@ class Contender:
     """One method in the headline metric.
 
     Attributes:
-        label: folder name.
-        name: to show.
         number: counts the methods of the group, so that it has the colour of its curves.
-        cell: value and interval.
         place: of the value in the drawing, per cent from the left; None where it is not finite.
-        span: ends of the interval likewise; None where there is none.
+        span: ends of the interval in the same way; None where there is none.
         worth: of a variant of ours, its difference to ours in words; empty otherwise.
     """
 
@@ -54,7 +51,7 @@ class Verdict:
     """The answer of a group of runs.
 
     Attributes:
-        headline: who is best, or that nobody can be named.
+        headline: who is best, or that none can be named.
         margin: by how much, with its interval.
         absolute: the first's number beside the capture's ceiling and published ones, and where its error lies; empty where
             there is nothing to hold it against.
@@ -77,7 +74,7 @@ class Verdict:
     tied: tuple[str, ...]
 
     def shown(self, run: MeasuredRun) -> tuple[str, ...]:
-        """Whose pictures say most of a run: the best, and ours beside it, or the runner-up where ours is the best."""
+        """Methods whose pictures say most of a run: the best, and ours beside it, or the runner-up where ours is the best."""
         labels = [one.label for one in (*self.contenders, *self.parts) if one.label in run.pictured]
         beside = [label for label in labels[1:] if label in run.ours] if labels and labels[0] not in run.ours else []
         return tuple(dict.fromkeys([*labels[:1], *beside, *labels[1:]]))[:2]
@@ -85,10 +82,9 @@ class Verdict:
 
 @dataclass(frozen=True)
 class _Field:
-    """Who competes in a metric.
+    """Contenders in a metric.
 
     Attributes:
-        column: of the metric.
         dataset: that the table is of.
         ranked: label, name and cell of each contender, the best first.
         parts: the same of ours' variants.
@@ -103,7 +99,7 @@ class _Field:
 
     @property
     def ties(self) -> list[str]:
-        """Names of those that cannot be told from the first."""
+        """Names of those that cannot be distinguished from the first."""
         told = self.certainty.told
         return [name for label, name, _ in self.ranked[1:] if told is None or label in told]
 
@@ -112,12 +108,6 @@ def evaluate_verdict(
     runs: Sequence[MeasuredRun], results: Results, tables: Sequence[Table], budgets: Sequence[Table] = ()
 ) -> Verdict | None:
     """Say who is best in the first headline metric; None where nothing is ranked.
-
-    Args:
-        runs: of one protocol.
-        results: theirs in one.
-        tables: main tables of these results.
-        budgets: tables of where the error of each run lies.
 
     Reading:
         The paper names no single measure of quality. The first one of its own tables that was measured is the headline (PSNR,
@@ -158,12 +148,11 @@ def _table_of(leader: Leader, tables: Sequence[Table]) -> Table:
 
 
 def _labels(runs: Sequence[MeasuredRun], results: Results, dataset: str) -> list[str]:
-    """Labels of the rows of a main table."""
     return row_labels(runs, cast(pd.DataFrame, results.summary().xs(dataset, level="dataset")))
 
 
 def _field(leader: Leader, runs: Sequence[MeasuredRun], results: Results, tables: Sequence[Table]) -> _Field:
-    """Who competes in a column, ours represented by one."""
+    """Contenders in a column, ours represented by one."""
     table, column = _table_of(leader, tables), leader.column
     at, labels = table.columns.index(column), _labels(runs, results, leader.dataset)
     competing = [
@@ -181,7 +170,7 @@ def _field(leader: Leader, runs: Sequence[MeasuredRun], results: Results, tables
 
 
 def _variants(competing: Sequence[str], ours: frozenset[str]) -> frozenset[str]:
-    """Labels of ours that another one stands for: the plainest, where there is anybody else to compete with."""
+    """Labels of ours that another one stands for: the plainest, where there are others to compete with."""
     own = [label for label in competing if label in ours]
     if len(own) == len(competing):
         return frozenset()
@@ -202,7 +191,6 @@ def _worth(part: Contender, contenders: Sequence[Contender], first: Leader, runs
 
 
 def _words(field: _Field, contenders: Sequence[Contender], runs: Sequence[MeasuredRun], alone: bool) -> tuple[str, str]:
-    """Headline and margin."""
     best, column, decimals = contenders[0], field.column, runs[0].metrics[field.column.name].decimals
     unit = f" {column.unit}" if column.unit else ""
     if len(contenders) == 1:

@@ -29,6 +29,7 @@ from ggvs_eval.gaussians import GaussianCloud, render_gaussians
 from ggvs_eval.gaussians.ply import write_ply
 from ggvs_eval.training.losses import structural_loss
 from helpers.fitted_footage import footage_of, rig, wall
+from helpers.refusals import refused
 
 ORACLE = Path(__file__).parents[1] / "data" / "four_d_state_dict.json"
 BOX = torch.tensor([[2.0, 3.0, 4.0], [-2.0, -1.0, -4.0]])  # the larger corner first
@@ -221,7 +222,7 @@ def test_first_points_want_cameras_that_agree(tmp_path):
         stored.depth[:] = 2.5 + 0.7 * place
         footage.depths.write(camera.name, 0, stored)
 
-    with pytest.raises(DepthError, match="depth of 6 cameras at 1 instants: no point on which 2 others agree"):
+    with refused(DepthError, "6 cameras", "1 instants"):
         initial_points(footage, [0], 500)
 
 
@@ -299,7 +300,7 @@ def test_an_output_folder_of_the_authors_renders(tmp_path):
         torch.testing.assert_close(scene.cloud(index).means, means + network(means, time)["pos"])
     assert scene.render(11, rig()[0]).image.shape == (48, 64, 3)
     assert scene.size_bytes > 9_850_000  # the field alone
-    with pytest.raises(RenderError, match=r"wanted instants 10\.\.13, got 14"):
+    with refused(RenderError, "10..13", "got 14"):
         scene.cloud(14)
-    with pytest.raises(RenderError, match=r"wanted point_cloud\.ply and deformation.pth, there or below"):
+    with refused(RenderError, "point_cloud.ply", "deformation.pth"):
         PublishedScene(iteration.parent, range(4), near=0.2)

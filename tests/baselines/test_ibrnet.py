@@ -27,6 +27,7 @@ from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.kernels import _core
 from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER
+from helpers.refusals import refused
 from helpers.seeded_baselines import seed_weights, turned_rig
 
 DATA = DATA_FOLDER
@@ -198,9 +199,9 @@ def test_a_step_is_the_same_again(weights):
 def test_too_little_to_see_is_refused(weights):
     """One view, or an image too small for the features, is refused with what to do."""
     method, instant = IBRNet(weights), turned_rig(2, 44, 30)
-    with pytest.raises(RenderError, match="camera cam0: IBRNet wants images of at least 33 pixels a side, got 44 x 30"):
+    with refused(RenderError, "camera cam0", "33 pixels", "44 x 30"):
         method.step(instant)
-    with pytest.raises(RenderError, match="at least 2 source views, got 1"):
+    with refused(RenderError, "2 source views", "got 1"):
         method.step(replace(instant, sources=instant.sources[:1]))
 
 

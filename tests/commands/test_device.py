@@ -29,6 +29,7 @@ from ggvs_eval.results import COLUMNS, Results
 from ggvs_eval.run_folder import RunFolder, write_json
 from helpers.command_line import refusal
 from helpers.geometry_scenes import random_camera
+from helpers.refusals import refused
 from helpers.scenes import camera_at
 from helpers.small_runs import small_protocol, write_small_capture
 
@@ -44,14 +45,14 @@ def no_gpu(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
+def filmed_room(tmp_path_factory):
     return write_small_capture(tmp_path_factory.mktemp("rendered") / "demo", n_frames=1)
 
 
 @pytest.fixture
-def planned(capture, tmp_path):
+def planned(filmed_room, tmp_path):
     """A run that nothing has been done of."""
-    return plan_run(RunRequest(tmp_path / "run", capture, small_protocol(1, 0, ("PSNR",))))
+    return plan_run(RunRequest(tmp_path / "run", filmed_room, small_protocol(1, 0, ("PSNR",))))
 
 
 @pytest.mark.usefixtures("no_gpu")
@@ -59,12 +60,12 @@ def test_devices_that_are_not_there_are_refused():
     """A GPU that is not there and a name that is none are told apart; `auto` falls back to the CPU."""
     assert compute_device("auto") == compute_device("cpu") == torch.device("cpu")
     assert describe_device(torch.device("cpu")) == "cpu"
-    with pytest.raises(DeviceError, match=r"device cuda: torch .* finds 0 GPUs; take cpu, or install torch .* for CUDA"):
+    with refused(DeviceError, "device cuda", "0 GPUs", "cpu", "CUDA"):
         compute_device("cuda")
-    with pytest.raises(DeviceError, match=r"device cuda:3: .* finds 0 GPUs"):
+    with refused(DeviceError, "device cuda:3", "0 GPUs"):
         compute_device("cuda:3")
     for name in ("gpu", "mps", "meta"):
-        with pytest.raises(DeviceError, match=f"device '{name}': wanted cpu, cuda, cuda:N or auto"):
+        with refused(DeviceError, f"'{name}'", "cpu, cuda, cuda:N or auto"):
             compute_device(name)
 
 
@@ -103,7 +104,7 @@ def test_memory_that_is_out_is_told():
             assert not torch.backends.cudnn.allow_tf32
             raise torch.OutOfMemoryError("CUDA out of memory")
 
-    with pytest.raises(DeviceError, match=r"device cpu: its memory is out; .*--jobs"):
+    with refused(DeviceError, "device cpu", "memory", "--jobs"):
         render_something()
     assert torch.backends.cudnn.allow_tf32 == rounds
     assert not torch.is_inference_mode_enabled()
@@ -147,9 +148,9 @@ def test_a_job_knows_its_device(planned, monkeypatch):
 
 
 @pytest.mark.usefixtures("no_gpu")
-def test_a_planned_sweep_carries_its_device(capture, tmp_path, capsys):
+def test_a_planned_sweep_carries_its_device(filmed_room, tmp_path, capsys):
     """Its commands may run where there is a GPU, so that none is needed to plan them."""
-    words = ["sweep", "k", str(tmp_path / "sweep"), "--capture", str(capture.path), "--plan", str(tmp_path / "plan.json")]
+    words = ["sweep", "k", str(tmp_path / "sweep"), "--capture", str(filmed_room.path), "--plan", str(tmp_path / "plan.json")]
     for device in ("cuda", "cpu"):
         run_command([*words, "--device", device])
         commands = [job["command"] for job in json.loads((tmp_path / "plan.json").read_text())["jobs"]]

@@ -24,6 +24,7 @@ from helpers.calibration_files import (
 )
 from helpers.captures import FPS, HEIGHT, WIDTH, make_image
 from helpers.places import SHARED
+from helpers.refusals import refused
 
 POSE2SIM = SHARED / "data" / "pose2sim_single_person"
 FREEMOCAP = 'charuco_square_size = 39.0\npath_to_recorded_videos = "videos"'
@@ -190,7 +191,7 @@ def test_frames_of_other_names_are_named(tmp_path):
     """Qualisys calls cameras by serial number; videos must be called so too."""
     folder = write_table(tmp_path / "table", ("left", "right"))
     write_qualisys(folder / "Calib.qca.txt", turned_rig())
-    with pytest.raises(CaptureError, match=r"two or more of cam00, cam01, cam02, got none; .*; call videos and cameras alike"):
+    with refused(CaptureError, "cam00, cam01, cam02", "got none"):
         open_capture(folder)
 
 

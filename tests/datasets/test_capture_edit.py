@@ -34,13 +34,13 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def capture(folder):
+def folder_capture(folder):
     return open_capture(folder)
 
 
-def test_one_instant_is_held_still(capture):
+def test_one_instant_is_held_still(folder_capture):
     """Without noise every instant shows the held one, for every camera, for as long as wanted."""
-    held = perturb_capture(capture, CaptureEdit(hold_frames=9, hold_frame=3))
+    held = perturb_capture(folder_capture, CaptureEdit(hold_frames=9, hold_frame=3))
 
     assert held.n_frames == 9
     for camera, name in enumerate(NAMES):
@@ -48,9 +48,9 @@ def test_one_instant_is_held_still(capture):
             np.testing.assert_array_equal(image, make_image(camera, 3))
 
 
-def test_noise_has_its_sigma_and_nothing_in_common(capture):
+def test_noise_has_its_sigma_and_nothing_in_common(folder_capture):
     """Noise of 1.5 levels (and 1/12 for rounding), no mean, uncorrelated between instants and between cameras."""
-    held = perturb_capture(capture, HELD)
+    held = perturb_capture(folder_capture, HELD)
     grain = np.stack(
         [[image - make_image(camera, 2).astype(float) for image in held.frames(name)] for camera, name in enumerate(NAMES)]
     )  # (cameras, instants, H, W, 3)
@@ -62,28 +62,28 @@ def test_noise_has_its_sigma_and_nothing_in_common(capture):
     assert np.abs(correlations).max() < 5 / np.sqrt(flat.shape[1])
 
 
-def test_equal_seeds_give_equal_bits_in_any_order(capture):
+def test_equal_seeds_give_equal_bits_in_any_order(folder_capture):
     """Frames are the same asked for one by one, backwards, or as a stream; another seed gives others."""
-    held, again = perturb_capture(capture, HELD), perturb_capture(capture, HELD)
+    held, again = perturb_capture(folder_capture, HELD), perturb_capture(folder_capture, HELD)
     stream = list(held.frames("cam01"))
 
     for frame in reversed(range(6)):
         np.testing.assert_array_equal(again.frame("cam01", frame), stream[frame])
-    other = perturb_capture(capture, dataclasses.replace(HELD, noise_seed=8))
+    other = perturb_capture(folder_capture, dataclasses.replace(HELD, noise_seed=8))
     assert not np.array_equal(other.frame("cam01", 0), stream[0])
 
 
-def test_a_camera_keeps_its_noise_without_the_others(capture):
+def test_a_camera_keeps_its_noise_without_the_others(folder_capture):
     """The noise of a camera does not depend on which other cameras there are."""
     np.testing.assert_array_equal(
-        perturb_capture(capture.without(["cam00"], "test"), HELD).frame("cam02", 4),
-        perturb_capture(capture, HELD).frame("cam02", 4),
+        perturb_capture(folder_capture.without(["cam00"], "test"), HELD).frame("cam02", 4),
+        perturb_capture(folder_capture, HELD).frame("cam02", 4),
     )
 
 
-def test_a_moving_capture_goes_on_moving(capture):
+def test_a_moving_capture_goes_on_moving(folder_capture):
     """Noise alone leaves time, number of frames and content as they are."""
-    noisy = perturb_capture(capture, CaptureEdit(sensor_noise_255=1.5))
+    noisy = perturb_capture(folder_capture, CaptureEdit(sensor_noise_255=1.5))
 
     assert noisy.n_frames == N_FRAMES
     for frame, image in enumerate(noisy.frames("cam03")):
@@ -92,24 +92,24 @@ def test_a_moving_capture_goes_on_moving(capture):
         assert abs(error.mean()) < 0.1
 
 
-def test_noise_is_clipped_like_an_image(capture):
+def test_noise_is_clipped_like_an_image(folder_capture):
     """Noise of 80 levels wraps round nowhere: black and white are its ends."""
-    image = perturb_capture(capture, CaptureEdit(sensor_noise_255=80.0)).frame("cam00", 0)
+    image = perturb_capture(folder_capture, CaptureEdit(sensor_noise_255=80.0)).frame("cam00", 0)
 
     dark = make_image(0, 0)[..., :2] == 30
     assert 0.2 < (image[..., :2][dark] == 0).mean() < 0.5  # P(30 + 80 n < 0.5) = 0.36
     assert image[..., :2][dark].mean() < 80
 
 
-def test_digests_tell_what_was_done(capture):
+def test_digests_tell_what_was_done(folder_capture):
     """Held, noisy, other noise, longer, as taken: five inputs, five digests."""
     kinds = [CaptureEdit(), CaptureEdit(hold_frames=6), CaptureEdit(hold_frames=7), HELD, dataclasses.replace(HELD, noise_seed=8)]
 
-    assert len({perturb_capture(capture, kind).digest("cam00") for kind in kinds}) == len(kinds)
-    assert perturb_capture(capture, CaptureEdit()) is capture
+    assert len({perturb_capture(folder_capture, kind).digest("cam00") for kind in kinds}) == len(kinds)
+    assert perturb_capture(folder_capture, CaptureEdit()) is folder_capture
 
 
-def test_measured_depth_is_held_too(capture):
+def test_measured_depth_is_held_too(folder_capture):
     """Depth that a sensor measured stays with the held instant, without noise."""
 
     class Depths:
@@ -118,7 +118,7 @@ def test_measured_depth_is_held_too(capture):
         def depths(self, start, stop):
             yield from (np.full((2, 3), t + 1.0, np.float32) for t in range(start, stop))
 
-    with_depth = dataclasses.replace(capture, extras=tuple(Extras(depth=Depths()) for _ in NAMES))
+    with_depth = dataclasses.replace(folder_capture, extras=tuple(Extras(depth=Depths()) for _ in NAMES))
     depth = perturb_capture(with_depth, HELD).extras_of("cam01").depth
 
     assert isinstance(depth, HeldDepths)
@@ -135,17 +135,17 @@ def test_measured_depth_is_held_too(capture):
         (CaptureEdit(sensor_noise_255=float("nan")), "sensor_noise_255 nan"),
     ],
 )
-def test_what_cannot_be_is_refused(capture, wanted, message):
+def test_what_cannot_be_is_refused(folder_capture, wanted, message):
     """An instant that is not there, or a number that means nothing, is refused in one line."""
     with pytest.raises(CaptureError, match=message) as caught:
-        perturb_capture(capture, wanted)
+        perturb_capture(folder_capture, wanted)
     assert "\n" not in str(caught.value)
 
 
-def test_noise_is_added_once(capture):
+def test_noise_is_added_once(folder_capture):
     """A noisy capture is not made noisy again: what a run records would no longer say what was done."""
     with pytest.raises(CaptureError, match="open it anew"):
-        perturb_capture(perturb_capture(capture, HELD), HELD)
+        perturb_capture(perturb_capture(folder_capture, HELD), HELD)
 
 
 def test_the_command_line_says_what_it_did(folder, capsys):

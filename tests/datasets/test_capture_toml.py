@@ -24,7 +24,7 @@ POSE2SIM = SHARED / "data" / "pose2sim_single_person"
 
 
 @pytest.fixture
-def capture(tmp_path) -> Path:
+def toml_rig(tmp_path) -> Path:
     return write_capture_toml(tmp_path / "rig")
 
 
@@ -39,10 +39,10 @@ def one_image_rig(folder: Path, more: str = "", head: str = "", images: list | N
 
 
 @pytest.mark.parametrize("named", ["folder", "file"])
-def test_videos_and_folders_of_images(capture, named):
+def test_videos_and_folders_of_images(toml_rig, named):
     """A rig of videos and image folders opens by its folder or its file, in the order of the file."""
-    read = open_capture(capture if named == "folder" else capture / "capture.toml")
-    assert (read.layout, read.scene, read.path) == ("capture.toml", "rig", capture)
+    read = open_capture(toml_rig if named == "folder" else toml_rig / "capture.toml")
+    assert (read.layout, read.scene, read.path) == ("capture.toml", "rig", toml_rig)
     assert (read.camera_names, read.n_frames, read.fps) == (NAMES, N_INSTANTS, FPS)
     for index, (camera, truth) in enumerate(zip(read.cameras, make_rig(), strict=True)):
         np.testing.assert_allclose(camera.world_to_camera, truth.world_to_camera, atol=1e-12)
@@ -197,18 +197,18 @@ def test_endless_files_are_not_read(tmp_path):
         open_capture(folder)
 
 
-def test_frame_counts_and_rates_must_agree(capture):
+def test_frame_counts_and_rates_must_agree(toml_rig):
     """A camera with more frames, or of another rate, is named."""
-    write_video(capture / "videos" / "cam03.mp4", [make_image(3, frame) for frame in range(4)], FPS)
-    assert "wanted one frame count for all cameras, got cam00 2, cam01 2, cam02 2, cam03 4" in refusal(capture)
-    write_video(capture / "videos" / "cam03.mp4", [make_image(3, frame) for frame in range(2)], 25.0)
-    assert "wanted one frame rate for all cameras, got cam00 30, cam01 30, cam02 30, cam03 25" in refusal(capture)
+    write_video(toml_rig / "videos" / "cam03.mp4", [make_image(3, frame) for frame in range(4)], FPS)
+    assert "wanted one frame count for all cameras, got cam00 2, cam01 2, cam02 2, cam03 4" in refusal(toml_rig)
+    write_video(toml_rig / "videos" / "cam03.mp4", [make_image(3, frame) for frame in range(2)], 25.0)
+    assert "wanted one frame rate for all cameras, got cam00 30, cam01 30, cam02 30, cam03 25" in refusal(toml_rig)
 
 
-def test_another_file_is_no_capture(capture):
+def test_another_file_is_no_capture(toml_rig):
     """A TOML file of another name is not taken for a rig."""
-    (capture / "capture.toml").rename(capture / "rig.toml")
-    assert "not capture.toml: no capture.toml" in refusal(capture / "rig.toml")
+    (toml_rig / "capture.toml").rename(toml_rig / "rig.toml")
+    assert "not capture.toml: no capture.toml" in refusal(toml_rig / "rig.toml")
 
 
 def qualisys_rig(folder: Path, *, transposed: bool = False, mirrored: bool = False, scale: float = 64.0) -> Path:

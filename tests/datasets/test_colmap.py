@@ -37,14 +37,14 @@ FLAME_STEAK = SHARED / "data" / "n3v_flame_steak"
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory):
+def colmap_rig(tmp_path_factory):
     return write_colmap(tmp_path_factory.mktemp("captures") / "rig")
 
 
 @pytest.fixture
-def colmap(written, tmp_path) -> Path:
+def colmap(colmap_rig, tmp_path) -> Path:
     """An intact capture to read or to damage."""
-    return Path(shutil.copytree(written, tmp_path / "rig"))
+    return Path(shutil.copytree(colmap_rig, tmp_path / "rig"))
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from helpers.captures import (
     write_colmap,
     write_poses,
 )
+from helpers.refusals import refused
 
 
 def test_registry_describes_each_layout():
@@ -52,7 +53,7 @@ def test_damaged_demo_json(dynerf, text):
 @pytest.mark.parametrize("units", [0.0, -2.0, float("nan"), float("inf")])
 def test_units_must_be_positive(dynerf, units):
     """A unit that is not a positive number is refused."""
-    with pytest.raises(CaptureError, match="positive number of world units per metre"):
+    with refused(CaptureError, "positive", "per metre"):
         open_capture(dynerf, units=units)
 
 
@@ -136,5 +137,5 @@ def test_path_with_and_without_images(dynerf):
     assert np.array_equal(next(with_images.images.frames(2, 3)), make_image(2, 0))
     np.testing.assert_allclose(with_images.cameras[3].centre, rig[3].centre, atol=1e-12)
     (dynerf / "path" / "images" / "0003.png").unlink()
-    with pytest.raises(CaptureError, match=r"wanted 4 images, one per row of poses_bounds\.npy, got 3"):
+    with refused(CaptureError, "4 images", "poses_bounds.npy", "got 3"):
         open_path(dynerf)

@@ -22,14 +22,14 @@ PINCUSHION = (0.2, 0.05, 0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory) -> Path:
+def intact_actor(tmp_path_factory) -> Path:
     return write_easymocap(tmp_path_factory.mktemp("captures") / "actor")
 
 
 @pytest.fixture
-def capture(written, tmp_path) -> Path:
+def actor_folder(intact_actor, tmp_path) -> Path:
     """An intact capture of pinhole cameras, to read or to damage."""
-    return Path(shutil.copytree(written, tmp_path / "actor"))
+    return Path(shutil.copytree(intact_actor, tmp_path / "actor"))
 
 
 def rewrite(folder: Path, intri: dict | None = None, extri: dict | None = None, drop: tuple[str, ...] = ()) -> Path:
@@ -40,9 +40,9 @@ def rewrite(folder: Path, intri: dict | None = None, extri: dict | None = None, 
     return folder
 
 
-def test_opens_as_calibrated(capture):
+def test_opens_as_calibrated(actor_folder):
     """Poses are world-to-camera, and OpenCV's principal point is moved by half a pixel."""
-    read = open_capture(capture)
+    read = open_capture(actor_folder)
     assert (read.layout, read.camera_names, read.n_frames, read.fps) == ("enerf-outdoor", NUMBERS, N_INSTANTS, 30.0)
     for index, (camera, truth) in enumerate(zip(read.cameras, make_rig(NUMBERS), strict=True)):
         np.testing.assert_allclose(camera.world_to_camera, truth.world_to_camera, atol=1e-12)
@@ -84,48 +84,48 @@ def test_distortion_called_D(tmp_path):
     assert read_views(folder / "intri.yml", folder / "extri.yml")[0][1].lens((WIDTH, HEIGHT)).is_pinhole
 
 
-def test_rotation_vector_before_matrix(capture):
+def test_rotation_vector_before_matrix(actor_folder):
     """R_ counts where both are there, Rot_ where it is alone."""
     turned = cv2.Rodrigues(np.array([0.0, 0.0, 0.3]))[0]
-    rewrite(capture, extri={"Rot_01": turned})
+    rewrite(actor_folder, extri={"Rot_01": turned})
     truth = make_rig(NUMBERS)[1]
-    np.testing.assert_allclose(open_capture(capture).cameras[1].rotation, truth.rotation, atol=1e-12)
-    rewrite(capture, extri={"Rot_01": turned}, drop=("R_01",))
-    np.testing.assert_allclose(open_capture(capture).cameras[1].rotation, turned, atol=1e-12)
+    np.testing.assert_allclose(open_capture(actor_folder).cameras[1].rotation, truth.rotation, atol=1e-12)
+    rewrite(actor_folder, extri={"Rot_01": turned}, drop=("R_01",))
+    np.testing.assert_allclose(open_capture(actor_folder).cameras[1].rotation, turned, atol=1e-12)
 
 
-def test_the_centre_is_minus_R_transposed_T(capture):
+def test_the_centre_is_minus_R_transposed_T(actor_folder):
     """A quarter turn tells -R^T T from the -R^T-of-the-vector that another program computes."""
-    rewrite(capture, extri={"R_00": np.array([[0.0], [0.0], [np.pi / 2]]), "T_00": np.array([[1.0], [2.0], [3.0]])})
-    np.testing.assert_allclose(open_capture(capture).cameras[0].centre, [-2.0, 1.0, -3.0], atol=1e-12)
+    rewrite(actor_folder, extri={"R_00": np.array([[0.0], [0.0], [np.pi / 2]]), "T_00": np.array([[1.0], [2.0], [3.0]])})
+    np.testing.assert_allclose(open_capture(actor_folder).cameras[0].centre, [-2.0, 1.0, -3.0], atol=1e-12)
 
 
-def test_files_by_hand(capture):
+def test_files_by_hand(actor_folder):
     """EasyMocap's own writer and its older, unquoted lists are read like OpenCV's files."""
     lines = ["%YAML:1.0", "---", "names:", *(f"  - {name}" for name in NUMBERS)]
     for name, camera in zip(NUMBERS, make_rig(NUMBERS), strict=True):
         numbers = ", ".join(f"{value:.10f}" for value in opencv_K(camera).ravel())
         lines += [f"K_{name}: !!opencv-matrix", "  rows: 3", "  cols: 3", "  dt: d", f"  data: [{numbers}]"]
-    (capture / "intri.yml").write_text("\n".join(lines) + "\n")
-    read = open_capture(capture)
+    (actor_folder / "intri.yml").write_text("\n".join(lines) + "\n")
+    read = open_capture(actor_folder)
     assert read.camera_names == NUMBERS
     np.testing.assert_allclose(read.cameras[2].K, make_rig(NUMBERS)[2].K, atol=1e-9)
 
 
-def test_half_size_frames(capture):
+def test_half_size_frames(actor_folder):
     """Frames of half the calibrated size scale K and lens; without W_ and H_ the calibration is that of the frames."""
     for index, name in enumerate(NUMBERS):
-        for file in (capture / "images" / name).iterdir():
+        for file in (actor_folder / "images" / name).iterdir():
             write_image(file, make_image(index, 0, WIDTH // 2, HEIGHT // 2))
-    assert open_capture(capture).cameras[0].K[0, 0] == pytest.approx(0.9 * WIDTH / 2)
-    rewrite(capture, drop=tuple(f"{key}_{name}" for key in "HW" for name in NUMBERS))
-    assert open_capture(capture).cameras[0].K[0, 0] == pytest.approx(0.9 * WIDTH)
+    assert open_capture(actor_folder).cameras[0].K[0, 0] == pytest.approx(0.9 * WIDTH / 2)
+    rewrite(actor_folder, drop=tuple(f"{key}_{name}" for key in "HW" for name in NUMBERS))
+    assert open_capture(actor_folder).cameras[0].K[0, 0] == pytest.approx(0.9 * WIDTH)
 
 
-def test_frames_of_another_shape(capture):
+def test_frames_of_another_shape(actor_folder):
     """Cropped frames are refused rather than squeezed."""
-    rewrite(capture, {f"H_{name}": 2 * HEIGHT for name in NUMBERS})
-    assert "frames of 64 x 48 have another shape than the 64 x 96 that 00 is calibrated for" in refusal(capture)
+    rewrite(actor_folder, {f"H_{name}": 2 * HEIGHT for name in NUMBERS})
+    assert "frames of 64 x 48 have another shape than the 64 x 96 that 00 is calibrated for" in refusal(actor_folder)
 
 
 def write_extras(folder: Path, lens: Lens | None = None) -> None:
@@ -141,18 +141,18 @@ def write_extras(folder: Path, lens: Lens | None = None) -> None:
             write_image(folder / "mask" / name / f"{frame:06d}.png", half)
 
 
-def test_outdoor_is_metric_and_fast(capture):
+def test_outdoor_is_metric_and_fast(actor_folder):
     """A sequence with hulls is metric and plays at 60 frames per second."""
-    write_extras(capture)
-    read = open_capture(capture)
+    write_extras(actor_folder)
+    read = open_capture(actor_folder)
     assert (read.units_per_metre, read.units_origin, read.fps) == (1.0, "the data set is metric", 60.0)
-    assert open_capture(capture, units=2.0).units_per_metre == 2.0
+    assert open_capture(actor_folder, units=2.0).units_per_metre == 2.0
 
 
-def test_backgrounds_and_masks(capture):
+def test_backgrounds_and_masks(actor_folder):
     """Every camera gets its background, and its masks at their own size."""
-    write_extras(capture)
-    read = open_capture(capture)
+    write_extras(actor_folder)
+    read = open_capture(actor_folder)
     background = read.background("02")
     assert background is not None
     assert np.array_equal(background, make_image(2, 4))
@@ -181,33 +181,33 @@ def test_backgrounds_and_masks_are_undistorted(tmp_path, sized):
     assert psnr(next(mask.frames(0, 1)), half) > 33
 
 
-def test_depth_range(capture):
+def test_depth_range(actor_folder):
     """Hulls give near, background points far, extri.yml both; without anything the rig does."""
-    alone = open_capture(capture).cameras[1]
-    write_extras(capture)
+    alone = open_capture(actor_folder).cameras[1]
+    write_extras(actor_folder)
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (4.0, 5.0, 6.0)])
     depths = make_rig(NUMBERS)[1].project(corners)[1]
-    with_hulls = open_capture(capture).cameras[1]
+    with_hulls = open_capture(actor_folder).cameras[1]
     assert with_hulls.near == pytest.approx(0.9 * depths.min())
     assert with_hulls.far == pytest.approx(max(alone.far, 1.1 * depths.max()))
     points = "".join(f"0 0 {z}\n" for z in np.linspace(3, 20, 200))
     header = "ply\nformat ascii 1.0\nelement vertex 200\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-    (capture / "background.ply").write_text(header + points)
-    with_points = open_capture(capture).cameras[1]
+    (actor_folder / "background.ply").write_text(header + points)
+    with_points = open_capture(actor_folder).cameras[1]
     assert with_points.near == with_hulls.near
     assert with_points.far == pytest.approx(1.1 * 20, rel=0.01)
-    shutil.rmtree(capture / "vhull")
+    shutil.rmtree(actor_folder / "vhull")
     seen = make_rig(NUMBERS)[1].project(np.stack([0 * np.linspace(3, 20, 200)] * 2 + [np.linspace(3, 20, 200)], -1))[1]
-    assert open_capture(capture).cameras[1].near == pytest.approx(0.9 * np.percentile(seen, 1))
-    rewrite(capture, extri={f"{key}_{name}": value for key, value in (("n", 3.5), ("f", 9.0)) for name in NUMBERS})
-    assert [(camera.near, camera.far) for camera in open_capture(capture).cameras] == [(3.5, 9.0)] * 3
+    assert open_capture(actor_folder).cameras[1].near == pytest.approx(0.9 * np.percentile(seen, 1))
+    rewrite(actor_folder, extri={f"{key}_{name}": value for key, value in (("n", 3.5), ("f", 9.0)) for name in NUMBERS})
+    assert [(camera.near, camera.far) for camera in open_capture(actor_folder).cameras] == [(3.5, 9.0)] * 3
 
 
-def test_people_around_the_camera(capture):
+def test_people_around_the_camera(actor_folder):
     """Hulls that reach behind a camera cannot tell its nearest depth and do not spoil its range."""
-    write_extras(capture)
-    np.save(capture / "vhull" / "000001.npy", np.array([[-5.0, -5.0, -5.0], [5.0, 5.0, 5.0]]))
-    assert all(0 < camera.near < camera.far for camera in open_capture(capture).cameras)
+    write_extras(actor_folder)
+    np.save(actor_folder / "vhull" / "000001.npy", np.array([[-5.0, -5.0, -5.0], [5.0, 5.0, 5.0]]))
+    assert all(0 < camera.near < camera.far for camera in open_capture(actor_folder).cameras)
 
 
 @pytest.mark.parametrize(
@@ -219,11 +219,11 @@ def test_people_around_the_camera(capture):
         (np.array([[None] * 3] * 2), "000001.npy: wanted bounds saved by numpy.save"),
     ],
 )
-def test_damaged_hulls(capture, array, message):
+def test_damaged_hulls(actor_folder, array, message):
     """Hulls of another shape, type or with NaN are refused; pickled objects are not unpacked."""
-    write_extras(capture)
-    np.save(capture / "vhull" / "000001.npy", array, allow_pickle=True)
-    assert message in refusal(capture)
+    write_extras(actor_folder)
+    np.save(actor_folder / "vhull" / "000001.npy", array, allow_pickle=True)
+    assert message in refusal(actor_folder)
 
 
 @pytest.mark.parametrize(
@@ -244,10 +244,10 @@ def test_damaged_hulls(capture, array, message):
         ),
     ],
 )
-def test_files_that_do_not_fit(capture, change, message):
+def test_files_that_do_not_fit(actor_folder, change, message):
     """Missing folders, frames, backgrounds and masks are told by name."""
-    change(capture)
-    assert message in refusal(capture)
+    change(actor_folder)
+    assert message in refusal(actor_folder)
 
 
 @pytest.mark.parametrize(
@@ -271,9 +271,9 @@ def test_files_that_do_not_fit(capture, change, message):
         ({}, {"n_01": 5.0, "f_01": 4.0}, (), "extri.yml: camera 01: depth range must satisfy 0 < near < far"),
     ],
 )
-def test_damaged_entries(capture, intri, extri, drop, message):
+def test_damaged_entries(actor_folder, intri, extri, drop, message):
     """Entries that are missing, misshapen, not finite or no camera are told with file and key."""
-    assert message in refusal(rewrite(capture, intri, extri, drop))
+    assert message in refusal(rewrite(actor_folder, intri, extri, drop))
 
 
 @pytest.mark.parametrize(
@@ -296,20 +296,20 @@ def test_damaged_entries(capture, intri, extri, drop, message):
         ("H_00: .*", "H_00: 1e999", "wanted a positive number H_00, got 1e999"),
     ],
 )
-def test_hostile_yaml(capture, pattern, replacement, message):
+def test_hostile_yaml(actor_folder, pattern, replacement, message):
     """Tags, anchors, nesting and sizes beyond all measure are refused in one line; nothing of them is followed."""
-    file = capture / "intri.yml"
+    file = actor_folder / "intri.yml"
     text, count = re.subn(pattern, lambda _: replacement, file.read_text(), count=1)
     assert count == 1
     file.write_text(text)
-    assert message in refusal(capture)
+    assert message in refusal(actor_folder)
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"\x00" * 100, b"a: 1\n", b"x" * 5_000_000], ids=len)
-def test_files_that_are_no_yaml(capture, content):
+def test_files_that_are_no_yaml(actor_folder, content):
     """Empty, binary, foreign and huge files are refused, naming the file."""
-    (capture / "extri.yml").write_bytes(content)
-    assert "extri.yml: wanted " in refusal(capture)
+    (actor_folder / "extri.yml").write_bytes(content)
+    assert "extri.yml: wanted " in refusal(actor_folder)
 
 
 def test_more_lenses_than_placed_cameras(tmp_path):

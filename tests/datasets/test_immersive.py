@@ -29,15 +29,15 @@ NAMES = ("camera_0001", "camera_0002")
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory) -> Path:
+def flames(tmp_path_factory) -> Path:
     """A scene that nobody changes."""
     return write_immersive(tmp_path_factory.mktemp("immersive") / "02_Flames")
 
 
 @pytest.fixture
-def scene(written, tmp_path) -> Path:
+def scene(flames, tmp_path) -> Path:
     """An intact scene to damage."""
-    return copied(written, tmp_path / "02_Flames")
+    return copied(flames, tmp_path / "02_Flames")
 
 
 def models_of(names=PAIR) -> list:
@@ -69,9 +69,9 @@ def test_the_whole_fisheye_fits_the_formula():
     np.testing.assert_allclose(radii, 1111 * theta * (1 + theta**2 * (k1 + theta**2 * k2)), rtol=1e-12)
 
 
-def test_opens_videos_and_extracted_pictures(written, scene):
+def test_opens_videos_and_extracted_pictures(flames, scene):
     """Cameras are called as in the file; the lens leaves the pinhole image its K; pictures do as well as videos."""
-    for path in (written, with_pictures(scene)):
+    for path in (flames, with_pictures(scene)):
         capture = open_capture(path)
         assert (capture.layout, capture.camera_names, capture.n_frames) == ("immersive", NAMES, N_INSTANTS)
         assert (capture.units_per_metre, capture.units_origin) == (1.0, "the data set is metric")
@@ -95,10 +95,10 @@ def test_frames_come_back_straight(tmp_path):
     assert psnr(capture.frame("camera_0001", 0), pattern) > 35
 
 
-def test_depth_range_is_the_scenes(written, tmp_path):
+def test_depth_range_is_the_scenes(flames, tmp_path):
     """Scenes that HyperReel knows by their number have its range; of others the rig says it."""
-    assert {(camera.near, camera.far) for camera in open_capture(written).cameras} == {SCENE_DEPTHS_M["02"]}
-    other = open_capture(copied(written, tmp_path / "kitchen")).cameras[0]
+    assert {(camera.near, camera.far) for camera in open_capture(flames).cameras} == {SCENE_DEPTHS_M["02"]}
+    other = open_capture(copied(flames, tmp_path / "kitchen")).cameras[0]
     assert (other.near, other.far) not in SCENE_DEPTHS_M.values()
     (tmp_path / "kitchen" / "depth_range.toml").write_text("near = 1.5\nfar = 4\n")
     assert {(camera.near, camera.far) for camera in open_capture(tmp_path / "kitchen").cameras} == {(1.5, 4.0)}
@@ -156,8 +156,8 @@ def test_spaces_and_immersive_are_told_apart(scene, tmp_path):
     assert "models.json, but no camera_XXXX" in refusal(tmp_path, "immersive")
 
 
-def test_camera_is_a_pinhole(written):
+def test_camera_is_a_pinhole(flames):
     """What comes out is an ordinary camera of the frames' own size."""
-    camera = open_capture(written).camera("camera_0001")
+    camera = open_capture(flames).camera("camera_0001")
     assert isinstance(camera, Camera)
     assert camera.size == (WIDTH, HEIGHT)

@@ -36,6 +36,7 @@ from helpers.captures import (
     write_timed_video,
 )
 from helpers.fuzz import CAPTURES, IMPOSTORS, LONG_KEY, add_long_key, read_everything
+from helpers.refusals import refused
 from helpers.small_layouts import camera_toml, transforms, write_capture_toml, write_easymocap, write_nerfstudio
 
 ONE = 1 << 16  # of a display matrix
@@ -77,7 +78,7 @@ def test_rotations_that_are_off_by_little_are_straightened(amount, tmp_path):
     assert_rotations(capture)
     (note,) = (each for each in capture.notes if "depth range" not in each)
     largest = max(camera.deviation for camera in capture.cameras)
-    assert note == f"rotations of cam00, cam01, cam02, cam03 are off by up to {largest:.1e}: the nearest ones are taken"
+    assert all(part in note for part in ("cam00, cam01, cam02, cam03", f"{largest:.1e}", "nearest"))
     assert amount / 4 < largest <= amount
     for given, camera in zip(make_rig(), capture.cameras, strict=True):
         matrix = given.rotation + noise(amount)
@@ -188,7 +189,7 @@ def test_a_turn_by_any_other_angle_is_refused(tmp_path):
     """Nobody resamples here."""
     turned_video(tmp_path / "a.mp4", [make_image(0, 0)], (46341, 46341, -46341, 46341))
 
-    with pytest.raises(CaptureError, match=r"a\.mp4: wanted frames that are shown upright or turned by right angles, got -45"):
+    with refused(CaptureError, "a.mp4", "right angles", "-45"):
         list(VideoFrames(tmp_path / "a.mp4").frames(0, 1))
 
 
@@ -425,15 +426,15 @@ def test_a_key_of_60_kb_in_a_protocol(tmp_path):
     """It is refused at once, in a line that can be read."""
     (tmp_path / "p.toml").write_bytes(LONG_KEY + b" = 1\n")
 
-    with pytest.raises(Exception, match="unknown key kkk") as refused:
+    with pytest.raises(Exception, match="unknown key kkk") as caught:
         load_protocol(str(tmp_path / "p.toml"))
 
-    assert len(str(refused.value)) < 1500
+    assert len(str(caught.value)) < 1500
 
 
 def test_camera_errors_name_the_camera():
     """Also where the pose is beyond all measure."""
     pose = np.diag([1e300, 1e300, 1e300, 1.0])
 
-    with pytest.raises(CameraError, match="camera a: the rotation must be orthonormal"):
+    with refused(CameraError, "camera a", "orthonormal"):
         Camera("a", np.eye(3), pose, 4, 4, 1.0, 2.0)

@@ -12,6 +12,7 @@ from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError
 from ggvs_eval.lens import Lens
 from helpers.lens_pictures import pixel_grid, psnr, straight, through_lens, undistorted_points
+from helpers.refusals import refused
 
 WIDTH, HEIGHT = 96, 64
 K = np.array([[80.0, 0.0, 50.0], [0.0, 81.0, 30.5], [0.0, 0.0, 1.0]])
@@ -90,7 +91,7 @@ def test_no_part_of_the_picture_appears_twice():
 
 def test_hopeless_coefficients_are_refused():
     """Coefficients that leave blank pixels whatever the zoom are refused with the mend."""
-    with pytest.raises(CameraError, match=r"leave blank pixels even at 4 times.*calibrate this lens again"):
+    with refused(CameraError, "blank pixels", "4 times", "calibrate"):
         make_lens((900.0, 0.0, 0.0, 0.0)).undistorted_K()
 
 
@@ -127,13 +128,13 @@ def test_a_matrix_that_is_no_K(row, column, value):
     """What is not fx 0 cx / 0 fy cy / 0 0 1 is refused, with what was found."""
     matrix = K.copy()
     matrix[row, column] = value
-    with pytest.raises(CameraError, match=r"K must be fx 0 cx / 0 fy cy / 0 0 1 in pixels, zero skew, got .* / "):
+    with refused(CameraError, "K ", "fx 0 cx / 0 fy cy / 0 0 1", "zero skew"):
         make_lens(matrix=matrix)
 
 
 def test_a_lens_has_a_size():
     """An image without width is refused."""
-    with pytest.raises(CameraError, match="size must be positive, got 0 x 64"):
+    with refused(CameraError, "size", "0 x 64"):
         replace(make_lens(), width=0)
 
 

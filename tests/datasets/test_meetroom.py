@@ -14,18 +14,18 @@ NAMES = ("cam00", "cam02", "cam10")
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory) -> Path:
+def discussion_folder(tmp_path_factory) -> Path:
     """A capture that nobody changes."""
     return write_meetroom(tmp_path_factory.mktemp("meetroom") / "discussion", NAMES)
 
 
 @pytest.mark.parametrize("arrangement", ["videos", "instants", "frames/"])
-def test_rows_follow_the_numbers(written, tmp_path, arrangement):
+def test_rows_follow_the_numbers(discussion_folder, tmp_path, arrangement):
     """cam_2 comes before cam_10: row i is of the i-th camera by number, in videos and in a folder per instant."""
     folders = {"instants": tmp_path / "trimming", "frames/": tmp_path / "trimming" / "frames"}
     if arrangement in folders:
         write_extracted(folders[arrangement], NAMES)
-    capture = open_capture(tmp_path / "trimming" if arrangement in folders else written)
+    capture = open_capture(tmp_path / "trimming" if arrangement in folders else discussion_folder)
 
     assert (capture.layout, capture.camera_names, capture.n_frames) == ("meetroom", NAMES, N_INSTANTS)
     for index, (camera, other) in enumerate(zip(capture.cameras, make_rig(NAMES), strict=True)):
@@ -39,9 +39,9 @@ def test_videos_of_dynerf_beside_extracted_folders_are_dynerfs(tmp_path):
     assert open_capture(tmp_path).layout == "dynerf"
 
 
-def test_rows_and_cameras_must_match(written, tmp_path):
+def test_rows_and_cameras_must_match(discussion_folder, tmp_path):
     """A row too many or too few names the cameras that are there."""
-    scene = copied(written, tmp_path / "scene")
+    scene = copied(discussion_folder, tmp_path / "scene")
     (scene / "cam_2.mp4").unlink()
     assert "one row for each of the 2 cameras on disk (cam_0, cam_10), got 3; restore the missing cameras" in refusal(scene)
     write_poses(scene, make_rig(NAMES[:1]))

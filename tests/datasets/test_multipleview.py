@@ -17,16 +17,16 @@ FOLDERS = ("cam01", "cam02", "cam03", "cam04")
 
 
 @pytest.fixture
-def capture(tmp_path) -> Path:
+def scene_folder(tmp_path) -> Path:
     return write_multipleview(tmp_path / "scene")
 
 
 @pytest.mark.parametrize("binary", [False, True])
-def test_opens_as_calibrated(capture, binary):
+def test_opens_as_calibrated(scene_folder, binary):
     """image2.png of the model is the camera of cam02/, whose frames count from 1."""
     if binary:
-        make_binary(capture / "sparse_")
-    read = open_capture(capture)
+        make_binary(scene_folder / "sparse_")
+    read = open_capture(scene_folder)
     assert (read.layout, read.camera_names, read.n_frames, read.fps) == ("multipleview", FOLDERS, N_INSTANTS, 30.0)
     for index, (camera, truth) in enumerate(zip(read.cameras, make_rig(), strict=True)):
         np.testing.assert_allclose(camera.world_to_camera, truth.world_to_camera, atol=1e-9)
@@ -49,44 +49,44 @@ def test_leading_zeros_and_more_than_nine_cameras(tmp_path):
         assert np.array_equal(read.frame(camera.name, 0), make_image(number, 0))
 
 
-def test_distorted_frames_are_undistorted(capture):
+def test_distorted_frames_are_undistorted(scene_folder):
     """Frames of a radial lens come back straight."""
-    write_colmap_model(capture / "sparse_", [f"image{index}.png" for index in range(1, 5)], "SIMPLE_RADIAL", "-0.1")
+    write_colmap_model(scene_folder / "sparse_", [f"image{index}.png" for index in range(1, 5)], "SIMPLE_RADIAL", "-0.1")
     lens = Lens(make_rig()[0].K, "opencv", (-0.1, 0.0, 0.0, 0.0), WIDTH, HEIGHT)
-    write_image(capture / "cam03" / "frame_00001.png", through_lens(lens))
-    read = open_capture(capture)
+    write_image(scene_folder / "cam03" / "frame_00001.png", through_lens(lens))
+    read = open_capture(scene_folder)
     image = read.frame("cam03", 0)
     assert psnr(image, straight(lens, read.cameras[2].K)) > 43
 
 
-def test_a_model_without_frames_and_frames_without_a_model(capture):
+def test_a_model_without_frames_and_frames_without_a_model(scene_folder):
     """Folders and images of the model must match; both sides are listed."""
-    shutil.rmtree(capture / "cam02")
-    shutil.copytree(capture / "cam01", capture / "cam07")
-    assert "wanted a folder camXX/ per image of sparse_/, got cam02 (model only), cam07 (folder only)" in refusal(capture)
+    shutil.rmtree(scene_folder / "cam02")
+    shutil.copytree(scene_folder / "cam01", scene_folder / "cam07")
+    assert "wanted a folder camXX/ per image of sparse_/, got cam02 (model only), cam07 (folder only)" in refusal(scene_folder)
 
 
-def test_two_folders_of_one_number(capture):
+def test_two_folders_of_one_number(scene_folder):
     """cam1/ beside cam01/ is refused: which of them is meant cannot be known."""
-    shutil.copytree(capture / "cam01", capture / "cam1")
-    assert "wanted one folder per camera, got cam01 and cam1; keep one of them" in refusal(capture)
+    shutil.copytree(scene_folder / "cam01", scene_folder / "cam1")
+    assert "wanted one folder per camera, got cam01 and cam1; keep one of them" in refusal(scene_folder)
 
 
 @pytest.mark.parametrize("names", [["image1.png", "image01.png"], ["left.png", "image1.png"], ["image1.png", "image2b.png"]])
-def test_other_names_in_the_model(capture, names):
+def test_other_names_in_the_model(scene_folder, names):
     """Images of the model must carry one camera number each."""
-    write_colmap_model(capture / "sparse_", names)
-    assert "sparse_: wanted images called image<number>.jpg, one per camera, got '" in refusal(capture)
+    write_colmap_model(scene_folder / "sparse_", names)
+    assert "sparse_: wanted images called image<number>.jpg, one per camera, got '" in refusal(scene_folder)
 
 
-def test_damaged_model(capture):
+def test_damaged_model(scene_folder):
     """A damaged model is refused in one line."""
-    (capture / "sparse_" / "images.txt").write_text("nothing")
-    assert "sparse_: damaged COLMAP model" in refusal(capture)
+    (scene_folder / "sparse_" / "images.txt").write_text("nothing")
+    assert "sparse_: damaged COLMAP model" in refusal(scene_folder)
 
 
-def test_no_folders(capture):
+def test_no_folders(scene_folder):
     """A model alone is no capture of this layout, and the message says so."""
-    for folder in capture.glob("cam*"):
+    for folder in scene_folder.glob("cam*"):
         shutil.rmtree(folder)
-    assert "not multipleview: no folders camXX/ with images" in refusal(capture)
+    assert "not multipleview: no folders camXX/ with images" in refusal(scene_folder)

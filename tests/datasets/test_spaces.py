@@ -2,7 +2,6 @@
 
 import json
 import pickle
-import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 from ggvs_eval.datasets import open_capture, spaces
 from ggvs_eval.errors import CaptureError
 from helpers.captures import make_image, refusal
+from helpers.refusals import refused
 
 N_POSITIONS, N_CAMERAS = 2, 3
 # Sizes in the file are seldom whole numbers; images on disk are.
@@ -53,14 +53,14 @@ def write_scene(folder: Path, size: tuple[int, int] = IMAGE_SIZE) -> Path:
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory):
+def intact_scene(tmp_path_factory):
     return write_scene(tmp_path_factory.mktemp("spaces") / "scene_000")
 
 
 @pytest.fixture
-def scene(written, tmp_path) -> Path:
+def scene(intact_scene, tmp_path) -> Path:
     """An intact scene to read or to damage."""
-    return Path(shutil.copytree(written, tmp_path / "scene_000"))
+    return Path(shutil.copytree(intact_scene, tmp_path / "scene_000"))
 
 
 def damage(scene: Path, change: Callable[[list], object]) -> None:
@@ -111,7 +111,7 @@ def test_chosen_positions(scene):
         same = everything.camera(camera.name)
         assert np.array_equal(camera.world_to_camera, same.world_to_camera)
         assert (camera.near, camera.far) == (same.near, same.far)
-    with pytest.raises(CaptureError, match=re.escape("wanted rig position 2, 7, the scene has 0..1; choose among these")):
+    with refused(CaptureError, "2, 7", "0..1"):
         spaces.load_positions(scene, None, [7, 0, 2])
 
 
@@ -212,9 +212,9 @@ def test_images_that_cannot_be_read(scene):
     assert "image_001.JPG: wanted the image of pos01_cam01, there is none; restore it" in refusal(scene)
 
 
-def test_says_why_it_refuses(tmp_path, written):
+def test_says_why_it_refuses(tmp_path, intact_scene):
     """Files and folders that are no scene are refused with what is lacking."""
-    assert spaces.refuse(written) is None
-    assert spaces.refuse(written / "models.json") == spaces.refuse(tmp_path / "nowhere") == "no models.json"
+    assert spaces.refuse(intact_scene) is None
+    assert spaces.refuse(intact_scene / "models.json") == spaces.refuse(tmp_path / "nowhere") == "no models.json"
     (tmp_path / "models.json").write_text("[]")
     assert spaces.refuse(tmp_path) == "models.json, but no cam_XX/"

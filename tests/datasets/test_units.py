@@ -10,6 +10,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import METRIC, choose_units, triangulate
 from ggvs_eval.errors import CaptureError
 from helpers.captures import make_rig
+from helpers.refusals import refused
 
 RIG = make_rig()
 BASELINE = '[baseline]\ncameras = ["cam00", "cam03"]\nmetres = 0.5\n'
@@ -146,9 +147,9 @@ def test_damaged_units_file(tmp_path, text, message):
 def test_bytes_that_are_no_text_and_a_file_that_is_not_there(tmp_path):
     """A units file must exist and be text."""
     (tmp_path / "units.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(CaptureError, match=r"units\.toml: wanted TOML"):
+    with refused(CaptureError, "units.toml", "TOML"):
         units_of(tmp_path)
-    with pytest.raises(CaptureError, match=r"mine\.toml: wanted TOML .*, got: no such file; write it"):
+    with refused(CaptureError, "mine.toml", "no such file"):
         units_of(tmp_path, given=tmp_path / "mine.toml")
 
 

@@ -39,7 +39,7 @@ def test_what_is_no_plain_file_is_refused_at_once(make, kind, tmp_path):
     with pytest.raises(CaptureError, match=r"file: wanted a picture, got (a|8590)"):
         read_image(file)
     if make is not make_endless:  # which takes seconds to hash whole
-        with pytest.raises(CaptureError, match=r"file: wanted a file, got a "):
+        with refused(CaptureError, "file: ", "wanted a file"):
             digest_files([file])
 
     assert refused.value.filename == str(file)

@@ -12,6 +12,7 @@ import pytest
 
 from ggvs_eval.files.unpickler import CODES, unpickle_plain
 from helpers.hostile import Hostile
+from helpers.refusals import refused
 
 KERNEL = np.arange(24, dtype=np.float32).reshape(1, 2, 3, 4)
 PLAIN = {"trunk": {"kernel": KERNEL}, "steps": [1, 2.5, None, True, "x", b"y", 1 << 70]}
@@ -86,5 +87,5 @@ def test_bombs_take_neither_memory_nor_time(content):
 def test_states_reach_nothing_but_arrays():
     """A pickle cannot set attributes of what the unpickler is made of."""
     for target in (b"cnumpy\nndarray\n", b"cnumpy\ndtype\n", b"c_codecs\nencode\n", b"]", b"}"):
-        with pytest.raises(ValueError, match="a state of something that has none"):
+        with refused(ValueError, "state"):
             unpickle_plain(b"\x80\x02" + target + b"N}X\x04\x00\x00\x00fillK\x01s\x86b.")

@@ -12,6 +12,7 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.video import VideoFrames, write_video
 from helpers.places import SHARED
+from helpers.refusals import refused
 
 N_FRAMES = 40
 REAL_VIDEO = SHARED / "data" / "video_carphone" / "carphone_pristine.mp4"
@@ -114,7 +115,7 @@ def test_real_video_seeks_exactly():
 def test_empty_range_and_frames_out_of_range(video):
     """No frames are an empty sequence; frames past the end are an error that tells how many there are."""
     assert list(VideoFrames(video).frames(N_FRAMES, N_FRAMES)) == []
-    with pytest.raises(CaptureError, match=r"wanted frames 38\.\.40, the video has 40"):
+    with refused(CaptureError, "38..40", "has 40"):
         next(VideoFrames(video).frames(38, 41))
 
 
@@ -138,7 +139,7 @@ def test_truncated_video(video, tmp_path):
     """A file cut before its index is refused, naming the file, the frames left and the mend."""
     path = tmp_path / "cam05.mp4"
     path.write_bytes(video.read_bytes()[:-200])
-    with pytest.raises(CaptureError, match=r"cam05\.mp4.* 0 frames can be decoded.*encode this video again"):
+    with refused(CaptureError, "cam05.mp4", "0 frames", "encode this video again"):
         _ = VideoFrames(path).n_frames
 
 
@@ -187,13 +188,13 @@ def test_other_containers_are_refused(tmp_path):
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         container.mux(stream.encode(av.VideoFrame.from_ndarray(make_frame(0), format="rgb24")))
         container.mux(stream.encode())
-    with pytest.raises(CaptureError, match=r"wanted an MP4 or MOV video, got matroska.*ffmpeg -i IN -c copy OUT\.mp4"):
+    with refused(CaptureError, "MP4 or MOV", "matroska", "ffmpeg -i IN -c copy OUT.mp4"):
         _ = VideoFrames(path).n_frames
 
 
 def test_missing_video(tmp_path):
     """An absent file is called absent."""
-    with pytest.raises(CaptureError, match=r"cam07\.mp4.*no such file"):
+    with refused(CaptureError, "cam07.mp4", "no such file"):
         _ = VideoFrames(tmp_path / "cam07.mp4").n_frames
 
 

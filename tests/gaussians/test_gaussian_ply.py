@@ -12,10 +12,11 @@ from ggvs_eval.gaussians import read_ply, write_ply
 from ggvs_eval.gaussians.ply import unknown_properties
 from helpers.fuzz import damaged, random_edit
 from helpers.gaussian_clouds import random_cloud
+from helpers.refusals import refused
 
 
 @pytest.fixture
-def written(tmp_path) -> Path:
+def cloud_file(tmp_path) -> Path:
     """A cloud of 5 Gaussians of degree 1."""
     write_ply(tmp_path / "cloud.ply", random_cloud(5, degree=1, dtype=torch.float32))
     return tmp_path / "cloud.ply"
@@ -101,35 +102,35 @@ def damage(file: Path, before: bytes, after: bytes) -> None:
         (b"end_header", b"and_header", "the header of this .ply has no end_header in its first 64 kB"),
     ],
 )
-def test_broken_headers(written, before, after, message):
-    damage(written, before, after)
+def test_broken_headers(cloud_file, before, after, message):
+    damage(cloud_file, before, after)
     with pytest.raises(RenderError, match=message):
-        read_ply(written)
+        read_ply(cloud_file)
 
 
-def test_broken_contents(written, tmp_path):
+def test_broken_contents(cloud_file, tmp_path):
     """Cut short, NaN, a folder, nothing there: one line each, with the file."""
-    content = written.read_bytes()
-    written.write_bytes(content[:-1])
-    with pytest.raises(RenderError, match=r"cloud\.ply: its header says 5 Gaussians in 520 bytes, the file has 519"):
-        read_ply(written)
-    written.write_bytes(content[:-4] + np.float32(np.nan).tobytes())
-    with pytest.raises(RenderError, match=r"1 of 5 Gaussians have a rot_0\.\. that is not finite, first number 4; the fit"):
-        read_ply(written)
-    with pytest.raises(RenderError, match="it cannot be read: a folder instead of a regular file"):
+    content = cloud_file.read_bytes()
+    cloud_file.write_bytes(content[:-1])
+    with refused(RenderError, "cloud.ply", "5 Gaussians", "519"):
+        read_ply(cloud_file)
+    cloud_file.write_bytes(content[:-4] + np.float32(np.nan).tobytes())
+    with refused(RenderError, "1 of 5", "rot_0", "number 4"):
+        read_ply(cloud_file)
+    with refused(RenderError, "folder"):
         read_ply(tmp_path)
-    with pytest.raises(RenderError, match="it cannot be read: no such file"):
+    with refused(RenderError, "no such file"):
         read_ply(tmp_path / "absent.ply")
 
 
 @pytest.mark.fuzz
-def test_damaged_files_are_read_or_refused_in_one_line(written):
+def test_damaged_files_are_read_or_refused_in_one_line(cloud_file):
     """400 files with bytes flipped, cut, inserted, repeated: a finite cloud, or a message of one line that names the file."""
-    content, refusals = written.read_bytes(), []
+    content, refusals = cloud_file.read_bytes(), []
     for seed in range(400):
-        written.write_bytes(damaged(content, random_edit(Random(seed))))
+        cloud_file.write_bytes(damaged(content, random_edit(Random(seed))))
         try:
-            cloud = read_ply(written)
+            cloud = read_ply(cloud_file)
         except RenderError as error:
             refusals.append(str(error))
         else:
@@ -237,22 +238,22 @@ def test_broken_compressed_clouds(tmp_path, before, after, message):
         (("filter_3D",), "Mip-Splatting"),
     ],
 )
-def test_gaussians_that_are_drawn_otherwise_are_refused(written, names, kind):
+def test_gaussians_that_are_drawn_otherwise_are_refused(cloud_file, names, kind):
     """Properties of other methods are named, and what to do; still Gaussians are not made of them."""
-    content = written.read_bytes().replace(
+    content = cloud_file.read_bytes().replace(
         b"end_header", b"".join(b"property float %s\n" % n.encode() for n in names) + b"end_header"
     )
-    written.write_bytes(content + bytes(5 * 4 * len(names)))
+    cloud_file.write_bytes(content + bytes(5 * 4 * len(names)))
     with pytest.raises(RenderError, match=rf"{names[0]}.* are of {kind}.*ggvs-eval score --renders"):
-        read_ply(written)
+        read_ply(cloud_file)
 
 
-def test_other_properties_are_named(written, tmp_path):
+def test_other_properties_are_named(cloud_file, tmp_path):
     """Normals go without saying; what nobody knows here is told."""
-    assert unknown_properties(written) == []
-    damage(written, b"property float nx", b"property float sh_bins")
-    assert unknown_properties(written) == ["sh_bins"]
-    assert len(read_ply(written)) == 5
+    assert unknown_properties(cloud_file) == []
+    damage(cloud_file, b"property float nx", b"property float sh_bins")
+    assert unknown_properties(cloud_file) == ["sh_bins"]
+    assert len(read_ply(cloud_file)) == 5
     (tmp_path / "cloud.spz").write_bytes(b"\x1f\x8b")
-    with pytest.raises(RenderError, match=r"cloud\.spz: wanted a \.ply, \.spz is not read; convert it"):
+    with refused(RenderError, "cloud.spz", ".ply", "convert it"):
         read_ply(tmp_path / "cloud.spz")

@@ -14,6 +14,7 @@ from ggvs_eval.geometry import source_views
 from ggvs_eval.geometry.source_views import LEAST_SHARE, choose_sources, sample_view, sees, turn_rad
 from ggvs_eval.pipelines.play.playback import camera_loop
 from ggvs_eval.synthetic.film.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, hand_held_poses, rig
+from helpers.refusals import refused
 
 pytestmark = pytest.mark.slow
 
@@ -124,7 +125,7 @@ def test_turned_away_cameras_are_never_chosen():
     fellow = turned(target, 0.1, "fellow")
     assert min(turn_rad(target, camera) for camera in beside) > source_views.MOST_TURN_RAD
     assert names(choose_sources(target, [target, *beside, fellow], 4, "coverage")) == ["fellow"]
-    with pytest.raises(CameraError, match="none of 4 cameras is turned by less than 75 degrees and sees any of its view"):
+    with refused(CameraError, "4 cameras", "75 degrees"):
         choose_sources(target, [target, *beside], 2, "coverage")
 
 
@@ -200,9 +201,9 @@ def between(one: Camera, other: Camera, part: float) -> Camera:
 def test_too_few_cameras_and_unknown_choices_are_refused(how):
     """One line each."""
     cameras = make_rig("grid")[:3]
-    with pytest.raises(CameraError, match="wanted 3 source cameras, the capture has 2 others"):
+    with refused(CameraError, "3 source cameras", "2 others"):
         choose_sources(cameras[0], cameras, 3, how)
-    with pytest.raises(CameraError, match="wanted one of nearest, coverage, got 'covrage'"):
+    with refused(CameraError, "nearest, coverage", "'covrage'"):
         choose_sources(cameras[0], cameras, 2, "covrage")  # type: ignore[arg-type]
 
 

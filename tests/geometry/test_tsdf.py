@@ -6,37 +6,30 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError, GgvsWarning
 from ggvs_eval.geometry import PreviousDepth, RayMarch, fusion_weights, ray_march
 from ggvs_eval.kernels import _core
-from helpers.geometry_scenes import TAU, WeightedDepth, columns, moved, random_camera, random_depth, seeds, sizes
+from helpers.geometry_scenes import (
+    TAU,
+    WeightedDepth,
+    columns,
+    moved,
+    random_camera,
+    random_depth,
+    random_previous,
+    random_views,
+    seeds,
+    sizes,
+)
 from helpers.places import DATA_FOLDER
+from helpers.refusals import refused
 from helpers.twins.tsdf import fusion_weights_twin, ray_march_twin
 
 ORACLE = DATA_FOLDER / "tsdf_case.npz"
 
 
 pytestmark = pytest.mark.usefixtures("kernel_settings")
-
-
-def random_views(random: np.random.Generator, size: tuple[int, int], count: int) -> list[WeightedDepth]:
-    views = []
-    for _ in range(count):
-        camera = random_camera(random, *size)
-        depth = random_depth(random, camera)
-        views.append((camera, depth, fusion_weights(depth, TAU, 0.002)))
-    return views
-
-
-def random_previous(random: np.random.Generator, target: Camera) -> PreviousDepth:
-    """A previous depth seen from a pose 2 cm away, with gains on both sides of the limit."""
-    camera = moved(target, -0.02, 0.013)
-    shape = (target.height, target.width)
-    accumulated = random.uniform(0, 8, shape).astype(np.float32)
-    gain = random.uniform(0, 4, shape).astype(np.float32)
-    return PreviousDepth(camera, random_depth(random, camera), accumulated, gain, 15.0)
 
 
 def assert_same_bits(first: RayMarch, second: RayMarch) -> None:
@@ -181,23 +174,6 @@ def test_a_surface_entered_from_behind_is_no_hit():
     assert not ray_march(replace(camera, world_to_camera=np.eye(4)), *columns([plane_view(opposite, 2.0)]), tau=TAU).depth.any()
 
 
-def test_threads_and_instruction_sets_give_the_same_bits():
-    """Neither the number of threads nor the instruction set changes a single bit of weights, depth or accumulated weight."""
-    random = np.random.default_rng(6)
-    views, target = random_views(random, (130, 90), 3), random_camera(random, 121, 93)
-    previous = random_previous(random, target)
-    results = []
-    for level in kernels.available_levels():
-        kernels.set_simd_level(level)
-        for threads in (1, 2, 5):
-            kernels.set_threads(threads)
-            march = ray_march(target, *columns(views), tau=TAU, previous=previous)
-            results.append((march.depth, march.weight, fusion_weights(views[0][1], TAU, 0.001)))
-    for result in results[1:]:
-        for ours, first in zip(result, results[0], strict=True):
-            np.testing.assert_array_equal(ours, first)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -249,21 +225,21 @@ def test_shapes_that_do_not_fit_are_refused():
     camera = random_camera(np.random.default_rng(8), 8, 6)
     good, bad = np.ones((6, 8), dtype=np.float32), np.ones((8, 6), dtype=np.float32)
     for view in ((camera, bad, good), (camera, good, bad)):
-        with pytest.raises(DepthError, match=r"must be 6 x 8 like the camera, got \(8, 6\)"):
+        with refused(DepthError, "6 x 8", "(8, 6)"):
             ray_march(camera, *columns([view]), tau=TAU)
-    with pytest.raises(DepthError, match="gain must be 6 x 8"):
+    with refused(DepthError, "gain", "6 x 8"):
         ray_march(camera, [], [], [], tau=TAU, previous=PreviousDepth(camera, good, good, bad, 15.0))
     with pytest.raises(DepthError, match="wanted a depth image"):
         fusion_weights(np.ones(5, dtype=np.float32), TAU, 0.001)
-    with pytest.raises(DepthError, match="at most 32 depth views, got 33"):
+    with refused(DepthError, "at most 32", "got 33"):
         ray_march(camera, [camera] * 33, [good] * 33, [good] * 33, tau=TAU)
-    with pytest.raises(DepthError, match="wanted depth and weights per camera, got 2, 2, 1"):
+    with refused(DepthError, "depth and weights", "2, 2, 1"):
         ray_march(camera, [camera] * 2, [good] * 2, [good], tau=TAU)
 
 
 def test_the_kernel_converts_nothing():
     """Below the Python face a wrong dtype or layout is a TypeError that names both sides."""
-    with pytest.raises(TypeError, match=r"depth: wanted float32 \(5, 4\), C-contiguous, got float64 \(5, 4\)"):
+    with refused(TypeError, "depth", "float32 (5, 4)", "float64 (5, 4)"):
         _core.fusion_weights(np.ones((5, 4)), 0.02, 0.001, 1, 0)
     with pytest.raises(TypeError, match="not C-contiguous"):
         _core.fusion_weights(np.ones((4, 5), dtype=np.float32).T, 0.02, 0.001, 1, 0)

@@ -98,8 +98,3 @@ def footage_of(
     sources = {name: StoredFrames(np.stack(images)) for name, images in frames.items()}
     keys = {camera.name: camera.name for camera in cameras}
     return Footage(cameras, range(instants), 30.0 if instants > 1 else 0.0, 1.0, 0, sources, keys, store)
-
-
-def psnr_db(image: np.ndarray, truth: np.ndarray) -> float:
-    """PSNR of an image in [0, 1] against an 8-bit one."""
-    return -10 * np.log10(np.mean((image - truth / 255.0) ** 2))

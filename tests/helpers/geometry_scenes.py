@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.geometry import PreviousDepth, fusion_weights
 from ggvs_eval.method import SourceView
 
 TAU = 0.05
@@ -62,3 +63,34 @@ WeightedDepth = tuple[Camera, np.ndarray, np.ndarray]  # a camera, its depth and
 def columns(views: Sequence[WeightedDepth]) -> tuple[Sequence, ...]:
     """Cameras, depths and weights of views as a ray march takes them."""
     return tuple(zip(*views, strict=True)) or ((), (), ())
+
+
+def random_views(random: np.random.Generator, size: tuple[int, int], count: int) -> list[WeightedDepth]:
+    """Cameras with depth and the weights that it is fused by."""
+    views = []
+    for _ in range(count):
+        camera = random_camera(random, *size)
+        depth = random_depth(random, camera)
+        views.append((camera, depth, fusion_weights(depth, TAU, 0.002)))
+    return views
+
+
+def random_previous(random: np.random.Generator, target: Camera) -> PreviousDepth:
+    """A previous depth seen from a pose 2 cm away, with gains on both sides of the limit."""
+    camera = moved(target, -0.02, 0.013)
+    shape = (target.height, target.width)
+    accumulated = random.uniform(0, 8, shape).astype(np.float32)
+    gain = random.uniform(0, 4, shape).astype(np.float32)
+    return PreviousDepth(camera, random_depth(random, camera), accumulated, gain, 15.0)
+
+
+def image8(random: np.random.Generator, height: int, width: int) -> np.ndarray:
+    """A random picture, RGB uint8."""
+    return random.integers(0, 256, (height, width, 3)).astype(np.uint8)
+
+
+def weighted_views(random: np.random.Generator, count: int, size: tuple[int, int]) -> tuple[list[SourceView], list[float]]:
+    """Source views and what each counts."""
+    cameras = [random_camera(random, *size, name=f"cam{n}") for n in range(count)]
+    views = [view_of(camera, random_depth(random, camera), image8(random, camera.height, camera.width)) for camera in cameras]
+    return views, random.uniform(0.1, 1, count).tolist()

@@ -18,6 +18,7 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.planted_renders import PLANTED as PLANTED_IN_VIEWS
 from helpers.planted_renders import jpeg, quantised
+from helpers.refusals import refused
 from helpers.run_folders import write_run
 
 pytestmark = pytest.mark.slow
@@ -376,10 +377,10 @@ def test_a_run_folder_is_read(tmp_path):
     assert list(views["cam00"].frames) == [2, 3, 4, 5]
     np.testing.assert_array_equal(views["cam03"].truth(4), read_image(frame_path(run.truth("cam03"), 4)))
     assert sorted(cameras_of_run(run)) == ["cam00", "cam03"]
-    with pytest.raises(RenderError, match="no renders of 'mine'; there are no-blending"):
+    with refused(RenderError, "'mine'", "no-blending"):
         views_of_run(run, "mine")
     frame_path(run.renders("no-blending", "cam03"), 4).unlink()
-    with pytest.raises(RenderError, match="no-blending in cam03 lacks 4"):
+    with refused(RenderError, "no-blending in cam03", "lacks 4"):
         views_of_run(run, "no-blending")
 
 

@@ -10,6 +10,7 @@ from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.pipelines.inspection.renders.explain import explain
 from ggvs_eval.pipelines.inspection.renders.steadiness import ALWAYS, EVERYWHERE, OURS, SECOND, steadiness_line
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
+from helpers.refusals import refused
 
 RNG = np.random.default_rng(0)
 
@@ -82,9 +83,9 @@ def test_metrics_of_no_view_say_so(metric, words):
 
 def test_one_frame_has_no_change():
     """The reason names the view."""
-    with pytest.raises(MetricError, match="1 frame of cam00; needs 2"):
+    with refused(MetricError, "1 frame", "cam00"):
         explain("mtv", "0.2", view_of(RENDERED[:1], TRUTH[:1]))
-    with pytest.raises(MetricError, match="1 frame of cam00; needs 2"):
+    with refused(MetricError, "1 frame", "cam00"):
         explain("e_warp", "0.2", view_of(RENDERED[:1], TRUTH[:1]))
 
 

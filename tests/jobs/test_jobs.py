@@ -18,6 +18,7 @@ from ggvs_eval.files.atomic import is_running
 from ggvs_eval.jobs.job import BrokenJobError, Job, attempt_jobs, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.run_folder import JOB_FILE, read_json
+from helpers.refusals import refused
 
 pytestmark = pytest.mark.slow
 
@@ -74,7 +75,7 @@ def test_a_failed_job_leaves_nothing_and_stops_nobody(workers, tmp_path):
     """The others finish, the failed one leaves no folder, and one error lists what failed."""
     broken = [Job(f"broken {i}", tmp_path / f"b{i}", {"broken": i}, partial(fail, f"cam{i:02d} is gone")) for i in range(2)]
 
-    with pytest.raises(RenderError, match=r"2 of 4 jobs failed.*cam00 is gone.*cam01 is gone|2 of 4.*cam01.*cam00"):
+    with refused(RenderError, "2 of 4", "cam00 is gone", "cam01 is gone"):
         run_jobs([broken[0], number_job(tmp_path, 1), broken[1], number_job(tmp_path, 2)], workers, "")
 
     assert sorted(item.name for item in tmp_path.iterdir()) == ["n1", "n2"]

@@ -16,6 +16,7 @@ from helpers.noise_scenes import (
     planted,
     shot_noise,
 )
+from helpers.refusals import refused
 
 FRAMES = 24
 
@@ -104,11 +105,11 @@ def test_what_cannot_be_compared_is_refused():
         measure(clean[:1], clean[:1])
     with pytest.raises(MetricError, match="0 frame; needs 2"):
         measure(clean[:0], clean[:0])
-    with pytest.raises(MetricError, match=r"rendered is \(239, 304, 3\), truth is \(240, 304, 3\)"):
+    with refused(MetricError, "(239, 304, 3)", "(240, 304, 3)"):
         measure(clean[:, 1:], clean)
-    with pytest.raises(MetricError, match="sides at least 16"):
+    with refused(MetricError, "at least 16"):
         measure(clean[:, :15], clean[:, :15])
     meter = FlickerMeter()
     meter.add(clean[0], clean[0])
-    with pytest.raises(MetricError, match=r"\(240, 304, 3\) before, \(239, 304, 3\) now"):
+    with refused(MetricError, "(240, 304, 3) before", "(239, 304, 3) now"):
         meter.add(clean[1, 1:], clean[1, 1:])

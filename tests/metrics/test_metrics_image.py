@@ -10,7 +10,6 @@ from scipy import ndimage
 from skimage import data
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from ggvs_eval import kernels
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.colour_correction import ColourMoments, apply_colour_map, fit_colour_map, unit_range
 from ggvs_eval.metrics.image.corrected import psnr_colour_corrected
@@ -18,6 +17,7 @@ from ggvs_eval.metrics.image.l1 import l1
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim, ssim_per_channel
 from helpers.places import DATA_FOLDER
+from helpers.refusals import refused
 
 DATA = DATA_FOLDER
 SKIMAGE = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "channel_axis": 2}
@@ -84,16 +84,6 @@ def test_ssim_and_psnr_equal_recorded_values():
     assert ssim(images["c"], images["a"]) == pytest.approx(wanted["blur1.5"]["valid_11x11_gauss"], abs=1e-6)
     clip = [psnr(*frames) for frames in zip(images["rendered_video"], images["gt_video"], strict=True)]
     assert np.mean(clip) == pytest.approx(wanted["psnr_per_frame_mean"], abs=1e-5)
-
-
-def test_ssim_has_the_same_bits_on_any_number_of_threads_and_instruction_set():
-    """The kernel returns identical bits with 1, 2 and 5 threads and on every instruction set this processor has."""
-    from ggvs_eval.kernels import _ssim
-
-    pair = noisy_pair(300, 260)
-    levels = range(len(kernels.available_levels()))
-    results = {_ssim.channel_means(*pair, threads, level).tobytes() for threads in (1, 2, 5) for level in levels}
-    assert len(results) == 1
 
 
 def test_ssim_takes_views_of_larger_frames():
@@ -166,7 +156,7 @@ def test_frames_of_any_size_and_content_have_a_finite_score_or_a_reason(seed, he
     assert 0 <= l1(rendered, truth) <= 255
     assert 0 <= psnr_colour_corrected(rendered, truth) <= 100
     if min(height, width) < 11:
-        with pytest.raises(MetricError, match="SSIM needs 11 x 11 pixels"):
+        with refused(MetricError, "SSIM", "11 x 11"):
             ssim(rendered, truth)
     else:
         assert -1 <= ssim(rendered, truth) <= 1
@@ -179,7 +169,7 @@ def test_values_that_are_not_finite_are_refused(metric, value):
     """One pixel of NaN or infinity in a frame of floats is an error, not a score."""
     rendered, truth = (frame / 255 for frame in noisy_pair(20, 30))
     rendered[7, 9, 1] = value
-    with pytest.raises(MetricError, match="the frames hold values that are not finite"):
+    with refused(MetricError, "not finite"):
         metric(rendered, truth)
 
 
@@ -279,11 +269,11 @@ def test_corrected_colours_stay_between_black_and_white():
 def test_moments_of_nothing_and_of_frames_that_do_not_fit_are_refused():
     """A map wants pixels, and pairs of one size."""
     moments = ColourMoments()
-    with pytest.raises(MetricError, match="no pixels were added"):
+    with refused(MetricError, "no pixels"):
         moments.map()
-    with pytest.raises(MetricError, match=r"rendered is \(20, 31, 3\)"):
+    with refused(MetricError, "(20, 31, 3)"):
         moments.add(np.zeros((20, 31, 3), np.uint8), np.zeros((20, 30, 3), np.uint8))
-    with pytest.raises(MetricError, match=r"wanted RGB of shape \(frames, height, width, 3\)"):
+    with refused(MetricError, "RGB", "(frames, height, width, 3)"):
         fit_colour_map(np.zeros((20, 30, 3), np.uint8), np.zeros((20, 30, 3), np.uint8))
 
 
@@ -305,8 +295,8 @@ def test_frames_that_do_not_fit_are_refused(metric, rendered, message):
 def test_grey_and_tiny_frames_are_refused():
     """A grey frame is refused by every metric, a frame below the window by SSIM."""
     grey = np.zeros((20, 30), np.uint8)
-    with pytest.raises(MetricError, match=r"wanted RGB of shape \(height, width, 3\), got \(20, 30\)"):
+    with refused(MetricError, "(height, width, 3)", "(20, 30)"):
         psnr(grey, grey)
     small = np.zeros((10, 30, 3), np.uint8)
-    with pytest.raises(MetricError, match="SSIM needs 11 x 11 pixels for its window, got 10 x 30"):
+    with refused(MetricError, "SSIM", "11 x 11", "10 x 30"):
         ssim(small, small)

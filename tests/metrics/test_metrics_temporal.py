@@ -25,6 +25,7 @@ from ggvs_eval.metrics.time.deviations import sdt, sdv
 from ggvs_eval.metrics.time.strred import strred
 from ggvs_eval.metrics.time.tcc import tcc, temporal_change_ssim
 from helpers.places import DATA_FOLDER
+from helpers.refusals import refused
 
 DATA = DATA_FOLDER
 ALL_BUT_LPIPS = ["PSNR", "SSIM", "L1", "PSNR_cc", "TCC", "STED", "STED_ssn", "SDT", "SDV"]  # with a truth, view by view
@@ -87,9 +88,9 @@ def test_tcc_refuses_what_it_cannot_compare():
     rendered, truth = moving_view()
     with pytest.raises(MetricError, match="1 frame; needs 2"):
         tcc(rendered[:1], truth[:1])
-    with pytest.raises(MetricError, match="4 rendered frames, 5 true frames"):
+    with refused(MetricError, "4 rendered", "5 true"):
         tcc(rendered[:4], truth)
-    with pytest.raises(MetricError, match=r"rendered is \(60, 64, 3\), truth is \(64, 64, 3\)"):
+    with refused(MetricError, "(60, 64, 3)", "(64, 64, 3)"):
         tcc(rendered[:, :60], truth)
 
 
@@ -126,9 +127,9 @@ def test_static_clips_score_one_and_errors_that_are_not_finite_are_refused():
     assert tcc(np.full((2, 20, 20, 3), 9, np.uint8), np.full((2, 20, 20, 3), 200, np.uint8)) == 1.0
     broken = rendered / 255
     broken[1, 5, 5, 0] = np.nan
-    with pytest.raises(MetricError, match="TCC: the frames hold values that are not finite"):
+    with refused(MetricError, "TCC", "not finite"):
         tcc(broken, truth / 255)
-    with pytest.raises(MetricError, match=r"SDT: .* not finite"):
+    with refused(MetricError, "SDT", "not finite"):
         sdt([[1.0, np.nan]])
 
 
@@ -156,9 +157,9 @@ def test_sdt_and_sdv_average_after_the_deviation():
 
 def test_sdt_and_sdv_refuse_a_single_frame_or_view():
     """One frame has no SDT and one view no SDV; the message has the shape."""
-    with pytest.raises(MetricError, match=r"at least 2 frames, got \(3, 1\)"):
+    with refused(MetricError, "2 frames", "(3, 1)"):
         sdt(np.ones((3, 1)))
-    with pytest.raises(MetricError, match=r"at least 2 views, got \(1, 3\)"):
+    with refused(MetricError, "2 views", "(1, 3)"):
         sdv(np.ones((1, 3)))
 
 
@@ -203,7 +204,7 @@ def test_colours_are_corrected_by_the_map_of_the_view():
         assert values_of(ours, name) == {t: metric(corrected[t], unit_range(truth[t])) for t in range(5)}
     assert np.mean(list(values_of(ours, "PSNR_cc").values())) == pytest.approx(psnr_colour_corrected(rendered, truth))
     assert min(values_of(perfect, "PSNR_cc").values()) > 90
-    with pytest.raises(MetricError, match="colours are corrected per view; fit the maps first"):
+    with refused(MetricError, "colours", "fit the maps"):
         score_views(frames, ["SSIM_cc"])
 
 
@@ -324,17 +325,17 @@ def test_stream_keeps_two_frames_and_no_more():
 def test_views_that_cannot_be_scored_are_refused():
     """No frames, a frame of another size, and a rendered frame that does not fit its truth are errors of the view."""
     rendered, truth = moving_view(frames=2)
-    with pytest.raises(MetricError, match="no frames to score"):
+    with refused(MetricError, "no frames"):
         score_view([], ["PSNR"])
-    with pytest.raises(MetricError, match=r"frame 1 is \(60, 64, 3\), the frames before are \(64, 64, 3\)"):
+    with refused(MetricError, "frame 1", "(60, 64, 3)", "(64, 64, 3)"):
         score_view([(rendered[0], truth[0]), (rendered[1, :60], truth[1, :60])], ["PSNR"])
-    with pytest.raises(MetricError, match=r"rendered is \(60, 64, 3\), truth is \(64, 64, 3\)"):
+    with refused(MetricError, "(60, 64, 3)", "(64, 64, 3)"):
         score_view([(rendered[0, :60], truth[0])], ["TCC"])
 
 
 def test_unknown_metric_names_the_nearest_known_one():
     """A misspelt metric is refused with the nearest known name."""
-    with pytest.raises(MetricError, match="no metric 'SIM'; did you mean SSIM"):
+    with refused(MetricError, "'SIM'", "did you mean SSIM"):
         score_view([], ["PSNR", "SIM"])
 
 

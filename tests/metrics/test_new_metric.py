@@ -105,7 +105,7 @@ WORST_ERROR = ViewMetric(
 
 
 @pytest.fixture
-def run(tmp_path, monkeypatch) -> RunFolder:
+def scored_run(tmp_path, monkeypatch) -> RunFolder:
     """Two renderings of two views and three frames, scored with both metrics beside PSNR."""
     for metric in (RELATIVE_ERROR, WORST_ERROR):
         monkeypatch.setitem(METRICS.shipped, metric.name, metric)
@@ -122,17 +122,17 @@ def stacked(view: str) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.stack(images) for images in zip(*rows, strict=True))
 
 
-def test_its_number_is_what_its_function_says(run):
+def test_its_number_is_what_its_function_says(scored_run):
     """The number of each view is the ratio of sums over all its frames, and stands in the results with its parts."""
-    table = score(run).table
+    table = score(scored_run).table
     mine = table[(table["method"] == "whole") & (table["metric"] == "Relative_error")].set_index("view")["value"]
     assert mine.to_dict() == pytest.approx({view: relative_error(*stacked(view)) for view in VIEWS}, rel=1e-12)
     assert set(table["metric"]) == {"PSNR", "Relative_error", *PARTS, "Worst_error"}
 
 
-def test_its_interval_is_that_of_a_ratio(run):
+def test_its_interval_is_that_of_a_ratio(scored_run):
     """The interval is that of the ratio itself, also of the difference of two methods, and not that of a mean."""
-    results = score(run)
+    results = score(scored_run)
     sums = {
         part: np.array([[function(rendered(view, frame), truth(view, frame)) for frame in FRAMES] for view in SORTED_VIEWS])
         for part, function in (("above", sum_of_errors), ("below", sum_of_values))
@@ -152,19 +152,19 @@ def test_its_interval_is_that_of_a_ratio(run):
     assert rank_methods(results, "Relative_error", False, "Tiny room").comparisons["late"].p_value is not None
 
 
-def test_what_has_no_parts_gets_no_interval_by_a_guess(run):
+def test_what_has_no_parts_gets_no_interval_by_a_guess(scored_run):
     """A maximum over frames is one value per view: two views say nothing of its spread, and the note says so."""
-    found = intervals(score(run), "Worst_error", "Tiny room")["whole"]
+    found = intervals(score(scored_run), "Worst_error", "Tiny room")["whole"]
     assert found.value == pytest.approx(np.mean([worst_error(*stacked(view)) for view in VIEWS]))
     assert (found.half_width, found.note.partition(";")[0]) == (None, "one value for each of 2 views")
 
 
-def test_it_stands_in_its_tables(run, tmp_path):
+def test_it_stands_in_its_tables(scored_run, tmp_path):
     """The report has its column in the table of its group, with unit, direction, digits and interval."""
-    page = write_report([run.root], tmp_path / "report")
+    page = write_report([scored_run.root], tmp_path / "report")
     rows = list(csv.DictReader((page.parent / "tables.csv").open(encoding="utf-8")))
     (mine,) = [row for row in rows if (row["method"], row["column"]) == ("whole", "Relative_error")]
-    found = intervals(score(run), "Relative_error", "Tiny room")["whole"]
+    found = intervals(score(scored_run), "Relative_error", "Tiny room")["whole"]
     assert (mine["table"], mine["unit"], mine["higher_is_better"]) == ("quality", "of the truth", "False")
     assert (float(mine["value"]), float(mine["lo"]), float(mine["hi"])) == (found.value, found.low, found.high)
     assert mine["shown"] == f"{found.value:.5f}"
@@ -172,13 +172,13 @@ def test_it_stands_in_its_tables(run, tmp_path):
     assert "sum of the absolute errors over the sum of the true values" in page.read_text(encoding="utf-8")
 
 
-def test_its_values_stand_while_another_metric_is_scored_again(run, monkeypatch):
+def test_its_values_stand_while_another_metric_is_scored_again(scored_run, monkeypatch):
     """Where the code of one metric changes, the numbers and parts of the others stand, whatever they are called."""
-    before = score(run).table
+    before = score(scored_run).table
     original = score_view.metric_code
     monkeypatch.setattr(score_view, "metric_code", lambda metric: "new" if metric.name == "PSNR" else original(metric))
     monkeypatch.setattr(RelativeErrorScorer, "add", None)  # is not asked again
-    after = score(run).table
+    after = score(scored_run).table
     order = ["method", "view", "metric", "frame"]
     pd.testing.assert_frame_equal(*(table.sort_values(order, ignore_index=True) for table in (before, after)))
 

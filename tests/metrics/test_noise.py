@@ -7,6 +7,7 @@ import pytest
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.noise.estimate import LONG_LAG, estimate_noise
 from helpers.noise_scenes import clean_video, encoded, noisy, panned_video, shot_noise
+from helpers.refusals import refused
 
 FRAMES = LONG_LAG + 6
 STILL = np.s_[:, :48]  # rows the face never reaches
@@ -113,11 +114,11 @@ def test_what_has_no_still_content_is_refused():
     """One frame, a moving camera, and frames that are not 8-bit RGB of one size are refused with what came."""
     with pytest.raises(MetricError, match="1 frame; needs 2"):
         estimate_noise(clean_video(1))
-    with pytest.raises(MetricError, match=r"wanted at least 5% of the blocks .* to stand still, got"):
+    with refused(MetricError, "5%", "stand still", "got"):
         estimate_noise(panned_video())
-    with pytest.raises(MetricError, match=r"\(240, 304, 3\) before, \(239, 304, 3\) now"):
+    with refused(MetricError, "(240, 304, 3) before", "(239, 304, 3) now"):
         estimate_noise([clean_video(2)[0], clean_video(2)[1, 1:]])
-    with pytest.raises(MetricError, match=r"got \(240, 304, 3\) float64"):
+    with refused(MetricError, "(240, 304, 3) float64"):
         estimate_noise(clean_video(2) / 255)
-    with pytest.raises(MetricError, match="sides at least 16"):
+    with refused(MetricError, "at least 16"):
         estimate_noise(clean_video(2)[:, :15])

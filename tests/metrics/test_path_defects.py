@@ -16,6 +16,7 @@ from ggvs_eval.metrics.path.view_switch import NAMES as SWITCH
 from ggvs_eval.metrics.path.view_switch import switch_steps
 from ggvs_eval.metrics.path_scores import score_path
 from helpers.epi_scenes import POSES, SCENES, changed, exact, path, rendered, sources_of
+from helpers.refusals import refused
 
 pytestmark = pytest.mark.slow
 
@@ -179,10 +180,10 @@ def test_images_that_do_not_fit_their_cameras_are_refused():
     poses = list(exact("wall"))
     with pytest.raises(MetricError, match="no poses to score"):
         score_path([])
-    with pytest.raises(MetricError, match="pose path0000: wanted an image 32 x 128 x 3, got"):
+    with refused(MetricError, "path0000", "32 x 128 x 3"):
         score_path([replace(poses[0], image=poses[0].image[1:])])
     half = poses[1].camera.resized(64, 16)
-    with pytest.raises(MetricError, match="a path has one size"):
+    with refused(MetricError, "one size"):
         score_path([poses[0], PathPose(half, np.zeros((16, 64, 3), np.uint8))])
 
 

@@ -11,6 +11,7 @@ from ggvs_eval.metrics.path.steps import StepError, reprojection_steps
 from ggvs_eval.metrics.path.view_switch import switch_score, switch_steps
 from ggvs_eval.metrics.path.warping_error import warping_error
 from helpers.epi_scenes import FOCAL, SCENES, WALL, WIDTH, changed, exact, look, path, rendered
+from helpers.refusals import refused
 
 
 def triples(poses):
@@ -72,13 +73,13 @@ def test_switch_score_is_the_ratio_of_means():
 
 def test_switch_score_says_why_there_is_none():
     """A path without a switch, one that switches at every step and a wrong number of steps are refused in words."""
-    with pytest.raises(MetricError, match="no switch on this path: one set of source cameras at all 3 poses"):
+    with refused(MetricError, "no switch", "3 poses"):
         switch_score([1.0, 1.0], ["ab", "ba", "ab"])
-    with pytest.raises(MetricError, match="every step switches the source cameras"):
+    with refused(MetricError, "every step"):
         switch_score([1.0, 1.0], ["ab", "bc", "cd"])
-    with pytest.raises(MetricError, match="no step with a switch could be measured"):
+    with refused(MetricError, "no step"):
         switch_score([1.0, None], ["ab", "ab", "cd"])
-    with pytest.raises(MetricError, match="3 poses have 2 steps, got 3 errors"):
+    with refused(MetricError, "2 steps", "3 errors"):
         switch_score([1.0, 1.0, 1.0], ["ab", "bc", "cd"])
 
 
@@ -92,9 +93,9 @@ def test_reprojection_refuses_what_it_cannot_compare():
         (lambda: mean_reprojection([StepError(0.0, 1.0, 0.0, 0.0)]), "images without texture"),
         (lambda: warping_error([(*pose[:2], 0 * pose[2]) for pose in triples(exact("wall"))[:2]]), "E_warp: at no step do the"),
     ):
-        with pytest.raises(MetricError, match=message) as refused:
+        with pytest.raises(MetricError, match=message) as caught:
             measure()
-        assert "\n" not in str(refused.value)
+        assert "\n" not in str(caught.value)
 
 
 def test_a_step_without_a_common_surface_has_no_error():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skimage import data
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.l1 import l1, masked_l1
@@ -12,15 +11,10 @@ from ggvs_eval.metrics.image.psnr import masked_psnr, psnr
 from ggvs_eval.metrics.image.regions import moving_mask
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.metrics.image.ssim_variants import masked_ssim, ssim_variant
+from helpers.photographs import noisy_pair
+from helpers.refusals import refused
 
 MASKED = {masked_psnr: psnr, masked_l1: l1, masked_ssim: ssim}
-
-
-def noisy_pair(height=90, width=110, strength=8.0):
-    """A crop of a photograph and the same with Gaussian noise, both uint8."""
-    truth = np.ascontiguousarray(data.astronaut()[20 : 20 + height, 180 : 180 + width])
-    noise = np.random.default_rng(0).normal(0, strength, truth.shape)
-    return np.rint(np.clip(truth + noise, 0, 255)).astype(np.uint8), truth
 
 
 def square(shape, rows, columns):
@@ -109,16 +103,16 @@ def test_regions_too_small_to_measure_are_refused():
     rendered, truth = noisy_pair()
     few = square(truth.shape, slice(0, 7), slice(0, 9))
     for masked in (masked_psnr, masked_l1):
-        with pytest.raises(MetricError, match="the region has 63 pixels; needs 64"):
+        with refused(MetricError, "63 pixels", "needs 64"):
             masked(rendered, truth, few)
-        with pytest.raises(MetricError, match="the region has 0 pixels"):
+        with refused(MetricError, "0 pixels"):
             masked(rendered, truth, np.zeros(truth.shape[:2], bool))
-    with pytest.raises(MetricError, match="no window of 11 x 11 pixels lies wholly inside the region"):
+    with refused(MetricError, "11 x 11", "region"):
         masked_ssim(rendered, truth, square(truth.shape, slice(5, 15), slice(0, 110)))
     ring = square(truth.shape, slice(20, 50), slice(20, 50)) & ~square(truth.shape, slice(30, 40), slice(30, 40))
-    with pytest.raises(MetricError, match="no window of 11 x 11 pixels"):
+    with refused(MetricError, "11 x 11"):
         masked_ssim(rendered, truth, ring)
-    with pytest.raises(MetricError, match="no window of 11 x 11 pixels"):
+    with refused(MetricError, "11 x 11"):
         masked_ssim(rendered, truth, np.zeros(truth.shape[:2], bool))
     assert masked_ssim(rendered, truth, square(truth.shape, slice(5, 16), slice(3, 14))) == pytest.approx(
         ssim(rendered[5:16, 3:14], truth[5:16, 3:14]), abs=1e-4
@@ -129,11 +123,11 @@ def test_regions_too_small_to_measure_are_refused():
 def test_masks_that_do_not_fit_are_refused(masked):
     """A mask of another size or of numbers is refused; so are frames that do not fit each other."""
     rendered, truth = noisy_pair()
-    with pytest.raises(MetricError, match=r"mask: wanted \(90, 110\) bool, got \(89, 110\) bool"):
+    with refused(MetricError, "(90, 110) bool", "(89, 110) bool"):
         masked(rendered, truth, np.ones((89, 110), bool))
-    with pytest.raises(MetricError, match=r"mask: wanted \(90, 110\) bool, got \(90, 110\) uint8"):
+    with refused(MetricError, "(90, 110) bool", "(90, 110) uint8"):
         masked(rendered, truth, np.ones((90, 110), np.uint8))
-    with pytest.raises(MetricError, match=r"rendered is \(89, 110, 3\)"):
+    with refused(MetricError, "(89, 110, 3)"):
         masked(rendered[1:], truth, np.ones((90, 110), bool))
 
 
@@ -169,7 +163,7 @@ def test_still_frames_and_sensor_noise_do_not_move():
 def test_motion_is_told_by_8_bit_frames_of_one_size():
     """Another size or floats are refused in one line."""
     _, truth = noisy_pair()
-    with pytest.raises(MetricError, match=r"rendered is \(90, 110, 3\), truth is \(89, 110, 3\)"):
+    with refused(MetricError, "(90, 110, 3)", "(89, 110, 3)"):
         moving_mask(truth, truth[1:])
-    with pytest.raises(MetricError, match=r"moving region: wanted uint8 in 0..255, got float64"):
+    with refused(MetricError, "uint8 in 0..255", "float64"):
         moving_mask(truth / 255, truth / 255)

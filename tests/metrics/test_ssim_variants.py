@@ -13,6 +13,7 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.metrics.image.ssim_variants import SSIM_VARIANTS, ssim_map, ssim_variant
 from helpers.places import DATA_FOLDER
+from helpers.refusals import refused
 
 DATA = DATA_FOLDER
 RECORDED_AS = {
@@ -114,12 +115,12 @@ def test_laws(seed, height, width, levels, name):
 def test_what_cannot_be_scored_is_refused():
     """An unknown variant, frames that do not fit, and values that are not finite are errors."""
     rendered, truth = noisy_pair()
-    with pytest.raises(MetricError, match="no variant 'luma'; there are gaussian-valid, gaussian-zero, uniform7, uni"):
+    with refused(MetricError, "'luma'", "gaussian-valid, gaussian-zero, uniform7, uni"):
         ssim_variant(rendered, truth, "luma")
-    with pytest.raises(MetricError, match=r"rendered is \(59, 71, 3\)"):
+    with refused(MetricError, "(59, 71, 3)"):
         ssim_variant(rendered[1:], truth, "uniform7")
     broken = rendered / 255
     broken[3, 3, 0] = np.nan
     for name in SSIM_VARIANTS:
-        with pytest.raises(MetricError, match="SSIM: the frames hold values that are not finite"):
+        with refused(MetricError, "SSIM", "not finite"):
             ssim_variant(broken, truth / 255, name)

@@ -12,6 +12,7 @@ from ggvs_eval.metrics.stream import score_view
 from ggvs_eval.metrics.time import colour_video_vdp as vdp
 from ggvs_eval.metrics.time import vmaf as vmaf_module
 from ggvs_eval.metrics.time.vmaf import vmaf
+from helpers.refusals import refused
 
 FRAMES, HEIGHT, WIDTH = 6, 120, 160
 
@@ -51,7 +52,7 @@ def test_vmaf_that_cannot_run_says_why(monkeypatch):
     with pytest.raises(MetricError, match="VMAF: ffmpeg failed: "):
         vmaf(pairs)
     monkeypatch.undo()
-    with pytest.raises(MetricError, match="at least 32 pixels a side"):
+    with refused(MetricError, "32 pixels"):
         vmaf([(truth[:20], truth[:20]) for _, truth in pairs])
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     scores = score_view(pairs, ["VMAF", "PSNR"])

@@ -29,6 +29,7 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.calibration_files import write_qualisys
 from helpers.captures import make_image, make_rig, write_colmap_model, write_folders, write_videos
+from helpers.refusals import refused
 
 pytestmark = pytest.mark.slow
 
@@ -50,7 +51,7 @@ def calibrated(demo) -> Calibration:
     return calibrate(demo, demo.with_name("calibrated"), CalibrationOptions(shared_intrinsics=True))
 
 
-def refused(frames: Path, out: Path, **options: object) -> str:
+def refusal_of(frames: Path, out: Path, **options: object) -> str:
     """The one line with which a calibration is refused; nothing may be left under the wanted name."""
     with pytest.raises(CaptureError) as caught:
         calibrate(frames, out, CalibrationOptions(**options))  # type: ignore[arg-type]
@@ -214,7 +215,7 @@ def test_camera_that_sees_nothing_is_named(demo, tmp_path):
     """A camera that cannot be registered is refused by name, with its features and the mend, or left out if that is allowed."""
     stills = write_stills(demo, tmp_path / "stills", ("cam00", "cam01", "cam02", "cam05"))
     write_image(stills / "cam09.png", np.full((480, 640, 3), 90, np.uint8))
-    message = refused(stills, tmp_path / "out", shared_intrinsics=True)
+    message = refusal_of(stills, tmp_path / "out", shared_intrinsics=True)
     assert "wanted a pose of all 5 cameras, found none of cam09 (0 features, 0 matches with its best partner)" in message
     assert "texture, light or overlap" in message
     assert "--allow-missing" in message
@@ -230,7 +231,7 @@ def test_camera_that_sees_nothing_is_named(demo, tmp_path):
 def test_too_little_texture(tmp_path):
     """Smooth pictures give no features; all cameras are named and leaving them out is not offered."""
     write_videos(tmp_path / "smooth")
-    message = refused(tmp_path / "smooth", tmp_path / "out", allow_missing=True)
+    message = refusal_of(tmp_path / "smooth", tmp_path / "out", allow_missing=True)
     assert "found none of cam00 (0 features" in message
     assert "cam03 (0 features" in message
     assert "--allow-missing" not in message
@@ -243,7 +244,7 @@ def test_child_process_ends_badly(tmp_path, monkeypatch, ending, said):
     monkeypatch.setattr(calibration_job, "WORKER", "broken_worker")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
     write_videos(tmp_path / "frames")
-    message = refused(tmp_path / "frames", tmp_path / "out")
+    message = refusal_of(tmp_path / "frames", tmp_path / "out")
     assert said in message
     assert str(tmp_path / "out.log") in message
     assert "started" in (tmp_path / "out.log").read_text()
@@ -259,14 +260,14 @@ def test_child_process_ends_badly(tmp_path, monkeypatch, ending, said):
 def test_refused_before_any_work(tmp_path, options, expected):
     """An instant that is not there, or a file that is not, is refused at once."""
     write_videos(tmp_path / "frames")
-    assert expected in refused(tmp_path / "frames", tmp_path / "out", **options)
+    assert expected in refusal_of(tmp_path / "frames", tmp_path / "out", **options)
 
 
 def test_sizes_differ_for_shared_intrinsics(tmp_path):
     """One lens for all cameras wants frames of one size."""
     write_image(tmp_path / "frames" / "a.png", make_image(0, 0))
     write_image(tmp_path / "frames" / "b.png", make_image(1, 0, 32, 24))
-    message = refused(tmp_path / "frames", tmp_path / "out", shared_intrinsics=True)
+    message = refusal_of(tmp_path / "frames", tmp_path / "out", shared_intrinsics=True)
     assert "wanted frames of one size for shared intrinsics" in message
 
 
@@ -275,7 +276,7 @@ def test_out_folder_with_content_is_kept(tmp_path):
     write_videos(tmp_path / "frames")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("keep")
-    with pytest.raises(CaptureError, match="wanted a new or empty folder"):
+    with refused(CaptureError, "empty folder"):
         calibrate(tmp_path / "frames", tmp_path / "out", CalibrationOptions())
     assert (tmp_path / "out" / "mine.txt").read_text() == "keep"
 
@@ -284,7 +285,7 @@ def test_videos_of_different_length(tmp_path):
     """Cameras with different numbers of frames, which no capture may have, are refused before the work."""
     write_videos(tmp_path / "frames", ("cam00", "cam01"))
     write_videos(tmp_path / "frames", ("cam02",), n_frames=3)
-    assert "got cam00 5, cam01 5, cam02 3; cut them to a common length" in refused(tmp_path / "frames", tmp_path / "out")
+    assert "got cam00 5, cam01 5, cam02 3; cut them to a common length" in refusal_of(tmp_path / "frames", tmp_path / "out")
 
 
 def test_options_that_contradict_each_other():
@@ -293,7 +294,7 @@ def test_options_that_contradict_each_other():
         CalibrationOptions(known_intrinsics=Path("a.toml"), known_poses=Path("b"))
     with pytest.raises(CaptureError, match="must not be negative"):
         CalibrationOptions(frame=-1)
-    with pytest.raises(CaptureError, match="give them with --known-poses RIG"):
+    with refused(CaptureError, "--known-poses RIG"):
         CalibrationOptions(refine=True)
 
 
@@ -361,7 +362,7 @@ def one_sighting_each(cameras: list[Camera]) -> tuple[list[Sightings], np.ndarra
 def test_no_frames(tmp_path):
     """A folder without frames, or with those of one camera, is refused with the places where they are looked for."""
     write_image(tmp_path / "one.png", make_image(0, 0))
-    with pytest.raises(CaptureError, match=r"wanted the frames of two cameras or more, got none; put them in CAM\.mp4"):
+    with refused(CaptureError, "two cameras", "got none", "CAM.mp4"):
         find_rig_frames(tmp_path)
     with pytest.raises(CaptureError, match="nothing there"):
         find_rig_frames(tmp_path / "absent")
@@ -417,7 +418,7 @@ def test_intrinsics_of_other_cameras(tmp_path):
     write_videos(tmp_path / "frames")
     lens = Lens(np.diag([50.0, 50.0, 1.0]), "opencv", (0.0,) * 4, 64, 48)
     write_intrinsics(tmp_path / "intrinsics.toml", {"cam00": lens, 'odd "name"': lens})
-    message = refused(tmp_path / "frames", tmp_path / "out", known_intrinsics=tmp_path / "intrinsics.toml")
+    message = refusal_of(tmp_path / "frames", tmp_path / "out", known_intrinsics=tmp_path / "intrinsics.toml")
     assert 'wanted intrinsics of cam01, cam02, cam03, it has cam00, odd "name"' in message
 
 
@@ -426,5 +427,5 @@ def test_intrinsics_alone_are_no_poses(tmp_path):
     write_videos(tmp_path / "frames")
     lens = Lens(np.diag([50.0, 50.0, 1.0]), "opencv", (0.0,) * 4, 64, 48)
     write_intrinsics(tmp_path / "intrinsics.toml", dict.fromkeys(("cam00", "cam01", "cam02", "cam03"), lens))
-    message = refused(tmp_path / "frames", tmp_path / "out", known_poses=tmp_path / "intrinsics.toml")
+    message = refusal_of(tmp_path / "frames", tmp_path / "out", known_poses=tmp_path / "intrinsics.toml")
     assert "wanted poses, got intrinsics alone of cam00" in message

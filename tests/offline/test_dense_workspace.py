@@ -18,6 +18,7 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.offline.export.dense_workspace import WorkspaceOptions, read_array, write_array, write_dense_workspace
+from helpers.refusals import refused
 from helpers.stereo_scenes import PLANE, look_from, plane_depth, see_plane
 
 PLACES = [(0, 0), (0.4, 0), (-0.4, 0), (0, 0.4)]
@@ -211,11 +212,11 @@ def test_what_cannot_be_exported(tmp_path):
     images = [see_plane(camera) for camera in cameras]
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "thesis.tex").write_text("x")
-    with pytest.raises(DepthError, match=r"taken: wanted a folder to make, or an empty one"):
+    with refused(DepthError, "taken: ", "empty"):
         write_dense_workspace(cameras, images, maps, {}, tmp_path / "taken")
     named = [look_from(0, 0, "left camera"), *cameras[1:]]
-    with pytest.raises(DepthError, match=r"camera 'left camera': wanted a name without blanks"):
+    with refused(DepthError, "'left camera'", "blanks"):
         write_dense_workspace(named, images, maps, {}, tmp_path / "out")
-    with pytest.raises(DepthError, match=r"camera cam00: wanted a uint8 image of \(150, 200, 3\), got uint8 \(150, 100, 3\)"):
+    with refused(DepthError, "camera cam00", "(150, 200, 3)", "uint8 (150, 100, 3)"):
         write_dense_workspace(cameras, [images[0][:, ::2], *images[1:]], maps, {}, tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]

@@ -15,6 +15,7 @@ from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
+from helpers.refusals import refused
 from helpers.stereo_scenes import look_from, paint, plane_depth, random_texture, see_plane, write_capture
 
 CAMERA = look_from(0, 0, "camera")
@@ -61,13 +62,13 @@ def test_a_pair_that_cannot_be_rectified_is_passed_over():
     with pytest.raises(DepthError, match="too little to be matched"):
         rectify(camera, far)
     assert [partner.name for partner in choose_partners(camera, [far, near], 2)] == ["near"]
-    with pytest.raises(DepthError, match="none of 1 other cameras"):
+    with refused(DepthError, "1 other"):
         choose_partners(camera, [far], 2)
 
 
 def test_nobody_to_match_with():
     """A camera that no other overlaps is an error that names it and says what to do."""
-    with pytest.raises(DepthError, match=r"camera camera: none of 1 other cameras.*add cameras"):
+    with refused(DepthError, "camera camera", "1 other", "add cameras"):
         choose_partners(CAMERA, [look_from(60, 0, "elsewhere")], 2)
 
 
@@ -191,20 +192,20 @@ def test_wrong_images_are_refused():
     """An image of another size, or too few images, raise DepthError naming the camera."""
     estimator = DepthEstimator(CAMERA, ROW[:1], DepthOptions())
     image = see_plane(CAMERA)
-    with pytest.raises(DepthError, match=r"camera row-2: wanted a uint8 image of \(150, 200, 3\), got uint8 \(10, 200, 3\)"):
+    with refused(DepthError, "camera row-2", "(150, 200, 3)", "uint8 (10, 200, 3)"):
         estimator.estimate(image, [image[:10]])
-    with pytest.raises(DepthError, match="camera camera: wanted 1 partner images, got 0"):
+    with refused(DepthError, "camera camera", "1 partner", "got 0"):
         estimator.estimate(image, [])
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
+def plane_capture(tmp_path_factory):
     return write_capture(tmp_path_factory.mktemp("capture"))
 
 
-def test_plan_leaves_the_target_out(capture):
+def test_plan_leaves_the_target_out(plane_capture):
     """No job of a target names it, sources are the nearest, and every job has partners."""
-    plan = plan_depth(capture, capture.cameras, 2, DepthOptions(partners=2))
+    plan = plan_depth(plane_capture, plane_capture.cameras, 2, DepthOptions(partners=2))
     for target, jobs in plan.items():
         assert len(jobs) == 2
         for source, job in jobs.items():
@@ -214,10 +215,10 @@ def test_plan_leaves_the_target_out(capture):
             assert len(job.partner_names) == 2
 
 
-def test_plan_for_a_virtual_camera(capture):
+def test_plan_for_a_virtual_camera(plane_capture):
     """A camera that the capture does not have excludes nobody, and equal jobs of two targets are equal."""
     targets = [look_from(0.1, 0.05, "path0000"), look_from(0.12, 0.05, "path0001")]
-    plan = plan_depth(capture, targets, 2, DepthOptions(partners=2))
+    plan = plan_depth(plane_capture, targets, 2, DepthOptions(partners=2))
     assert plan["path0000"] == plan["path0001"]
     assert "cam00" in plan["path0000"]
 
@@ -226,10 +227,10 @@ OPTIONS = DepthOptions(matcher=SgbmMatcher(levels=2))
 
 
 @pytest.fixture(scope="module")
-def jobs(capture) -> list[DepthJob]:
+def jobs(plane_capture) -> list[DepthJob]:
     """Two cameras with two partners each."""
     pairs = (("cam00", ("cam01", "cam02")), ("cam03", ("cam00", "cam01")))
-    return [depth_job(capture, name, partners, OPTIONS) for name, partners in pairs]
+    return [depth_job(plane_capture, name, partners, OPTIONS) for name, partners in pairs]
 
 
 def stored_files(store):
@@ -237,37 +238,37 @@ def stored_files(store):
     return {path.relative_to(store.root): path.read_bytes() for path in sorted(store.root.rglob("*.*")) if path.is_file()}
 
 
-def test_prepare_resumes_and_does_not_depend_on_workers(capture, jobs, tmp_path):
+def test_prepare_resumes_and_does_not_depend_on_workers(plane_capture, jobs, tmp_path):
     """A second call touches nothing, a lost frame alone is computed again, and one worker gives the bits of two."""
     two, one = DepthStore(tmp_path / "two"), DepthStore(tmp_path / "one")
-    prepare_depth(capture, [*jobs, jobs[0]], range(3), two, OPTIONS, workers=2)
+    prepare_depth(plane_capture, [*jobs, jobs[0]], range(3), two, OPTIONS, workers=2)
     first = {path: path.stat().st_mtime_ns for path in two.root.rglob("*.npz")}
     assert len(first) == 6
-    prepare_depth(capture, jobs, range(3), two, OPTIONS, workers=2)
+    prepare_depth(plane_capture, jobs, range(3), two, OPTIONS, workers=2)
     assert {path: path.stat().st_mtime_ns for path in two.root.rglob("*.npz")} == first
     lost = min(first)
     lost.unlink()
-    prepare_depth(capture, jobs, range(3), two, OPTIONS, workers=2)
+    prepare_depth(plane_capture, jobs, range(3), two, OPTIONS, workers=2)
     assert [path for path in first if path.stat().st_mtime_ns != first[path]] == [lost]
-    prepare_depth(capture, jobs, range(3), one, OPTIONS, workers=1)
+    prepare_depth(plane_capture, jobs, range(3), one, OPTIONS, workers=1)
     assert stored_files(one) == stored_files(two)
 
 
-def test_prepared_depth_is_right(capture, jobs, tmp_path):
+def test_prepared_depth_is_right(plane_capture, jobs, tmp_path):
     """What the store holds under a job's key is the depth of that instant."""
     store = DepthStore(tmp_path)
-    prepare_depth(capture, jobs[:1], range(1, 2), store, OPTIONS, workers=1)
+    prepare_depth(plane_capture, jobs[:1], range(1, 2), store, OPTIONS, workers=1)
     key = jobs[0].key
-    truth = plane_depth(capture.camera("cam00"), np.array([0.25, 0.15, 5.8]))
+    truth = plane_depth(plane_capture.camera("cam00"), np.array([0.25, 0.15, 5.8]))
     assert np.median(np.abs(store.read(key, 1).depth / truth - 1)) < 0.005
     assert not store.has(key, 0)
 
 
-def test_options_change_the_key(capture, tmp_path):
+def test_options_change_the_key(plane_capture, tmp_path):
     """Every field of the options and of the matcher enters the key."""
 
     def key_with(options: DepthOptions) -> str:
-        return depth_job(capture, "cam00", ("cam01", "cam02"), options).key
+        return depth_job(plane_capture, "cam00", ("cam01", "cam02"), options).key
 
     keys = {key_with(OPTIONS)}
     for field, value in vars(OPTIONS).items():
@@ -283,38 +284,38 @@ def test_options_change_the_key(capture, tmp_path):
     assert len(keys) == len(vars(OPTIONS)) - 3 + len(vars(OPTIONS.matcher)) + len(vars(OPTIONS.time))
 
 
-def test_failure_in_a_worker_is_reported(capture, tmp_path):
+def test_failure_in_a_worker_is_reported(plane_capture, tmp_path):
     """An unknown camera ends the run with the capture's own message."""
-    job = replace(depth_job(capture, "cam00", ("cam01",), OPTIONS), camera_name="cam99")
-    with pytest.raises(CaptureError, match="no camera 'cam99'"):
-        prepare_depth(capture, [job], range(1), DepthStore(tmp_path), OPTIONS, workers=2)
+    job = replace(depth_job(plane_capture, "cam00", ("cam01",), OPTIONS), camera_name="cam99")
+    with refused(CaptureError, "'cam99'"):
+        prepare_depth(plane_capture, [job], range(1), DepthStore(tmp_path), OPTIONS, workers=2)
 
 
-def test_missing_frames_in_a_worker_are_reported(capture, jobs, tmp_path):
+def test_missing_frames_in_a_worker_are_reported(plane_capture, jobs, tmp_path):
     """Frames that the capture does not have end the run with a message that says which there are."""
-    with pytest.raises(CaptureError, match=r"wanted frames 2\.\.4 .*has 3"):
-        prepare_depth(capture, jobs, range(2, 5), DepthStore(tmp_path), OPTIONS, workers=2)
+    with refused(CaptureError, "2..4", "has 3"):
+        prepare_depth(plane_capture, jobs, range(2, 5), DepthStore(tmp_path), OPTIONS, workers=2)
 
 
-def test_sources_of_a_view_are_held_against_each_other(capture):
+def test_sources_of_a_view_are_held_against_each_other(plane_capture):
     """Each source's depth is checked with that of the view's other sources, all found without the view itself."""
-    jobs = plan_depth(capture, [capture.camera("cam01")], 3, OPTIONS)["cam01"]
+    jobs = plan_depth(plane_capture, [plane_capture.camera("cam01")], 3, OPTIONS)["cam01"]
     for name, job in jobs.items():
         assert [other.camera_name for other in job.checked_with] == sorted(set(jobs) - {name})
         assert all("cam01" not in other.partner_names for other in (job, *job.checked_with))
-    unchecked = plan_depth(capture, [capture.camera("cam01")], 3, replace(OPTIONS, consistency=None))["cam01"]
+    unchecked = plan_depth(plane_capture, [plane_capture.camera("cam01")], 3, replace(OPTIONS, consistency=None))["cam01"]
     assert unchecked == {name: job.unchecked for name, job in jobs.items()}
 
 
-def test_checked_depth_has_a_key_of_its_own_and_comes_back(capture, tmp_path):
+def test_checked_depth_has_a_key_of_its_own_and_comes_back(plane_capture, tmp_path):
     """Checked depth of a plane is no worse than what was found, lies beside it, and a lost instant comes back with equal bits."""
-    store, job = DepthStore(tmp_path), plan_depth(capture, [capture.camera("cam01")], 3, OPTIONS)["cam01"]["cam00"]
-    prepare_depth(capture, [job], range(2), store, OPTIONS, workers=2)
+    store, job = DepthStore(tmp_path), plan_depth(plane_capture, [plane_capture.camera("cam01")], 3, OPTIONS)["cam01"]["cam00"]
+    prepare_depth(plane_capture, [job], range(2), store, OPTIONS, workers=2)
     keys = [each.key for each in (job.unchecked, job)]
-    truth = plane_depth(capture.camera("cam00"), np.array([0.25, 0.15, 5.8]))
+    truth = plane_depth(plane_capture.camera("cam00"), np.array([0.25, 0.15, 5.8]))
     found, checked = (np.median(np.abs(store.read(key, 1).depth / truth - 1)) for key in keys)
     assert checked <= found * 1.01
     before = store.read(keys[1], 1).depth
     store.path(keys[1], 1).unlink()
-    prepare_depth(capture, [job], range(2), store, OPTIONS, workers=1)
+    prepare_depth(plane_capture, [job], range(2), store, OPTIONS, workers=1)
     assert np.array_equal(store.read(keys[1], 1).depth, before)

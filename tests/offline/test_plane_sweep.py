@@ -16,6 +16,7 @@ from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_dept
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator, SweepLevel
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep, plan_planes
 from ggvs_eval.pipelines.offline.plane_sweep.views import find_hidden, turn_partner
+from helpers.refusals import refused
 from helpers.stereo_scenes import PLANE, look_from, paint, plane_depth, random_texture, see_plane, write_capture
 
 pytestmark = pytest.mark.slow
@@ -207,7 +208,7 @@ def test_the_pipeline_takes_it():
     images = [see_plane(partner) for partner in PARTNERS]
     found = estimator.estimate(see_plane(CAMERA), images)
     assert np.quantile(errors_px(found.depth), 0.99) < 0.1
-    with pytest.raises(DepthError, match="wanted 4 partner images, got 3"):
+    with refused(DepthError, "4 partner", "got 3"):
         estimator.estimate(see_plane(CAMERA), images[1:])
 
 

@@ -32,6 +32,7 @@ from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.view import listener
 from helpers.captures import write_dynerf
 from helpers.command_line import refusal
+from helpers.refusals import refused
 from helpers.small_runs import small_protocol
 from helpers.stereo_scenes import random_texture
 
@@ -151,15 +152,15 @@ def test_a_device_that_is_not_there_is_refused_first(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
+def five_cameras(tmp_path_factory):
     return open_capture(write_dynerf(tmp_path_factory.mktemp("filmed"), [f"cam{index:02d}" for index in range(5)]))
 
 
 @pytest.fixture
-def request_for(capture, tmp_path):
+def request_for(five_cameras, tmp_path):
     """Makes requests for one run folder."""
     return lambda depth, networks: RunRequest(
-        tmp_path / "run", capture, small_protocol(1, 0, ("PSNR",)), (), depth, networks=networks
+        tmp_path / "run", five_cameras, small_protocol(1, 0, ("PSNR",)), (), depth, networks=networks
     )
 
 
@@ -189,14 +190,14 @@ def test_a_run_goes_on_where_its_depth_was_begun(request_for, monkeypatch):
     run.depth_record.write_text(json.dumps(RAFT.record("cuda")))
     begun = plan_run(request_for(None, NetworkOptions()))
     assert begun.depth_device == "cuda"
-    with pytest.raises(DeviceError, match=r"depth.json: this run's depth is found on cuda: .* or begin a new run folder"):
+    with refused(DeviceError, "depth.json", "cuda", "new run folder"):
         prepare_run(begun)
     run.depth_record.write_text(json.dumps(RAFT.record()))  # as it was written before there were devices
     assert "device" not in RAFT.record()
     assert type(plan_run(request_for(None, ELSEWHERE)).depth_options.matcher) is RaftMatcher
 
 
-def test_the_command_line_takes_depth_to_the_device(capture, tmp_path, monkeypatch):
+def test_the_command_line_takes_depth_to_the_device(five_cameras, tmp_path, monkeypatch):
     """Every verb that finds depth passes `--device` on to the network that finds it; one that is not there ends it."""
     plans, options = [], []
 
@@ -210,15 +211,15 @@ def test_the_command_line_takes_depth_to_the_device(capture, tmp_path, monkeypat
     words = ("--matcher", "raft", "--device", "cpu:0")
     protocol = tmp_path / "small.toml"
     protocol.write_text(small_protocol(1, 0, ("PSNR",)).to_toml())
-    of_capture = "--capture", str(capture.path), "--protocol", str(protocol), *words, "--dry-run"
+    of_capture = "--capture", str(five_cameras.path), "--protocol", str(protocol), *words, "--dry-run"
     for command in (("prepare",), ("run",), ("sweep", "k")):
         run_command([*command, str(tmp_path / "out"), *of_capture])
-    for command in (("play", capture.path, tmp_path / "out.mp4"), ("view", capture.path, "--out", tmp_path / "view")):
+    for command in (("play", five_cameras.path, tmp_path / "out.mp4"), ("view", five_cameras.path, "--out", tmp_path / "view")):
         assert refusal(*command, *words).endswith("far enough")
     assert {plan.depth_options.matcher.device for plan in plans} == {"cpu:0"}
     assert len(plans) >= 3
     assert [each.matcher.device for each in options] == ["cpu:0", "cpu:0"]
-    assert "gpu" in refusal("prepare", tmp_path / "run", "--capture", capture.path, "--matcher", "raft", "--device", "gpu")
+    assert "gpu" in refusal("prepare", tmp_path / "run", "--capture", five_cameras.path, "--matcher", "raft", "--device", "gpu")
     assert list(tmp_path.iterdir()) == [protocol]
 
 

@@ -46,46 +46,46 @@ class HoledSensor(PlaneSensor):
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
+def sensed_plane(tmp_path_factory):
     """Five cameras before a plane, the first two with a depth sensor beside them."""
     stereo = write_capture(tmp_path_factory.mktemp("capture"))
     sensors = [Extras(depth=PlaneSensor(camera)) for camera in stereo.cameras[:2]]
     return replace(stereo, extras=(*sensors, *(Extras() for _ in stereo.cameras[2:])))
 
 
-def test_cameras_with_a_sensor_need_no_partners(capture):
+def test_cameras_with_a_sensor_need_no_partners(sensed_plane):
     """Sources with measured depth get jobs without partners, the others stereo; --no-sensor is stereo for all."""
-    jobs = plan_depth(capture, [capture.camera("cam02")], 4, DepthOptions())["cam02"]
+    jobs = plan_depth(sensed_plane, [sensed_plane.camera("cam02")], 4, DepthOptions())["cam02"]
     assert {name for name, job in jobs.items() if not job.partner_names} == {"cam00", "cam01"}
-    by_stereo = plan_depth(capture, [capture.camera("cam02")], 4, DepthRunOptions(sensor=False).options())["cam02"]
+    by_stereo = plan_depth(sensed_plane, [sensed_plane.camera("cam02")], 4, DepthRunOptions(sensor=False).options())["cam02"]
     assert all(job.partner_names for job in by_stereo.values())
 
 
-def test_measured_depth_reaches_the_store(capture, tmp_path):
+def test_measured_depth_reaches_the_store(sensed_plane, tmp_path):
     """What is stored is the sensor's depth of that very frame, filtered, under a key of its own."""
     store, options = DepthStore(tmp_path), DepthOptions()
-    job = depth_job(capture, "cam01", (), options)
-    prepare_depth(capture, [job], range(3), store, options, workers=1)
+    job = depth_job(sensed_plane, "cam01", (), options)
+    prepare_depth(sensed_plane, [job], range(3), store, options, workers=1)
     key = job.key
     for frame in range(3):
-        truth = plane_depth(capture.camera("cam01"), PLANE - [0, 0, 0.2 * frame])
+        truth = plane_depth(sensed_plane.camera("cam01"), PLANE - [0, 0, 0.2 * frame])
         assert np.median(np.abs(store.read(key, frame).depth / truth - 1)) < 1e-3
-    stereo = depth_job(capture, "cam01", ("cam00",), options).spec
+    stereo = depth_job(sensed_plane, "cam01", ("cam00",), options).spec
     assert DepthStore.key(stereo) != key
     assert job.spec["options"]["algorithm"].startswith("sensor-filter")
 
 
-def test_holes_of_measured_depth_are_filled_by_colour(capture, tmp_path):
+def test_holes_of_measured_depth_are_filled_by_colour(sensed_plane, tmp_path):
     """Held against another source, a sensor's hole is filled, under a key that knows how; stereo's key does not."""
     store, options = DepthStore(tmp_path), DepthOptions(consistency=ConsistencyOptions(fill_support=0))
-    extras = tuple(replace(each, depth=each.depth and HoledSensor(each.depth.camera)) for each in capture.extras)
-    holed = replace(capture, extras=extras)
-    jobs = plan_depth(holed, [capture.camera("cam02")], 4, options)["cam02"]
+    extras = tuple(replace(each, depth=each.depth and HoledSensor(each.depth.camera)) for each in sensed_plane.extras)
+    holed = replace(sensed_plane, extras=extras)
+    jobs = plan_depth(holed, [sensed_plane.camera("cam02")], 4, options)["cam02"]
     prepare_depth(holed, [jobs["cam00"]], range(1), store, options, workers=1)
 
     depth_map = store.read(jobs["cam00"].key, 0)
 
-    truth = plane_depth(capture.camera("cam00"), PLANE)
+    truth = plane_depth(sensed_plane.camera("cam00"), PLANE)
     assert (depth_map.depth > 0).all()
     assert (depth_map.confidence[HOLE] < 0.03).all()
     assert np.median(np.abs(depth_map.depth / truth - 1)[HOLE]) < 0.02

@@ -34,6 +34,7 @@ from ggvs_eval.pipelines.online.network_inputs import input_channels
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from helpers.device_scenes import room_instants
 from helpers.geometry_scenes import TAU, random_camera, random_depth, view_of
+from helpers.refusals import refused
 from helpers.scenes import camera_at, texture
 
 pytest.importorskip("warp", reason="the online step on a device wants NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
@@ -383,9 +384,9 @@ def test_too_many_views_and_readings_that_were_dropped_are_refused():
     """In one line, before anything is computed."""
     instant = room_instants()[0]
     many = replace(instant, sources=instant.sources * 2)
-    with pytest.raises(RenderError, match="at most 6 source views, got 8"):
+    with refused(RenderError, "6 source views", "got 8"):
         DeviceGuided().step(many)
-    with pytest.raises(RenderError, match=r"wanted the method as it ships, got .*splatted_as='points'"):
+    with refused(RenderError, "splatted_as='points'"):
         DeviceGuided(OnlineOptions(splatted_as="points"))
 
 

@@ -27,7 +27,7 @@ LABELS = ("no-blending", "ours", "ours+no-tsdf", "ours-geometric")
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> RunFolder:
+def reported_run(tmp_path_factory) -> RunFolder:
     """Two frames in two views and two poses, rendered, scored and reported."""
     root = tmp_path_factory.mktemp("inside")
     capture = write_small_capture(root / "capture", 2)
@@ -73,18 +73,18 @@ def test_one_view_alone_shows_its_colour():
         ("no-blending", set()),
     ],
 )
-def test_a_job_writes_what_its_method_tells(run, label, names):
+def test_a_job_writes_what_its_method_tells(reported_run, label, names):
     """Each map of each frame, at a quarter of the size, in views and along the path; methods that tell nothing have no folder."""
-    for frames in (run.renders(label, "cam00"), run.path(label)):
+    for frames in (reported_run.renders(label, "cam00"), reported_run.path(label)):
         inside = frames / DIAGNOSTICS
         assert {folder.name for folder in inside.iterdir()} == names if names else not inside.exists()
         for name in names:
             assert read_image(diagnostics_path(frames, name, 1)).shape == (12, 16, 3)
 
 
-def test_the_page_can_choose_them(run):
+def test_the_page_can_choose_them(reported_run):
     """The maps of ours, not of its variants, stand beside the frames of every view, named and explained; they have no errors."""
-    measured = read_run(run.root)
+    measured = read_run(reported_run.root)
     shown = compare_frames(measured)
     inside = [f"ours/{name}" for name in MEANINGS]
     assert list(shown.keys) == ["truth", *LABELS, *inside]
@@ -92,14 +92,14 @@ def test_the_page_can_choose_them(run):
     for view in shown.views:
         assert [len(shown.images[view][key]) for key in inside] == [2] * 4
         assert set(shown.errors[view]) == set(LABELS)
-    page = (run.report / "index.html").read_text(encoding="utf-8")
+    page = (reported_run.report / "index.html").read_text(encoding="utf-8")
     for key in inside:
         assert f'<option value="{key}"' in page
     assert "What our method decided on the way" in page
 
 
-def test_a_run_without_them_has_the_methods_alone(run):
+def test_a_run_without_them_has_the_methods_alone(reported_run):
     """Renders of an earlier version, or of others, tell nothing: the page shows their frames."""
-    measured = read_run(run.root)
+    measured = read_run(reported_run.root)
     others = dataclasses.replace(measured, labels=("no-blending",))
     assert compare_frames(others).keys == ("truth", "no-blending")

@@ -10,6 +10,7 @@ from ggvs_eval.geometry.per_pixel import view_weights
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.online.exposure_compensation import GAUGE_POWER, ExposureCompensation, gained_image
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
+from helpers.photographs import psnr_db
 from helpers.scenes import camera_at, instant, look
 
 TARGET = camera_at(0.0, name="target")
@@ -37,10 +38,6 @@ def anchored(gains: np.ndarray, sources=SOURCES) -> np.ndarray:
     weights = view_weights(TARGET, sources).astype(float) ** GAUGE_POWER
     logarithms = np.log(gains)
     return np.exp(weights @ logarithms / weights.sum() - logarithms)
-
-
-def psnr_db(image: np.ndarray, truth: np.ndarray) -> float:
-    return float(-10 * np.log10(np.mean((image - truth / 255.0) ** 2)))
 
 
 def test_planted_gains_are_found():

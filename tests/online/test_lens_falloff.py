@@ -13,6 +13,7 @@ from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation, gained_image
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.lens_falloff import corner_of, fallen_off, fit_slope, flattened, shared_slope, squared_tangents
+from helpers.photographs import psnr_db
 from helpers.scenes import camera_at, instant, look
 
 TARGET = camera_at(0.2, name="target")
@@ -41,10 +42,6 @@ def slope_of(seen: Instant) -> float:
     compensation = ExposureCompensation()
     compensation.gains(seen, TOLERANCE)
     return compensation.slope
-
-
-def psnr_db(image: np.ndarray, truth: np.ndarray) -> float:
-    return float(-10 * np.log10(np.mean((image - truth) ** 2)))
 
 
 @pytest.mark.parametrize("darker", [0.1, 0.2, 0.3])

@@ -22,6 +22,7 @@ from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by,
 from ggvs_eval.pipelines.online.network_inputs import input_channels
 from ggvs_eval.training.checkpoint import pour_weights, write_weights
 from helpers.blender_inputs import inputs_of
+from helpers.refusals import refused
 from helpers.scenes import camera_at, instant
 
 TARGET = camera_at(0.0, name="target")
@@ -168,7 +169,7 @@ def test_another_number_of_views_is_refused(weights):
     alone = NetworkBlender(weights).blend(inputs_of(instant(0, TARGET, SOURCES[:1])))
     assert alone.image.shape == (TARGET.height, TARGET.width, 3)
     inputs = inputs_of(instant(0, TARGET, [*SOURCES, camera_at(0.45)]))
-    with pytest.raises(RenderError, match=r"blend\.safetensors: a blending network for at most 2 source views, got 3"):
+    with refused(RenderError, "blend.safetensors", "2 source views", "got 3"):
         NetworkBlender(weights).blend(inputs)
 
 
@@ -190,7 +191,7 @@ def test_the_configuration_is_known_from_the_tensors(config, tmp_path):
 def test_weights_of_something_else_are_refused(network, tmp_path):
     """Absent, damaged, other tensors, one tensor of another shape: one line each that names the file."""
     missing = tmp_path / "missing.safetensors"
-    with pytest.raises(WeightsError, match=r"missing\.safetensors: wanted weights of a blending network, got no readable file"):
+    with refused(WeightsError, "missing.safetensors", "blending network"):
         load_blend_network(missing)
     for name, content, message in (
         ("damaged", b"no tensors", "damaged, or not safetensors"),
@@ -224,7 +225,7 @@ def test_weights_of_something_else_are_refused(network, tmp_path):
 def test_weights_that_do_not_ship_are_named(monkeypatch, tmp_path):
     """For a guidance nobody trained for, the message says what is there and what to do."""
     monkeypatch.setattr("ggvs_eval.pipelines.online.blend_weights.resources.files", lambda package: tmp_path)
-    with pytest.raises(WeightsError, match=r"no blending network with none guidance ships \(wanted blend-no-tsdf\.safetensors"):
+    with refused(WeightsError, "none guidance", "blend-no-tsdf.safetensors"):
         shipped_blend_weights("none")
 
 

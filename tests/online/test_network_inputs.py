@@ -21,6 +21,7 @@ from ggvs_eval.pipelines.online.network_inputs import (
     surface_points,
 )
 from ggvs_eval.pipelines.training.samples.blend_samples import raw_views
+from helpers.refusals import refused
 from helpers.scenes import HEIGHT, WALL_Z, WIDTH, camera_at, instant, look
 
 TARGET = camera_at(0.0, name="target")
@@ -252,5 +253,5 @@ def test_reduced_maps_are_averages():
 def test_every_view_wants_its_splat():
     """A splat too few is an error that says how many are wanted."""
     inputs = blending_inputs([0, 1, 2])
-    with pytest.raises(RenderError, match="one splat per source view, got 2 for 3"):
+    with refused(RenderError, "2 for 3"):
         blend_maps(replace(inputs, splats=inputs.splats[:2]), "none")

@@ -14,6 +14,8 @@ from ggvs_eval.pipelines.online import geometry_guided
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
 from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter, filter_depth
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
+from helpers.photographs import psnr_db
+from helpers.refusals import refused
 from helpers.scenes import SQUARE_Z, WALL_Z, camera_at, instant, look
 
 TARGET = camera_at(0.0, name="target")
@@ -26,10 +28,6 @@ ONLINE = [label for label in SHIPPED if METHODS[label].online]
 
 
 LADDER = ("no-blending", "distance-based", "ours-geometric", "ours")
-
-
-def psnr_db(image, truth) -> float:
-    return float(-10 * np.log10(np.mean((image - truth / 255.0) ** 2)))
 
 
 def play(label: str, positions: list[float], **options) -> list[np.ndarray]:
@@ -179,7 +177,7 @@ def test_switched_off_the_filter_passes_depth_through():
 
 def test_an_unknown_method_names_the_nearest():
     """A mistyped method is refused with the one that was probably meant."""
-    with pytest.raises(RenderError, match=r"'ours-geometrc'; did you mean ours-geometric\?"):
+    with refused(RenderError, "'ours-geometrc'", "did you mean ours-geometric?"):
         find_method("ours-geometrc")
     assert split_label("ours-geometric+no-temporal") == ("ours-geometric", "no-temporal")
 

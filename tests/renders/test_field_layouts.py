@@ -18,7 +18,7 @@ from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, wri
 
 
 @pytest.fixture
-def run(tmp_path) -> RunFolder:
+def truth_run(tmp_path) -> RunFolder:
     return make_run(tmp_path / "run")
 
 
@@ -85,14 +85,14 @@ def write_plain_numbers(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("case", FIELD)
-def test_renders_of_the_field_arrive_bit_for_bit(case, run, tmp_path):
+def test_renders_of_the_field_arrive_bit_for_bit(case, truth_run, tmp_path):
     """Every picture lands at its view and frame with its own values, and nothing is left over."""
-    record = import_renders(run, "mine", FIELD[case](tmp_path / "theirs"))
+    record = import_renders(truth_run, "mine", FIELD[case](tmp_path / "theirs"))
 
     assert record["partial"] == ""
     for view in VIEWS:
         for frame in FRAMES:
-            np.testing.assert_array_equal(read_image(frame_path(run.renders("mine", view), frame)), rendered(view, frame))
+            np.testing.assert_array_equal(read_image(frame_path(truth_run.renders("mine", view), frame)), rendered(view, frame))
 
 
 def refusal(run: RunFolder, path: Path) -> str:
@@ -106,7 +106,7 @@ def beside_truth(view: str, frame: int, axis: int) -> Image8:
 
 
 @pytest.mark.parametrize(("axis", "words"), [(1, "side by side"), (0, "one above the other")])
-def test_two_pictures_in_one_are_named(axis, words, run, tmp_path):
+def test_two_pictures_in_one_are_named(axis, words, truth_run, tmp_path):
     """Pictures and videos of twice the width or height; twice both is another size and no more."""
     folder, films = tmp_path / "theirs", tmp_path / "films"
     for view in VIEWS:
@@ -114,24 +114,24 @@ def test_two_pictures_in_one_are_named(axis, words, run, tmp_path):
             write_image(folder / view / f"{frame:04d}.png", beside_truth(view, frame, axis))
         write_video(films / f"{view}.mp4", (beside_truth(view, frame, axis) for frame in FRAMES), 30.0)
 
-    assert f"instead of 64 x 48: 2 pictures {words}?" in refusal(run, folder)
-    assert f"instead of 64 x 48: 2 pictures {words}?" in refusal(run, films)
+    assert f"instead of 64 x 48: 2 pictures {words}?" in refusal(truth_run, folder)
+    assert f"instead of 64 x 48: 2 pictures {words}?" in refusal(truth_run, films)
     for file in folder.rglob("*.png"):
         write_image(file, cv2.resize(rendered("cam00", 2), (128, 96)))
-    assert "128 x 96 instead of 64 x 48)" in refusal(run, folder)
+    assert "128 x 96 instead of 64 x 48)" in refusal(truth_run, folder)
 
 
-def test_flat_names_that_tell_two_things_are_not_guessed(run, tmp_path):
+def test_flat_names_that_tell_two_things_are_not_guessed(truth_run, tmp_path):
     """Two views, two numbers, or none: such a picture belongs to nothing, and is named."""
     folder = write_folders(tmp_path / "theirs", pattern="{view}_{number:04d}.png")
     for name in ("cam00_cam02_0002.png", "cam00_0002_0003.png", "preview.png"):
         write_image(folder / name, rendered("cam00", 2))
 
-    message = refusal(run, folder)
+    message = refusal(truth_run, folder)
     assert "belongs to nothing: cam00_0002_0003.png; cam00_cam02_0002.png; preview.png" in message
 
 
-def test_one_archive_under_two_spellings_is_no_hole(run, tmp_path):
+def test_one_archive_under_two_spellings_is_no_hole(truth_run, tmp_path):
     """A backslash is a separator, after which the same checks hold."""
     for name, wanted in (
         ("mine\\..\\..\\evil.png", "leads outside"),
@@ -140,14 +140,14 @@ def test_one_archive_under_two_spellings_is_no_hole(run, tmp_path):
     ):
         with zipfile.ZipFile(tmp_path / "a.zip", "w") as packed:
             packed.writestr(name, b"x")
-        assert wanted in refusal(run, tmp_path / "a.zip")
+        assert wanted in refusal(truth_run, tmp_path / "a.zip")
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as packed:
         packed.writestr("mine/a.png", b"x")
         packed.writestr("mine\\a.png", b"y")
-    assert "a.zip: holds 'mine/a.png' twice" in refusal(run, tmp_path / "a.zip")
+    assert "a.zip: holds 'mine/a.png' twice" in refusal(truth_run, tmp_path / "a.zip")
 
 
-def test_messages_name_the_archive(run, tmp_path):
+def test_messages_name_the_archive(truth_run, tmp_path):
     """What the user gave, never the folder it was unpacked to, which is gone."""
     folder = write_folders(tmp_path / "theirs", pattern="{view}/{number:04d}.jpg")
     (folder / "cam00" / "0003.jpg").write_bytes(b"no picture")
@@ -156,18 +156,18 @@ def test_messages_name_the_archive(run, tmp_path):
         packed.writestr("mine/readme.txt", b"x")
 
     for archive in (damaged, tmp_path / "other.zip"):
-        message = refusal(run, archive)
+        message = refusal(truth_run, archive)
         assert str(archive) in message
         assert "unpacked" not in message
 
 
-def test_links_in_circles_end(run, tmp_path):
+def test_links_in_circles_end(truth_run, tmp_path):
     """A folder that links to itself, twice, is walked through once."""
     folder = write_flat(tmp_path / "theirs", [(view, frame) for view in VIEWS for frame in FRAMES])
     for name in ("a", "b"):
         (folder / "renders" / name).symlink_to(folder / "renders")
 
-    assert import_renders(run, "mine", folder)["partial"] == ""
+    assert import_renders(truth_run, "mine", folder)["partial"] == ""
 
 
 @pytest.mark.parametrize("write", [write_folders, lambda folder: write_folders(folder, pattern="{view}_{number:04d}.png")])

@@ -12,6 +12,7 @@ from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.renders.numbering import Numbered, frame_numbers, number_streams, number_views
 from ggvs_eval.renders.request import FrameRequest
 from ggvs_eval.run_folder import frame_path
+from helpers.refusals import refused
 from helpers.render_folders import FRAMES, N_FRAMES, VIEWS, make_run, rendered, write_folders, write_videos
 
 PLACE = Path("theirs")
@@ -232,7 +233,7 @@ def test_a_second_meaning_replaces_the_first(tmp_path):
 
     record = import_renders(run, "mine", folder, first_frame=0)
 
-    assert record["notes"][0] == "numbered as --first-frame 0 says: 0-2 are taken as the instants 2-4 of the capture"
+    assert all(part in record["notes"][0] for part in ("--first-frame 0", "0-2", "instants 2-4"))
     for view in VIEWS:
         for frame in FRAMES:
             np.testing.assert_array_equal(read_image(frame_path(run.renders("mine", view), frame)), rendered(view, frame))
@@ -245,11 +246,11 @@ def test_streams_are_understood_alike_in_all_views():
     assert number_streams(PLACE, {"cam00": 7, "cam02": 7}, start_inside).frames["cam02"] == {2: 2, 3: 3, 4: 4}
     assert number_streams(PLACE, {"cam00": 3, "cam02": 2}, start_inside).frames["cam02"] == {2: 0, 3: 1}
     assert number_streams(PLACE, {"cam00": 7, "cam02": 3}, from_0).frames["cam00"] == {0: 0, 1: 1, 2: 2}
-    with pytest.raises(RenderError, match="got cam00 7, cam02 3; cut them to the protocol's frames, or say with --first-frame"):
+    with refused(RenderError, "cam00 7, cam02 3", "--first-frame"):
         number_streams(PLACE, {"cam00": 7, "cam02": 3}, start_inside)
     settled = number_streams(PLACE, {"cam00": 7, "cam02": 5}, request(range(2, 5), 7, first_frame=2))
     assert settled.frames == {view: {2: 2, 3: 3, 4: 4} for view in VIEWS}
-    assert settled.note == "as --first-frame 2 says, frame 2 of each view (counted from 0) shows instant 2"
+    assert all(part in settled.note for part in ("--first-frame 2", "frame 2 of each view", "instant 2"))
 
 
 def test_videos_of_different_lengths_are_refused(tmp_path):
@@ -258,5 +259,5 @@ def test_videos_of_different_lengths_are_refused(tmp_path):
     write_videos(tmp_path / "theirs", range(N_FRAMES), ["cam00"])
     write_videos(tmp_path / "theirs", FRAMES, ["cam02"])
 
-    with pytest.raises(RenderError, match=r"theirs: wanted 3 frames of each view .* got cam00 7, cam02 3"):
+    with refused(RenderError, "theirs: ", "3 frames", "cam00 7, cam02 3"):
         import_renders(run, "mine", tmp_path / "theirs")

@@ -30,7 +30,7 @@ from helpers.render_folders import (
 
 
 @pytest.fixture
-def run(tmp_path) -> RunFolder:
+def truth_run(tmp_path) -> RunFolder:
     return make_run(tmp_path / "run")
 
 
@@ -45,7 +45,7 @@ def refusal(run: RunFolder, source: Path, label: str = "mine", allow_partial: bo
     return message
 
 
-def test_everything_wrong_is_in_one_list(run, tmp_path):
+def test_everything_wrong_is_in_one_list(truth_run, tmp_path):
     """Missing frames as ranges, extras, wrong sizes with both sizes and unreadable files come in one message."""
     folder = write_folders(tmp_path / "theirs")
     for frame in (2, 3):
@@ -56,7 +56,7 @@ def test_everything_wrong_is_in_one_list(run, tmp_path):
     write_image(folder / "cam00" / "0003.png", np.zeros((24, 32, 3), np.uint8))
     (folder / "cam00" / "0004.png").write_bytes(b"nothing")
 
-    message = refusal(run, folder)
+    message = refusal(truth_run, folder)
 
     assert "frames are missing: mine in cam02 lacks 2-3; " in message
     assert "mine in cam00: 2-3 (32 x 24 instead of 64 x 48)" in message
@@ -65,13 +65,13 @@ def test_everything_wrong_is_in_one_list(run, tmp_path):
     assert "--allow-partial" in message
 
 
-def test_a_long_list_is_counted(run, tmp_path):
+def test_a_long_list_is_counted(truth_run, tmp_path):
     """Of more than 20 extras 20 are named and the rest is counted."""
     folder = write_folders(tmp_path / "theirs")
     for number in range(100, 130):
         shutil.copy(folder / "cam00" / "0002.png", folder / "cam00" / f"{number}.png")
 
-    assert message_items(refusal(run, folder)) == (20, "and 10 more")
+    assert message_items(refusal(truth_run, folder)) == (20, "and 10 more")
 
 
 def message_items(message: str) -> tuple[int, str]:
@@ -79,28 +79,28 @@ def message_items(message: str) -> tuple[int, str]:
     return listed.count("cam00/"), "and" + listed.partition(" and")[2].partition(";")[0]
 
 
-def test_two_pictures_of_one_frame_are_told(run, tmp_path):
+def test_two_pictures_of_one_frame_are_told(truth_run, tmp_path):
     """Colour and depth under one number are not guessed apart: both are named, and what to do."""
     folder = write_folders(tmp_path / "theirs", pattern="{view}/rgb_{number:04d}.png")
     write_folders(tmp_path / "theirs", pattern="{view}/depth_{number:04d}.png")
 
-    message = refusal(run, folder)
+    message = refusal(truth_run, folder)
 
     assert "mine in cam00: 2-4 (several pictures of one frame: depth_0002.png and rgb_0002.png; keep one)" in message
     assert "lacks" not in message
 
 
-def test_sixteen_bits_are_refused(run, tmp_path):
+def test_sixteen_bits_are_refused(truth_run, tmp_path):
     """16-bit PNG would be cut to 8 bit while reading, so that something else were measured than was written."""
     folder = write_folders(tmp_path / "theirs")
     cv2.imwrite(str(folder / "cam00" / "0003.png"), rendered("cam00", 3).astype(np.uint16) * 257)
 
-    assert "mine in cam00: 3 (16 bits per channel instead of 8: convert them yourself)" in refusal(run, folder)
+    assert "mine in cam00: 3 (16 bits per channel instead of 8: convert them yourself)" in refusal(truth_run, folder)
 
 
-def test_a_gap_does_not_shift_what_follows(run, tmp_path):
+def test_a_gap_does_not_shift_what_follows(truth_run, tmp_path):
     """Three pictures numbered 2, 3, 5 are not taken for 2, 3, 4 although their count is right."""
-    message = refusal(run, write_folders(tmp_path / "theirs", numbers=(2, 3, 5)))
+    message = refusal(truth_run, write_folders(tmp_path / "theirs", numbers=(2, 3, 5)))
 
     assert "mine in cam00 lacks 4" in message
     assert "cam00/0005.png" in message
@@ -199,48 +199,48 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_cannot_be_scored_says_why(case, run, tmp_path):
+def test_what_cannot_be_scored_says_why(case, truth_run, tmp_path):
     """Each way of not fitting has one line that says what was wanted and what came."""
     write, message = WRONG[case]
 
-    assert message in refusal(run, write(tmp_path / "theirs"))
+    assert message in refusal(truth_run, write(tmp_path / "theirs"))
 
 
-def test_predictions_against_another_capture_are_refused(run, tmp_path):
+def test_predictions_against_another_capture_are_refused(truth_run, tmp_path):
     """NerfBaselines' own copy of the truth is held against the capture even where the names fit; the distance is told."""
     folder = write_nerfbaselines(tmp_path / "theirs")
     write_image(folder / "gt-color" / "cam00" / "0003.png", 255 - truth("cam00", 3))
     level = np.abs(255.0 - 2 * truth("cam00", 3).astype(float)).mean()
 
-    assert f"gt-color/cam00/0003.png is {level:.1f} levels from frame 3 of cam00" in refusal(run, folder)
+    assert f"gt-color/cam00/0003.png is {level:.1f} levels from frame 3 of cam00" in refusal(truth_run, folder)
 
 
 @pytest.mark.parametrize("label", ["ours-geometric", "Ours", "OURS", "truth", "", ".hidden", "a/b", "a*"])
-def test_names_that_mean_something_else_are_refused(label, run, tmp_path):
+def test_names_that_mean_something_else_are_refused(label, truth_run, tmp_path):
     """Renders cannot take the name or the title of a method, the name of the truth, or one that is no plain name."""
-    assert "renders cannot be called" in refusal(run, write_folders(tmp_path / "theirs"), label)
+    assert "renders cannot be called" in refusal(truth_run, write_folders(tmp_path / "theirs"), label)
 
 
-def test_what_was_rendered_here_is_not_overwritten(run, tmp_path):
+def test_what_was_rendered_here_is_not_overwritten(truth_run, tmp_path):
     """A folder of that name that no import made stays, and a run cannot import from itself."""
-    write_folders(run.root / "renders" / "mine")
+    write_folders(truth_run.root / "renders" / "mine")
 
-    assert "exists already; choose another name" in refusal(run, write_folders(tmp_path / "theirs"))
-    assert "are in the run" in refusal(run, run.root)
+    assert "exists already; choose another name" in refusal(truth_run, write_folders(tmp_path / "theirs"))
+    assert "are in the run" in refusal(truth_run, truth_run.root)
 
 
-def test_a_run_without_truth_says_what_to_run(run, tmp_path):
+def test_a_run_without_truth_says_what_to_run(truth_run, tmp_path):
     """Without captured frames nothing can be compared."""
-    shutil.rmtree(run.truth("cam02"))
+    shutil.rmtree(truth_run.truth("cam02"))
 
-    assert "run `ggvs-eval prepare`" in refusal(run, write_folders(tmp_path / "theirs"))
+    assert "run `ggvs-eval prepare`" in refusal(truth_run, write_folders(tmp_path / "theirs"))
 
 
-def test_partial_of_nothing_is_still_refused(run, tmp_path):
+def test_partial_of_nothing_is_still_refused(truth_run, tmp_path):
     """Where not one frame fits, --allow-partial does not help."""
     folder = write_folders(tmp_path / "theirs", range(N_FRAMES)[:3], numbers=(1, 20, 30))
 
-    assert "not a single frame fits the protocol" in refusal(run, folder, allow_partial=True)
+    assert "not a single frame fits the protocol" in refusal(truth_run, folder, allow_partial=True)
 
 
 def test_the_command_line_names_renders():
@@ -254,10 +254,10 @@ def test_the_command_line_names_renders():
         named_renders(("a=x", "a=y"))
 
 
-def test_an_error_of_one_view_reaches_the_caller_from_a_worker(run, tmp_path):
+def test_an_error_of_one_view_reaches_the_caller_from_a_worker(truth_run, tmp_path):
     """What a worker cannot decode is an error of the import, and nothing stays."""
     folder = write_array(tmp_path / "theirs", np.full((len(FRAMES), 48, 64, 3), 7.0))
 
     with pytest.raises(RenderError, match="frame 0 has 7 to 7"):
-        import_renders(run, "mine", folder, workers=2)
-    assert list((run.root / "renders").iterdir()) == []
+        import_renders(truth_run, "mine", folder, workers=2)
+    assert list((truth_run.root / "renders").iterdir()) == []

@@ -33,6 +33,7 @@ from ggvs_eval.reports.depth_page.record import DepthRecord, StoredDepth
 from ggvs_eval.reports.depth_page.statistics import describe_map, resynthesise
 from ggvs_eval.reports.depth_page.warnings import find_notes, find_warnings
 from helpers.page_reader import PageReader
+from helpers.refusals import refused
 from helpers.stereo_scenes import FOCAL, PLANE, look_from, plane_depth, see_plane, write_capture
 
 pytestmark = pytest.mark.slow
@@ -65,28 +66,28 @@ def fill_store(store: DepthStore, capture: Capture) -> list[StoredDepth]:
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory) -> Capture:
+def plane_capture(tmp_path_factory) -> Capture:
     return write_capture(tmp_path_factory.mktemp("capture") / "plane")
 
 
 @pytest.fixture(scope="module")
-def stored(capture, tmp_path_factory) -> tuple[DepthStore, list[StoredDepth]]:
+def stored(plane_capture, tmp_path_factory) -> tuple[DepthStore, list[StoredDepth]]:
     store = DepthStore(tmp_path_factory.mktemp("store"))
-    return store, fill_store(store, capture)
+    return store, fill_store(store, plane_capture)
 
 
 @pytest.fixture(scope="module")
-def page(capture, stored, tmp_path_factory) -> Path:
+def page(plane_capture, stored, tmp_path_factory) -> Path:
     """A page, by one process; nobody changes it."""
     store, depths = stored
-    return write_depth_page(tmp_path_factory.mktemp("run") / "depth_page", capture, depths, store, FILLED, 1)
+    return write_depth_page(tmp_path_factory.mktemp("run") / "depth_page", plane_capture, depths, store, FILLED, 1)
 
 
 @pytest.fixture(scope="module")
-def record(capture, stored, tmp_path_factory) -> DepthRecord:
+def record(plane_capture, stored, tmp_path_factory) -> DepthRecord:
     store, depths = stored
     with ThreadPoolExecutor(1) as pool:
-        return examine_depth(pool, tmp_path_factory.mktemp("pictures"), capture, depths, store, FILLED)
+        return examine_depth(pool, tmp_path_factory.mktemp("pictures"), plane_capture, depths, store, FILLED)
 
 
 def faulty(capture: Capture, name: str, tilt_px: float) -> Capture:
@@ -168,11 +169,11 @@ def test_sound_capture_raises_no_alarm(record):
     assert find_notes(record) == ["No camera is matched with cam04."]
 
 
-def test_wrong_calibration_is_told(capture, stored, tmp_path):
+def test_wrong_calibration_is_told(plane_capture, stored, tmp_path):
     """A camera that is written down tilted by 3 px is 3 px off the rows of those beside it, and the page says so first."""
     store, depths = stored
     with ThreadPoolExecutor(1) as pool:
-        found = examine_depth(pool, tmp_path, faulty(capture, "cam02", 3.0), depths, store, FILLED)
+        found = examine_depth(pool, tmp_path, faulty(plane_capture, "cam02", 3.0), depths, store, FILLED)
     rows = {(pair.camera, pair.partner): pair.row_px for pair in found.pairs}
     assert rows["cam00", "cam02"] == pytest.approx(3, abs=0.2)
     assert rows["cam02", "cam01"] == pytest.approx(3, abs=0.2)
@@ -205,16 +206,16 @@ def test_poor_depth_is_told(record):
     assert outlier.startswith("bad: made again from cam00 through its depth, its image differs by 30.0 of 255 levels")
 
 
-def test_narrow_depth_range_is_told(capture):
+def test_narrow_depth_range_is_told(plane_capture):
     """Where the plane lies beyond the far end of the depth range, matches have disparities that nobody looks for."""
-    camera, partner = (replace(capture.camera(name), far=5.5) for name in ("cam00", "cam01"))
-    features = [find_features(capture.frame(name, 0)) for name in ("cam00", "cam01")]
+    camera, partner = (replace(plane_capture.camera(name), far=5.5) for name in ("cam00", "cam01"))
+    features = [find_features(plane_capture.frame(name, 0)) for name in ("cam00", "cam01")]
     errors, uv = measure_pair(camera, partner, *features)
     beyond = plane_depth(camera)[tuple(uv[:, 0, ::-1].astype(int).T)] > FOCAL * 0.4 / (errors.d_min - 1)
     assert errors.d_min == np.floor(FOCAL * 1.005 * 0.4 / 5.5)
     assert errors.outside == pytest.approx(beyond.mean(), abs=0.03)
     assert 0.3 < errors.outside < 0.7
-    assert measure_pair(capture.camera("cam00"), capture.camera("cam01"), *features)[0].outside < 0.02
+    assert measure_pair(plane_capture.camera("cam00"), plane_capture.camera("cam01"), *features)[0].outside < 0.02
 
 
 def test_too_few_matches_say_nothing(record):
@@ -274,14 +275,14 @@ def test_no_depth_at_all():
     assert (made.covered, made.error) == (0, 0)
 
 
-def test_pairs_that_cannot_be_rectified(capture, stored, tmp_path):
+def test_pairs_that_cannot_be_rectified(plane_capture, stored, tmp_path):
     """A partner straight ahead, which a plane sweep can use and a rectified matcher cannot, is said to be one, not shown."""
     store, depths = stored
     ahead = look_from(0, 0, "cam01").world_to_camera.copy()
     ahead[2, 3] = -0.5
-    cameras = [replace(camera, world_to_camera=ahead) if camera.name == "cam01" else camera for camera in capture.cameras]
+    cameras = [replace(camera, world_to_camera=ahead) if camera.name == "cam01" else camera for camera in plane_capture.cameras]
     with ThreadPoolExecutor(1) as pool:
-        found = examine_depth(pool, tmp_path, replace(capture, cameras=tuple(cameras)), depths[:1], store, FILLED)
+        found = examine_depth(pool, tmp_path, replace(plane_capture, cameras=tuple(cameras)), depths[:1], store, FILLED)
     assert found.pair("cam00", "cam01").baseline == pytest.approx(0.5)
     assert [pair.partner for pair in found.cameras[0].pictures.pairs] == ["cam03"]
     assert find_notes(found)[0].startswith("cam00-cam01 cannot be rectified: cameras cam00 and cam01 have no parallax")
@@ -352,45 +353,45 @@ def test_world_units_are_told_in_metres_too(record):
     assert not re.search(r"\d m</span>", render_depth_page(record))
 
 
-def test_page_does_not_depend_on_workers(page, capture, stored, tmp_path):
+def test_page_does_not_depend_on_workers(page, plane_capture, stored, tmp_path):
     """Two processes write the same bytes as one."""
     store, depths = stored
-    again = write_depth_page(tmp_path / "page", capture, depths, store, FILLED, 2)
+    again = write_depth_page(tmp_path / "page", plane_capture, depths, store, FILLED, 2)
     files = sorted(file.relative_to(page.parent) for file in page.parent.rglob("*") if file.is_file())
     assert files == sorted(file.relative_to(again.parent) for file in again.parent.rglob("*") if file.is_file())
     assert all((page.parent / file).read_bytes() == (again.parent / file).read_bytes() for file in files)
 
 
-def test_complete_page_is_kept_and_a_damaged_one_written_again(page, capture, stored, tmp_path):
+def test_complete_page_is_kept_and_a_damaged_one_written_again(page, plane_capture, stored, tmp_path):
     """A page of the same depth is left alone; one that lost a picture is written again, without its old pictures."""
     store, depths = stored
     folder = Path(shutil.copytree(page.parent, tmp_path / "page"))
     (folder / "index.html").write_text("mine")
-    write_depth_page(folder, capture, depths, store, FILLED, 1)
+    write_depth_page(folder, plane_capture, depths, store, FILLED, 1)
     assert (folder / "index.html").read_text() == "mine"
     lost = next((folder / "pictures").iterdir())
     lost.rename(folder / "pictures" / "old.jpg")
-    write_depth_page(folder, capture, depths, store, FILLED, 1)
+    write_depth_page(folder, plane_capture, depths, store, FILLED, 1)
     assert (folder / "index.html").read_bytes() == page.read_bytes()
     assert lost.is_file()
     assert not (folder / "pictures" / "old.jpg").exists()
 
 
-def test_depth_without_partners_has_a_page(capture, stored, tmp_path):
+def test_depth_without_partners_has_a_page(plane_capture, stored, tmp_path):
     """Depth that a sensor measured is shown alone: no pairs, nothing made again, no warning."""
     store, depths = stored
     with ThreadPoolExecutor(1) as pool:
         alone = StoredDepth(replace(depths[2].job, partner_names=()), (1,))
-        found = examine_depth(pool, tmp_path, capture, [alone], store, FILLED)
+        found = examine_depth(pool, tmp_path, plane_capture, [alone], store, FILLED)
     assert found.cameras[0].pictures.pairs == ()
     assert found.cameras[0].pictures.instants[0].again is None
     assert find_warnings(found) == []
     assert "Matched with no camera" in render_depth_page(found)
 
 
-def test_what_cannot_be_shown(capture, tmp_path):
+def test_what_cannot_be_shown(plane_capture, tmp_path):
     """No depth to show, and depth that is not stored, are refused with what to do."""
-    with pytest.raises(DepthError, match="wanted depth to show, got none"):
-        write_depth_page(tmp_path / "page", capture, [], DepthStore(tmp_path), FILLED)
+    with refused(DepthError, "depth", "got none"):
+        write_depth_page(tmp_path / "page", plane_capture, [], DepthStore(tmp_path), FILLED)
     with ThreadPoolExecutor(1) as pool, pytest.raises(DepthError, match="not stored; prepare the capture first"):
-        examine_depth(pool, tmp_path, capture, [StoredDepth(JOBS[0], (0,))], DepthStore(tmp_path / "none"), FILLED)
+        examine_depth(pool, tmp_path, plane_capture, [StoredDepth(JOBS[0], (0,))], DepthStore(tmp_path / "none"), FILLED)

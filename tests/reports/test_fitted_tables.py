@@ -17,7 +17,7 @@ FITTED, SEED = "fwd", "fwd+seed=1"
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
+def fitted_run(tmp_path_factory):
     """A run of ours and of a fitted method by two seeds, two folds of one view each."""
     labels = ("ours-geometric", FITTED, SEED)
     names = (("ours-geometric", "Ours"), (FITTED, "4DGS"), (SEED, "4DGS, seed=1"))
@@ -33,9 +33,9 @@ def cells(table, name: str) -> dict[str, str]:
     return {column.name: cell.shown for column, cell in zip(table.columns, row.cells, strict=True)}
 
 
-def test_costs_of_every_method(run):
+def test_costs_of_every_method(fitted_run):
     """Of a fit: cameras, look-ahead, mean seconds per frame over the folds, machine, megabytes, seeds; of ours what it has."""
-    costs, _ = fitted_tables(read_run(run))
+    costs, _ = fitted_tables(read_run(fitted_run))
     rendering = cells(costs, "Ours")["rendering"]
     assert cells(costs, "4DGS") == {
         **{"cameras used": "3 of 5", "look-ahead": "sequence", "fitting": "15.00", "fitted on": "2 threads, a processor"},
@@ -46,23 +46,23 @@ def test_costs_of_every_method(run):
     assert (ours["cameras used"], ours["look-ahead"], ours["fitting"]) == ("2 of 5", "0", "not fitted")
 
 
-def test_other_seeds_stand_in_the_spread_alone(run):
+def test_other_seeds_stand_in_the_spread_alone(fitted_run):
     """Rows, pictures and ranks show the first seed; the spread is the largest minus the smallest number."""
-    measured = read_run(run)
+    measured = read_run(fitted_run)
     assert measured.labels == ("ours-geometric", FITTED)
     assert SEED not in {
         f"{m}+{v}" for m, v in zip(measured.results.table["method"], measured.results.table["variant"], strict=True)
     }
     _, spread = fitted_tables(measured)
-    summary = Results.read(run).summary().droplevel("dataset")["PSNR"]
+    summary = Results.read(fitted_run).summary().droplevel("dataset")["PSNR"]
     (row,) = spread.rows
     assert row.cells[0].value == pytest.approx(abs(summary[("fwd", "")] - summary[("fwd", "seed=1")]))
     assert row.cells[0].note == ", ".join(f"{summary[('fwd', variant)]:.2f}" for variant in ("", "seed=1"))
 
 
-def test_price_is_the_paired_difference_with_its_interval(run):
+def test_price_is_the_paired_difference_with_its_interval(fitted_run):
     """Fitted minus ours, as `compare` has it; what has no interval says why."""
-    measured = read_run(run)
+    measured = read_run(fitted_run)
     (price,) = price_tables([measured], measured.results)
     (row,) = price.rows
     known = compare(measured.results, "PSNR", FITTED, "ours-geometric", "Demo room")
@@ -75,11 +75,11 @@ def test_price_is_the_paired_difference_with_its_interval(run):
     assert [column.name for column in price.columns] == ["PSNR ↑", "TCC ↑", "STED ↓"]
 
 
-def test_the_tables_are_in_every_format(run):
+def test_the_tables_are_in_every_format(fitted_run):
     """Page, Markdown, CSV and LaTeX."""
     from ggvs_eval.reports.page.page import render_page
 
-    (group,) = read_groups([run])
+    (group,) = read_groups([fitted_run])
     lines = list(csv.DictReader(to_csv([(group.protocol, group.all_tables)]).splitlines()))
     fitting = next(line for line in lines if (line["table"], line["method"], line["column"]) == ("costs", "4DGS", "fitting"))
     assert float(fitting["value"]) == 15.0

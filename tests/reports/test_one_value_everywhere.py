@@ -39,7 +39,7 @@ REFERENCES = [
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
+def everything_run(tmp_path_factory) -> Path:
     """A run with everything that a cell can be: bounds, percentiles, counts, prices, absences, infinity, what is not ranked."""
     shape = RunShape(metrics=METRICS, labels=LABELS, names=NAMES, poses=0)
     root = write_run(tmp_path_factory.mktemp("law") / "run", shape, not_computed={"FLIP": "wants flip-evaluator"})
@@ -61,15 +61,15 @@ def run(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def report(run) -> Path:
+def report(everything_run) -> Path:
     """Folder of its report."""
-    return write_report([run]).parent
+    return write_report([everything_run]).parent
 
 
 @pytest.fixture(scope="module")
-def tables(run) -> tuple[Table, ...]:
+def tables(everything_run) -> tuple[Table, ...]:
     """The tables before they have a format."""
-    (group,) = read_groups([run])
+    (group,) = read_groups([everything_run])
     return group.all_tables
 
 

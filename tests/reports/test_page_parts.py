@@ -36,15 +36,15 @@ SHAPE = RunShape(metrics=("PSNR", "L1", "TCC", "STED"))
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
+def measured_run(tmp_path_factory):
     """A scored run; nobody changes it."""
     return read_run(write_run(tmp_path_factory.mktemp("parts") / "run", SHAPE))
 
 
-def test_heat_map_holds_the_results(run):
+def test_heat_map_holds_the_results(measured_run):
     """Each cell is the value in the results to five digits, on one scale over all methods; frames without a value are None."""
-    psnr, _, tcc = heat_maps(run)
-    table = run.results.per_frame("PSNR", "cam03")
+    psnr, _, tcc = heat_maps(measured_run)
+    table = measured_run.results.per_frame("PSNR", "cam03")
     for label in LABELS:
         method, _, variant = label.partition("+")
         np.testing.assert_allclose(psnr.values[label]["cam03"], table[(method, variant)], rtol=1e-4)
@@ -54,9 +54,9 @@ def test_heat_map_holds_the_results(run):
     assert None not in tcc.values[LABELS[0]]["cam00"][1:]
 
 
-def test_only_metrics_with_values_per_frame_have_a_heat_map(run):
+def test_only_metrics_with_values_per_frame_have_a_heat_map(measured_run):
     """STED has one value per sequence, so there is nothing to spread over frames."""
-    assert [one.metric for one in heat_maps(run)] == ["PSNR", "L1", "TCC"]
+    assert [one.metric for one in heat_maps(measured_run)] == ["PSNR", "L1", "TCC"]
 
 
 def test_infinite_values_are_no_colour(tmp_path):
@@ -77,9 +77,9 @@ def test_heat_colours_brighten_steadily():
     assert luminance[-1] > luminance[0] + 150
 
 
-def test_path_pictures_hold_every_pose(run, tmp_path):
+def test_path_pictures_hold_every_pose(measured_run, tmp_path):
     """A short path is carried whole, the truth first; a run without a path has none; a narrow budget makes it narrower."""
-    pictures = path_pictures(run)
+    pictures = path_pictures(measured_run)
     assert pictures.poses == tuple(range(SHAPE.poses))
     assert pictures.keys == ("truth", *LABELS)
     assert {len(images) for images in pictures.images.values()} == {SHAPE.poses}
@@ -96,10 +96,10 @@ def test_path_pictures_are_bounded(tmp_path):
     assert sum(len(text) for images in pictures.images.values() for text in images) * 3 / 4 <= 800_000 * 1.1
 
 
-def test_room_is_shared_by_what_there_is_to_show(run, tmp_path):
+def test_room_is_shared_by_what_there_is_to_show(measured_run, tmp_path):
     """A run with twice the frames gets twice the room; pictures along a path go to the run that has one; none is left over."""
     long = read_run(write_run(tmp_path / "long", RunShape(metrics=("PSNR",), frames=Frames(0, 8), poses=0)))
-    first, second = share_room([run, long])
+    first, second = share_room([measured_run, long])
     assert second.frames == pytest.approx(2 * first.frames, rel=0.01)
     assert second.videos == pytest.approx(2 * first.videos, rel=0.01)
     assert first.frames + second.frames == pytest.approx(FRAME_BYTES, rel=0.01)
@@ -131,10 +131,10 @@ def decode(video: MethodVideo) -> list[np.ndarray]:
         return [frame.to_ndarray(format="rgb24").astype(int) for frame in container.decode(video=0)]
 
 
-def test_video_shows_every_view_and_frame(run):
+def test_video_shows_every_view_and_frame(measured_run):
     """The truth's video has all frames of the first view, then all of the second, in their order."""
-    videos = method_videos(run, 30.0)
-    assert [video.name for video in videos] == ["Truth", *run.names.values()]
+    videos = method_videos(measured_run, 30.0)
+    assert [video.name for video in videos] == ["Truth", *measured_run.names.values()]
     shown = decode(videos[0])
     assert len(shown) == 8
     assert (videos[0].width, videos[0].height) == (SHAPE.width, SHAPE.height)
@@ -156,12 +156,12 @@ def test_long_runs_give_short_videos(tmp_path):
     assert method_videos(read_run(write_run(tmp_path / "single", single)), 30.0) == ()
 
 
-def test_every_script_is_in_the_page(run, tmp_path):
+def test_every_script_is_in_the_page(measured_run, tmp_path):
     """All JavaScript files among the templates are inlined, in full, under a policy that allows exactly these two scripts."""
     used = {*FIRST_SCRIPTS, *SCRIPTS, *leaderboard.SCRIPTS}
     assert {f"{name}.js" for name in used} == {file.name for file in TEMPLATES.glob("*.js")}
     scripts = [page_script(FIRST_SCRIPTS), page_script()]
-    text = write_report([Path(run.folder.root)], tmp_path / "report").read_text(encoding="utf-8")
+    text = write_report([Path(measured_run.folder.root)], tmp_path / "report").read_text(encoding="utf-8")
     assert [one for one in PageReader(text).texts if one.startswith('"use strict"')] == [one.strip() for one in scripts]
     files = [TEMPLATES / f"{name}.js" for name in (*FIRST_SCRIPTS, *SCRIPTS)]
     assert all(file.read_text(encoding="utf-8").strip() in "".join(scripts) for file in files)
@@ -170,9 +170,9 @@ def test_every_script_is_in_the_page(run, tmp_path):
     assert f"script-src 'sha256-{digests[0]}' 'sha256-{digests[1]}';" in text
 
 
-def test_the_viewer_opens_with_ours(run):
+def test_the_viewer_opens_with_ours(measured_run):
     """Beside the truth stands the method itself, not a variant listed before it; without ours, the first with pictures."""
-    mixed = replace(run, labels=("no-blending", "ours+no-tsdf", "ours"), ours=frozenset({"ours", "ours+no-tsdf"}))
+    mixed = replace(measured_run, labels=("no-blending", "ours+no-tsdf", "ours"), ours=frozenset({"ours", "ours+no-tsdf"}))
     assert mixed.ours_first == ("ours", "ours+no-tsdf", "no-blending")
-    assert replace(run, labels=("mine",), ours=frozenset()).ours_first == ("mine",)
-    assert replace(run, labels=()).ours_first == ()
+    assert replace(measured_run, labels=("mine",), ours=frozenset()).ours_first == ("mine",)
+    assert replace(measured_run, labels=()).ours_first == ()

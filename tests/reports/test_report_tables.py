@@ -33,20 +33,20 @@ SMALL = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
+def whole_run(tmp_path_factory) -> Path:
     """A whole run; nobody changes it."""
     return write_run(tmp_path_factory.mktemp("reports") / "run")
 
 
 @pytest.fixture(scope="module")
-def report(run, tmp_path_factory) -> Path:
+def report(whole_run, tmp_path_factory) -> Path:
     """Folder of its report."""
-    return write_report([run], tmp_path_factory.mktemp("reports") / "report").parent
+    return write_report([whole_run], tmp_path_factory.mktemp("reports") / "report").parent
 
 
-def test_every_number_is_the_summary_rounded(run, report):
+def test_every_number_is_the_summary_rounded(whole_run, report):
     """Each cell of the main tables is the value of Results.summary, rounded as the table of decimals says."""
-    summary = Results.read(run).summary()
+    summary = Results.read(whole_run).summary()
     rows = list(csv.DictReader((report / "tables.csv").open(encoding="utf-8")))
     page = PageReader((report / "index.html").read_text(encoding="utf-8"))
     labels = {name: label for label, name in NAMES.items()}
@@ -62,10 +62,10 @@ def test_every_number_is_the_summary_rounded(run, report):
         assert row["shown"] in (report / "tables.tex").read_text(encoding="utf-8")
 
 
-def test_views_have_their_own_numbers(run, report):
+def test_views_have_their_own_numbers(whole_run, report):
     """Each cell of the table per view is the mean over the frames of that view."""
     rows = list(csv.DictReader((report / "tables.csv").open(encoding="utf-8")))
-    values = Results.read(run).per_view("TCC")
+    values = Results.read(whole_run).per_view("TCC")
     shown = {(row["method"], row["column"]): float(row["value"]) for row in rows if row["table"] == "view-TCC"}
     assert shown == {
         (NAMES["+".join(filter(None, key))], view): values.loc[key, view] for key in values.index for view in ("cam00", "cam03")
@@ -258,9 +258,9 @@ def test_published_values_are_whole():
     assert counts == {"quality": 60, "consistency": 60, "ablation": 20, "timing": 6}
 
 
-def test_times_leave_out_the_first_frame(run):
+def test_times_leave_out_the_first_frame(whole_run):
     """Median and 95th percentile are over all frames but each view's first, and the total is the sum of the stages."""
-    table = timing_table(read_run(run))
+    table = timing_table(read_run(whole_run))
     assert [column.name for column in table.columns] == ["splat", "blend", "total"]
     assert [cell.shown for cell in table.rows[0].cells] == ["11.0 (12.0)", "22.0 (24.0)", "33.0 (36.0)"]
     assert "K = 2, 64 × 48, 2 threads" in table.caption
@@ -296,9 +296,9 @@ def test_intervals_have_the_digits_of_their_values(metric, value, half_width, te
     assert format_half_width(value, half_width, METRICS[metric].decimals) == text
 
 
-def test_intervals_stand_in_every_format(run, report):
+def test_intervals_stand_in_every_format(whole_run, report):
     """Each cell of the main tables has its interval: behind ± where people read, as bounds in the CSV."""
-    results, labels = Results.read(run), {name: label for label, name in NAMES.items()}
+    results, labels = Results.read(whole_run), {name: label for label, name in NAMES.items()}
     main = [row for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8")) if row["table"] == "quality"]
     page = PageReader((report / "index.html").read_text(encoding="utf-8"))
     markdown, latex = ((report / f"tables.{kind}").read_text(encoding="utf-8") for kind in ("md", "tex"))

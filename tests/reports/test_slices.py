@@ -19,6 +19,7 @@ from ggvs_eval.reports.figures.slices import (
 )
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.run_folder import frame_path
+from helpers.refusals import refused
 from helpers.run_folders import RunShape, write_run
 
 
@@ -55,7 +56,7 @@ def test_scene_point_draws_a_straight_line(tmp_path):
 @pytest.mark.parametrize("row", [-1, 20])
 def test_row_outside_is_refused(frames, row):
     """A row that the image does not have is an error that says which rows there are."""
-    with pytest.raises(ResultsError, match=r"no row .* use 0\.\.19"):
+    with refused(ResultsError, "0..19"):
         temporal_slice(frames[0], range(3, 8), row)
 
 
@@ -97,7 +98,7 @@ def test_missing_pose_is_named(tmp_path):
     """A gap in the path of one method is an error that names the method and the pose."""
     run = read_run(write_run(tmp_path / "run"))
     frame_path(run.folder.path("ours-geometric"), 4).unlink()
-    with pytest.raises(RenderError, match=r"Ours \(geometric weights\) on the path lacks 4"):
+    with refused(RenderError, "Ours (geometric weights)", "lacks 4"):
         path_slices(run)
 
 
@@ -113,11 +114,11 @@ def test_figure_is_written_twice_alike(tmp_path, kind):
 def test_what_a_figure_cannot_be_drawn_of_is_refused(tmp_path):
     """An unknown view, a run without a path and a strange suffix are errors that say what to do."""
     run = write_run(tmp_path / "run", RunShape(poses=0))
-    with pytest.raises(ResultsError, match="no test view 'cam99'; use one of cam00, cam03"):
+    with refused(ResultsError, "'cam99'", "cam00, cam03"):
         write_slices(run, "time", None, "cam99", tmp_path / "slice.png")
-    with pytest.raises(ResultsError, match="no frames along a camera path"):
+    with refused(ResultsError, "camera path"):
         write_slices(run, "epi", None, None, tmp_path / "slice.png")
-    with pytest.raises(ResultsError, match=r"must end in \.png, \.pdf, \.svg, got \.bmp"):
+    with refused(ResultsError, ".png, .pdf, .svg", ".bmp"):
         write_slices(run, "time", None, None, tmp_path / "slice.bmp")
 
 

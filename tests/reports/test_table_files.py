@@ -26,16 +26,16 @@ PACKAGES = ("booktabs", "xcolor", "graphicx")
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
+def nasty_run(tmp_path_factory) -> Path:
     """A whole run on DyNeRF by its name, with a method whose name is full of TeX's characters; nobody changes it."""
     names = (("no-blending", NASTY), ("ours-geometric", "Ours"), ("ours-geometric+no-temporal", "Without"))
     return write_run(tmp_path_factory.mktemp("files") / "run", RunShape(dataset="DyNeRF", names=names))
 
 
 @pytest.fixture(scope="module")
-def report(run) -> Path:
+def report(nasty_run) -> Path:
     """Folder of its report."""
-    return write_report([run]).parent
+    return write_report([nasty_run]).parent
 
 
 def compile_latex(body: str, folder: Path) -> str:
@@ -72,9 +72,9 @@ def test_many_tables_compile(tmp_path):
     assert "Output written" in log
 
 
-def test_the_papers_values_are_shaded_as_the_paper_shades_them(run):
+def test_the_papers_values_are_shaded_as_the_paper_shades_them(nasty_run):
     """Of the PSNR on DyNeRF the best is bold and full blue, 29.51 in proportion, the worst two white; ours stand below each."""
-    table = next(table for table in paper_tables(reproduce([read_run(run)])) if (table.key, table.dataset) == QUALITY)
+    table = next(table for table in paper_tables(reproduce([read_run(nasty_run)])) if (table.key, table.dataset) == QUALITY)
     assert [row.name for row in table.rows[-2:]] == ["Ours (paper)", "Ours, here"]
     assert [cell.text for cell in table.rows[-1].cells] == ["data absent"] * 4
     psnr = {row.name.removesuffix(" (paper)"): row.cells[0] for row in table.rows[::2]}

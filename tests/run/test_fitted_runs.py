@@ -30,6 +30,7 @@ from ggvs_eval.run_folder import RunFolder, read_json
 from ggvs_eval.sweep import Sweep, SweepRow
 from helpers import nearest_camera
 from helpers.nearest_camera import LABEL
+from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
 pytestmark = pytest.mark.slow
@@ -55,7 +56,7 @@ def _registered():
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory) -> Capture:
+def twin_plane(tmp_path_factory) -> Capture:
     """Five cameras before a plane, and a duplicate of one of them."""
     rig = write_capture(tmp_path_factory.mktemp("rig"), n_frames=2)
     twin = replace(rig.camera("cam01"), name=TWIN)
@@ -63,9 +64,9 @@ def capture(tmp_path_factory) -> Capture:
 
 
 @pytest.fixture(scope="module")
-def finished(capture, tmp_path_factory) -> RunPlan:
+def finished(twin_plane, tmp_path_factory) -> RunPlan:
     """A whole run of a method that steps and of one that is fitted, by two seeds."""
-    plan = plan_run(RunRequest(tmp_path_factory.mktemp("run"), capture, PROTOCOL, ("no-blending", LABEL, f"{LABEL}+seed=1")))
+    plan = plan_run(RunRequest(tmp_path_factory.mktemp("run"), twin_plane, PROTOCOL, ("no-blending", LABEL, f"{LABEL}+seed=1")))
     measure(plan, 1)
     return plan
 
@@ -138,7 +139,7 @@ def test_footage_holds_nothing_of_a_held_out_camera(finished):
     footage = footage_of(finished, HELD_OUT)
     assert footage.views == ("cam01", "cam02", "cam03", "cam04")
     for view in (HELD_OUT, TWIN):
-        with pytest.raises(RenderError, match=f"'{view}' is not a training camera; there are cam01, cam02"):
+        with refused(RenderError, f"'{view}'", "cam01, cam02"):
             footage.image(view, 0)
         with pytest.raises(RenderError, match="not a training camera"):
             footage.depth(view, 0)
@@ -149,30 +150,30 @@ def test_footage_holds_nothing_of_a_held_out_camera(finished):
         matched = {spec["camera"]["name"], *(partner["name"] for partner in spec["partners"])}
         assert matched
         assert matched <= set(footage.views)
-    with pytest.raises(RenderError, match=r"wanted instants 0\.\.1, got 2"):
+    with refused(RenderError, "0..1", "got 2"):
         footage.image("cam01", 2)
 
 
-def test_a_fit_does_not_depend_on_the_frames_that_it_shall_render(finished, capture, tmp_path):
+def test_a_fit_does_not_depend_on_the_frames_that_it_shall_render(finished, twin_plane, tmp_path):
     """Other frames in the held-out cameras: the same jobs, so the same scenes; other frames in a training camera: another job."""
     for frame in range(2):
-        write_image(tmp_path / "black" / f"{frame:04d}.png", np.zeros_like(capture.frame(HELD_OUT, 0)))
+        write_image(tmp_path / "black" / f"{frame:04d}.png", np.zeros_like(twin_plane.frame(HELD_OUT, 0)))
     black = ImageFrames(tmp_path / "black")
     sources = tuple(
-        black if name == HELD_OUT else source for name, source in zip(capture.camera_names, capture.sources, strict=True)
+        black if name == HELD_OUT else source for name, source in zip(twin_plane.camera_names, twin_plane.sources, strict=True)
     )
-    other = plan_run(RunRequest(tmp_path / "run", replace(capture, sources=sources), PROTOCOL, (LABEL,)))
+    other = plan_run(RunRequest(tmp_path / "run", replace(twin_plane, sources=sources), PROTOCOL, (LABEL,)))
     before, after = ({job.folder.name: job.sha256 for job in plan.jobs.fit if job.label == LABEL} for plan in (finished, other))
     assert before["fold1"] == after["fold1"]
     assert before["fold2"] != after["fold2"]
     assert before["all"] != after["all"]
 
 
-def test_a_fit_that_was_killed_goes_on(finished, capture, tmp_path):
+def test_a_fit_that_was_killed_goes_on(finished, twin_plane, tmp_path):
     """An attempt that dies leaves what it has done; the next go on from it, and the scene is the one of a fit in one go."""
     protocol = replace(PROTOCOL, path=CameraPath(0))
     label = f"{LABEL}+dies_after=1"
-    plan = prepare_run(plan_run(RunRequest(lend(finished, tmp_path), capture, protocol, (label,))))
+    plan = prepare_run(plan_run(RunRequest(lend(finished, tmp_path), twin_plane, protocol, (label,))))
     (job,) = (job for job in plan.jobs.fit if "cam03" in job.units)
     for attempt in range(4):
         with pytest.raises(KeyboardInterrupt):
@@ -229,32 +230,32 @@ def test_a_scene_may_go_when_its_frames_are_there(finished, tmp_path):
     ]
 
 
-def test_the_plan_counts_fits(capture, tmp_path):
+def test_the_plan_counts_fits(twin_plane, tmp_path):
     """Before anything is done: three scenes; for one view, its own fold alone. Nothing is written."""
-    request = RunRequest(tmp_path / "run", capture, PROTOCOL, (LABEL,))
+    request = RunRequest(tmp_path / "run", twin_plane, PROTOCOL, (LABEL,))
     assert "3 scenes to fit" in count_work([plan_run(request)], tmp_path / "run").describe()
     assert "1 scene to fit" in count_work([plan_run(replace(request, views=["cam03"]))], tmp_path / "run").describe()
     assert not (tmp_path / "run").exists()
 
 
-def test_folds_by_rule_are_stated_in_the_run_that_needs_them(finished, capture, tmp_path):
+def test_folds_by_rule_are_stated_in_the_run_that_needs_them(finished, twin_plane, tmp_path):
     """A run of methods that step states none; with a fitted one it does, in the same folder, and keeps them from then on."""
     protocol = PROTOCOL.with_folds(())
-    before = plan_run(RunRequest(lend(finished, tmp_path), capture, protocol, ("no-blending",)))
+    before = plan_run(RunRequest(lend(finished, tmp_path), twin_plane, protocol, ("no-blending",)))
     prepare_run(before)
     assert RunFolder(tmp_path).protocol() == protocol
-    after = plan_run(RunRequest(tmp_path, capture, protocol, ("no-blending", LABEL)))
+    after = plan_run(RunRequest(tmp_path, twin_plane, protocol, ("no-blending", LABEL)))
     assert after.protocol.views.folds == ((HELD_OUT,), (TWIN,), ("cam03",))
     prepare_run(replace(after, fits=()))
     assert RunFolder(tmp_path).protocol() == after.protocol
-    prepare_run(plan_run(RunRequest(tmp_path, capture, protocol, ("no-blending",))))
+    prepare_run(plan_run(RunRequest(tmp_path, twin_plane, protocol, ("no-blending",))))
     assert RunFolder(tmp_path).protocol() == after.protocol
 
 
-def test_nobody_sees_more_than_the_sources(capture, tmp_path):
+def test_nobody_sees_more_than_the_sources(twin_plane, tmp_path):
     """Neither as a source view, nor in depth, nor in footage; a protocol that leaves too few is refused."""
     views = replace(PROTOCOL.views, sources=("cam01", "cam02", "cam03"), folds=())
-    plan = plan_run(RunRequest(tmp_path, capture, replace(PROTOCOL, views=views), (LABEL,)))
+    plan = plan_run(RunRequest(tmp_path, twin_plane, replace(PROTOCOL, views=views), (LABEL,)))
     assert plan.protocol.views.folds == ((HELD_OUT, TWIN, "cam03"),)
     shown = {
         name for each in (*plan.plans.values(), *plan.path) for job in each.jobs for name in (job.camera_name, *job.partner_names)
@@ -263,30 +264,30 @@ def test_nobody_sees_more_than_the_sources(capture, tmp_path):
     assert [fit.fold.cameras for fit in plan.fits] == [("cam01", "cam02"), ("cam01", "cam02", "cam03")]
     one_fold = (HELD_OUT, "cam02", "cam03")
     few = replace(PROTOCOL, views=replace(views, test=one_fold, folds=(one_fold,)))
-    with pytest.raises(CameraError, match="fold1 holds out cam00, cam02, cam03 and leaves 1 training cameras, wanted 2 or more"):
-        plan_run(RunRequest(tmp_path, capture, few, (LABEL,)))
+    with refused(CameraError, "fold1", "cam00, cam02, cam03", "1 training", "2 or more"):
+        plan_run(RunRequest(tmp_path, twin_plane, few, (LABEL,)))
 
 
 def test_what_is_fitted_cannot_be_shown_frame_by_frame():
     """It makes no step; options and seeds are checked when the label is read; all in one line."""
-    with pytest.raises(RenderError, match="Nearest Camera is fitted to a whole capture and cannot be shown frame by frame"):
+    with refused(RenderError, "Nearest Camera", "fitted"):
         find_method(LABEL).make()
-    with pytest.raises(RenderError, match=r"unknown key nois; did you mean noise\?"):
+    with refused(RenderError, "nois", "did you mean noise?"):
         find_method(f"{LABEL}+nois=2")
-    with pytest.raises(RenderError, match=r"seed must be a whole number of 0 or more, got 1\.5"):
+    with refused(RenderError, "seed", "1.5"):
         find_method(f"{LABEL}+seed=1.5")
     assert find_method(f"{LABEL}+noise=2.5+seed=3").settings == {"noise": 2.5}
     assert find_method("4dgs+motion=linear+steps=3000").title == "4DGS (compact), linear motion, 3,000 steps"
 
 
-def test_variants_of_a_sweep_share_their_fits(finished, capture, tmp_path):
+def test_variants_of_a_sweep_share_their_fits(finished, twin_plane, tmp_path):
     """K moves no fit: two runs of a sweep, one scene per fold beside them; each has its row, and a shard fits what it renders."""
     rows = (SweepRow("Nearest", LABEL), SweepRow("No Blending", "no-blending"))
     sweep, protocol = Sweep("k", "two", rows, k=(1, 2)), replace(PROTOCOL, path=CameraPath(0))
     root = lend(finished, tmp_path)
-    run_sweep(plan_cells(root, {"": (capture, protocol)}, sweep, shard=Shard.parse("1/8")), 1)  # k1 in the first view
+    run_sweep(plan_cells(root, {"": (twin_plane, protocol)}, sweep, shard=Shard.parse("1/8")), 1)  # k1 in the first view
     assert [folder.name for folder in (root / "fits" / LABEL).iterdir()] == ["fold1"]
-    result = run_sweep(plan_cells(root, {"": (capture, protocol)}, sweep), 1)
+    result = run_sweep(plan_cells(root, {"": (twin_plane, protocol)}, sweep), 1)
     assert not result.failures
     assert sorted(folder.name for folder in (root / "fits" / LABEL).iterdir()) == ["fold1", "fold2"]
     psnr_db = result.table["PSNR"]

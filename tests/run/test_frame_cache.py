@@ -17,50 +17,50 @@ from helpers.captures import NAMES, make_image, write_dynerf
 
 
 @pytest.fixture
-def capture(dynerf):
+def dynerf_capture(dynerf):
     return open_capture(dynerf)
 
 
-def test_frames_are_those_of_the_capture_at_its_size(capture, tmp_path):
+def test_frames_are_those_of_the_capture_at_its_size(dynerf_capture, tmp_path):
     """The cached frames equal the capture's, resized by its filter, under the same numbers and digests."""
-    small = capture.resized(32, 24, "area")
+    small = dynerf_capture.resized(32, 24, "area")
 
     cached = cache_frames(small, {"cam01": [1, 2, 3]}, tmp_path, workers=1)
 
     for wanted, found in zip(small.frames("cam01", 1, 4), cached.frames("cam01", 1, 4), strict=True):
         np.testing.assert_array_equal(found, wanted)
-    assert cached.digest("cam01") == capture.digest("cam01")
+    assert cached.digest("cam01") == dynerf_capture.digest("cam01")
 
 
-def test_nothing_is_decoded_twice(capture, dynerf, tmp_path):
+def test_nothing_is_decoded_twice(dynerf_capture, dynerf, tmp_path):
     """Once the frames are there the videos are not opened any more, not even for a second call."""
     wanted = {name: range(5) for name in NAMES}
-    cache_frames(capture, wanted, tmp_path, workers=2)
+    cache_frames(dynerf_capture, wanted, tmp_path, workers=2)
     for video in dynerf.glob("*.mp4"):
         video.unlink()
 
-    again = cache_frames(capture, wanted, tmp_path, workers=2)
+    again = cache_frames(dynerf_capture, wanted, tmp_path, workers=2)
 
     assert sum(1 for name in NAMES for _ in again.frames(name)) == 4 * 5
 
 
-def test_only_what_is_missing_is_written(capture, tmp_path):
+def test_only_what_is_missing_is_written(dynerf_capture, tmp_path):
     """A lost frame comes back with the same pixels, the others are left as they are."""
-    cached = cache_frames(capture, {"cam02": range(5)}, tmp_path, workers=1)
+    cached = cache_frames(dynerf_capture, {"cam02": range(5)}, tmp_path, workers=1)
     before = cached.frame("cam02", 3)
     kept, lost = frame_path(tmp_path / "cam02", 2), frame_path(tmp_path / "cam02", 3)
     stamp = kept.stat().st_mtime_ns
     lost.unlink()
 
-    cache_frames(capture, {"cam02": range(5)}, tmp_path, workers=1)
+    cache_frames(dynerf_capture, {"cam02": range(5)}, tmp_path, workers=1)
 
     np.testing.assert_array_equal(cached.frame("cam02", 3), before)
     assert kept.stat().st_mtime_ns == stamp
 
 
-def test_frames_that_were_not_asked_for_are_refused(capture, tmp_path):
+def test_frames_that_were_not_asked_for_are_refused(dynerf_capture, tmp_path):
     """A frame outside what was cached is an error that names the file, not another frame."""
-    cached = cache_frames(capture, {"cam00": [2]}, tmp_path, workers=1)
+    cached = cache_frames(dynerf_capture, {"cam00": [2]}, tmp_path, workers=1)
 
     with pytest.raises(CaptureError, match=r"0004\.png"):
         cached.frame("cam00", 4)
@@ -77,9 +77,9 @@ def test_cameras_that_take_no_part_stay_as_they_are(tmp_path):
 
 
 @pytest.mark.parametrize("keeps_time", [False, True])
-def test_a_frame_that_was_changed_is_written_again(capture, tmp_path, keeps_time):
+def test_a_frame_that_was_changed_is_written_again(dynerf_capture, tmp_path, keeps_time):
     """Also where size and time of the file are as they were; until then it counts as work that is left."""
-    cached = cache_frames(capture, {"cam02": range(5)}, tmp_path, workers=1)
+    cached = cache_frames(dynerf_capture, {"cam02": range(5)}, tmp_path, workers=1)
     before, file = cached.frame("cam02", 3), frame_path(tmp_path / "cam02", 3)
     about, content = file.stat(), bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
@@ -87,29 +87,31 @@ def test_a_frame_that_was_changed_is_written_again(capture, tmp_path, keeps_time
     if keeps_time:
         os.utime(file, ns=(about.st_atime_ns, about.st_mtime_ns))
 
-    assert frames_left(capture, {"cam02": range(5)}, tmp_path) == {"cam02": [3]}
-    cache_frames(capture, {"cam02": range(5)}, tmp_path, workers=1)
+    assert frames_left(dynerf_capture, {"cam02": range(5)}, tmp_path) == {"cam02": [3]}
+    cache_frames(dynerf_capture, {"cam02": range(5)}, tmp_path, workers=1)
 
     np.testing.assert_array_equal(cached.frame("cam02", 3), before)
-    assert frames_left(capture, {"cam02": range(5)}, tmp_path) == {"cam02": []}
+    assert frames_left(dynerf_capture, {"cam02": range(5)}, tmp_path) == {"cam02": []}
 
 
-def test_a_frame_that_was_only_touched_stays(capture, tmp_path):
+def test_a_frame_that_was_only_touched_stays(dynerf_capture, tmp_path):
     """A copy of a run folder has other times and inodes; its frames are hashed, not decoded."""
-    cache_frames(capture, {"cam02": range(5)}, tmp_path / "run", workers=1)
+    cache_frames(dynerf_capture, {"cam02": range(5)}, tmp_path / "run", workers=1)
     shutil.copytree(tmp_path / "run", tmp_path / "copy", copy_function=shutil.copyfile)
 
-    assert frames_left(capture, {"cam02": range(5)}, tmp_path / "copy") == {"cam02": []}
+    assert frames_left(dynerf_capture, {"cam02": range(5)}, tmp_path / "copy") == {"cam02": []}
 
 
-def test_frames_of_unknown_origin_are_written_again(capture, tmp_path):
+def test_frames_of_unknown_origin_are_written_again(dynerf_capture, tmp_path):
     """Frames without a record, and those of another size, filter or capture, do not pass for this one's."""
-    cache_frames(capture, {"cam02": range(5)}, tmp_path, workers=1)
+    cache_frames(dynerf_capture, {"cam02": range(5)}, tmp_path, workers=1)
 
-    assert frames_left(capture.resized(32, 24, "area"), {"cam02": [0, 4]}, tmp_path) == {"cam02": [0, 4]}
-    assert frames_left(capture.resized(*capture.camera("cam02").size, "area"), {"cam02": [1]}, tmp_path) == {"cam02": [1]}
+    assert frames_left(dynerf_capture.resized(32, 24, "area"), {"cam02": [0, 4]}, tmp_path) == {"cam02": [0, 4]}
+    assert frames_left(dynerf_capture.resized(*dynerf_capture.camera("cam02").size, "area"), {"cam02": [1]}, tmp_path) == {
+        "cam02": [1]
+    }
     (tmp_path / "cam02" / DIGESTS).write_text("{")
-    assert frames_left(capture, {"cam02": [2]}, tmp_path) == {"cam02": [2]}
+    assert frames_left(dynerf_capture, {"cam02": [2]}, tmp_path) == {"cam02": [2]}
 
 
 def test_true_images_of_a_path_are_those_of_the_capture(tmp_path):

@@ -25,7 +25,7 @@ CLOCKED = {"job.json", "results.json", "references.json", DIGESTS}  # hold times
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
+def demo_capture(tmp_path_factory):
     return write_small_capture(tmp_path_factory.mktemp("capture") / "demo", 3)
 
 
@@ -37,10 +37,10 @@ def protocol() -> Protocol:
 
 
 @pytest.fixture(scope="module")
-def serial(capture, protocol, tmp_path_factory) -> Path:
+def serial(demo_capture, protocol, tmp_path_factory) -> Path:
     """The run in one process."""
     root = tmp_path_factory.mktemp("serial") / "run"
-    measure(plan_run(RunRequest(root, capture, protocol, LABELS[:1])), 1)
+    measure(plan_run(RunRequest(root, demo_capture, protocol, LABELS[:1])), 1)
     return root
 
 
@@ -51,12 +51,12 @@ def contents(root: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
-def test_a_whole_run_is_the_same_on_every_engine(engine, serial, capture, protocol, tmp_path):
+def test_a_whole_run_is_the_same_on_every_engine(engine, serial, demo_capture, protocol, tmp_path):
     """Truth, depth, masks, renders, path and table are byte for byte those of one process; so are ceilings and path scores."""
     if engine.engine == "dask":
         pytest.importorskip("distributed")
 
-    measure(plan_run(RunRequest(tmp_path / "run", capture, protocol, LABELS[:1])), engine)
+    measure(plan_run(RunRequest(tmp_path / "run", demo_capture, protocol, LABELS[:1])), engine)
 
     expected, found = contents(serial), contents(tmp_path / "run")
     assert {"truth", "depth", "disoccluded", "path_depth", "renders", "path"} <= {name.split("/")[0] for name in expected}

@@ -17,6 +17,7 @@ from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import write_json
 from helpers.captures import make_rig
 from helpers.command_line import refusal
+from helpers.refusals import refused
 
 NAMES = [f"cam{number}" for number in range(6)]
 
@@ -38,7 +39,7 @@ def test_every_camera_has_a_reason():
     assert proposal.protocol.views.test == ("cam1", "cam3", "cam5")
     assert proposal.reasons["cam3"].startswith("held out: ")
     assert proposal.reasons["cam3"].endswith("% of its view")
-    assert proposal.reasons["cam2"] == "stays a source: every second camera is held out, at most nine"
+    assert "stays a source" in proposal.reasons["cam2"]
     assert suggest_protocol(rig_of()) == proposal.protocol
 
 
@@ -79,7 +80,7 @@ def test_a_camera_in_doubt_is_no_truth():
     """What the check found is the reason; the others stay held out."""
     proposal = propose_protocol(rig_of(), {"cam3": "time offset: 0.4 frames behind the rig"})
     assert proposal.protocol.views.test == ("cam1", "cam5")
-    assert proposal.reasons["cam3"] == "stays a source: the check says time offset: 0.4 frames behind the rig"
+    assert all(part in proposal.reasons["cam3"] for part in ("stays a source", "time offset", "0.4 frames"))
     assert proposal.protocol.views.chosen_by.endswith("without those in doubt and those that the other cameras hardly show")
 
 
@@ -122,7 +123,7 @@ def test_doubts_are_the_worst_of_a_check(tmp_path):
     assert read_doubts(tmp_path / "check.json") == {"cam1": "time offset: 2 frames behind"}
     for text in ("{}", "[]", '{"findings": [{"a": 1}]}', '{"findings": [1]}', '{"findings": [{"subject":', "\x80"):
         (tmp_path / "check.json").write_text(text, encoding="latin-1")
-        with pytest.raises(CaptureError, match="wanted what 'ggvs-eval check' wrote"):
+        with refused(CaptureError, "ggvs-eval check"):
             read_doubts(tmp_path / "check.json")
 
 

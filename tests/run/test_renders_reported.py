@@ -15,7 +15,7 @@ from helpers.render_folders import FRAMES, make_run, truth, write_folders
 
 
 @pytest.fixture
-def run(tmp_path) -> RunFolder:
+def partial_run(tmp_path) -> RunFolder:
     """Two whole methods, and a perfect one of one view and two frames."""
     run = make_run(tmp_path / "run", ("PSNR", "L1", "SDT"))
     import_renders(run, "a", write_folders(tmp_path / "a"))
@@ -27,11 +27,11 @@ def run(tmp_path) -> RunFolder:
     return run
 
 
-def test_a_partial_row_is_marked_and_not_ranked(run):
+def test_a_partial_row_is_marked_and_not_ranked(partial_run):
     """The row's name and the caption say that it is partial; though its numbers are best, it is not bold."""
-    write_report([run.root])
+    write_report([partial_run.root])
 
-    lines = (run.report / "tables.md").read_text().splitlines()
+    lines = (partial_run.report / "tables.md").read_text().splitlines()
     rows = [line for line in lines if line.startswith("| c ")]
     assert rows
     assert all(line.startswith("| c (partial) |") and "**" not in line for line in rows)
@@ -40,29 +40,29 @@ def test_a_partial_row_is_marked_and_not_ranked(run):
     assert any("Nothing is bold in " in line for line in lines)  # a and b are the same frames
 
 
-def test_a_run_of_partial_renders_alone_has_a_page(run, tmp_path):
+def test_a_run_of_partial_renders_alone_has_a_page(partial_run, tmp_path):
     """With nothing to compare with there is still a table and a page."""
     for label in ("a", "b"):
-        shutil.rmtree(run.root / "renders" / label)
-    score(run)
+        shutil.rmtree(partial_run.root / "renders" / label)
+    score(partial_run)
 
-    page = write_report([run.root])
+    page = write_report([partial_run.root])
 
     assert "c (partial)" in page.read_text()
 
 
-def test_nothing_is_said_of_images_that_nobody_knows(run):
+def test_nothing_is_said_of_images_that_nobody_knows(partial_run):
     """Frames that others rendered are not said to be made from the protocol's sources, in tables or on the page."""
-    page = write_report([run.root]).read_text()
+    page = write_report([partial_run.root]).read_text()
 
     assert "other cameras" not in page
-    for text in (page, (run.report / "tables.md").read_text(), (run.report / "tables.tex").read_text()):
+    for text in (page, (partial_run.report / "tables.md").read_text(), (partial_run.report / "tables.tex").read_text()):
         assert "source views" not in text
 
 
-def test_marks_survive_merging(run):
+def test_marks_survive_merging(partial_run):
     """Results of several scenes in one keep the marks of each."""
-    results = score(run)
+    results = score(partial_run)
     inputs = {name.replace("room/", "hall/"): f"{digest} too" for name, digest in results.provenance["inputs"].items()}
     other = replace(results, table=results.table.assign(scene="hall"), provenance=results.provenance | {"inputs": inputs})
 

@@ -23,6 +23,7 @@ from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.captures import write_dynerf
 from helpers.command_line import refusal
+from helpers.refusals import refused
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_folders
 
 pytestmark = pytest.mark.slow
@@ -31,7 +32,7 @@ METRICS = ("PSNR", "L1", "TCC", "SDT", "SDV")
 
 
 @pytest.fixture
-def run(tmp_path) -> RunFolder:
+def truth_run(tmp_path) -> RunFolder:
     return make_run(tmp_path / "run", METRICS)
 
 
@@ -49,16 +50,16 @@ def cells(results: Results, method: str) -> dict[tuple[str | None, int, str], fl
     return dict(zip(zip(views, rows["frame"], rows["metric"], strict=True), rows["value"], strict=True))
 
 
-def test_partial_renders_are_scored_where_they_are_and_marked(run, tmp_path):
+def test_partial_renders_are_scored_where_they_are_and_marked(truth_run, tmp_path):
     """What is there has the values it would have in whole renders; what is not has no value; the results say which row."""
-    import_renders(run, "whole", write_folders(tmp_path / "whole"))
-    import_renders(run, "some", partial_folder(tmp_path / "some"), allow_partial=True)
+    import_renders(truth_run, "whole", write_folders(tmp_path / "whole"))
+    import_renders(truth_run, "some", partial_folder(tmp_path / "some"), allow_partial=True)
 
-    results = score(run)
+    results = score(truth_run)
     whole, some = cells(results, "whole"), cells(results, "some")
 
     mark = "partial in room: 0 of 2 views complete, 4 of 6 frames (cam02, cam00)"
-    assert Results.read(run.root).provenance["partial"] == {"some": mark}
+    assert Results.read(truth_run.root).provenance["partial"] == {"some": mark}
     frames = {("cam02", 2), ("cam02", 4), ("cam00", 2), ("cam00", 3)}
     assert {(view, frame) for view, frame, metric in some if metric == "L1"} == frames
     assert {(view, frame) for view, frame, metric in some if metric == "TCC"} == {("cam00", 2)}  # no pair across the gap
@@ -70,13 +71,13 @@ def test_partial_renders_are_scored_where_they_are_and_marked(run, tmp_path):
     assert results.not_computed == {}
 
 
-def test_a_view_that_is_missing_has_no_row(run, tmp_path):
+def test_a_view_that_is_missing_has_no_row(truth_run, tmp_path):
     """One of two views: its values alone, the mean over it alone, and a reason for what needs two."""
     folder = write_folders(tmp_path / "theirs")
     shutil.rmtree(folder / "cam02")
-    record = import_renders(run, "some", folder, allow_partial=True)
+    record = import_renders(truth_run, "some", folder, allow_partial=True)
 
-    results = score(run)
+    results = score(truth_run)
 
     assert record["partial"] == "1 of 2 views complete, 3 of 6 frames (cam00)"
     assert "missing: some in cam02 lacks all 3 frames" in record["notes"]
@@ -86,21 +87,21 @@ def test_a_view_that_is_missing_has_no_row(run, tmp_path):
     assert results.not_computed["SDV"] == "1 view; needs 2"
 
 
-def test_a_metric_of_one_view_has_no_reason_beside_its_value(run, tmp_path):
+def test_a_metric_of_one_view_has_no_reason_beside_its_value(truth_run, tmp_path):
     """What one view cannot have is named as lacking there; as not computed counts what no view has."""
     names = (*METRICS, "PSNR_disoccluded")
-    protocol = run.protocol()
+    protocol = truth_run.protocol()
     protocol = replace(protocol, measurement=replace(protocol.measurement, metrics=names))
-    run.protocol_file.write_text(protocol.to_toml())
+    truth_run.protocol_file.write_text(protocol.to_toml())
     for view, size in (("cam00", 12), ("cam02", 5)):  # 25 pixels are too few
         for frame in FRAMES:
             mask = np.zeros(truth(view, frame).shape, np.uint8)
             mask[:size, :size] = 255
-            write_image(frame_path(run.disoccluded(view), frame), mask)
+            write_image(frame_path(truth_run.disoccluded(view), frame), mask)
     for label in ("a", "b"):
-        import_renders(run, label, write_folders(tmp_path / label))
+        import_renders(truth_run, label, write_folders(tmp_path / label))
 
-    results = score(run)
+    results = score(truth_run)
 
     assert set(results.table["metric"]) & set(results.not_computed) == set()
     assert set(results.per_view("PSNR_disoccluded").columns) == {"cam00"}
@@ -109,52 +110,52 @@ def test_a_metric_of_one_view_has_no_reason_beside_its_value(run, tmp_path):
     ]
     assert "pixels" in results.why_absent("PSNR_disoccluded", "a", "cam02")
     (table,) = [
-        one for one in main_tables([read_scores(run.root)], results) if "PSNR_disoccluded" in {c.name for c in one.columns}
+        one for one in main_tables([read_scores(truth_run.root)], results) if "PSNR_disoccluded" in {c.name for c in one.columns}
     ]
     assert "PSNR_disoccluded is a mean without cam02 (in no frame" in table.caption
     assert "not computed" not in {cell.text for row in table.rows for cell in row.cells}
 
 
-def test_whole_renders_are_not_marked_whatever_was_allowed(run, tmp_path):
+def test_whole_renders_are_not_marked_whatever_was_allowed(truth_run, tmp_path):
     """--allow-partial marks nothing where nothing is missing; an extra folder is left out and recorded."""
     folder = write_folders(tmp_path / "theirs")
     write_image(folder / "depth" / "0000.png", rendered("cam00", 2))
 
-    record = import_renders(run, "mine", folder, allow_partial=True)
+    record = import_renders(truth_run, "mine", folder, allow_partial=True)
 
-    assert score(run).provenance["partial"] == {}
+    assert score(truth_run).provenance["partial"] == {}
     assert record["notes"] == ["frames 2-4 are taken as the instants 2-4 of the capture", "not used: depth/ (1 pictures)"]
 
 
-def test_a_partial_import_does_not_excuse_frames_that_get_lost(run, tmp_path):
+def test_a_partial_import_does_not_excuse_frames_that_get_lost(truth_run, tmp_path):
     """What a partial import brought must be there when it is scored."""
-    import_renders(run, "some", partial_folder(tmp_path / "some"), allow_partial=True)
-    frame_path(run.renders("some", "cam00"), 3).unlink()
+    import_renders(truth_run, "some", partial_folder(tmp_path / "some"), allow_partial=True)
+    frame_path(truth_run.renders("some", "cam00"), 3).unlink()
 
-    with pytest.raises(RenderError, match="some in cam00 lacks 3"):
-        score(run)
+    with refused(RenderError, "some in cam00", "lacks 3"):
+        score(truth_run)
 
 
-def test_partial_renders_that_were_completed_lose_their_mark(run, tmp_path):
+def test_partial_renders_that_were_completed_lose_their_mark(truth_run, tmp_path):
     """Importing the completed folder under the same name replaces frames, values and mark."""
     folder = partial_folder(tmp_path / "some")
-    import_renders(run, "some", folder, allow_partial=True)
-    before = score(run).provenance
+    import_renders(truth_run, "some", folder, allow_partial=True)
+    before = score(truth_run).provenance
 
     write_folders(folder)
-    import_renders(run, "some", folder)
-    after = score(run)
+    import_renders(truth_run, "some", folder)
+    after = score(truth_run)
 
     assert before["partial"]
     assert not after.provenance["partial"]
     assert cells(after, "some")[("cam02", 3, "L1")] == pytest.approx(3, abs=0.2)
 
 
-def test_results_carry_the_digests_of_both_sides(run, tmp_path):
+def test_results_carry_the_digests_of_both_sides(truth_run, tmp_path):
     """Captured frames by camera, rendered frames by view, source files of the import: all are in results.json."""
-    record = import_renders(run, "mine", write_folders(tmp_path / "theirs"))
+    record = import_renders(truth_run, "mine", write_folders(tmp_path / "theirs"))
 
-    provenance = score(run).provenance
+    provenance = score(truth_run).provenance
 
     for view in VIEWS:
         pictures = b"".join((tmp_path / "theirs" / view / f"000{frame}.png").read_bytes() for frame in FRAMES)
@@ -172,26 +173,26 @@ def test_results_under_two_protocols_do_not_mix(tmp_path):
         import_renders(run, "mine", write_folders(tmp_path / f"theirs of {name}"))
         parts.append(score(run))
 
-    with pytest.raises(ResultsError, match="results of different protocols do not belong in one table"):
+    with refused(ResultsError, "different protocols"):
         merge_results(parts)
 
 
 @pytest.fixture
-def capture(tmp_path) -> Path:
+def coffee_folder(tmp_path) -> Path:
     return write_dynerf(tmp_path / "coffee")
 
 
 @pytest.fixture
-def protocol(tmp_path) -> Path:
+def protocol_path(tmp_path) -> Path:
     protocol = Protocol("p", "Tiny", Views(("cam01", "cam02"), "by hand"), Frames(1, 3), Synthesis(2), Measurement(METRICS))
     (tmp_path / "p.toml").write_text(protocol.to_toml())
     return tmp_path / "p.toml"
 
 
 @pytest.fixture
-def theirs(capture, tmp_path) -> Path:
+def theirs(coffee_folder, tmp_path) -> Path:
     """The captured frames, 4 levels brighter."""
-    opened = open_capture(capture)
+    opened = open_capture(coffee_folder)
     for view in ("cam01", "cam02"):
         for frame, image in enumerate(opened.frames(view, 1, 4), 1):
             write_image(tmp_path / "theirs" / view / f"{frame:04d}.png", np.minimum(image, 251) + np.uint8(4))
@@ -202,11 +203,11 @@ def command(*arguments: str | Path) -> None:
     run_command([str(argument) for argument in arguments])
 
 
-def test_one_command_scores_renders_of_a_capture(capture, protocol, theirs, tmp_path, capsys, monkeypatch):
+def test_one_command_scores_renders_of_a_capture(coffee_folder, protocol_path, theirs, tmp_path, capsys, monkeypatch):
     """`score --renders --capture --protocol` makes a run of the truth alone under scores/ and prints the table."""
     monkeypatch.chdir(tmp_path)
 
-    command("score", "--renders", f"mine={theirs}", "--capture", capture, "--protocol", protocol, "--jobs", "1")
+    command("score", "--renders", f"mine={theirs}", "--capture", coffee_folder, "--protocol", protocol_path, "--jobs", "1")
 
     run = RunFolder(tmp_path / "scores" / "coffee")
     assert "mine" in capsys.readouterr().out
@@ -215,20 +216,22 @@ def test_one_command_scores_renders_of_a_capture(capture, protocol, theirs, tmp_
     assert Results.read(run.root).summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
 
 
-def test_a_run_goes_on_with_its_own_protocol(capture, protocol, theirs, tmp_path, capsys):
+def test_a_run_goes_on_with_its_own_protocol(coffee_folder, protocol_path, theirs, tmp_path, capsys):
     """Further renders need neither capture nor protocol, and can be given without a name; what is there stays."""
-    command("score", "--run", tmp_path / "run", "--renders", f"a={theirs}", "--capture", capture, "--protocol", protocol)
+    command(
+        "score", "--run", tmp_path / "run", "--renders", f"a={theirs}", "--capture", coffee_folder, "--protocol", protocol_path
+    )
 
     command("score", tmp_path / "run", "--renders", theirs, "--jobs", "1")
 
     assert set(Results.read(tmp_path / "run").table["method"]) == {"a", "theirs"}
 
 
-def test_the_numbering_is_printed_and_can_be_said(capture, protocol, theirs, tmp_path, capsys):
+def test_the_numbering_is_printed_and_can_be_said(coffee_folder, protocol_path, theirs, tmp_path, capsys):
     """Frames 0-2 of a protocol of 1-3: refused with the option that settles it; with it scored, and one line says how."""
     for file in sorted(theirs.rglob("*.png")):
         file.rename(file.with_name(f"{int(file.stem) - 1:04d}.png"))
-    place = ("--run", tmp_path / "run", "--capture", capture, "--protocol", protocol, "--jobs", "1")
+    place = ("--run", tmp_path / "run", "--capture", coffee_folder, "--protocol", protocol_path, "--jobs", "1")
     arguments = ("score", "--renders", theirs, *place)
 
     message = refusal(*arguments)
@@ -243,10 +246,10 @@ def test_the_numbering_is_printed_and_can_be_said(capture, protocol, theirs, tmp
 @pytest.mark.parametrize(
     ("name", "label"), [("enerf", "enerf-renders"), ("truth", "truth-renders"), ("my renders (2)", "my-renders-2")]
 )
-def test_a_folder_may_be_called_as_a_method_is(name, label, capture, protocol, theirs, tmp_path, capsys):
+def test_a_folder_may_be_called_as_a_method_is(name, label, coffee_folder, protocol_path, theirs, tmp_path, capsys):
     """doctor, explain and score find a free name for it; who names renders so explicitly is told."""
     folder = theirs.rename(tmp_path / name)
-    place = ("--run", tmp_path / "run", "--capture", capture, "--protocol", protocol, "--jobs", "1")
+    place = ("--run", tmp_path / "run", "--capture", coffee_folder, "--protocol", protocol_path, "--jobs", "1")
 
     with pytest.raises(SystemExit):  # these frames were made of the captured ones, and it says so
         command("doctor", folder, *place)
@@ -258,10 +261,10 @@ def test_a_folder_may_be_called_as_a_method_is(name, label, capture, protocol, t
     assert f"give another: --renders {label}=PATH" in refusal("score", "--renders", f"{name}={folder}", *place)
 
 
-def test_incomplete_renders_end_with_one_line_unless_allowed(capture, protocol, theirs, tmp_path, capsys):
+def test_incomplete_renders_end_with_one_line_unless_allowed(coffee_folder, protocol_path, theirs, tmp_path, capsys):
     """Exit 1 with the gaps and the way out; with --allow-partial the table is followed by what the row stands on."""
     shutil.rmtree(theirs / "cam02")
-    place = ("--run", tmp_path / "run", "--capture", capture, "--protocol", protocol, "--jobs", "1")
+    place = ("--run", tmp_path / "run", "--capture", coffee_folder, "--protocol", protocol_path, "--jobs", "1")
     arguments = ("score", "--renders", f"a={theirs}", *place)
     with pytest.raises(SystemExit) as caught:
         command(*arguments)
@@ -283,9 +286,9 @@ def test_incomplete_renders_end_with_one_line_unless_allowed(capture, protocol, 
         (("RUN", "--protocol", "dynerf"), "holds a run of another protocol"),
     ],
 )
-def test_what_contradicts_itself_is_refused(arguments, message, capture, protocol, theirs, tmp_path):
+def test_what_contradicts_itself_is_refused(arguments, message, coffee_folder, protocol_path, theirs, tmp_path):
     """No run and no capture, two runs, or another protocol than the run's: one line each."""
-    prepare_truth(tmp_path / "run", open_capture(capture), load_protocol(protocol))
+    prepare_truth(tmp_path / "run", open_capture(coffee_folder), load_protocol(protocol_path))
     given = [text.replace("RUN", str(tmp_path / "run")).replace("THEIRS", str(theirs)) for text in arguments]
 
     with pytest.raises(SystemExit) as caught:

@@ -32,6 +32,7 @@ from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
 from ggvs_eval.run_folder import RunFolder, frame_path
 from ggvs_eval.sweep import Sweep, SweepRow
 from helpers.command_line import refusal
+from helpers.refusals import refused
 from helpers.small_runs import LABELS, small_options, small_protocol, write_small_capture
 
 pytestmark = pytest.mark.slow
@@ -40,7 +41,7 @@ Usage = namedtuple("Usage", "total used free")
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
+def demo_capture(tmp_path_factory):
     return write_small_capture(tmp_path_factory.mktemp("capture") / "demo", 3)
 
 
@@ -50,10 +51,10 @@ def protocol() -> Protocol:
 
 
 @pytest.fixture(scope="module")
-def finished(capture, protocol, tmp_path_factory) -> Path:
+def finished(demo_capture, protocol, tmp_path_factory) -> Path:
     """A run that is done."""
     root = tmp_path_factory.mktemp("finished") / "run"
-    measure(planned(root, capture, protocol), 1)
+    measure(planned(root, demo_capture, protocol), 1)
     return root
 
 
@@ -73,9 +74,9 @@ def counts(plan: RunPlan) -> Counter[str]:
     return left
 
 
-def test_what_is_counted_is_what_is_made(capture, protocol, finished, tmp_path):
+def test_what_is_counted_is_what_is_made(demo_capture, protocol, finished, tmp_path):
     """Before a run the plan counts exactly the frames, depth maps, masks and renders that the run then leaves."""
-    plan, run = planned(tmp_path / "run", capture, protocol), RunFolder(finished)
+    plan, run = planned(tmp_path / "run", demo_capture, protocol), RunFolder(finished)
     left = counts(plan)
 
     assert left["truth"] == n_files(run.root / "truth", "*.png")
@@ -87,7 +88,7 @@ def test_what_is_counted_is_what_is_made(capture, protocol, finished, tmp_path):
     assert {piece.folder.name for piece in work_left(plan) if piece.kind == "score"} == {"cam00", "cam01"}
 
 
-def test_a_key_is_made_once(capture, protocol, tmp_path, monkeypatch):
+def test_a_key_is_made_once(demo_capture, protocol, tmp_path, monkeypatch):
     """Planning describes each depth job once; counting and preparing take the key from the plan."""
     described = []
     describe = fill_store.describe_depth
@@ -95,7 +96,7 @@ def test_a_key_is_made_once(capture, protocol, tmp_path, monkeypatch):
         (camera.name, *(each.name for each in partners))) or describe(camera, partners, *rest))  # fmt: skip
     short = dataclasses.replace(protocol, frames=Frames(0, 1), path=CameraPath(0))
 
-    plan = planned(tmp_path / "run", capture, short)
+    plan = planned(tmp_path / "run", demo_capture, short)
     by_planning = list(described)
     work_left(plan)
     prepare_run(plan)
@@ -106,11 +107,11 @@ def test_a_key_is_made_once(capture, protocol, tmp_path, monkeypatch):
     assert not {"depth", "checked depth"} & counts(plan).keys()
 
 
-def test_nothing_is_said_where_everything_is_done(capture, protocol, finished):
+def test_nothing_is_said_where_everything_is_done(demo_capture, protocol, finished):
     """A finished run has no plan; one more method has that method's frames alone, and nobody knows how long they take."""
-    assert count_work([planned(finished, capture, protocol)], finished).describe() == ""
+    assert count_work([planned(finished, demo_capture, protocol)], finished).describe() == ""
 
-    more = count_work([planned(finished, capture, protocol, (*LABELS, "ours-geometric"))], finished)
+    more = count_work([planned(finished, demo_capture, protocol, (*LABELS, "ours-geometric"))], finished)
 
     assert more.count("render", "path render") == 2 * 3 + 3
     assert more.count("depth", "checked depth") == 0
@@ -118,14 +119,14 @@ def test_nothing_is_said_where_everything_is_done(capture, protocol, finished):
     assert "time:" not in more.describe()
 
 
-def test_a_source_frame_that_was_changed_is_work(capture, protocol, finished, tmp_path, capsys):
+def test_a_source_frame_that_was_changed_is_work(demo_capture, protocol, finished, tmp_path, capsys):
     """`run --dry-run` names it, `run` writes it again as captured, and nothing is left then; its renders stay."""
     shutil.copytree(finished, tmp_path / "run")
     file = frame_path(tmp_path / "run" / "truth" / "cam02", 1)  # no test view
     pixels, renders = read_image(file), digest_folder(tmp_path / "run" / "renders")
     write_image(file, 255 - pixels)
     (tmp_path / "p.toml").write_text(protocol.to_toml())
-    arguments = ["run", str(tmp_path / "run"), "--capture", str(capture.path), "--protocol", str(tmp_path / "p.toml")]
+    arguments = ["run", str(tmp_path / "run"), "--capture", str(demo_capture.path), "--protocol", str(tmp_path / "p.toml")]
     arguments += ["--jobs", "1", "--methods", *LABELS]
 
     run_command([*arguments, "--dry-run"])
@@ -134,17 +135,17 @@ def test_a_source_frame_that_was_changed_is_work(capture, protocol, finished, tm
 
     np.testing.assert_array_equal(read_image(file), pixels)
     assert digest_folder(tmp_path / "run" / "renders") == renders
-    assert count_work([planned(tmp_path / "run", capture, protocol)], tmp_path / "run").describe() == ""
+    assert count_work([planned(tmp_path / "run", demo_capture, protocol)], tmp_path / "run").describe() == ""
 
 
-def test_jobs_are_made_once(capture, protocol, tmp_path, monkeypatch):
+def test_jobs_are_made_once(demo_capture, protocol, tmp_path, monkeypatch):
     """From the plan to the last frame each method is found once, and a file of weights read once, whoever renders with it."""
     labels, found = ("no-blending", "ours", "ours+no-temporal"), []
     find = registry._found
     monkeypatch.setattr(registry, "_found", lambda label, given: found.append(label) or find(label, given))
     spec._digest_of.cache_clear()
 
-    plan = planned(tmp_path / "run", capture, dataclasses.replace(protocol, frames=Frames(0, 1)), labels)
+    plan = planned(tmp_path / "run", demo_capture, dataclasses.replace(protocol, frames=Frames(0, 1)), labels)
     jobs = plan.jobs
     count_work([plan], tmp_path)
     assert render(prepare_run(plan)) == len(jobs.render) == len(labels) * 3
@@ -155,9 +156,9 @@ def test_jobs_are_made_once(capture, protocol, tmp_path, monkeypatch):
     assert spec._digest_of.cache_info().misses == 1  # of the weights that both networks of ours share
 
 
-def test_a_plan_names_the_jobs_that_are_then_done(capture, protocol, finished):
+def test_a_plan_names_the_jobs_that_are_then_done(demo_capture, protocol, finished):
     """What is listed before anything is prepared is what the ledger of the finished run has, by name, folder and hash."""
-    before = planned(finished.with_name("absent"), capture, protocol).jobs.render
+    before = planned(finished.with_name("absent"), demo_capture, protocol).jobs.render
     _, done = Ledger(finished, "render").read()
 
     assert [(job.name, job.sha256) for job in before] == [(entry.name, entry.sha256) for entry in done]
@@ -167,10 +168,19 @@ def test_a_plan_names_the_jobs_that_are_then_done(capture, protocol, finished):
     }
 
 
-def test_a_dry_run_says_what_the_run_then_does(capture, protocol, tmp_path, capsys):
+def test_a_dry_run_says_what_the_run_then_does(demo_capture, protocol, tmp_path, capsys):
     """The counts of the plan are the frames that the run renders and the views that it scores."""
     (tmp_path / "p.toml").write_text(protocol.to_toml())
-    words = ["run", str(tmp_path / "run"), "--capture", str(capture.path), "--protocol", str(tmp_path / "p.toml"), "--jobs", "1"]
+    words = [
+        "run",
+        str(tmp_path / "run"),
+        "--capture",
+        str(demo_capture.path),
+        "--protocol",
+        str(tmp_path / "p.toml"),
+        "--jobs",
+        "1",
+    ]
     words += ["--methods", *LABELS]
     run_command([*words, "--dry-run"])
     told = capsys.readouterr().out
@@ -183,16 +193,16 @@ def test_a_dry_run_says_what_the_run_then_does(capture, protocol, tmp_path, caps
     assert "nothing is left to do" in capsys.readouterr().out.splitlines()[-1]
 
 
-def test_a_run_is_told_in_two_lines(capture, protocol, tmp_path):
+def test_a_run_is_told_in_two_lines(demo_capture, protocol, tmp_path):
     """What there is to do and how large it is, and nothing is written for it."""
-    text = count_work([planned(tmp_path / "run", capture, protocol)], tmp_path / "run").describe()
+    text = count_work([planned(tmp_path / "run", demo_capture, protocol)], tmp_path / "run").describe()
 
     assert [line.split(":")[0] for line in text.splitlines()] == ["plan", "disk"]
     assert "2 views x 3 frames x 2 methods at 64 x 48, K = 2" in text
     assert list(tmp_path.iterdir()) == []
 
 
-def test_time_is_that_of_frames_that_are_rendered(capture, protocol, finished, tmp_path):
+def test_time_is_that_of_frames_that_are_rendered(demo_capture, protocol, finished, tmp_path):
     """A view more of methods that have rendered others takes as long as those; frames of which nothing is known are counted."""
     left = Piece("render", tmp_path / "a", 300, label="a", core_seconds=9.0), Piece("render", tmp_path / "b", 3, label="b")
     text = Workload("", left, tmp_path, {"a": 2.0}, jobs=2).describe()
@@ -201,13 +211,13 @@ def test_time_is_that_of_frames_that_are_rendered(capture, protocol, finished, t
     assert "  rendering: 303, 1 s each, 5 min" in text
     root = Path(shutil.copytree(finished, tmp_path / "run"))
     shutil.rmtree(RunFolder(root).renders(LABELS[0], protocol.views.test[0]))
-    work = count_work([planned(root, capture, protocol)], root)
+    work = count_work([planned(root, demo_capture, protocol)], root)
     assert work.frame_seconds[LABELS[0]] > 0
 
 
-def test_a_long_run_has_a_line_for_every_stage(capture, protocol, tmp_path):
+def test_a_long_run_has_a_line_for_every_stage(demo_capture, protocol, tmp_path):
     """Seconds are those of this machine: core-seconds of each piece times the pace, shared by the processes."""
-    plan = planned(tmp_path / "run", capture, protocol)
+    plan = planned(tmp_path / "run", demo_capture, protocol)
     pieces = work_left(plan)
     known = sum(piece.core_seconds for piece in pieces)
     slow = Workload("", tuple(pieces), tmp_path, jobs=2, pace=lambda: 7200 / known)
@@ -225,10 +235,10 @@ def test_every_method_of_ours_has_a_cost(label):
     assert render_cost(label) > 0
 
 
-def test_a_dry_run_leaves_nothing(capture, protocol, tmp_path, capsys):
+def test_a_dry_run_leaves_nothing(demo_capture, protocol, tmp_path, capsys):
     """`--dry-run` prints the plan and leaves no trace."""
     (tmp_path / "p.toml").write_text(dataclasses.replace(protocol, frames=Frames(0, 2), path=CameraPath(0)).to_toml())
-    arguments = ["--capture", str(capture.path), "--protocol", str(tmp_path / "p.toml"), "--jobs", "1", "--dry-run"]
+    arguments = ["--capture", str(demo_capture.path), "--protocol", str(tmp_path / "p.toml"), "--jobs", "1", "--dry-run"]
 
     run_command(["prepare", str(tmp_path / "run"), *arguments])
 
@@ -236,21 +246,21 @@ def test_a_dry_run_leaves_nothing(capture, protocol, tmp_path, capsys):
     assert [item.name for item in tmp_path.iterdir()] == ["p.toml"]
 
 
-def test_a_run_that_cannot_fit_is_refused(capture, protocol, tmp_path, monkeypatch):
+def test_a_run_that_cannot_fit_is_refused(demo_capture, protocol, tmp_path, monkeypatch):
     """Where the disk has less room than the run needs, one line says both and what to do; nothing is begun."""
     monkeypatch.setattr(counting.shutil, "disk_usage", lambda _: Usage(10**9, 10**9, 1000))
     (tmp_path / "p.toml").write_text(protocol.to_toml())
 
-    message = refusal("run", tmp_path / "run", "--capture", capture.path, "--protocol", tmp_path / "p.toml")
+    message = refusal("run", tmp_path / "run", "--capture", demo_capture.path, "--protocol", tmp_path / "p.toml")
 
     assert "the disk has 0.0 MB free" in message
     assert "choose a folder on another disk" in message
     assert not (tmp_path / "run").exists()
 
 
-def test_disk_is_what_the_run_leaves(finished, capture, protocol, tmp_path):
+def test_disk_is_what_the_run_leaves(finished, demo_capture, protocol, tmp_path):
     """The estimate of depth alone is right within 15 %, headers included; all of it within a factor of two."""
-    work = count_work([planned(tmp_path / "run", capture, protocol)], tmp_path)
+    work = count_work([planned(tmp_path / "run", demo_capture, protocol)], tmp_path)
     depth = sum(file.stat().st_size for file in (finished / "depth").rglob("*.npz"))
     everything = sum(file.stat().st_size for file in finished.rglob("*") if file.is_file())
 
@@ -258,10 +268,10 @@ def test_disk_is_what_the_run_leaves(finished, capture, protocol, tmp_path):
     assert everything / 2 < work.disk_bytes < everything * 2
 
 
-def test_a_sweep_is_planned_as_one(capture, protocol, tmp_path):
+def test_a_sweep_is_planned_as_one(demo_capture, protocol, tmp_path):
     """Variants that share frames count them once; a shard has its own views alone, and one that prepares renders nothing."""
     sweep = Sweep("s", "", (SweepRow("A", "no-blending"),), k=(2, 3))
-    captures = {"": (capture, protocol)}
+    captures = {"": (demo_capture, protocol)}
     plans = [plan_cells(tmp_path, captures, sweep, shard=shard).plans for shard in (WHOLE, Shard(1, 2), Shard(0, 2))]
     whole, half, first = (count_work(each, tmp_path) for each in plans)
 
@@ -273,21 +283,21 @@ def test_a_sweep_is_planned_as_one(capture, protocol, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_of_another_run_is_refused(finished, capture, protocol):
+def test_a_folder_of_another_run_is_refused(finished, demo_capture, protocol):
     """A folder of another protocol is refused when it is planned, hence by a dry run, too; the message names both."""
-    with pytest.raises(ProtocolError, match=f"another protocol: {protocol.name}"):
-        planned(finished, capture, dataclasses.replace(protocol, synthesis=Synthesis(3)))
+    with refused(ProtocolError, "protocol", protocol.name):
+        planned(finished, demo_capture, dataclasses.replace(protocol, synthesis=Synthesis(3)))
 
 
-def test_a_folder_of_other_frames_is_refused_by_a_dry_run(finished, capture, protocol):
+def test_a_folder_of_other_frames_is_refused_by_a_dry_run(finished, demo_capture, protocol):
     """Two cameras whose frames were exchanged are named before anything is promised."""
-    first, second = capture.cameras[:2]
-    sources = (capture.source(second.name), capture.source(first.name), *capture.sources[2:])
-    with pytest.raises(ProtocolError, match=f"other frames: those of {first.name}, {second.name} "):
-        planned(finished, dataclasses.replace(capture, sources=sources), protocol)
+    first, second = demo_capture.cameras[:2]
+    sources = (demo_capture.source(second.name), demo_capture.source(first.name), *demo_capture.sources[2:])
+    with refused(ProtocolError, "frames", f"{first.name}, {second.name} "):
+        planned(finished, dataclasses.replace(demo_capture, sources=sources), protocol)
 
 
-def test_partners_are_chosen_once_for_a_source_and_the_camera_it_must_not_see(capture, protocol, monkeypatch):
+def test_partners_are_chosen_once_for_a_source_and_the_camera_it_must_not_see(demo_capture, protocol, monkeypatch):
     """A camera path of many poses asks for no more pairs than the rig has."""
     asked = []
     choose = DepthOptions.choose_partners
@@ -297,10 +307,10 @@ def test_partners_are_chosen_once_for_a_source_and_the_camera_it_must_not_see(ca
         return choose(options, camera, candidates, excluded)
 
     monkeypatch.setattr(DepthOptions, "choose_partners", counted)
-    plan = planned(Path("nowhere"), capture, dataclasses.replace(protocol, path=CameraPath(poses=40)))
+    plan = planned(Path("nowhere"), demo_capture, dataclasses.replace(protocol, path=CameraPath(poses=40)))
     assert len(plan.path) == 40
     assert len(asked) == len(set(asked))
-    assert len(asked) <= len(capture.cameras) * (1 + len(protocol.views.test))
+    assert len(asked) <= len(demo_capture.cameras) * (1 + len(protocol.views.test))
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(7.2, "7 s"), (119, "119 s"), (600, "10 min"), (9000, "2.5 h")])
@@ -309,10 +319,10 @@ def test_durations_are_told_in_their_unit(seconds, text):
     assert duration(seconds) == text
 
 
-def test_a_demo_is_planned_before_it_is_rendered(capture, protocol, tmp_path):
+def test_a_demo_is_planned_before_it_is_rendered(demo_capture, protocol, tmp_path):
     """A demo that is not there yet is planned like the rendered one, and the plan says what will be rendered."""
     absent = demo_to_plan(tmp_path / "demo", small_options(3), open_capture)
-    rendered = demo_to_plan(capture.path, small_options(3), open_capture)
+    rendered = demo_to_plan(demo_capture.path, small_options(3), open_capture)
     plans = [planned(tmp_path / "run", each, protocol) for each in (absent, rendered)]
 
     assert counts(plans[0]) == counts(plans[1])

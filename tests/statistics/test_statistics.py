@@ -13,6 +13,7 @@ from ggvs_eval.statistics.decomposition import decompose, decompose_metric
 from ggvs_eval.statistics.intervals import Interval, intervals, measure_spread
 from ggvs_eval.statistics.pooled import PooledScene
 from ggvs_eval.statistics.pooling import Pool, Pooling, pool_mean, pool_powers, pool_products, pool_sdt, pool_sdv, powers_of_means
+from helpers.refusals import refused
 from helpers.tidy_tables import autoregressive, make_results, make_rows, make_spread_rows, make_sted_rows
 
 CORRELATION = 0.6
@@ -89,20 +90,20 @@ def test_decomposition_reads_the_table_and_refuses_holes(matrix):
     rows = make_spread_rows("ours+fast", matrix)
     read = {"scene": "room", "method": "ours", "variant": "fast"}
     assert decompose_metric(make_results(rows[::-1]), "L1", **read).ss_rest == pytest.approx(decompose(matrix).ss_rest)
-    with pytest.raises(ResultsError, match=r"L1 of ours\+fast in room: .* cam00 frame 7 missing; score"):
+    with refused(ResultsError, "L1 of ours+fast", "cam00 frame 7", "score"):
         decompose_metric(make_results(rows[:5] + rows[6:]), "L1", **read)
-    with pytest.raises(ResultsError, match="cam01 frame 2 not finite"):
+    with refused(ResultsError, "cam01 frame 2", "not finite"):
         decompose_metric(make_results([(*row[:7], np.inf if row[4:6] == ("cam01", 2) else row[7]) for row in rows]), "L1", **read)
-    with pytest.raises(ResultsError, match="two values for one view and frame"):
+    with refused(ResultsError, "two values"):
         decompose_metric(make_results(rows + rows[:1]), "L1", **read)
     for metric in ("SDT", "SDV"):
-        with pytest.raises(ResultsError, match="no value for each view and frame"):
+        with refused(ResultsError, "each view and frame"):
             decompose_metric(make_results(rows), metric, **read)
-    with pytest.raises(ResultsError, match="no values in the results"):
+    with refused(ResultsError, "no values"):
         decompose_metric(make_results(rows), "PSNR", **read)
-    with pytest.raises(ResultsError, match="row 0 column 1 is nan"):
+    with refused(ResultsError, "row 0", "column 1", "nan"):
         decompose([[1.0, np.nan]])
-    with pytest.raises(ResultsError, match="ddof=1 needs at least 2, got 1"):
+    with refused(ResultsError, "ddof=1", "at least 2", "got 1"):
         decompose([[1.0, 2.0]]).sdv()
 
 
@@ -279,7 +280,7 @@ def test_pooling_that_nobody_recorded_has_no_interval(matrix):
     found = intervals(make_results(rows, {"pooling": {}}), "PSNR", "Demo")["ours"]
     assert found.value == pytest.approx(matrix.mean())
     assert (found.half_width, found.note) == (None, "the results do not say how PSNR is pooled; score again")
-    with pytest.raises(ResultsError, match="no rule of pooling 'median', there are mean, "):
+    with refused(ResultsError, "'median'", "mean, "):
         Pooling("median")
 
 

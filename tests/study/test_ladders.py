@@ -15,6 +15,7 @@ from ggvs_eval.pipelines.study.ladders import LADDERS, select_ladders
 from ggvs_eval.pipelines.study.rendered_ladders import render, sources_at
 from ggvs_eval.pipelines.study.takes import fill_take
 from helpers.noise_scenes import clean_video
+from helpers.refusals import refused
 
 T, HEIGHT, WIDTH, DEPTH = 6, 48, 64, 2.0
 
@@ -124,9 +125,9 @@ def test_sources_are_exchanged_as_often_as_said(path):
 def test_a_clip_says_what_it_cannot_be_degraded_by(path):
     """Frames of one camera without sources have no wobble, no switch and no boiling; the reason is told."""
     frames = Clip("frames", path.truth)
-    refused = {name for name, ladder in LADDERS.items() if ladder.refuses(frames)}
+    unfit = {name for name, ladder in LADDERS.items() if ladder.refuses(frames)}
 
-    assert refused == {"wobble", "switch", "jump", "boiling"}
+    assert unfit == {"wobble", "switch", "jump", "boiling"}
     assert LADDERS["boiling"].refuses(frames) == "no source camera with depth"
     assert not any(ladder.refuses(path) for ladder in LADDERS.values())
 
@@ -155,5 +156,5 @@ def test_degradations_may_be_planted_in_a_rendering(path, tmp_path):
 
 def test_an_unknown_ladder_names_the_nearest():
     """A mistyped ladder is refused with the right name."""
-    with pytest.raises(MetricError, match=r"did you mean blur\?"):
+    with refused(MetricError, "did you mean blur?"):
         select_ladders(("blurr",))

@@ -25,6 +25,7 @@ from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, WORLD_TO_ROOM, in_metr
 from ggvs_eval.synthetic.film.shots import FISHEYE_LENS, LENS, distorted_shots, hand_held_shots, rig_shots
 from ggvs_eval.synthetic.layouts.d3dmv import MEDIAN_FRAMES, median_background
 from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
+from helpers.photographs import psnr_db
 from helpers.scenes import render_view
 
 pytestmark = pytest.mark.slow
@@ -236,10 +237,6 @@ def test_undistorted_picture_is_that_of_a_pinhole(lens_camera):
 
     assert psnr_db(distorted, pinhole) < 20
     assert psnr_db(undistorted, pinhole) > 32
-
-
-def psnr_db(image, truth):
-    return -10 * np.log10(np.mean((image.astype(np.float64) - truth) ** 2))
 
 
 def test_masks_and_hulls_hold_what_moves(demo):

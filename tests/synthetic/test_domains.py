@@ -30,6 +30,7 @@ from ggvs_eval.synthetic.film.raycast import render_depth
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
 from ggvs_eval.synthetic.film.sensor import compress, defocus, denoise, mosaic_and_back, rig_sensors, sharpen, to_linear, to_srgb
 from ggvs_eval.synthetic.film.shots import hand_held_shots, rig_of
+from helpers.refusals import refused
 from helpers.scenes import render_view
 
 pytestmark = pytest.mark.slow
@@ -83,7 +84,7 @@ def test_the_plain_domain_is_the_room_that_networks_have_always_learned_from() -
 
 def test_an_unknown_domain_is_refused() -> None:
     """The message names those there are."""
-    with pytest.raises(CaptureError, match="'fog': wanted one of plain, narrow"):
+    with refused(CaptureError, "'fog'", "plain, narrow"):
         domain_options("fog", 101)
 
 
@@ -330,7 +331,7 @@ def test_a_sequence_is_split_so_that_no_view_is_in_both_parts(tmp_path: Path) ->
     kept, whole = (next(each.extras_of("000009").depth.depths(0, 1)) for each in (last, capture))
     assert (kept == whole).all()
     assert (last.frame("000010", 0) == capture.frame("000010", 0)).all()
-    with pytest.raises(TrainingError, match="12 frames of layout rgbd, 0 after the gap"):
+    with refused(TrainingError, "12 frames", "rgbd", "0 after"):
         held_back_halves(capture, span=6)
 
 
@@ -343,5 +344,5 @@ def test_what_the_camera_comes_back_to_is_not_held_back(tmp_path: Path) -> None:
     kept = held_back_halves(capture, 3, most_overlap=middle)[1]
     assert list(kept.camera_names) == [name for name, share in shares.items() if share <= middle]
     assert len(kept.cameras) < 3
-    with pytest.raises(TrainingError, match="3 after the gap, 0 of them new"):
+    with refused(TrainingError, "3 after", "0 of them new"):
         held_back_halves(capture, 3, most_overlap=0.1)

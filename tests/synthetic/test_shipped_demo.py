@@ -15,6 +15,7 @@ from ggvs_eval.synthetic.demo import DESCRIPTION, SHIPPED, write_demo
 from ggvs_eval.synthetic.film.film import Footage, light_instant, stored_instant
 from ggvs_eval.synthetic.film.shots import rig_and_path_shots
 from ggvs_eval.synthetic.layouts.dynerf import files
+from helpers.refusals import refused
 
 # Of 255 levels: what x264 at crf 12 does to the noisiest picture.
 CODED = 3.0
@@ -43,7 +44,7 @@ def test_what_is_lost_is_said(demo, tmp_path):
     damaged = write_demo(tmp_path / "demo", SHIPPED)
     (damaged / "cam05.mp4").unlink()
 
-    with pytest.raises(CaptureError, match=r"this demo has lost cam05\.mp4"):
+    with refused(CaptureError, "cam05.mp4"):
         write_demo(damaged, SHIPPED)
 
 

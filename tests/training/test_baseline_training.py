@@ -25,6 +25,7 @@ from ggvs_eval.training.instant_samples import read_instant
 from ggvs_eval.training.loop import train
 from ggvs_eval.training.options import TrainingOptions
 from helpers.filled_pools import fill
+from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
 pytestmark = pytest.mark.slow
@@ -49,18 +50,18 @@ def alone():
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
+def plane_capture(tmp_path_factory):
     """Five cameras before a slanted plane."""
     return write_capture(tmp_path_factory.mktemp("plane"), n_frames=1).resized(WIDTH, HEIGHT, "area")
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory, capture):
+def cache(tmp_path_factory, plane_capture):
     """Its samples, with and without depth, as those of a training room and of a validation room."""
     folder = tmp_path_factory.mktemp("samples")
     for plan in (PLAN, VALIDATION):
         for depth in (True, False):
-            fill(SamplePool(folder, InstantKind(depth), [plan]), lambda _: capture)
+            fill(SamplePool(folder, InstantKind(depth), [plan]), lambda _: plane_capture)
     return folder
 
 
@@ -71,15 +72,15 @@ def small_task(what, cache):
     return BaselineTask(*samples, baseline, replace(baseline.make_recipe(), crop_width=64, crop_height=48))
 
 
-def test_samples_are_those_of_the_blending_network_and_read_back(cache, capture):
+def test_samples_are_those_of_the_blending_network_and_read_back(cache, plane_capture):
     """Target, sources and depth are what the blending network's samples are made of; without depth, only pictures are there."""
-    maker = SampleMaker(capture, sample_options())
-    target, sources = choose_views(capture, PLAN, 1000, 1)
+    maker = SampleMaker(plane_capture, sample_options())
+    target, sources = choose_views(plane_capture, PLAN, 1000, 1)
     made = maker.instant(target, sources)
     read = SamplePool(cache, InstantKind(), [PLAN]).read(1)
     assert [view.camera.name for view in read.instant.sources] == [source.name for source in sources]
     np.testing.assert_array_equal(read.instant.target.world_to_camera, target.world_to_camera)
-    np.testing.assert_array_equal(read.truth, capture.frame(target.name, 0))
+    np.testing.assert_array_equal(read.truth, plane_capture.frame(target.name, 0))
     for view, expected in zip(read.instant.sources, made.sources, strict=True):
         np.testing.assert_array_equal(view.image, expected.image)
         np.testing.assert_array_equal(view.depth > 0, expected.depth > 0)
@@ -100,13 +101,13 @@ def test_a_damaged_sample_is_refused(tmp_path):
     """Absent or cut off: one line that names the file and says what to do."""
     (tmp_path / "cut.npz").write_bytes(b"PK\x03\x04 no archive")
     for name in ("cut", "nowhere"):
-        with pytest.raises(TrainingError, match=rf"{name}\.npz: wanted a training sample, got none .*prepare again"):
+        with refused(TrainingError, f"{name}.npz", "got none", "prepare again"):
             read_instant(tmp_path / f"{name}.npz")
 
 
 def test_rooms_of_tests_are_never_learned_from(tmp_path):
     """Seeds that are neither training nor validation rooms are refused."""
-    with pytest.raises(TrainingError, match="wanted seeds from 1000 on for training"):
+    with refused(TrainingError, "seeds", "1000"):
         RoomPlan(first_room=0, rooms=3)
 
 
@@ -227,7 +228,7 @@ def test_a_window_that_no_depth_reaches_teaches_nothing(what, cache):
     loss.backward()
     assert any(parameter.grad is not None and parameter.grad.any() for parameter in network.parameters())
     if what == "gps-gaussian":  # FWD's network fills what its points do not reach
-        with pytest.raises(TrainingError, match="got none that it can render: no source has depth of what they show"):
+        with refused(TrainingError, "got none", "depth"):
             replace(task, training=Blind(cache, kind, [PLAN])).loss(network, ONE_CROP)
 
 
@@ -247,15 +248,15 @@ def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
     assert "without 1 of them, as the method cannot render such views: GPS-Gaussian needs" in with_walks.evaluated_on
     assert "without" not in task.evaluated_on
     alone = replace(task, training=walked[0], validation=walked[1])
-    with pytest.raises(TrainingError, match=r"wanted views to learn from, got none that it can render: .* no stereo pair"):
+    with refused(TrainingError, "views to learn from", "got none", "no stereo pair"):
         alone.loss(network, ONE_CROP)
-    with pytest.raises(TrainingError, match="wanted views to validate by, got none that it can render"):
+    with refused(TrainingError, "views to validate by", "got none"):
         alone.validate(network)
 
 
 def test_a_configuration_that_is_not_taught_is_refused(cache):
     """The full GPS-Gaussian finds depth itself, which nothing here would teach it."""
-    with pytest.raises(TrainingError, match="stereo network, which is not taught here"):
+    with refused(TrainingError, "stereo network"):
         baseline_task("gps-gaussian", cache, DataOptions(rooms=1), "full")
 
 
@@ -269,5 +270,5 @@ def test_retrained_methods_are_labelled(tmp_path, monkeypatch):
         assert "retrained" not in with_own.title
         assert with_own.weights == (tmp_path / "authors.pth",)
     monkeypatch.setattr(baselines, "shipped", lambda name: tmp_path / name)
-    with pytest.raises(WeightsError, match=r"FWD: its weights do not ship; wanted .* --weights fwd=FILE"):
+    with refused(WeightsError, "FWD", "--weights fwd=FILE"):
         METHODS["fwd"].make()

@@ -24,6 +24,7 @@ from ggvs_eval.training.card import write_card
 from ggvs_eval.training.loop import train
 from ggvs_eval.training.options import TrainingOptions
 from helpers.filled_pools import fill
+from helpers.refusals import refused
 from helpers.stereo_scenes import HEIGHT, WIDTH, plane_depth, write_capture
 
 pytestmark = pytest.mark.slow
@@ -42,17 +43,17 @@ def alone():
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
+def plane_capture(tmp_path_factory):
     """Five cameras before a slanted plane."""
     return write_capture(tmp_path_factory.mktemp("plane"), n_frames=1)
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory, capture):
+def cache(tmp_path_factory, plane_capture):
     """Its samples, as those of a training room and of a validation room."""
     folder = tmp_path_factory.mktemp("samples")
     for plan in (PLAN, VALIDATION):
-        fill(SamplePool(folder, BlendKind(), [plan]), lambda _: capture)
+        fill(SamplePool(folder, BlendKind(), [plan]), lambda _: plane_capture)
     return folder
 
 
@@ -113,10 +114,10 @@ def test_the_loss_weighs_its_terms(tsdf_guidance, perceptual):
     assert terms["l1_loss"] == pytest.approx(float((image - batch["truth"]).abs().mean()), rel=1e-5)
 
 
-def test_a_sample_is_what_the_method_would_see(capture):
+def test_a_sample_is_what_the_method_would_see(plane_capture):
     """Depth from stereo without the target, fused to the plane; sources nearest first; the target's own picture as truth."""
-    target, sources = capture.camera("cam00"), [capture.camera(name) for name in ("cam01", "cam03")]
-    sample = BlendKind().make(SampleMaker(capture, depth_options()), target, sources)
+    target, sources = plane_capture.camera("cam00"), [plane_capture.camera(name) for name in ("cam01", "cam03")]
+    sample = BlendKind().make(SampleMaker(plane_capture, depth_options()), target, sources)
     exact = plane_depth(target)
     known = sample.views.fused_depth > 0
     error = np.abs(sample.views.fused_depth - exact)[known]
@@ -124,7 +125,7 @@ def test_a_sample_is_what_the_method_would_see(capture):
     assert np.median(error / exact[known]) < 0.01
     assert error.max() > 0  # from a matcher, not exact
     assert {camera.name for camera in sample.views.sources} == {"cam01", "cam03"}
-    np.testing.assert_array_equal(sample.truth, capture.frame("cam00", 0))
+    np.testing.assert_array_equal(sample.truth, plane_capture.frame("cam00", 0))
 
 
 def depth_options():
@@ -134,11 +135,11 @@ def depth_options():
     return DepthRunOptions(PLAN.matcher).options()
 
 
-def test_a_stored_sample_reads_back(capture, cache):
+def test_a_stored_sample_reads_back(plane_capture, cache):
     """Cameras and fused depth exactly, colours and coverage to 8 bit, splatted depth to half precision."""
-    target, sources = choose_views(capture, PLAN, PLAN.first_room, 1)
+    target, sources = choose_views(plane_capture, PLAN, PLAN.first_room, 1)
     made, read = (
-        BlendKind().make(SampleMaker(capture, depth_options()), target, sources),
+        BlendKind().make(SampleMaker(plane_capture, depth_options()), target, sources),
         SamplePool(cache, BlendKind(), [PLAN]).read(1),
     )
     for name in ("splats", "warps", "alphas", "visibilities"):
@@ -161,17 +162,17 @@ def test_a_damaged_sample_is_refused(cache, tmp_path):
     whole = next(cache.glob("samples-*/room1000-00.npz")).read_bytes()
     for name, content in {"cut.npz": whole[:3000], "empty.npz": b"", "text.npz": b"no archive"}.items():
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(TrainingError, match=rf"{name}: wanted a training sample, got none .*prepare again"):
+        with refused(TrainingError, f"{name}: ", "got none", "prepare again"):
             read_sample(tmp_path / name)
-    with pytest.raises(TrainingError, match=r"room1000-00\.npz: wanted a training sample"):
+    with refused(TrainingError, "room1000-00.npz"):
         SamplePool(tmp_path, BlendKind(), [PLAN]).read(0)
 
 
-def test_more_targets_change_no_sample(capture):
+def test_more_targets_change_no_sample(plane_capture):
     """Which views a sample shows depends on room and number alone; every camera is a target before one is again."""
-    first = [choose_views(capture, PLAN, 1000, number) for number in range(5)]
-    assert {target.name for target, _ in first} == set(capture.camera_names)
-    again = choose_views(capture, replace(PLAN, targets=90), 1000, 3)
+    first = [choose_views(plane_capture, PLAN, 1000, number) for number in range(5)]
+    assert {target.name for target, _ in first} == set(plane_capture.camera_names)
+    again = choose_views(plane_capture, replace(PLAN, targets=90), 1000, 3)
     assert again[0] is first[3][0]
     assert [camera.name for camera in again[1]] == [camera.name for camera in first[3][1]]
     for target, sources in first:
@@ -179,10 +180,10 @@ def test_more_targets_change_no_sample(capture):
         assert len({source.name for source in sources}) == 2
 
 
-def test_one_network_sees_every_number_of_views(capture):
+def test_one_network_sees_every_number_of_views(plane_capture):
     """Some samples have other numbers of views than the usual one, as often as the plan says."""
     plan = replace(PLAN, other_views=(1, 3), other_share=0.4)
-    counts = [len(choose_views(capture, plan, 1000, number)[1]) for number in range(300)]
+    counts = [len(choose_views(plane_capture, plan, 1000, number)[1]) for number in range(300)]
     assert plan.most_views == 3
     assert set(counts) == {1, 2, 3}
     assert 0.3 < np.mean([count != 2 for count in counts]) < 0.5
@@ -191,12 +192,12 @@ def test_one_network_sees_every_number_of_views(capture):
 def test_rooms_of_tests_are_never_learned_from(tmp_path):
     """Seeds of the demo and of validation rooms are no training rooms; a validation plan has these alone."""
     for first in (0, 99, 102, 999):
-        with pytest.raises(TrainingError, match="wanted seeds from 1000 on for training"):
+        with refused(TrainingError, "seeds", "1000"):
             RoomPlan(first_room=first, rooms=3)
     assert list(domain_validation_plan(PLAIN, seeds=3).seeds) == [101, 102, 103]
     assert room_options(101, PLAN).noise_sigma_255 == 1.5
     assert room_options(1000, PLAN) != room_options(1001, replace(PLAN))
-    with pytest.raises(TrainingError, match="at least one room, target and view"):
+    with refused(TrainingError, "room, target and view"):
         replace(PLAN, targets=0)
 
 
@@ -298,9 +299,9 @@ def test_named_sizes():
 
 def test_what_does_not_fit_is_refused(task):
     """Another number of views than the samples have, and crops larger than they are, are errors before the first step."""
-    with pytest.raises(TrainingError, match="a network for 1 views cannot learn from samples of 2 views"):
+    with refused(TrainingError, "1 views", "2 views"):
         replace(task, config=BlendNetworkOptions(views=1))
-    with pytest.raises(TrainingError, match="crops of 512 x 48 do not fit samples of 200 x 150"):
+    with refused(TrainingError, "512 x 48", "200 x 150"):
         replace(task, crop_width=512)
 
 

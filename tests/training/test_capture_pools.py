@@ -18,6 +18,7 @@ from ggvs_eval.pipelines.training.samples.sample_maker import SampleMaker
 from ggvs_eval.pipelines.training.samples.samples import SamplePool, make_samples
 from helpers.filled_pools import fill
 from helpers.places import SHARED
+from helpers.refusals import refused
 from helpers.stereo_scenes import HEIGHT, WIDTH, look_from, plane_depth, see_plane, write_capture
 
 pytestmark = pytest.mark.slow
@@ -201,7 +202,7 @@ def test_a_rig_s_samples_take_turns_at_its_instants(rig, tmp_path):
             np.testing.assert_array_equal(sample.truth, capture.frame(sample.views.target.name, frame))
             assert sample.views.target.name not in [source.name for source in sample.views.sources]
             assert len(sample.views.sources) == 2
-    with pytest.raises(TrainingError, match="wanted a training sample, got none"):
+    with refused(TrainingError, "got none"):
         samples.read(3)
 
 
@@ -236,13 +237,13 @@ def test_each_capture_once(sequence, rig):
     assert len(capture_sources([rig], RIG_PLAN)) == 1
 
 
-@pytest.mark.parametrize(("seed", "refused"), [(0, True), (7, True), (101, False), (1000, False)])
-def test_the_demo_capture_is_never_learned_from(rig, tmp_path, seed, refused):
+@pytest.mark.parametrize(("seed", "is_test"), [(0, True), (7, True), (101, False), (1000, False)])
+def test_the_demo_capture_is_never_learned_from(rig, tmp_path, seed, is_test):
     """A procedural capture whose note gives the seed of a test room is refused; training and validation rooms are not."""
     noted = replace(rig, path=tmp_path)
     (tmp_path / "demo.json").write_text(json.dumps({"options": {"seed": seed}}))
-    if refused:
-        with pytest.raises(TrainingError, match=f"demo capture of seed {seed} is for tests"):
+    if is_test:
+        with refused(TrainingError, f"seed {seed}", "tests"):
             CaptureSource(noted, RIG_PLAN)
     else:
         assert CaptureSource(noted, RIG_PLAN).count == 5
@@ -251,7 +252,7 @@ def test_the_demo_capture_is_never_learned_from(rig, tmp_path, seed, refused):
 def test_a_demo_capture_without_a_seed_is_refused(rig, tmp_path):
     """A damaged note could hide the test capture."""
     (tmp_path / "demo.json").write_text("{}")
-    with pytest.raises(TrainingError, match="wanted the seed of a demo capture"):
+    with refused(TrainingError, "seed"):
         CaptureSource(replace(rig, path=tmp_path), RIG_PLAN)
 
 

@@ -9,6 +9,7 @@ from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.image.lpips import lpips
 from ggvs_eval.metrics.image.lpips_network import _torch_weights
 from ggvs_eval.pipelines.training.blend.perceptual_loss import NOISE_255, noise_255, perceptual_loss, require_perceptual
+from helpers.refusals import refused
 
 needs_weights = pytest.mark.skipif(not weights_path("alex").is_file(), reason="the weights of LPIPS are not fetched")
 
@@ -72,5 +73,5 @@ def test_noise_is_measured(sigma):
 
 def test_crops_too_small_are_refused():
     """AlexNet's last layer has no pixel below 31: said before anything is rendered."""
-    with pytest.raises(TrainingError, match="at least 31 pixels a side, got 64 x 24"):
+    with refused(TrainingError, "31 pixels", "64 x 24"):
         require_perceptual(64, 24)

@@ -31,6 +31,7 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from ggvs_eval.synthetic.film.depth import DepthWriter, depth_path
 from ggvs_eval.synthetic.film.options import DemoOptions
+from helpers.refusals import refused
 from helpers.stereo_scenes import PLANE, look_from, plane_depth, random_texture, see_plane, write_capture
 
 pytestmark = pytest.mark.slow
@@ -101,7 +102,7 @@ def test_filling_keeps_what_was_found():
 
 def test_maps_of_two_sizes_are_refused():
     """Two sizes, and a truth that knows nothing, are errors that say what came."""
-    with pytest.raises(DepthError, match=r"got \(40, 60\) against \(4, 4\)"):
+    with refused(DepthError, "(40, 60)", "(4, 4)"):
         score_disparity(full(1), full(1, (4, 4)))
     with pytest.raises(DepthError, match="with 0 known pixels"):
         score_disparity(full(1), full(0))
@@ -145,10 +146,10 @@ def test_damaged_pair_is_refused(tmp_path):
         read_motorcycle(tmp_path)
     write_pair(tmp_path)
     np.savez(tmp_path / "motorcycle_disp.npz", full(3, (7, 7)))
-    with pytest.raises(DepthError, match=r"motorcycle_disp\.npz: wanted images and disparity of one size.*\(7, 7\)"):
+    with refused(DepthError, "motorcycle_disp.npz", "(7, 7)"):
         read_motorcycle(tmp_path)
     (tmp_path / "motorcycle_disp.npz").write_bytes(b"PK\x03\x04 cut")
-    with pytest.raises(DepthError, match=r"motorcycle_disp\.npz: wanted the measured disparity"):
+    with refused(DepthError, "motorcycle_disp.npz", "disparity"):
         read_motorcycle(tmp_path)
 
 
@@ -298,7 +299,7 @@ def test_regions_divide_the_known_pixels():
 
 def test_regions_want_one_size():
     """An image of another size than the depth is refused."""
-    with pytest.raises(DepthError, match=r"wanted an RGB image of \(40, 60\).*got \(3, 3, 3\)"):
+    with refused(DepthError, "RGB", "(40, 60)", "(3, 3, 3)"):
         find_regions(full(1), np.zeros((3, 3, 3), np.uint8), RegionOptions())
 
 
@@ -389,10 +390,10 @@ def test_points_are_read_at_the_size_of_the_capture(planes):
 
 def test_models_without_use_are_refused(planes):
     """No model, a distorting camera and a damaged file each raise CaptureError that says what to do."""
-    with pytest.raises(CaptureError, match="wanted a COLMAP model with points, found none; calibrate"):
+    with refused(CaptureError, "COLMAP", "points", "calibrate"):
         read_sparse_points(planes)
     write_model(planes.path / "sparse" / "0", planes, model="OPENCV")
-    with pytest.raises(CaptureError, match=r"wanted pinhole cameras, got OPENCV.*image_undistorter"):
+    with refused(CaptureError, "pinhole", "OPENCV", "image_undistorter"):
         read_sparse_points(planes)
     (planes.path / "sparse" / "0" / "points3D.txt").unlink()
     with pytest.raises(CaptureError, match="its points cannot be read"):
@@ -444,9 +445,9 @@ def test_static_is_what_changes_in_neither_colour_nor_depth():
 
 def test_spread_without_pixels_is_refused():
     """One instant, another size, and no static pixel are errors."""
-    with pytest.raises(DepthError, match=r"wanted two or more maps of \(8, 8\), got \(1, 8, 8\)"):
+    with refused(DepthError, "(8, 8)", "(1, 8, 8)"):
         temporal_spread(full(1, (1, 8, 8)), np.ones((8, 8), bool))
-    with pytest.raises(DepthError, match="wanted static pixels with depth at all instants, got none"):
+    with refused(DepthError, "static pixels", "got none"):
         temporal_spread(full(1, (3, 8, 8)), np.zeros((8, 8), bool))
 
 
@@ -490,7 +491,7 @@ def test_what_is_absent_is_named(tmp_path, capsys):
 
 def test_unknown_names_are_refused(tmp_path):
     """An unknown part, an unknown matcher and no matcher are errors that name what there is."""
-    with pytest.raises(DepthError, match="parts of motorcycle, sparse, rendering, rooms, temporal, reuse, got parts room;"):
+    with refused(DepthError, "motorcycle, sparse, rendering, rooms, temporal, reuse", "parts room"):
         validate_depth(tmp_path, tmp_path, ["sgbm"], ["room"])
     with pytest.raises(DepthError, match="got no matcher"):
         validate_depth(tmp_path, tmp_path, [])

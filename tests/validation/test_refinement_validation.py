@@ -15,7 +15,7 @@ refinement = pytest.importorskip("benchmarks.refinement_validation", reason="ben
 
 
 @pytest.fixture
-def capture(tmp_path: Path) -> Capture:
+def row_of_four(tmp_path: Path) -> Capture:
     """Four cameras in a row."""
     return open_capture(write_dynerf(tmp_path / "rig"))
 
@@ -25,21 +25,21 @@ def calibration(cameras: list[Camera]) -> Calibration:
     return Calibration(Path(), {camera.name: camera for camera in cameras}, {}, 0.0, 0, {})
 
 
-def test_knocked_cameras_contradict_each_other(capture: Capture) -> None:
+def test_knocked_cameras_contradict_each_other(row_of_four: Capture) -> None:
     """Exact cameras agree with exact matches; those that somebody leaned on do not, by pixels and not by their whole width."""
-    rough = refinement.knocked(capture.cameras, seed=1)
-    assert refinement.contradiction_px(capture, calibration(list(capture.cameras))) < 1e-6
-    assert 0.3 < refinement.contradiction_px(capture, calibration(rough)) < 5
-    for one, other in zip(rough, capture.cameras, strict=True):
+    rough = refinement.knocked(row_of_four.cameras, seed=1)
+    assert refinement.contradiction_px(row_of_four, calibration(list(row_of_four.cameras))) < 1e-6
+    assert 0.3 < refinement.contradiction_px(row_of_four, calibration(rough)) < 5
+    for one, other in zip(rough, row_of_four.cameras, strict=True):
         assert np.degrees(np.abs(one.rotation - other.rotation).max()) < 5 * refinement.TURN_DEG
         assert one.K[0, 0] == pytest.approx(other.K[0, 0], rel=5 * refinement.ZOOM)
 
 
-def test_a_rig_is_written_with_the_cameras_that_are_asked_for(capture: Capture, tmp_path: Path) -> None:
+def test_a_rig_is_written_with_the_cameras_that_are_asked_for(row_of_four: Capture, tmp_path: Path) -> None:
     """The written capture has the frames of one and the cameras of the other."""
-    rough = refinement.knocked(capture.cameras, seed=2)
-    written = open_capture(refinement.write_rig(tmp_path / "rough", capture, rough))
+    rough = refinement.knocked(row_of_four.cameras, seed=2)
+    written = open_capture(refinement.write_rig(tmp_path / "rough", row_of_four, rough))
     for camera in rough:
         np.testing.assert_allclose(written.camera(camera.name).K, camera.K, atol=1e-9)
         np.testing.assert_allclose(written.camera(camera.name).world_to_camera, camera.world_to_camera, atol=1e-9)
-        np.testing.assert_array_equal(written.frame(camera.name, 0), capture.frame(camera.name, 0))
+        np.testing.assert_array_equal(written.frame(camera.name, 0), row_of_four.frame(camera.name, 0))

@@ -65,11 +65,7 @@ def depth_path(folder: Path, camera: str) -> Path:
 
 
 def read_exact_depth(folder: Path, camera: str, frame: int) -> Array32:
-    """Exact depth of one video frame of a demo, world units, (H, W).
-
-    Raises:
-        CaptureError: the demo keeps no depth, or not of this frame.
-    """
+    """Exact depth of one video frame of a demo, world units, (H, W)."""
     import h5py
 
     path = depth_path(folder, camera)
@@ -107,7 +103,6 @@ def measured(options: DemoOptions, depth: Array32, number: int) -> Array32:
 
     Args:
         depth: exact, (H, W).
-        number: of the frame; chooses the noise.
     """
     if not options.depth_noise:
         return depth

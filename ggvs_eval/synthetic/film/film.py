@@ -74,7 +74,7 @@ class Footage:
                 yield frame
 
     def empty_room(self) -> Frame:
-        """The room without what moves."""
+        """The room without its moving things."""
         picture = self._view.render(lit_room(self.options.seed, self.options.scene).empty())
         return Frame(self._expose(picture, self._noise(BACKGROUND_NOISE)), picture.foreground, picture.depth)
 

@@ -109,7 +109,7 @@ class DemoOptions:
     noise_seed: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be rendered."""
+        """Refuse options that cannot be rendered."""
         for kind, names in (("layout", LayoutName), ("rig", RigName), ("scene", SceneName)):
             if getattr(self, kind) not in get_args(names):
                 raise CaptureError(f"demo: wanted a {kind} of {', '.join(get_args(names))}, got {getattr(self, kind)!r}")

@@ -29,7 +29,6 @@ class PixelGrid:
 
     Args:
         camera: its K holds for the distorted picture and for the undistorted one alike.
-        lens: distortion coefficients.
 
     Attributes:
         camera: as given.
@@ -119,10 +118,7 @@ class View:
     """A camera before the static part of a room, at which it looks only once.
 
     Args:
-        static: what never moves.
-        camera: where to look from.
         supersampling: rays per pixel along each side.
-        lens: distortion of the image.
     """
 
     def __init__(self, static: Geometry, camera: Camera, supersampling: int = 2, lens: Coefficients = ()) -> None:
@@ -140,7 +136,7 @@ class View:
         self._radiance = np.zeros_like(self._fine.rays)
 
     def render(self, instant: Instant) -> Picture:
-        """Render what the camera sees of the same room at an instant."""
+        """Render the camera's view of the same room at an instant."""
         linear, covered = self.light(instant)
         return Picture(expose(linear), covered, self.depth(instant))
 

@@ -44,10 +44,8 @@ def rig(
     Args:
         seed: moves and turns every camera a little, as mounting by hand does.
         width: pixels.
-        height: pixels.
         cameras_per_row: n, at least 2.
         near: depth range to note, world units.
-        far: as near.
         outermost_yaw_rad: how far the outermost camera is turned towards the middle.
         spacing: factor on the distances between cameras, in rows and between them; the circle they stand on stays.
     """
@@ -70,10 +68,7 @@ def arc_rig(seed: int, width: int, height: int, count: int, near: float = 1.0, f
     Args:
         seed: as of `rig`.
         width: pixels.
-        height: pixels.
-        count: of cameras.
         near: depth range to note, world units.
-        far: as near.
     """
     rng, radius = np.random.default_rng([seed, 8]), AIM_M[1] * UNITS_PER_METRE
     along = np.cumsum(rng.uniform(0.92, 1.12, count))
@@ -108,9 +103,7 @@ def sideways_path(camera: Camera, length: float, count: int) -> list[Camera]:
     """Cameras of one orientation on a straight line through `camera` along its image rows, from left to right.
 
     Args:
-        camera: the middle of the path.
         length: of the whole path, world units.
-        count: number of positions.
     """
     path = []
     for index, shift in enumerate(np.linspace(-length / 2, length / 2, count)):
@@ -172,13 +165,9 @@ def hand_held_poses(
     """Poses along a smooth walk at up to 0.7 m/s between the two rows of the rig, called ``0``, ``1``, ...
 
     Args:
-        seed: chooses where the walk begins.
         width: pixels.
-        height: pixels.
-        count: number of poses.
         fps: poses per second.
         near: depth range to note, world units.
-        far: as near.
         later_s: every pose is that of so many seconds later.
         sway: factor on how far the camera looks about.
         spacing: factor on how far it is carried.

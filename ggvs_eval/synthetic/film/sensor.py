@@ -48,7 +48,6 @@ def mosaic_and_back(linear: Array32, strength: float, noise: np.random.Generator
     Args:
         linear: in [0, 1].
         strength: of the shot and reading noise, 1 for a telephone indoors.
-        noise: source of it.
 
     Reading:
         Shot noise is normal with the variance of the electrons, which differs from Poisson's law by less than a level above
@@ -125,7 +124,7 @@ def to_linear(image: Array32) -> Array32:
 
 
 def to_srgb(linear: Array32) -> Array32:
-    """SRGB of linear light, any shape; what is below black or above white is cut off."""
+    """SRGB of linear light, any shape, clipped to black and white."""
     linear = np.clip(linear, 0, 1)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * power(linear, 1 / 2.4) - 0.055).astype(np.float32)
 
@@ -137,7 +136,6 @@ class Sensor:
     Attributes:
         gain: factor on the sRGB values, (3,).
         noise_sigma_255: standard deviation of the noise of every pixel and frame, of 255 levels.
-        seed: of the noise.
         defocus_px: radius of the disc of a point out of focus, pixels.
         processing: how strongly the camera makes its own picture, see `DemoOptions`.
         jpeg_quality: of its own pictures, 0 for none.

@@ -31,7 +31,6 @@ class Shot:
         noted: the camera as it is written down, wrong where the options want it to be.
         instants: the instant that each frame shows, in frames from time 0.
         sensor: what films; None gives the pictures without gain and noise.
-        lens: distortion of the images.
         poses: where the camera is while it exposes a picture, evenly spaced in time; empty where it stands still.
         depth_pose: where the sensor of depth of a hand-held camera is when it measures; None where it has none.
     """
@@ -125,11 +124,6 @@ def rig_and_path_shots(options: DemoOptions) -> list[Shot]:
 
 def noted_camera(options: DemoOptions, camera: Camera, name: str, number: int) -> Camera:
     """The camera as the calibration says, with the errors that the options want.
-
-    Args:
-        camera: the true one.
-        name: of the camera in the options.
-        number: of the camera or pose; chooses its random rotation.
 
     Reading:
         A rotation about the camera's own centre by a vector whose three components are normal with a standard deviation of

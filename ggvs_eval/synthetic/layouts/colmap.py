@@ -42,9 +42,6 @@ def sightings(points: Array, camera: Camera, instant: Instant, image: Image8) ->
 
     Args:
         points: world units, (P, 3).
-        camera: the true one.
-        instant: the room.
-        image: of the camera at that instant.
     """
     uv, depth = camera.project(points)
     inside = (depth > 0) & (uv >= 0).all(axis=1) & (uv < camera.size).all(axis=1)

@@ -30,10 +30,6 @@ class Figure:
     """A person standing at a place of the room, facing -y.
 
     Attributes:
-        skin: face and hands.
-        hair: head and eyebrows.
-        shirt: trunk and sleeves.
-        trousers: legs.
         place: x and y of the feet, metres.
         side: +1 waves with the arm towards +x, -1 with the other.
         phase_rad: where in the gesture the clip begins.

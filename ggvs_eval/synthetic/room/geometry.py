@@ -42,7 +42,6 @@ class Geometry:
         faces: (F, 3).
         material: index of the material of each face, (F,).
         materials: what the index points to.
-        first_vertex: where each surface begins.
     """
 
     def __init__(self, surfaces: Sequence[Surface]) -> None:

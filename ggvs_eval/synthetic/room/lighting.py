@@ -1,4 +1,4 @@
-"""Light on every vertex: soft shadows and several bounces, baked once for what stands still, updated where something moves."""
+"""Light on every vertex: soft shadows and several bounces, baked once for static surfaces, updated where something moves."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,7 +32,6 @@ class Instant:
     """The room at one time, lit.
 
     Attributes:
-        static: what never moves.
         moving: what does; None where all of it is taken away.
         static_light: irradiance of the static vertices, RGB, (V, 3).
         moving_light: irradiance of the moving vertices, RGB, (V', 3).
@@ -47,7 +46,7 @@ class Instant:
 
 
 class _Baked(NamedTuple):
-    """Light of what stands still.
+    """Light of the static surfaces.
 
     Attributes:
         transfer: share of each sample point's power that reaches each vertex, (V, S).
@@ -92,7 +91,7 @@ class LitRoom:
 
     @cached_property
     def _baked(self) -> _Baked:
-        """Computed when it is first asked for: whoever only recalls instants needs none of it."""
+        """Light baked into what stands still; made on first use, as recalling instants needs none of it."""
         return _Baked(*self._bake())
 
     @cached_property
@@ -101,7 +100,7 @@ class LitRoom:
         return _sum_over_points(self._baked.transfer, self._power(0.0)) + self._baked.ambient
 
     def _bake(self) -> tuple[Array32, Array32, Array32]:
-        """Light what stands still; what `_Baked` has."""
+        """Compute the light of the static surfaces."""
         transfer = self._direct_transfer(self.static, self.static)
         faces = self._seen_faces(self.static, self.static.vertices, self.static.normals)  # (V, A)
         return transfer, *self._bounce(_sum_over_points(transfer, self._power(0.0)), faces)

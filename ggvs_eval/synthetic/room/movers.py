@@ -16,7 +16,6 @@ def rolling_ball(rng: np.random.Generator, start: tuple[float, float, float], sp
     """A striped ball that rolls along x on a level surface.
 
     Args:
-        rng: chooses the colours.
         start: where it touches the surface at time 0, metres.
         speed: metres per second along +x.
         radius: metres.

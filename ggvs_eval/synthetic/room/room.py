@@ -42,8 +42,6 @@ class Room:
     """Everything there is to see.
 
     Attributes:
-        static: surfaces that never move.
-        lights: sources of light.
         movers: what moves; each gives its surfaces at an instant.
     """
 

@@ -43,8 +43,6 @@ def read_finish(geometry: Geometry, hits: Hits, metres_per_pixel: float) -> Fini
     """Look the materials up.
 
     Args:
-        geometry: what was hit.
-        hits: where.
         metres_per_pixel: size of a pixel at distance 1, metres; textures are prefiltered to it.
     """
     kind = geometry.material[hits.face]
@@ -64,7 +62,6 @@ def sample_texture(material: Material, uv: Array32, footprint_m: float) -> Array
     """Linear albedo at texture coordinates, bilinear, (N, 3).
 
     Args:
-        material: whose texture repeats.
         uv: metres, (N, 2).
         footprint_m: the texture is first reduced so that its texels are about this large.
     """
@@ -99,11 +96,7 @@ def radiance(
     """Light towards the eye, linear RGB, (N, 3).
 
     Args:
-        geometry: what was hit.
-        hits: where.
-        finish: material there.
         light: irradiance of the geometry's vertices, (V, 3).
-        highlights: lights that are mirrored.
         rays: directions of the rays that hit, (N, 3).
     """
     irradiance = geometry.at_hits(light, hits)
@@ -117,7 +110,7 @@ def radiance(
 def _mirrored(
     geometry: Geometry, hits: Hits, finish: Finish, irradiance: Array32, highlights: list[Highlight], rays: Array32
 ) -> Array32:
-    """Highlights after Blinn and Phong, (N, 3); the diffuse light stands in for their shadows."""
+    """Highlights after Blinn and Phong, (N, 3); the diffuse light takes the place of their shadows."""
     normals = unit(geometry.at_hits(geometry.normals, hits))
     points = geometry.at_hits(geometry.vertices, hits)
     view, total = -unit(rays), np.zeros_like(points)

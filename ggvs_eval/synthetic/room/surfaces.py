@@ -26,7 +26,6 @@ class Material:
         texture: albedo, sRGB uint8 (h, w, 3).
         tile_m: width and height that one copy of the texture covers, metres; it repeats beyond.
         specular: strength of the highlight, 0 for none.
-        shininess: exponent of the highlight.
         emission: light sent out by itself, as a multiple of the texture.
     """
 
@@ -46,7 +45,6 @@ class Surface:
         normals: smooth, (V, 3).
         faces: indices of the vertices of each triangle, (F, 3).
         uv: texture coordinates of the vertices, metres, (V, 2).
-        material: how it answers light.
     """
 
     vertices: Array
@@ -88,7 +86,6 @@ def sheet(points: Array, uv: Array, material: Material, closed: bool = False) ->
     Args:
         points: (n, m, 3); the outside lies on the side of (along columns) x (along rows).
         uv: (n, m, 2), metres.
-        material: how it answers light.
         closed: the last column repeats the first one, with another texture coordinate.
     """
     along = np.gradient(points, axis=1)
@@ -107,8 +104,6 @@ def blades(points: Array, uv: Array, material: Material, thickness_m: float = 0.
     Args:
         points: (N, n, m, 3).
         uv: of all sheets, (n, m, 2), metres.
-        material: how it answers light.
-        thickness_m: distance of a sheet's two sides.
     """
     normals = unit(np.cross(np.gradient(points, axis=2), np.gradient(points, axis=1)))
     both = np.stack([points, points - thickness_m * normals]).reshape(-1, 3)
@@ -150,8 +145,6 @@ def turned(profile: Profile, material: Material, sides: int = 24) -> Surface:
 
     Args:
         profile: (n, 2) radius and height in metres, from the bottom upwards; radii of 0 close the body.
-        material: how it answers light.
-        sides: number of facets around.
     """
     profile = np.asarray(profile, np.float64)
     radius, height = np.maximum(profile[:, 0], 1e-5)[:, None], profile[:, 1][:, None]

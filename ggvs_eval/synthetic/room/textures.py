@@ -1,4 +1,4 @@
-"""Procedural albedo: what walls, boards, cloth and labels look like, each from a seeded generator.
+"""Procedural albedo of walls, boards, cloth and labels, each from a seeded generator.
 
 Every function returns an sRGB image, uint8 (H, W, 3), at `TEXELS_PER_METRE`; the first image axis points down.
 """
@@ -28,10 +28,8 @@ def fractal_noise(rng: np.random.Generator, shape: tuple[int, int], cell: Size, 
     """Smooth noise of mean 0 and standard deviation near 1.
 
     Args:
-        rng: source of randomness.
         shape: (H, W).
         cell: size of the largest features along rows and columns, pixels.
-        octaves: each halves the features and their strength.
     """
     total = np.zeros(shape, np.float32)
     for octave in range(octaves):
@@ -132,9 +130,7 @@ def bands(rng: np.random.Generator, size_m: Size, colours: list[Colour], edges: 
     """Horizontal bands from bottom to top, as on a labelled bottle or a book's back.
 
     Args:
-        rng: source of the print on every band.
         size_m: width and height, metres.
-        colours: one per band, bottom first.
         edges: upper edge of every band but the last, as fractions of the height.
     """
     shape = _shape(size_m)

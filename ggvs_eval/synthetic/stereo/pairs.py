@@ -1,4 +1,4 @@
-"""Rectified pairs with exact disparity, taken of the procedural room and garden: what stereo networks learn from."""
+"""Rectified pairs with exact disparity, of the procedural room and garden, for stereo networks to learn from."""
 
 from copy import copy
 from dataclasses import dataclass, replace
@@ -49,7 +49,6 @@ class StereoRig:
     Attributes:
         eye: of the left camera, room frame, metres, (3,).
         axes: rows are right, down and forward of both cameras, room frame, (3, 3).
-        focal_px: focal length.
         centre: principal point, x and y, pixels.
         baseline_m: from the left eye to the right one, along the first axis.
         size: width and height, pixels.
@@ -97,9 +96,6 @@ def stereo_sample(seed: int, width: int, height: int, sensor: bool = True) -> St
         width: of the pictures, pixels, at least 64.
         height: of the pictures, pixels, at least 48.
         sensor: whether two different cameras take the pictures, their rows not quite agreeing; without, they are only rounded.
-
-    Raises:
-        DepthError: the size is too small or the seed negative.
     """
     if width < 64 or height < 48 or seed < 0:
         raise DepthError(f"a stereo sample needs at least 64 x 48 pixels and a seed >= 0, not {width} x {height}, seed {seed}")

@@ -84,7 +84,6 @@ _PATTERNS: tuple[Callable[[np.random.Generator], textures.Image8], ...] = (
 
 
 def _strewn(rng: np.random.Generator) -> list[Surface]:
-    """One thing of any size, anywhere, turned any way."""
     thing = _THINGS[int(rng.integers(len(_THINGS)))](rng)
     axis = rng.standard_normal(3)
     upright = rng.random() < 0.4
@@ -98,7 +97,6 @@ def _skin(rng: np.random.Generator) -> Material:
 
 
 def _wires(rng: np.random.Generator) -> list[Surface]:
-    """Bent wires through one another."""
     parts, skin = [], _skin(rng)
     for _ in range(int(rng.integers(1, 6))):
         radius = float(rng.uniform(0.002, 0.012))
@@ -108,7 +106,6 @@ def _wires(rng: np.random.Generator) -> list[Surface]:
 
 
 def _card(rng: np.random.Generator) -> list[Surface]:
-    """A thin board seen from both sides."""
     wide, high = (float(side) for side in rng.uniform(0.1, 0.5, 2))
     front = panel((-wide / 2, 0, -high / 2), (wide, 0, 0), (0, 0, high), _skin(rng))
     return [front, *moved([replace(front, material=_skin(rng))], product(rotation(np.pi, (0, 0, 1)), translation(0, -0.004, 0)))]

@@ -27,10 +27,6 @@ class PairError:
     """Epipolar error of one pair of cameras over its matches.
 
     Attributes:
-        first: index of a camera.
-        second: index of another.
-        n_matches: number of matches.
-        median_px: median epipolar error.
         percentile90_px: 90th percentile of it.
         front_share: share of the matches that lie in front of both cameras.
     """

@@ -36,9 +36,6 @@ class CameraRecord:
     """Record of one pass over the frames of a camera.
 
     Attributes:
-        name: of the camera.
-        n_read: frames that were read.
-        damage: where reading failed.
         black: frames of which every pixel is 0.
         change: how much each frame differs from the one before it where it differs most, mean of a 16th of the image's sides,
             0..255, (T,); NaN for the first and where either was not read.

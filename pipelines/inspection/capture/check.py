@@ -61,9 +61,7 @@ class CaptureCheck:
     """Everything that was found out about one capture.
 
     Attributes:
-        path: the capture.
         findings: in the order of the questions; per question the rig first, then its cameras.
-        seconds: how long the check took.
     """
 
     path: Path
@@ -99,11 +97,6 @@ def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = 
 
     Every frame is decoded once. A capture that does not open gives one bad finding, and what frames alone tell; a frame that
     cannot be read is a finding too, and the other cameras go on.
-
-    Args:
-        layout: which layout it has; found out when None.
-        units: world units per metre as for `open_capture`.
-        workers: processes that decode, one camera each.
     """
     start = time.perf_counter()
     try:
@@ -132,8 +125,6 @@ def run_check(
 
     Args:
         out_json: file to write the findings to; none when None.
-        layout: which layout it has; found out when None.
-        units: world units per metre as for `open_capture`.
 
     Returns:
         The check and its table as text.
@@ -152,9 +143,6 @@ def read_doubts(file: Path) -> dict[str, str]:
 
     Returns:
         Camera -> question and answer, for cameras with a verdict of ``warn`` or ``bad``.
-
-    Raises:
-        CaptureError: no such file, or not one of a check.
     """
     try:
         findings = [Finding(**each) for each in json.loads(file.read_text(encoding="utf-8"))["findings"]]
@@ -178,7 +166,7 @@ def record_cameras(capture: Capture, workers: int) -> list[CameraRecord]:
 
 
 def examine_frames(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:
-    """Answer what frames alone tell."""
+    """Answer the questions that need frames alone."""
     return (*frames.check_frames(capture, records), *frames.check_frozen(records), *colour.check_noise(records))
 
 
@@ -205,7 +193,7 @@ def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...
 
 
 def _examine_unopened(path: Path, message: str, workers: int) -> tuple[Finding, ...]:
-    """Report what can be said of a capture that does not open: why, and what its frames tell where there are some."""
+    """Report why a capture does not open, and findings on its frames where there are some."""
     found: tuple[Finding, ...] = (Finding(RIG, OPENS, "bad", message, {}, "mend this first"),)
     try:
         filmed = uncalibrated_capture(path, find_rig_frames(path))

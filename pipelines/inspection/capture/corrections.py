@@ -19,7 +19,6 @@ def propose_corrections(findings: Iterable[Finding], present: Mapping[str, Corre
     """Corrections of the cameras that were found to be out of step by whole frames, or brighter or darker than the rig.
 
     Args:
-        findings: of a check.
         present: corrections under which they were found; what is found is added to them.
 
     Returns:
@@ -46,14 +45,8 @@ def propose_corrections(findings: Iterable[Finding], present: Mapping[str, Corre
 def repair_capture(path: Path, findings: Iterable[Finding]) -> str:
     """Write what was found into the capture's ``corrections.toml``.
 
-    Args:
-        findings: of its check.
-
     Returns:
         The file and what it says now; empty where there was nothing to add, and the file is as it was.
-
-    Raises:
-        CaptureError: the file that is there is damaged.
     """
     file = corrections_file(path)
     present = read_corrections(file)

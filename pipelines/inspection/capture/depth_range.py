@@ -24,7 +24,6 @@ def check_depth_range(
 
     Args:
         depths: depths of triangulated matches per camera, world units, where there are any.
-        doubtful: indices of cameras whose calibration is wrong.
     """
     spacing = neighbour_spacing(cameras)
     typical = float(np.median([np.sqrt(camera.near * camera.far) for camera in cameras]))

@@ -1,4 +1,4 @@
-"""Epipolar error: which cameras' calibration contradicts what their images show, and the likely reason."""
+"""Epipolar error: cameras whose calibration contradicts their images, and the likely reason."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ class CalibrationVerdict:
     Attributes:
         findings: for the rig and each camera.
         pairs: matched pairs, with those that were added for cameras in doubt.
-        trusted: indices of cameras that agree with their neighbours; empty where they cannot be told from the others.
+        trusted: indices of cameras that agree with their neighbours; empty where they cannot be distinguished from the others.
         suspects: indices of cameras that do not.
     """
 
@@ -135,7 +135,7 @@ def _rig_finding(cameras: Sequence[Camera], errors: Sequence[PairError], suspect
 def _doubtful_rig(
     cameras: Sequence[Camera], pairs: Sequence[MatchedPair], errors: Sequence[PairError], repair: Repair | None
 ) -> CalibrationVerdict:
-    """Nobody can be trusted more than the others: too few matches anywhere, or a fault that all share."""
+    """No camera can be trusted more than the others: too few matches anywhere, or a fault that all share."""
     if not errors:
         reason = "too few matches between neighbours (far apart, dark or bare of texture)"
         unknown = [Finding(camera.name, QUESTION, "unknown", reason) for camera in cameras]

@@ -1,4 +1,4 @@
-"""Frames: how many, what cannot be read or is black, and which stand still while the others go on."""
+"""Frames: their number, those unreadable or black, and those frozen while the others go on."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 FRAMES, FROZEN = "frames", "frozen frames"
 # A repeated frame differs from its twin by the codec's rounding only; a real one by noise and motion.
 STILL_SHARE = 0.1
-# Below, the picture stands still anyway and nothing can be told.
+# Below, the picture stands still anyway and nothing can be concluded.
 LEAST_CHANGE = 1.0
 # The other cameras must show at least this share of their usual change at that instant.
 MOVING_SHARE = 0.3

@@ -10,7 +10,7 @@ from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict, graded
 QUESTION = "intrinsics"
 # Lenses centre within a few percent; a quarter means a cropped picture or another picture's calibration.
 WARN_OFF_CENTRE, BAD_OFF_CENTRE = 0.1, 0.25
-# Square pixels, up to the rounding of a resize; anamorphic lenses are known to whoever uses them.
+# Square pixels, up to the rounding of a resize; users of anamorphic lenses know of them.
 WARN_ASPECT, BAD_ASPECT = 0.01, 0.05
 NARROWEST_DEG, WIDEST_DEG = 10.0, 150.0
 # Cameras of one kind differ by 1 % in focal length; 3 % is another lens or a mistake.
@@ -21,7 +21,7 @@ def check_intrinsics(cameras: Sequence[Camera]) -> tuple[Finding, ...]:
     """Evaluate each camera's intrinsics."""
     relative = np.array([camera.focal_px / max(camera.size) for camera in cameras])
     typical = float(np.median(relative))
-    # A rig of mixed lenses has no typical one, and nobody is odd in it.
+    # A rig of mixed lenses has no typical one, so none is odd in it.
     is_uniform = float(np.median(np.abs(relative / typical - 1))) < ODD_FOCAL / 2 and len(cameras) > 2
     evaluated = [
         _evaluate(camera, float(value / typical) if is_uniform else 1.0) for camera, value in zip(cameras, relative, strict=True)

@@ -54,8 +54,6 @@ def plane_signals(one: Camera, other: Camera, energy_one: Array32, energy_other:
     """Motion energy per half-plane and frame as two cameras see it, both (PLANES, T); None where they share no plane.
 
     Args:
-        one: a camera at the size of its energy.
-        other: the same of another.
         energy_one: (T, h, w).
         energy_other: (T, h', w').
     """
@@ -93,7 +91,6 @@ def best_lag(one: Array, other: Array, largest: int) -> Lag | None:
 
     Args:
         one: signals, (P, T).
-        other: the same signals seen from elsewhere.
         largest: lags from -largest to largest are tried.
     """
     lags = np.arange(-largest, largest + 1)

@@ -19,9 +19,6 @@ def check_overlap(cameras: Sequence[Camera], sensed: Collection[str] = ()) -> tu
     """Measure the share of each picture, over the depths from near to far, that at least two of the four nearest cameras see.
 
     Where these could not show enough of it for a test view, that is said instead; it is bad where none can be one.
-
-    Args:
-        sensed: names of cameras whose depth a sensor measures.
     """
     if len(cameras) < 2:
         return (Finding(RIG, QUESTION, "unknown", "one camera alone"),)

@@ -30,7 +30,6 @@ def solve_differences(count: int, pairs: Sequence[tuple[int, int]], differences:
     """Values x with x[i] - x[j] as near to the measured differences as can be; wrong pairs are outvoted.
 
     Args:
-        count: number of cameras.
         pairs: (i, j) of each measurement.
         differences: measured x[i] - x[j], (P,).
         weights: trust in each, positive, (P,).

@@ -35,7 +35,7 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
         for index, others in enumerate(same_places(cameras))
     ]
     n_outside = int(sum(angle > half_view_rad(camera) for angle, camera in zip(away, cameras, strict=True)))
-    # Without a common region nobody looks away from it.
+    # Without a common region no camera looks away from it.
     away_known = away if n_outside <= len(cameras) / 3 else np.zeros(len(cameras))
     evaluated = [
         _evaluate(camera, float(away_known[index]), float(rolls[index]), [cameras[other].name for other in doubles[index]])

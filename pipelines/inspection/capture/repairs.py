@@ -40,13 +40,7 @@ class Repair:
 
 
 def explain_camera(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index: int, trusted: Sequence[int]) -> Repair | None:
-    """The explanation that suits one camera best, evaluated against trusted cameras; None where none does.
-
-    Args:
-        pairs: matches of any pairs.
-        index: the camera in doubt.
-        trusted: cameras to compare with.
-    """
+    """The explanation that suits one camera best, evaluated against trusted cameras; None where none does."""
     own = [pair for pair in pairs if index in (pair.first, pair.second) and pair.seen_from(index)[0] in trusted]
     own = sorted(own, key=lambda pair: -len(pair.uv_first))[:MOST_OWN_PAIRS]
     before = camera_error(cameras, own, index)

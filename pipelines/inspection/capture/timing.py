@@ -33,8 +33,7 @@ def check_timing(
     """Offsets of all cameras from the motion that neighbours see.
 
     Args:
-        records: of each camera.
-        doubtful: indices of cameras whose calibration is wrong, whose motion can be compared with nobody's.
+        doubtful: indices of cameras whose calibration is wrong, whose motion can be compared with no other's.
         fps: frames per second, to say offsets in milliseconds too.
 
     Returns:

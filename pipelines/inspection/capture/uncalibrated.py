@@ -1,4 +1,4 @@
-"""Frames that have no calibration yet: what can be said of them, and what comes next."""
+"""Frames without a calibration yet: findings on them, and the next step."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -42,11 +42,7 @@ def open_uncalibrated(path: Path) -> Capture | None:
 
 
 def uncalibrated_capture(path: Path, files: Mapping[str, CameraFrames]) -> Capture:
-    """Frames by the names of their cameras as a capture; the cameras are placeholders, see `open_uncalibrated`.
-
-    Raises:
-        CaptureError: frames that do not fit each other.
-    """
+    """Frames by the names of their cameras as a capture; the cameras are placeholders, see `open_uncalibrated`."""
     cameras = []
     for name, file in files.items():
         width, height = file.size

@@ -1,1 +1,1 @@
-"""Diagnosis of renders, whoever made them: their faults, and the conventions behind a reported number."""
+"""Diagnosis of renders from any source: their faults, and the conventions behind a reported number."""

@@ -1,4 +1,4 @@
-"""The examination of renders: each question in turn, and what it finds is mended before the next is asked."""
+"""The examination of renders: each question in turn, its finding corrected before the next."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,8 +25,8 @@ def examine(
 ) -> list[Finding]:
     """Find what went wrong between a method and the folder of its renders.
 
-    An honest rendering, blurred, ghosted, off in colour as it may be, gets no finding: a fault is told only where it explains the
-    pictures better than no fault does, by a margin, at every instant looked at.
+    An honest rendering, blurred, ghosted, off in colour as it may be, gets no finding: a fault is reported only where it explains
+    the pictures better than no fault does, by a margin, at every instant looked at.
 
     Args:
         views: name -> rendered and captured frames.
@@ -35,9 +35,6 @@ def examine(
 
     Returns:
         Findings by view, in the order of the views.
-
-    Raises:
-        CaptureError: a frame that cannot be read.
     """
     readers = dict(cameras or {}) | {name: view.truth for name, view in views.items()}
     pictures = {name: remember(read) for name, read in readers.items()}
@@ -84,7 +81,7 @@ def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
 
 
 def _examine_picture(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], count: int) -> _Examined:
-    """Examine a picture: what it shows, when, in which colours, and where."""
+    """Examine a picture: its view, instant, colours and placement."""
     findings, view = find_identity(name, view, cameras)
     placed = find_placement(name, view)
     view = placed.view

@@ -61,12 +61,11 @@ FAMILIES: Mapping[str, Callable[[Mapping[str, ViewFrames], Masks], list[Recomput
 
 @dataclass(frozen=True)
 class Convention:
-    """One way to compute a metric, and what comes of it here.
+    """One way to compute a metric, with its result.
 
     Attributes:
         name: what is done, in words.
         views: ``all views``, or the one view that alone gives the value.
-        value: the number.
         matches: whether it is the quoted one to its printed digits.
         is_ours: whether this tool's own tables print it.
     """
@@ -130,9 +129,6 @@ def metric_family(metric: str) -> str:
 def printed(quoted: str) -> tuple[float, float]:
     """A printed number, and half of its last digit; decibels, per cent and a decimal comma are read as they are meant.
 
-    Raises:
-        MetricError: not a finite number, or one that no metric has.
-
     Examples:
         >>> printed("31.52"), printed("31,52 dB"), printed("93.6 %")
         ((31.52, 0.005), (31.52, 0.005), (0.936, 0.0005))
@@ -157,10 +153,6 @@ def tolerance(quoted: str, value: float) -> float:
 
 def chance(quoted: str, values: Sequence[float]) -> float:
     """Share of the numbers near a quoted one, with as many digits, that would meet one of some values by chance.
-
-    Args:
-        quoted: as it was printed.
-        values: of all conventions that are tried.
 
     Returns:
         Part of the numbers within `NEIGHBOURHOOD` of the quoted one that lie within the tolerance of any value, 0 to 1.
@@ -194,7 +186,7 @@ def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention
 
 
 def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> str:
-    """Say what the number is, told from what it may be by chance; matches over all views before those over one."""
+    """Name the convention of the number, apart from chance matches; those over all views before those over one."""
     everywhere = [one for one in conventions if one.views == ALL_VIEWS]
     for tried in (everywhere, conventions):
         matching = [one for one in tried if one.matches]

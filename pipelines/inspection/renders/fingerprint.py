@@ -1,4 +1,4 @@
-"""Sensor noise of the truth as its fingerprint: no method guesses it, so what a rendering has of it was taken from the truth."""
+"""Sensor noise of the truth as its fingerprint: no method can guess it, so a rendering that has it took it from the truth."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -41,12 +41,7 @@ class TruthShare:
 
 @dataclass(frozen=True, eq=False)
 class NoiseSums:
-    """Products with the truth's noise, summed over each cell of an instant, (cells,).
-
-    Attributes:
-        captured: of the captured frame.
-        rendered: of the rendered frame.
-    """
+    """Products with the truth's noise, summed over each cell of an instant, (cells,)."""
 
     captured: Array32
     rendered: Array32
@@ -76,7 +71,6 @@ def noise_sums(view: ViewFrames, index: int) -> NoiseSums:
     in which the rendering changes much, on its own account, count less.
 
     Args:
-        view: rendered and captured frames.
         index: frame number; has a neighbour at least, two to either side make the answer sharp.
     """
     near, far = ([other for other in (index - lag, index + lag) if other in view.frames] for lag in (1, 2))

@@ -41,8 +41,6 @@ def find_identity(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
     """Compare with every camera's picture and its mirror images.
 
     Args:
-        name: of the view.
-        view: its frames.
         cameras: captured frames of all cameras, the view's own among them.
 
     Returns:

@@ -14,7 +14,7 @@ FREQUENCIES = tuple((u, v) for u in range(BLOCK_PX) for v in range(BLOCK_PX) if 
 # Share of the frequencies that need not show a comb: at high quality the lowest have steps of one level, which rounding hides.
 UNTOLD_SHARE = 0.6
 STEPS = np.arange(2.0, 40.5, 0.5)
-# Pictures that never were JPEG had 0.04 at most, quality 95 gives 0.39 and 90 gives 0.5. Quality 98 cannot be told.
+# Pictures that never were JPEG had 0.04 at most, quality 95 gives 0.39 and 90 gives 0.5. Quality 98 cannot be detected.
 LIKELY_COMB, CERTAIN_COMB = 0.15, 0.35
 FEWEST_BLOCKS = 40
 

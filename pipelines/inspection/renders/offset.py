@@ -25,7 +25,6 @@ class _Timing:
     """Instants that the frames show, and how well that explains them.
 
     Attributes:
-        lag: instants later.
         is_reversed: the last frame comes first.
         ratio: motion left unexplained, relative to no offset on the same frames.
         correlation: of the motion with that of the instants shown.
@@ -90,12 +89,9 @@ def _timing(
     """Correlate the frames with the instants of these numbers; None where the truth has too few of them.
 
     Args:
-        sample: says which frames these are.
         rendered: (n, h, w).
         truth: (m, h, w).
-        numbers: of the instants, one for each rendered frame.
         lag: for the record, as is `is_reversed`.
-        is_reversed: see there.
     """
     instants = sample.truth_indices
     pairs = [(i, number) for i, number in enumerate(numbers) if number in instants]

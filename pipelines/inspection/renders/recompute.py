@@ -20,7 +20,6 @@ class Recomputed:
     """A convention and its values.
 
     Attributes:
-        name: what is done.
         values: ``all views`` or the name of a view -> number.
         is_ours: whether it is this tool's convention.
     """
@@ -31,11 +30,7 @@ class Recomputed:
 
 
 def view_pairs(view: ViewFrames) -> Iterator[tuple[Image8, Image8]]:
-    """Rendered and true frames in order, one pair in memory.
-
-    Raises:
-        MetricError: a pair that cannot be compared.
-    """
+    """Rendered and true frames in order, one pair in memory."""
     for pair in view.pairs(list(view.frames)):
         check_pair(*pair)
         yield pair

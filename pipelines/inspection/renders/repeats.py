@@ -28,12 +28,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Scan:
-    """Result of one pass over the rendered frames.
-
-    Attributes:
-        findings: faults of single frames.
-        usable: frames with a picture.
-    """
+    """Result of one pass over the rendered frames."""
 
     findings: list[Finding]
     usable: list[int]

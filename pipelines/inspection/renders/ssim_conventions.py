@@ -79,10 +79,7 @@ def similarity(rendered: Levels, truth: Levels, data_range: float | None = 1.0, 
 
     Args:
         rendered: on the scale 0..255.
-        truth: same shape.
         data_range: where images are taken to 0..1; None for the range of the true frame's levels.
-        luma: compare luma instead of the channels.
-        options: handed on.
     """
     from skimage.metrics import structural_similarity
 

@@ -37,8 +37,6 @@ class ToneFit:
         power: of the best power law with a gain; of levels in 0..1.
         of_affine: its error relative to that of the best affine map.
         of_gain: its error relative to that of the best gain alone.
-        slope: of the affine map.
-        intercept_255: of the affine map.
     """
 
     power: float

@@ -10,7 +10,7 @@ from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, sprea
 INSTANTS = 3
 # Period of the traces, px, and the factors that leave them; a rational factor p/q repeats after p pixels.
 PERIODS_PX = {2.0: "2", 3.0: "3 or 1.5", 4.0: "4 or 1.33", 2.5: "2.5 or 1.67", 5.0: "5 or 1.25"}
-# Renders had 2.6 at most; linear interpolation gives 3.7 to 50, cubic by 2 leaves no period and is not told from blur.
+# Renders had 2.6 at most; linear interpolation gives 3.7 to 50, cubic by 2 leaves no period and looks like blur.
 LIKELY_PEAK, CERTAIN_PEAK = 4.5, 9.0
 # Energy above the smaller picture's finest frequencies relative to the truth's; honest blur also lowers it, without a period.
 LARGEST_FINE_SHARE = 0.35

@@ -126,13 +126,8 @@ def views_of_run(run: RunFolder, label: str, as_measured: bool = False) -> dict[
     """Rendered and captured frames of one method in every test view.
 
     Args:
-        run: a folder with truth and renders.
         label: ``method`` or ``method+variant``.
         as_measured: at the size at which the protocol measures frames; else as they lie there.
-
-    Raises:
-        ResultsError: the folder is not a run.
-        RenderError: no such renders, or frames are missing (all gaps are listed).
     """
     if label not in run.labels():
         raise RenderError(f"{run.root}: no renders of {label!r}; there are {', '.join(run.labels()) or 'none'}")

@@ -66,7 +66,7 @@ class CalibrationOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself."""
+        """Refuse options that contradict each other."""
         if self.known_intrinsics is not None and self.known_poses is not None:
             choice = f"{self.known_intrinsics} and {self.known_poses}"
             raise CaptureError(f"calibrate: wanted known intrinsics or known poses, which bring theirs, got {choice}; give one")
@@ -82,11 +82,9 @@ class Calibration:
     """Result of a calibration.
 
     Attributes:
-        path: the capture it wrote.
         cameras: registered cameras by name, pinhole, in the world of the model.
         missing: cameras that could not be registered, with the reason of each.
         mean_reprojection_error_px: over all observations of all points.
-        n_points: triangulated points.
         points_seen: how many of them each camera sees. With known poses, a camera that sees a small part of what the others see
             has a wrong pose or another camera's frames.
     """
@@ -110,7 +108,6 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
         frames_folder: videos, folders of images or one image per camera; poses in it are not looked at.
         out: capture to write, absent or empty: ``sparse/0``, the frames (videos and folders as links, single images as copies),
             ``calibration.json`` and COLMAP's log.
-        options: how.
 
     Raises:
         CaptureError: no frames, known cameras that do not fit them, cameras that cannot be registered, or pycolmap fails.
@@ -144,15 +141,11 @@ def measure_against(given: Capture, calibration: Calibration) -> dict[str, float
 
     Args:
         given: cameras to compare with, matched by name, at any size of the same frames.
-        calibration: what was found.
 
     Returns:
         ``n_given``, ``n_registered`` (of these), ``mean_reprojection_error_px``, ``n_points``, ``centre_error_percent_max`` and
         ``_mean`` (of the rig's extent, the largest distance of two given cameras), ``rotation_error_deg_max`` and ``_mean``,
         ``focal_error_percent_max``.
-
-    Raises:
-        CameraError: fewer than 3 common cameras.
     """
     truth = {camera.name: camera for camera in given.cameras}
     distances, angles_rad = pose_differences(calibration.cameras, truth)
@@ -204,7 +197,6 @@ def _job(
     given: Mapping[str, KnownCamera] | None,
     options: CalibrationOptions,
 ) -> dict[str, Any]:
-    """Describe the work to the child process; see `calibration_worker.run_job`."""
     path, with_poses = options.known_poses or options.known_intrinsics or Path(), options.known_poses is not None
     described = describe_known(path, given or {}, with_poses=with_poses)
     groups: dict[tuple[int, int], list[str]] = {}
@@ -250,7 +242,6 @@ def _read(unfinished: Path, out: Path, missing: Mapping[str, str], result: Mappi
 
 
 def _record(folder: Path, calibration: Calibration, result: Mapping[str, Any], options: CalibrationOptions) -> dict[str, Any]:
-    """Record what was done and found, for ``calibration.json``."""
     chosen = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
     return {
         "frames": str(folder.resolve()),

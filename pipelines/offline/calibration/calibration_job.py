@@ -26,13 +26,6 @@ def run_worker(unfinished: Path, out: Path, job: Mapping[str, Any]) -> dict[str,
     Args:
         unfinished: folder in the making; its ``work/images/`` holds the images, its ``work/sparse/0`` will hold the model.
         out: what it will be called, for errors; the log of a failure is kept beside it.
-        job: see `calibration_worker.run_job`.
-
-    Returns:
-        What the worker found.
-
-    Raises:
-        CaptureError: the process crashed or was killed; the message names the log.
     """
     work = unfinished / "work"
     write_json(work / "job.json", job)
@@ -65,16 +58,7 @@ def keep_log(unfinished: Path, out: Path) -> Path:
 
 
 def describe_known(path: Path, known_cameras: Mapping[str, KnownCamera], *, with_poses: bool) -> dict[str, dict[str, Any]]:
-    """Known cameras as the worker reads them, by name.
-
-    Args:
-        path: where they were read, for errors.
-        known_cameras: by name.
-        with_poses: whether poses are known too.
-
-    Raises:
-        CaptureError: a lens that COLMAP cannot express.
-    """
+    """Known cameras as the worker reads them, by name."""
     described = {}
     for name, camera in known_cameras.items():
         try:

@@ -2,7 +2,7 @@
 
 Command: ``python -m ggvs_eval.pipelines.offline.calibration.calibration_worker FOLDER``. FOLDER holds ``job.json`` (see
 `run_job`) and ``images/``; written into it are ``sparse/0`` and ``result.json``, and COLMAP's log on the standard output. The
-process ends when its standard input is closed, so that it does not outlive whoever started it.
+process ends when its standard input is closed, so that it does not outlive its parent.
 """
 
 import json
@@ -192,7 +192,6 @@ def _from_poses(folder: Path, job: Mapping[str, Any]) -> Any:
 
 
 def _triangulate(folder: Path, job: Mapping[str, Any], views_by_image: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Points for cameras that stay where they are."""
     import pycolmap
 
     poses = {name: pycolmap.Rigid3d(view["world_to_camera"]) for name, view in views_by_image.items()}

@@ -15,16 +15,12 @@ def write_instant(files: Mapping[str, CameraFrames], frame: int, folder: Path) -
     """Write one image per camera.
 
     Args:
-        files: frames of each camera.
         frame: the instant, from 0.
         folder: where to; made.
 
     Returns:
         Camera -> name of its image: the camera's name, with the suffix of its file where that is a single upright image, which is
         copied. Others are written as they are read: COLMAP does not heed the EXIF tag that turns them.
-
-    Raises:
-        CaptureError: the instant is not there, or does not decode.
     """
     images = {}
     folder.mkdir(parents=True)
@@ -45,7 +41,6 @@ def link_frames(files: Mapping[str, CameraFrames], stills: Mapping[str, Path], f
     """Put frames where the COLMAP adapter looks for them: links to videos and folders, single images themselves.
 
     Args:
-        files: frames of each camera.
         stills: the image of each camera, which is moved where it is all there is of that camera.
     """
     for name, file in files.items():

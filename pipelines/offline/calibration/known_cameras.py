@@ -29,7 +29,6 @@ class KnownCamera:
     """Prior knowledge of one camera.
 
     Attributes:
-        lens: intrinsics and distortion.
         world_to_camera: (4, 4); None where only the lens is known.
         is_metric: whether the pose is known to be in metres.
     """
@@ -44,9 +43,7 @@ class IntrinsicsTable:
     """One ``[[camera]]`` of ``intrinsics.toml``.
 
     Attributes:
-        name: of the camera.
         width: of its images, pixels.
-        height: likewise.
         K: intrinsics, 3 x 3, pixels, pixel centres at halves.
         distortion: of the lens; none where absent.
     """
@@ -73,9 +70,6 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
             with a COLMAP model, a calibration of Qualisys, anipose, freemocap or OpenCV (see `read_calibration_file`; a folder of
             these where OpenCV has a file for each camera), or any capture.
         sizes: (width, height) of each camera's frames, for files that do not say for which they are.
-
-    Raises:
-        CaptureError: nothing there that says something of cameras, or it is damaged.
 
     Reading:
         Lenses are those of the frames as they lie on disk: of a capture that is undistorted as it is read, the distorting ones.
@@ -121,12 +115,7 @@ def fit_known(path: Path, cameras: Mapping[str, KnownCamera], sizes: Mapping[str
     """The known cameras at the size of the frames.
 
     Args:
-        path: where they were read, for errors.
-        cameras: by name.
         sizes: (width, height) of each camera's frames.
-
-    Raises:
-        CaptureError: nothing is known of a camera, or its frames have another shape.
     """
     missing = [name for name in sizes if name not in cameras]
     if missing:
@@ -193,7 +182,7 @@ def _rows(rows: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
 
 
 def _of_calibration_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
-    """Cameras of a calibration file; of cameras that have no frames only what is said of their size counts."""
+    """Cameras of a calibration file; of cameras without frames only the stated size counts."""
     cameras = {}
     for name, camera in read_calibration_file(path).cameras.items():
         if camera.size is None and same_name(name) not in sizes:

@@ -97,11 +97,7 @@ def _from_d3dmv(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
 
 
 def read_pickle(path: Path) -> Any:
-    """Read a ``calib_*.pkl``; nothing in it is run.
-
-    Raises:
-        CaptureError: absent, too large, cut, or holding more than plain numbers and arrays.
-    """
+    """Read a ``calib_*.pkl``; nothing in it is run."""
     size = path.stat().st_size if path.is_file() else -1
     if not 0 < size <= LARGEST_PICKLE_BYTES:
         content = "no such file" if size < 0 else f"{size} bytes"

@@ -18,7 +18,6 @@ def release_lenses(folder: Path, images: Sequence[str], shared: Any, options: An
         folder: of the job, with ``database.db`` and ``images/``.
         images: names, in the order in which the database was filled.
         shared: the reconstruction with shared cameras.
-        options: of the mapper, for finding points again.
 
     Returns:
         The reconstruction with the images that `shared` registered.

@@ -27,10 +27,9 @@ DIFFERENCE = 1e-5  # of a prior's standard deviation, for derivatives
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras as they are known, and what they see.
+    """Known cameras and their features.
 
     Attributes:
-        lenses: C cameras of COLMAP.
         turns: worlds to cameras, (C, 3, 3).
         centres: world units, (C, 3).
         deviations: of each camera's freedoms, (C, 9): radians, world units, a factor, pixels.

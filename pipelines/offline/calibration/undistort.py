@@ -47,8 +47,6 @@ class Undistorted:
 
     Attributes:
         path: the folder: ``CAM.mp4`` or ``images/CAM/``, and ``intrinsics.toml``.
-        cameras: names.
-        n_frames: of every camera.
         fps: frames per second; 0 where the capture is a single instant.
     """
 
@@ -77,10 +75,6 @@ def undistort_videos(source: Path, lens_file: Path | None, out: Path, options: U
             `open_capture` gives them.
         lens_file: ``intri.yml``, ``calib_*.pkl`` or a TOML file; see `read_lenses`. None for a capture that knows its lenses.
         out: folder to write, absent or empty; it appears when it is whole.
-        options: how.
-
-    Raises:
-        CaptureError: no videos, a damaged one, or lenses that do not fit them.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise CaptureError(f"{out}: wanted a new or empty folder for undistorted frames, got one with content; choose another")

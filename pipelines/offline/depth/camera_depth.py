@@ -112,11 +112,7 @@ class DepthOptions:
         return code_identity(__name__, STREAM, *modules, unfollowed=(__name__,))
 
     def choose_partners(self, camera: Camera, candidates: Sequence[Camera], excluded: Collection[str] = ()) -> list[Camera]:
-        """The cameras that a camera is matched with, see `pairing.choose_partners`.
-
-        Raises:
-            DepthError: none can be.
-        """
+        """The cameras that a camera is matched with, see `pairing.choose_partners`."""
         pairs, views = self.partners, self.filler.partners if self.filler else 0
         if isinstance(self.matcher, IterMvs):
             pairs, views = 0, self.matcher.partners
@@ -137,13 +133,7 @@ class DepthEstimator:
     """Computes the depth of one camera; everything that does not depend on the images is prepared once.
 
     Args:
-        camera: the camera whose depth is wanted.
-        partners: the cameras it is matched with, see `DepthOptions.choose_partners`.
-        options: parameters.
         pairs: those of them that are matched pair by pair, where a network sees more; found here by default.
-
-    Raises:
-        DepthError: no partners, or a pair that cannot be rectified.
     """
 
     def __init__(
@@ -169,9 +159,6 @@ class DepthEstimator:
 
         Returns:
             Depth, (H, W), without flying pixels, smoothed within surfaces and filled from the background, and its confidence.
-
-        Raises:
-            DepthError: an image does not have its camera's size.
         """
         self._check(image, partner_images)
         raw = DepthMap(*np.zeros((2, *image.shape[:2]), np.float32))
@@ -233,15 +220,10 @@ def check_depth(
     """Hold a camera's depth against that of the other sources of a view, and fill the rest by its guess or from the background.
 
     Args:
-        camera: the camera of the depth map.
         depth_map: depth and confidence as they were found, (H, W).
-        others: other cameras with theirs, as they were found too.
 
     Returns:
         Depth and confidence, (H, W); those that were given where `options` want no consistency.
-
-    Raises:
-        DepthError: a depth map that does not fit its camera.
     """
     if options.consistency is None:
         return depth_map
@@ -257,13 +239,8 @@ def check_measured_depth(
     Holes of sensors are no shadows of nearer surfaces, as those of stereo are: the farther side is not likelier than the nearer.
 
     Args:
-        camera: the camera of the depth map.
         image: what it saw, RGB, (H, W, 3).
         depth_map: filtered depth and confidence, (H, W).
-        others: other cameras with theirs, filtered too.
-
-    Raises:
-        DepthError: a depth map that does not fit its camera.
     """
     if options.consistency is None or options.sensor is None:
         return depth_map

@@ -1,4 +1,4 @@
-"""Depth of one camera held against that of others: what they see through goes, what they agree on is averaged or filled in."""
+"""Depth of one camera held against that of others: contradicted depth is removed, confirmed depth averaged or filled in."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -23,7 +23,7 @@ Indices = NDArray[np.int32]
 
 @dataclass(frozen=True)
 class ConsistencyOptions:
-    """When depth maps agree, and what follows.
+    """Agreement of depth maps, and its consequences.
 
     Attributes:
         error_px: two depths of a point agree when their reprojections into each other's image differ by no more than this, ...
@@ -58,16 +58,11 @@ def check_consistency(
     where it sees farther through the point, and abstains where it sees a nearer surface, nothing, or not there at all.
 
     Args:
-        camera: the camera of the depth map.
         depth_map: depth and confidence, (H, W).
-        others: other cameras with theirs; sizes may differ.
 
     Returns:
         Depth, 0 where it is unknown, and confidence: the mean over the camera and those that see the point, who contradicts
-        counting 0; half of what it was where nobody does. `fill_background` guesses the rest.
-
-    Raises:
-        DepthError: a depth map that does not fit its camera.
+        counting 0; half of what it was where none does. `fill_background` guesses the rest.
 
     Reading:
         The paper's depth comes from stereo pairs; holding views against each other is ours. Three validation rooms (demo seeds

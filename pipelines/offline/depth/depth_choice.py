@@ -35,21 +35,14 @@ ITERMVS = "itermvs"
 
 def default_matcher() -> str:
     """The matcher of those who name none: with IterMVS where its weights lie in the cache folder."""
-    return (
-        f"{FREE_MATCHER}+{ITERMVS}" if os.path.isfile(cached_weights()) else FREE_MATCHER
-    )  # a folder of somebody else's has none
+    return f"{FREE_MATCHER}+{ITERMVS}" if os.path.isfile(cached_weights()) else FREE_MATCHER  # a foreign folder has none
 
 
 def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep | IterMvs:
     """The matcher of a name without a filler, see `MATCHERS`.
 
     Args:
-        name: of the matcher.
         device: where a network computes; the others are the CPU's. Whether it is there shows when it computes.
-
-    Raises:
-        DepthError: no matcher of that name.
-        WeightsError: no weights, or not the network's.
     """
     kind, _, checkpoint = name.partition(":")
     if kind == ITERMVS:
@@ -115,19 +108,11 @@ class DepthRunOptions:
 
     @property
     def is_learned(self) -> bool:
-        """Whether a network finds it, which may compute on a GPU."""
+        """True if a network finds depth, which may compute on a GPU."""
         return self.stereo_weights is not None or any(name in self.matcher.partition(":")[0] for name in ("raft", ITERMVS))
 
     def options(self, device: str = "cpu") -> DepthOptions:
-        """All parameters of the depth estimation.
-
-        Args:
-            device: where the matcher's network computes, if it has one.
-
-        Raises:
-            DepthError: no such matcher, or weights for one that takes none.
-            WeightsError: weights that are not the network's.
-        """
+        """All parameters of the depth estimation."""
         if self.stereo_weights is not None and self.matcher not in (FREE_MATCHER, default_matcher(), LIVE_MATCHER, "raft"):
             raise DepthError(f"--stereo-weights are for the matcher raft, got the matcher {self.matcher}")
         name = self.matcher if self.stereo_weights is None else f"raft:{self.stereo_weights}"

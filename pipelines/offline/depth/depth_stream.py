@@ -1,4 +1,4 @@
-"""Depth of one camera over consecutive instants: keyframes from nothing, between them only what has changed."""
+"""Depth of one camera over consecutive instants: keyframes anew, between them only changed pixels."""
 
 from collections.abc import Sequence
 
@@ -24,11 +24,6 @@ class DepthStream:
     What it returns depends on the instants since the last keyframe alone, and keyframes lie where the frame number is a multiple
     of `keyframe_every`: a killed run goes on from the keyframe before, with equal bits.
 
-    Args:
-        camera: the camera whose depth is wanted.
-        partners: the cameras it is matched with.
-        options: parameters.
-
     Reading:
         Whether something has changed is asked of the camera's own picture since its depth was computed, not since the frame
         before: slow changes add up. A partner that is newly covered does not change what the camera sees.
@@ -47,11 +42,6 @@ class DepthStream:
 
         Args:
             frame: its number; consecutive from call to call.
-            image: what the camera saw, RGB, (H, W, 3).
-            partner_images: what the partners saw, in their order.
-
-        Raises:
-            DepthError: an image does not have its camera's size.
         """
         if frame == self.options.time.first_needed(frame):
             self._whole.forget()

@@ -26,12 +26,7 @@ MOST_TOGETHER = 12  # cameras whose depth one process computes at once: it holds
 
 
 class DepthPartners:
-    """Which cameras each source is matched with, found once for each target that it must not be matched with.
-
-    Args:
-        capture: the capture.
-        options: parameters.
-    """
+    """Partners of each source, found once for each target that it must not be matched with."""
 
     def __init__(self, capture: Capture, options: DepthOptions) -> None:
         self._capture, self._options = capture, options
@@ -60,11 +55,7 @@ class DepthPartners:
         return bool(self.of(source, target)) or _sensor(self._capture, source.name, self._options) is not None
 
     def sources(self, target: Camera, k: int, how: SourceChoice = "nearest") -> tuple[ChosenSource, ...]:
-        """The K sources of a target: of those that have depth where there are enough, else as `choose_sources` takes them.
-
-        Raises:
-            CameraError: see `choose_sources`.
-        """
+        """The K sources of a target: of those that have depth where there are enough, else as `choose_sources` takes them."""
         cameras: Sequence[Camera] = self._capture.cameras
         first = chosen = choose_sources(target, cameras, k, how)
         while without := {each.camera.name for each in chosen if not self.has_depth(each.camera, target)}:
@@ -95,16 +86,11 @@ def plan_depth(
 
     Args:
         targets: cameras to be rendered, of the capture (left out of everything) or of a virtual path.
-        k: number of sources per target.
-        sources: which cameras they are.
         partners: of the same capture and options, where they are wanted after; found here by default.
 
     Returns:
         For each target's name its sources' names, nearest first, each with its job and that job's key; equal jobs are shared
         between targets. The depth of a source that nothing can be matched with is unknown everywhere.
-
-    Raises:
-        CameraError: fewer sources than `choose_sources` wants.
     """
     partners = partners or DepthPartners(capture, options)
     plan = {}
@@ -128,9 +114,6 @@ def plan_rig_depth(capture: Capture, options: DepthOptions) -> tuple[DepthJob, .
 
     Returns:
         One job per camera that another can be matched with, in the order of the capture.
-
-    Raises:
-        DepthError: no camera that another can be matched with.
     """
     partners = DepthPartners(capture, options)
     names = [(camera.name, *partners.of(camera)) for camera in capture.cameras if partners.has_depth(camera)]
@@ -143,11 +126,7 @@ def plan_rig_depth(capture: Capture, options: DepthOptions) -> tuple[DepthJob, .
 
 
 def without_unmatched(capture: Capture, options: DepthOptions) -> Capture:
-    """The capture without cameras that no other can be matched with, which a note names.
-
-    Raises:
-        DepthError: none is left.
-    """
+    """The capture without cameras that no other can be matched with, which a note names."""
     partners = DepthPartners(capture, options)
     lost = [camera.name for camera in capture.cameras if not partners.has_depth(camera)]
     if len(lost) == len(capture.cameras):
@@ -180,11 +159,7 @@ def depth_job(capture: Capture, camera_name: str, partner_names: Sequence[str], 
     """A job with all that its depth depends on, as it is found.
 
     Args:
-        camera_name: whose depth is wanted.
-        partner_names: whom it is matched with; none where a sensor measured its depth, or nobody did.
-
-    Raises:
-        CaptureError: no such camera.
+        partner_names: the cameras it is matched with; none where a sensor measured its depth, or nothing did.
     """
     names = (camera_name, *partner_names)
     camera, *partners = (capture.camera(name) for name in names)
@@ -205,11 +180,6 @@ def prepare_depth(
     Args:
         jobs: what to compute, see `plan_depth`; equal jobs are computed once.
         frames: instants, ascending.
-        store: where depth maps go.
-
-    Raises:
-        DepthError: a job that cannot be computed.
-        CaptureError: frames that cannot be read.
     """
     if options.sensor is not None:  # estimated once, here, for all workers
         capture = registered(capture, options.sensor)
@@ -274,7 +244,7 @@ def _in_workers(
     workers: Workers,
     title: str,
 ) -> None:
-    """Do what is missing of some jobs, one process each."""
+    """Do the missing parts of some jobs, one process each."""
     missing = [job for job in dict.fromkeys(jobs) if _missing(store, job.key, frames)]
     run_all(partial(work, capture, frames, store, options), missing, workers, title)
 
@@ -294,7 +264,7 @@ def _check(capture: Capture, frames: Sequence[int], store: DepthStore, options: 
 
 
 def _run(capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
-    """Compute what is missing of one job; runs in a worker."""
+    """Compute the missing frames of one job; runs in a worker."""
     key = store.write_spec(job.spec)
     missing = _missing(store, key, frames)
     if not missing:

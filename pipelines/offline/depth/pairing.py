@@ -1,4 +1,4 @@
-"""Which cameras to match a camera with, by what they see together.
+"""Choice of the cameras to match a camera with, by what they see together.
 
 Replaces the paper's manual selection of stereo pairs.
 """
@@ -31,7 +31,6 @@ class Partner:
     """Worth of a candidate to a camera.
 
     Attributes:
-        camera: the candidate.
         worth: 0 outside its image, else the quality of the match there, for each sample point, (S,).
         direction: from the camera to the candidate in the camera's image plane, unit vector, (2,).
     """
@@ -56,9 +55,6 @@ def choose_partners(
         excluded: names that must not be chosen (the target of a leave-one-out run).
         views: how many in all for a network that sees them at once: those after `count` may stand farther apart, and need no
             common rectification, which wide pairs of near surfaces do not have.
-
-    Raises:
-        DepthError: no candidate can be matched at all.
     """
     passed_over = {camera.name, *excluded}
     others = sorted((other for other in candidates if other.name not in passed_over), key=lambda other: other.name)
@@ -76,7 +72,7 @@ def choose_partners(
 
 
 def pairs_of(camera: Camera, partners: Sequence[Camera], count: int) -> list[Camera]:
-    """Those of `choose_partners`' views that came first: they can be matched pair by pair."""
+    """The first of `choose_partners`' views, which can be matched pair by pair."""
     points = _sample_view(camera)
     return [each for each in partners[:count] if _evaluate(camera, each, points, MAX_ANGLE_RAD) and can_rectify(camera, each)]
 

@@ -47,11 +47,7 @@ def write_array(path: Path, array: NDArray[np.float32]) -> None:
 
 
 def read_array(path: Path) -> NDArray[np.float32]:
-    """Read what `write_array` or COLMAP wrote, (H, W) where it has one channel, else (H, W, C).
-
-    Raises:
-        DepthError: absent, or not such a file.
-    """
+    """Read what `write_array` or COLMAP wrote, (H, W) where it has one channel, else (H, W, C)."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -94,15 +90,11 @@ def write_dense_workspace(
     """Write the workspace whole or not at all.
 
     Args:
-        cameras: what took the images.
         images: of one instant, RGB uint8 (H, W, 3), in the order of the cameras.
         depth_maps: theirs; every number that is kept is written as it is.
         partners: camera -> the cameras its depth was matched with, for ``patch-match.cfg``; those not exported are passed over.
         folder: where to; absent or empty.
         options: by default as they stand.
-
-    Returns:
-        The folder.
 
     Raises:
         DepthError: the folder holds something, sizes do not fit, or a name that COLMAP's text files cannot hold.
@@ -189,5 +181,4 @@ def _sightings(camera: Camera, image: Image8, depth: Map, points: Array) -> Sigh
 
 
 def _image(name: str) -> str:
-    """Return the name of a camera's image in the sparse model."""
     return f"{name}.png"

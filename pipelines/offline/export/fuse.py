@@ -23,7 +23,7 @@ SAMPLES = 20_000  # points of a camera that tell how large the scene is
 
 @dataclass(frozen=True)
 class FuseOptions:
-    """Options of the fusion: what is fused, and how finely.
+    """Options of the fusion.
 
     Attributes:
         voxel: edge of a voxel, world units, of the mesh and of the point cloud; 0 chooses one that suits the pixels.
@@ -45,9 +45,6 @@ class FusedFiles:
     Attributes:
         points: PLY of the point cloud: places in world units, normals, colours.
         mesh: PLY of the mesh: vertices in world units, normals, colours, triangles.
-        n_points: points of the cloud.
-        n_vertices: vertices of the mesh.
-        n_triangles: triangles of the mesh.
         voxel: edge of a voxel, world units.
     """
 
@@ -64,7 +61,6 @@ class _View:
     """Contribution of one camera to the fusion.
 
     Attributes:
-        camera: it.
         image: RGB, (H, W, 3).
         depth: z of the pixels that are trusted, world units, 0 elsewhere, (H, W).
         normals: of these pixels, in the world, (N, 3).
@@ -93,9 +89,7 @@ def fuse_instant(
     Pixels that are not trusted, or around which the depth is no surface, take no part.
 
     Args:
-        cameras: what took the images.
         images: of one instant, RGB uint8 (H, W, 3), in the order of the cameras.
-        depth_maps: theirs.
         folder: where to; made.
         options: by default as they stand.
 
@@ -151,7 +145,6 @@ def _trusted(camera: Camera, image: Image8, depth_map: DepthMap, least_confidenc
 
 
 def _sample(view: _View) -> Array:
-    """Some of the points of a camera, (N, 3)."""
     points_world = view.points_world()
     return points_world[:: -(-len(points_world) // SAMPLES) or 1]
 

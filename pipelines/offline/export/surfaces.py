@@ -38,7 +38,6 @@ def mesh_of(
     """Average the signed distances of all depth maps (Curless and Levoy) and extract their zero crossing.
 
     Args:
-        cameras: what took the images.
         images: RGB uint8, (H, W, 3).
         depths: z in world units, 0 = takes no part, (H, W) float32.
         voxel: edge of a voxel, world units.
@@ -91,7 +90,6 @@ def surface_normals(camera: Camera, depth: Map) -> Map:
     neighbours of the same surface give its normal.
 
     Args:
-        camera: the camera of the depth map.
         depth: (H, W), z in world units, 0 = invalid.
 
     Returns:

@@ -28,9 +28,6 @@ def load_network(path: Path) -> IterMvsNetwork:
 
     Args:
         path: a ``.ckpt`` of the authors, or safetensors with the same names under ``model.``.
-
-    Raises:
-        WeightsError: absent, damaged, more than tensors inside, or not IterMVS's tensors.
     """
     network = IterMvsNetwork()
     load_strict(read_tensors(path, CHECKPOINT_KEY, of=NETWORK), network, path, NETWORK)
@@ -39,11 +36,6 @@ def load_network(path: Path) -> IterMvsNetwork:
 
 class IterMvsEstimator:
     """Depth of one camera by IterMVS; everything that does not depend on the images is prepared once.
-
-    Args:
-        camera: the camera whose depth is wanted.
-        partners: the cameras it is matched with.
-        options: parameters.
 
     Reading:
         The network counts whole pixels: the middle of the first one is at 0, and feature j of a level lies on pixel j * 2^level.
@@ -59,15 +51,7 @@ class IterMvsEstimator:
         self._offsets = [_whole_pixels(other) @ motion[:3, 3] for other, motion in between]
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
-        """Depth at one instant, everywhere, and the network's own confidence, (H, W).
-
-        Args:
-            image: what the camera saw, RGB, (H, W, 3).
-            partner_images: what the partners saw at the same instant, in their order.
-
-        Raises:
-            DeviceError: no such device, or its memory is out.
-        """
+        """Depth at one instant, everywhere, and the network's own confidence, (H, W)."""
         with rendering_on(self._device):
             network = load_network(self._options.weights).to(self._device)
             images = [_tensor(each, c) for each, c in zip((image, *partner_images), self._cameras, strict=True)]

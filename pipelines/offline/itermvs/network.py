@@ -30,7 +30,6 @@ class Partner:
     """A partner, as the camera's pixels meet it.
 
     Attributes:
-        features: of its image.
         matrix: (3, 3), a pixel of the camera (u, v, 1), times its depth, to the partner's homogeneous pixels, ...
         offset: ... but for this, (3,). Both count whole pixels: the first one's middle is at 0.
     """
@@ -97,7 +96,7 @@ class FeatureNetwork(nn.Module):
 
 
 class ViewWeight(nn.Module):
-    """How far to trust a partner at each pixel: the peak of its softmax over the hypotheses."""
+    """Trust in a partner at each pixel: the peak of its softmax over the hypotheses."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -144,10 +143,8 @@ class Evaluation(nn.Module):
         """Scores at an eighth of the size, and how far to trust each partner, at a quarter.
 
         Args:
-            reference: features of the camera.
             partners: at least one.
             depths: hypotheses, (N, H / 8, W / 8).
-            nearest: depth below which a partner sees nothing.
 
         Returns:
             (1, N, H / 8, W / 8), and of each partner (1, 1, H / 4, W / 4).
@@ -169,9 +166,7 @@ class Evaluation(nn.Module):
         Args:
             at_quarter: features of the camera of the three levels, all at a quarter of the size.
             partners: at least one.
-            weights: how far to trust each.
             depths: of each level, (N, H / 4, W / 4).
-            nearest: depth below which a partner sees nothing.
         """
         scores = []
         for level, (reference, hypotheses) in enumerate(zip(at_quarter, depths, strict=True)):
@@ -197,7 +192,7 @@ class RecurrentUnit(nn.Module):
 
 
 class Update(nn.Module):
-    """The recurrent state, and what it says of depth and confidence."""
+    """The recurrent state, and its depth and confidence."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -295,9 +290,6 @@ class IterMvsNetwork(nn.Module):
         Args:
             images: of the camera and its partners, (1, 3, H, W) each, RGB in [-1, 1], sides multiples of 32.
             matrices: of each partner, see `Partner`.
-            offsets: of each partner.
-            near: smallest depth.
-            far: largest depth.
             iterations: of the recurrent unit; the authors take four.
 
         Returns:
@@ -318,7 +310,6 @@ def _correlate(reference: Tensor, partner: Partner, level: int, spacing: int, de
         level: 0, 1, 2: half, quarter, eighth.
         spacing: pixels of the full image from one point to the next.
         depths: (N, H, W).
-        nearest: depth below which the partner sees nothing.
     """
     features = partner.features[level]
     n, height, width = depths.shape

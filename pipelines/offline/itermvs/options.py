@@ -18,11 +18,9 @@ class IterMvs:
     """IterMVS with all partners at once.
 
     Attributes:
-        weights: file of the weights.
         weights_sha256: of its content; other weights, other depth.
         partners: how many cameras a camera is matched with at most; they need no common rectification.
         iterations: of the recurrent unit; the authors take four.
-        device: where the network computes.
     """
 
     weights: Path

@@ -20,11 +20,6 @@ class SurfaceFit:
 
     Args:
         grey: the reference's grey image, (H, W).
-        views: the partners.
-        turned: their turned grey images.
-        n_partners: how many there are, with those that see nothing.
-        noise: variance of grey values that is no texture.
-        window_px: side of the correlated window.
         hidden_px: see `find_hidden`.
     """
 

@@ -40,9 +40,7 @@ class SweepLevel:
     """Matches a camera with its partners at one size; all that does not depend on the images is prepared once.
 
     Args:
-        camera: the camera whose depth is wanted, at this size.
         partners: the cameras it is matched with, at their full size.
-        options: parameters.
     """
 
     def __init__(self, camera: Camera, partners: Sequence[Camera], options: PlaneSweep) -> None:
@@ -68,7 +66,6 @@ class SweepLevel:
         """The surface that the images agree on.
 
         Args:
-            images: of one instant.
             prior: inverse depth found at a smaller size, (H', W'); None looks at every plane.
 
         Returns:
@@ -172,13 +169,7 @@ def _grey(image: Image8) -> Map:
 
 
 class PlaneSweepEstimator:
-    """Depth of one camera by a plane sweep; everything that does not depend on the images is prepared once.
-
-    Args:
-        camera: the camera whose depth is wanted.
-        partners: the cameras it is matched with.
-        options: parameters.
-    """
+    """Depth of one camera by a plane sweep; everything that does not depend on the images is prepared once."""
 
     def __init__(self, camera: Camera, partners: Sequence[Camera], options: PlaneSweep) -> None:
         self.options = options
@@ -187,10 +178,6 @@ class PlaneSweepEstimator:
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Depth at one instant, invalid everywhere where no partner sees anything of the camera's view.
-
-        Args:
-            image: what the camera saw, RGB, (H, W, 3).
-            partner_images: what the partners saw at the same instant, in their order.
 
         Returns:
             Depth, (H, W), and confidence: the mean correlation of the partners' windows with the camera's, 0 for a partner that

@@ -63,8 +63,6 @@ class SweepPlanes:
 
     Attributes:
         first: inverse depth of the first plane, 1 / world units.
-        step: from plane to plane.
-        count: how many.
     """
 
     first: float
@@ -84,8 +82,6 @@ def plan_planes(camera: Camera, partners: Sequence[Camera], step_px: float, most
     """Planes from the camera's far to its near, and one beyond on either side.
 
     Args:
-        camera: the reference.
-        partners: the cameras it is matched with.
         step_px: from plane to plane, points move by this much in the image of the widest partner, pixels.
         most: number of planes at most; a step is longer where they do not suffice.
     """

@@ -89,7 +89,6 @@ class Projection:
         row: array index.
         inverse_depth: as seen from the partner.
         column_slope: change of the column per unit of the reference's inverse depth.
-        row_slope: that of the row.
         in_front: whether the point lies before the partner, and not too near to it.
     """
 
@@ -105,9 +104,6 @@ def turn_partner(camera: Camera, partner: Camera, planes: SweepPlanes, radius: i
     """Prepare one partner of a sweep; None where it sees nothing of any plane.
 
     Args:
-        camera: the reference.
-        partner: the partner.
-        planes: the planes of the sweep.
         radius: of the matched window, pixels.
     """
     towards = camera.rotation @ (partner.centre - camera.centre)
@@ -166,7 +162,6 @@ def find_hidden(view: PartnerView, inverse_depth: Map, tolerance_px: float) -> M
     """Pixels that the surface itself hides from a partner, (H, W).
 
     Args:
-        view: the partner.
         inverse_depth: the surface, (H, W), 1 / world units.
         tolerance_px: what hides a pixel is nearer by a parallax of more than this between reference and partner.
     """

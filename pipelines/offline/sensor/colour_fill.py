@@ -1,4 +1,4 @@
-"""Depth that nobody measured, filled along the edges of the colours: the Fast Global Smoother (Min et al., IEEE TIP 2014)."""
+"""Unmeasured depth, filled along the edges of the colours: the Fast Global Smoother (Min et al., IEEE TIP 2014)."""
 
 from dataclasses import asdict, dataclass
 
@@ -50,7 +50,6 @@ def fill_by_colour(depth_map: DepthMap, image: Image8, options: ColourFillOption
 
     Args:
         depth_map: depth, world units, 0 = unknown, and confidence, (H, W).
-        image: what the camera saw, RGB, (H, W, 3).
 
     Returns:
         Depth and confidence, (H, W); depth is unknown only where no pixel was known.
@@ -101,7 +100,7 @@ def smooth_by_colour(maps: Map, image: Image8, options: ColourFillOptions) -> Ma
 
 
 def _likeness(guide: Map, levels: float) -> Map:
-    """How alike each pixel and the next one of its line are, (N, M) in [0, 1]; 0 at the end of a line."""
+    """Similarity of each pixel to the next one of its line, (N, M) in [0, 1]; 0 at the end of a line."""
     likeness = np.zeros(guide.shape[:2], np.float32)
     likeness[:, :-1] = np.exp(-np.linalg.norm(np.diff(guide, axis=1), axis=-1) / np.float32(levels))
     return likeness
@@ -111,6 +110,6 @@ def _smooth_lines(maps: Map, links: Map) -> Map:
     """Solve all lines (N, M, C) as one tridiagonal system: what links the last pixel of a line to the next line is 0."""
     above = links.ravel()
     below = np.concatenate([np.zeros(1, np.float32), above[:-1]])
-    bands = np.stack([-below, 1 + above + below, -above])  # LAPACK's form: the entry above the diagonal stands in the next column
+    bands = np.stack([-below, 1 + above + below, -above])  # LAPACK's form: the entry above the diagonal is in the next column
     lines = solve_banded((1, 1), bands, maps.reshape(-1, maps.shape[2]), overwrite_ab=True, check_finite=False)
     return np.asarray(lines, np.float32).reshape(maps.shape)

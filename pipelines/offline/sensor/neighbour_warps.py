@@ -48,7 +48,6 @@ class View:
     """One frame of a sequence.
 
     Attributes:
-        camera: its camera.
         image: RGB in [0, 1], (H, W, 3) float32.
         detail: the image less its blur; exposures of frames differ, their detail does not.
         depth: z, world units, 0 = unknown, (H, W).

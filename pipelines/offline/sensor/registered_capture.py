@@ -14,7 +14,7 @@ SEQUENCE_LAYOUT = "rgbd"  # frames of one camera and one sensor; of a rig every 
 
 @dataclass(frozen=True)
 class _Sequence:
-    """A capture that is told from others by its content."""
+    """A capture that is identified by its content."""
 
     digest: str
     capture: Capture = field(compare=False)
@@ -29,7 +29,6 @@ def registered(capture: Capture, options: SensorDepthOptions | None) -> Capture:
     """The capture with its sensor depth registered, where that is asked for and found to be of use.
 
     Args:
-        capture: at the size that is wanted.
         options: how sensor depth is treated; None where it is not.
     """
     if options is None or options.registration == "given" or not is_sequence(capture):

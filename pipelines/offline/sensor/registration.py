@@ -43,7 +43,6 @@ class Registration:
 
         Args:
             depth: z as given, world units, 0 = unknown, (h, w): the camera's view at any size.
-            camera: the colour camera.
             taken_at: world_to_camera when the depth was measured, (4, 4); the camera's own without a delay.
 
         Returns:
@@ -97,7 +96,7 @@ class RegisteredDepth:
 
     @property
     def digest(self) -> str:
-        """Identifies the given depth and what is done to it."""
+        """Identifies the given depth and its processing."""
         values = [
             *asdict(self.registration).values(),
             *self.camera.K.ravel(),

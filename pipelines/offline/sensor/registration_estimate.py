@@ -41,9 +41,6 @@ class Displacement:
         scale_error: standard error of the scale.
         frame_px: rms of the offsets of single frames about the common one; what no common registration mends.
         psnr_db: of neighbouring frames warped by the depth as given and by `applied`; NaN without pairs.
-        n_edges: edges looked at.
-        n_frames: frames looked at.
-        width_px: width of the images.
     """
 
     registration: Registration
@@ -80,7 +77,7 @@ class _Edges:
     height: int
 
     def of(self, frames: Sequence[int]) -> "_Edges":
-        """Those of some frames."""
+        """The edges of some frames."""
         chosen = np.isin(self.frame, frames)
         uv, upright, frame, motion = self.uv[chosen], self.upright[chosen], self.frame[chosen], self.motion[chosen]
         return replace(self, uv=uv, upright=upright, frame=frame, motion=motion)

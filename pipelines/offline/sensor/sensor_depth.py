@@ -1,4 +1,4 @@
-"""Depth that a sensor measured beside the images, made fit for rendering: what no surface explains goes, small holes close."""
+"""Depth that a sensor measured beside the images, made fit for rendering: outliers removed, small holes closed."""
 
 from dataclasses import asdict, dataclass, field
 from typing import Literal
@@ -63,13 +63,7 @@ class SensorDepthOptions:
 
 
 class SensorDepthEstimator:
-    """Depth of one camera from the sensor beside it, frame by frame: what `DepthEstimator` is to stereo.
-
-    Args:
-        camera: the camera at the size that is wanted.
-        source: what its sensor measured.
-        options: parameters.
-    """
+    """Depth of one camera from the sensor beside it, frame by frame, as `DepthEstimator` for stereo."""
 
     def __init__(self, camera: Camera, source: DepthSource, options: SensorDepthOptions) -> None:
         self.camera = camera
@@ -80,7 +74,6 @@ class SensorDepthEstimator:
         """Filtered depth of one instant, see `filter_sensor_depth`.
 
         Args:
-            frame: number of the instant.
             image: what the camera saw then, RGB, (H, W, 3).
 
         Raises:
@@ -106,7 +99,6 @@ def filter_sensor_depth(depth: Map, image: Image8, camera: Camera, options: Sens
 
     Args:
         depth: z as measured, world units, 0 or not finite = unknown, (h, w): the camera's view at any size.
-        image: what the camera saw, RGB, (H, W, 3).
         camera: the camera; depth outside its range is unknown.
 
     Returns:
@@ -171,7 +163,6 @@ def surface_confidence(depth: Map, camera: Camera, edge_px: float, step: float) 
 
     Args:
         depth: (H, W), 0 = unknown.
-        camera: its camera.
         edge_px: distance from edges and holes at which they matter no more, pixels.
         step: neighbours whose depths differ by more than this share of them are an edge.
     """

@@ -31,11 +31,11 @@ class SensorLines:
         return float(np.median(np.diff(self.centre))) if len(self.centre) > 1 else 1.0
 
     def at(self, count: int) -> Places:
-        """Which of the sensor's columns, with fractions, each of `count` columns over the same view looks at, (count,)."""
+        """Column of the sensor, with fractions, that each of `count` columns over the same view looks at, (count,)."""
         return np.interp((np.arange(count) + 0.5) * self.length / count, self.centre, np.arange(len(self.first)))
 
     def seen_by(self, count: int) -> Indices:
-        """Which of `count` columns over the same view looks at the middle of each of the sensor's, (n,)."""
+        """Column, of `count` over the same view, that looks at the middle of each of the sensor's, (n,)."""
         return (self.centre * count / self.length).astype(np.intp)
 
 
@@ -44,11 +44,7 @@ class SensorGrid:
     """The sensor's pixels in a depth map.
 
     Captures bring depth to the grid of their frames by repeating pixels (`DepthFrames`). Among repeated pixels neighbours tell
-    nothing: every one stands beside others that agree with it.
-
-    Attributes:
-        rows: its rows.
-        columns: its columns.
+    nothing: every one lies beside others that agree with it.
     """
 
     rows: SensorLines
@@ -147,7 +143,6 @@ def close_edges(depth: Map, image: Image8, hole_px: int) -> Map:
 
     Args:
         depth: (H, W), 0 = unknown.
-        image: what the camera saw, RGB, (H, W, 3).
         hole_px: widest hole to fill, pixels along the row or the column.
 
     Returns:

@@ -1,1 +1,1 @@
-"""Depth from pairs of cameras: rectification undone, semi-global matching, RAFT-Stereo, and the fusion of what pairs say."""
+"""Depth from pairs of cameras: rectification undone, semi-global matching, RAFT-Stereo, and the fusion of pairs."""

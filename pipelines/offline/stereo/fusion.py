@@ -24,10 +24,9 @@ def fuse(depths: Map, confidences: Map, disparities: Map, error_px: float) -> tu
         depths: estimates of N partners, (N, H, W), world units, 0 = invalid.
         confidences: theirs, (N, H, W), in [0, 1].
         disparities: the disparities they come from, (N, H, W), pixels.
-        error_px: error allowed in each disparity.
 
     Returns:
-        Depth (H, W), 0 where nobody has an opinion, and confidence (H, W): the supporters' summed confidence over N.
+        Depth (H, W), 0 where no partner has an opinion, and confidence (H, W): the supporters' summed confidence over N.
     """
     best, support = np.zeros_like(depths[0]), np.zeros_like(depths[0])
     for first in range(0, len(best), FUSED_ROWS):
@@ -75,7 +74,6 @@ def smooth_surfaces(depth: Map, share: float, radius_px: int) -> Map:
     Args:
         depth: (H, W), 0 = invalid and left so.
         share: standard deviation over depth, as a share of the depth.
-        radius_px: radius of the window.
     """
     logarithm = np.log(np.where(depth > 0, depth, np.float32(1e-6)))
     smooth = cv2.bilateralFilter(logarithm, 2 * radius_px + 1, share, radius_px * 0.75)
@@ -114,14 +112,8 @@ class PairwiseEstimator:
     """Depth of one camera by a stereo matcher; everything that does not depend on the images is prepared once.
 
     Args:
-        camera: the camera whose depth is wanted.
-        partners: the cameras it is matched with.
-        matcher: the stereo algorithm.
         error_px: estimates of two partners agree when disparity errors of this size explain their difference.
         warm: tell the matcher of each pair what it found at the call before; the calls must then be consecutive instants.
-
-    Raises:
-        DepthError: a pair that cannot be rectified.
     """
 
     def __init__(
@@ -135,10 +127,6 @@ class PairwiseEstimator:
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Depth at one instant, invalid where no partner has an opinion.
-
-        Args:
-            image: what the camera saw, RGB, (H, W, 3).
-            partner_images: what the partners saw at the same instant, in their order.
 
         Returns:
             Depth, (H, W), and confidence: the share of partners that agree, weighted by their left-right agreement.

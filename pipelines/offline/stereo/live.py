@@ -31,7 +31,6 @@ class LiveMatcher(SgbmMatcher):
     Attributes:
         levels: sizes at which the pair is matched.
         longest_px: larger images are made smaller until their longer side is this long.
-        refine_iterations: see SgbmMatcher.
     """
 
     levels: int = 2
@@ -54,11 +53,6 @@ class SharedPair:
 
     Args:
         first: one of them, at the size at which they are matched.
-        second: the other.
-        matcher: the stereo algorithm.
-
-    Raises:
-        DepthError: the pair cannot be rectified.
     """
 
     def __init__(self, first: Camera, second: Camera, matcher: LiveMatcher) -> None:
@@ -69,7 +63,7 @@ class SharedPair:
         self._d_max = max(self._pair.d_max, int(np.ceil(self._turned.depth_scale.max() / second.near)))
 
     def match(self, image: Image8, other: Image8, sides: Sequence[Side]) -> list[Estimate]:
-        """What the cameras learn from each other.
+        """Match the pair, for the depth of one or both cameras.
 
         Args:
             image: what the first camera saw, RGB, (H, W, 3).
@@ -98,14 +92,9 @@ class RigEstimator:
     cameras' names.
 
     Args:
-        cameras: the rig.
         matched: for each depth map that is wanted the name of its camera, and those of the cameras that it is matched with.
-        matcher: the stereo algorithm.
         error_px: estimates of two partners agree when disparity errors of this size, in the smaller images, explain their
             difference.
-
-    Raises:
-        DepthError: a pair that cannot be rectified.
     """
 
     def __init__(
@@ -128,9 +117,6 @@ class RigEstimator:
         Returns:
             Depth, (H, W), and confidence of each map that is wanted: the share of partners that agree, weighted by their
             left-right agreement.
-
-        Raises:
-            DepthError: an image is missing, or does not have its camera's size.
         """
         small = {name: self._shrunk(name, images) for name in dict.fromkeys(name for names in self.matched for name in names)}
         estimates: dict[tuple[str, str], Estimate] = {}
@@ -159,9 +145,6 @@ class LiveEstimator:
     """Depth of one camera as `RigEstimator` finds it for many.
 
     Args:
-        camera: the camera whose depth is wanted.
-        partners: the cameras it is matched with.
-        matcher: the stereo algorithm.
         error_px: see `RigEstimator`.
     """
 

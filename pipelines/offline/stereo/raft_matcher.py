@@ -42,11 +42,7 @@ def shipped_weights() -> Path:
 
 
 def weights_digest(path: Path) -> str:
-    """sha256 of a weights file, part of a depth map's key.
-
-    Raises:
-        WeightsError: no such file.
-    """
+    """sha256 of a weights file, part of a depth map's key."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
@@ -98,16 +94,13 @@ class RaftMatcher:
     """RAFT-Stereo on one rectified pair.
 
     Attributes:
-        weights: file of the weights.
         weights_sha256: of its content; other weights, other depth.
-        iterations: updates of the flow.
         warm_iterations: updates when the disparity of the frame before is known.
         from_matching: start from semi-global matching at half size; the authors' networks are made to start from zero.
         largest_side_px: larger pairs are matched at half size and refined at full size.
         check_px: left and right may differ by max(check_px, check_share * disparity).
         check_share: see check_px.
         refine_window: side of the window of the sub-pixel refinement on the images, pixels.
-        refine_iterations: its iterations.
 
     Reading:
         The compact network is trained with 4 iterations. On 40 of its validation scenes 5 and 12 leave 1.52 and 1.42 px, at one
@@ -132,11 +125,7 @@ class RaftMatcher:
         return "raft-stereo"
 
     def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
-        """Match a rectified pair, see StereoMatcher.match.
-
-        Raises:
-            DeviceError: no such device here, or its memory is out.
-        """
+        """Match a rectified pair, see StereoMatcher.match."""
         device = compute_device(self.device)
         with rendering_on(device):
             whole, of_right = self._disparities(left, right, d_min, d_max, previous, sides=2)
@@ -162,9 +151,6 @@ class RaftMatcher:
 
         Returns:
             Disparity of the left image, pixels, (H, W), rejected nowhere.
-
-        Raises:
-            DeviceError: no such device here, or its memory is out.
         """
         with rendering_on(compute_device(self.device)):
             return self._disparities(left, right, d_min, d_max, previous, sides=1)[0].cpu().numpy()

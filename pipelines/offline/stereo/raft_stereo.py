@@ -99,7 +99,6 @@ class RaftStereo(nn.Module):
     """The network; parameters bear the names of the published checkpoints.
 
     Args:
-        config: its shape.
         volume_bytes: memory for the correlation volume, see `Correlation`.
     """
 
@@ -127,8 +126,6 @@ class RaftStereo(nn.Module):
 
         Args:
             left: (B, 3, H, W), 0..255, H and W multiples of 32.
-            right: the same of the other image.
-            iterations: number of updates.
             initial: flow to start from, in cells, (B, 1, H / factor, W / factor); zero by default.
 
         Returns:

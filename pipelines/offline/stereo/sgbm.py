@@ -31,7 +31,6 @@ class SgbmMatcher:
         speckle_px: connected patches smaller than this are dropped.
         coarse_confidence: confidence of a level over that of the next finer one.
         refine_window: side of the window of the sub-pixel refinement, pixels.
-        refine_iterations: its iterations.
     """
 
     block: int = 3
@@ -62,7 +61,6 @@ class SgbmMatcher:
             right: RGB, (H, W, 3).
             d_min: smallest disparity, pixels.
             d_max: largest disparity, pixels.
-            sides: the images whose disparity is wanted.
 
         Returns:
             For each side disparity and confidence, (H, W) each, as `match` gives them for the left one; a point in column x of
@@ -81,7 +79,7 @@ class SgbmMatcher:
         ]
 
     def _completed(self, fine: Map, fine_confidence: Map, coarse: Map, coarse_confidence: Map) -> tuple[Map, Map]:
-        """What one size has found, and where it has found nothing what the smaller one has."""
+        """Disparities of one size, its gaps filled by those of the smaller one."""
         size, kept = fine.shape[::-1], fine > 0
         disparity = np.where(kept, fine, 2 * _enlarge(coarse, size))
         enlarged = self.coarse_confidence * cv2.resize(coarse_confidence, size, interpolation=cv2.INTER_NEAREST)

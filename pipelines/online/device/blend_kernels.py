@@ -194,7 +194,7 @@ def surface_in_view(fused: wp.array2d[wp.float32], m: wp.array[wp.float32], y: w
 
 @wp.func
 def is_inside(at: wp.vec3f, width: wp.int32, height: wp.int32) -> wp.bool:
-    """Whether a point lies before a camera, and in its image."""
+    """Tell whether a point lies before a camera, and in its image."""
     return at[2] > 0.0 and at[0] >= 0.0 and at[0] < wp.float32(width) and at[1] >= 0.0 and at[1] < wp.float32(height)
 
 
@@ -202,7 +202,7 @@ def is_inside(at: wp.vec3f, width: wp.int32, height: wp.int32) -> wp.bool:
 def visibility_of(
     depth: wp.array2d[wp.float32], width: wp.int32, height: wp.int32, at: wp.vec3f, tolerance: wp.float32
 ) -> wp.float32:
-    """How far a view's own depth agrees that it sees a point in its image."""
+    """Degree to which a view's own depth agrees that it sees a point in its image."""
     there = depth_at(depth, width, height, at[0], at[1], tolerance)
     visibility = wp.float32(0.0)
     if there > 0.0:

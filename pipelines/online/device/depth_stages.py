@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.online.device.views import DeviceViews, area_cells, pix
 
 @dataclass(frozen=True, eq=False)
 class DeviceChange:
-    """What changed in a view since the instant before, see `ggvs_eval.pipelines.online.depth_filter.Change`."""
+    """Change in a view since the instant before, see `ggvs_eval.pipelines.online.depth_filter.Change`."""
 
     before: Tensor
     now: Tensor

@@ -24,7 +24,7 @@ REDUCTION = compensation.REDUCTION
 
 @dataclass(frozen=True, eq=False)
 class ExposureState:
-    """What is remembered of the sources' colours.
+    """Memory of the sources' colours.
 
     Attributes:
         index: of the last instant.

@@ -54,7 +54,7 @@ class PairRoom:
 
 @dataclass(frozen=True, eq=False)
 class GeometryState:
-    """What the depth and the gains of one instant leave for the next."""
+    """State of depth and gains that one instant leaves for the next."""
 
     index: int = -2
     history: History = field(default_factory=dict)
@@ -96,7 +96,7 @@ def blending_inputs(
         options: constants of the method.
         before: left by the instant before.
         capacity: see `splat_views`.
-        mark: is told when a part begins.
+        mark: called when a stage begins.
     """
     target, index, units = instant.target, instant.index, instant.units_per_metre
     tau = options.tau_m * units

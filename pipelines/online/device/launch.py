@@ -1,4 +1,4 @@
-"""How kernels of this room are launched: on the device and the stream of the tensors that they are given."""
+"""Launch of this room's kernels: on the device and the stream of the tensors that they are given."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -50,5 +50,5 @@ def sort_pairs(keys: torch.Tensor, values: torch.Tensor, count: int, bits: int) 
 
 
 def exclusive_sum(counts: torch.Tensor, out: torch.Tensor) -> None:
-    """Sum what stands before each count, (N,), int32."""
+    """Sum of the counts before each, (N,), int32."""
     wp.utils.array_scan(wp.from_torch(counts), wp.from_torch(out), inclusive=False)

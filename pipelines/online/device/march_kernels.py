@@ -93,7 +93,7 @@ def mark_frustum(
     for row in range(y0, y1 + 1):
         for column in range(x0, x1 + 1):
             for slab in range(first, last + 1):
-                marks[row, column, slab] = wp.uint8(1)  # whoever writes, writes the same
+                marks[row, column, slab] = wp.uint8(1)  # all threads write the same value
 
 
 @wp.kernel
@@ -145,7 +145,7 @@ def mark_shells(
 
 @wp.kernel
 def find_next(marks: wp.array3d[wp.uint8], field: Field, nexts: wp.array3d[wp.float32]):
-    """Where the first marked slab at or behind each slab begins."""
+    """Beginning of the first marked slab at or behind each slab."""
     y, x = wp.tid()
     following = NOWHERE
     for n in range(_SLABS):

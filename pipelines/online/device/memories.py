@@ -1,4 +1,4 @@
-"""What the target remembers, on the device: the recurrent output and the remembered background."""
+"""Memories of the target, on the device: the recurrent output and the remembered background."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What training samples are made of, on the device: views splatted and warped, and what geometric weights make of them."""
+"""Parts of training samples, on the device: views splatted and warped, and what geometric weights make of them."""
 
 from collections.abc import Mapping
 

@@ -154,7 +154,7 @@ def list_pairs(
 
 @wp.kernel
 def find_ends(keys: wp.array[wp.int32], count: wp.int32, starts: wp.array[wp.int32], ends: wp.array[wp.int32]):
-    """Where the pairs of each tile begin and end; what is no tile's sorts last."""
+    """Range of the pairs of each tile; those of no tile sort last."""
     n = wp.tid()
     tile = keys[n]
     if tile < starts.shape[0]:

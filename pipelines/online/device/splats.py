@@ -88,7 +88,7 @@ def _tile_lists(
 
 
 def _projector(camera: Camera, target: Camera, near: float, scale: float) -> Array32:
-    """What one source's Gaussians need to become ellipses in the target image, (22,), see `Projector` of `kernels/splat.hpp`."""
+    """Parameters by which one source's Gaussians become ellipses in the target image, (22,); see `kernels/splat.hpp`."""
     fx, fy, cx, cy = target.K[0, 0], target.K[1, 1], target.K[0, 2], target.K[1, 2]
     slopes = 1.3 * target.width / (2.0 * fx), 1.3 * target.height / (2.0 * fy)
     sigma = scale / (0.5 * (camera.K[0, 0] + camera.K[1, 1]))

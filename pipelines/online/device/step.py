@@ -27,7 +27,7 @@ from ggvs_eval.pipelines.online.geometry_guided import SAME_SURFACE_TAU, OnlineO
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """What one instant leaves for the next."""
+    """State that one instant leaves for the next."""
 
     geometry: GeometryState = field(default_factory=GeometryState)
     background: Background | None = None

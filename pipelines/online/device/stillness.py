@@ -1,4 +1,4 @@
-"""How sure it is that nothing moves, on the device: the rules of the compiled path's `stillness`."""
+"""Certainty that nothing moves, on the device: the rules of the compiled path's `stillness`."""
 
 from collections.abc import Sequence
 from functools import lru_cache

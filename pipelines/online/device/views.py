@@ -96,7 +96,7 @@ def area_cells(size: int, cells: int, device: torch.device) -> tuple[Tensor, Ten
 
 @lru_cache(maxsize=64)
 def between_cells(fine: int, coarse: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Where fine pixels lie between coarse ones: the two neighbours, (fine, 2), and the share of the second, (fine,)."""
+    """Places of fine pixels between coarse ones: the two neighbours, (fine, 2), and the share of the second, (fine,)."""
     at = np.clip((np.arange(fine) + 0.5) * coarse / fine - 0.5, 0.0, coarse - 1.0)
     first = at.astype(int)
     pairs: NDArray[np.int64] = np.stack([first, np.minimum(first + 1, coarse - 1)], axis=1)

@@ -1,1 +1,1 @@
-"""One run folder of what several machines made."""
+"""One run folder from the results of several machines."""

@@ -63,11 +63,7 @@ def _units(run: RunFolder) -> list[Unit]:
 
 
 def _union(units: Sequence[Unit]) -> dict[str, Unit]:
-    """Each unit once.
-
-    Raises:
-        ResultsError: one name for two.
-    """
+    """Each unit once."""
     chosen: dict[str, Unit] = {}
     for unit in units:
         original = chosen.setdefault(unit.name, unit)
@@ -80,7 +76,7 @@ def _union(units: Sequence[Unit]) -> dict[str, Unit]:
 
 
 def _require_alike(runs: Sequence[RunFolder]) -> None:
-    """Refuse what does not belong in one table."""
+    """Refuse runs that do not belong in one table."""
     if not runs:
         raise ResultsError("wanted run folders to merge, got none")
     first, *others = runs
@@ -96,7 +92,7 @@ def _require_alike(runs: Sequence[RunFolder]) -> None:
 
 
 def _identity(run: RunFolder) -> dict[str, Any]:
-    """Return what runs must have in common, by the words that a message uses."""
+    """Return the properties that runs must share, by the words that a message uses."""
     record = run.capture_record()
     depth = read_json(run.depth_record) if run.depth_record.is_file() else {}
     return {
@@ -115,7 +111,6 @@ def _differences(one: Any, other: Any, name: str = "") -> list[str]:
 
 
 def _place(unit: Unit, target: Path, place: Place) -> None:
-    """Put a file, or all files of a folder, where it belongs."""
     for file in unit.files():
         destination = target / file.relative_to(unit.source) if unit.source.is_dir() else target
         destination.parent.mkdir(parents=True, exist_ok=True)
@@ -135,7 +130,6 @@ def _link(source: Path, destination: Path) -> None:
 
 
 def _write_records(runs: Sequence[RunFolder], folder: Path) -> None:
-    """Protocol, capture, depth, order of the methods and the list of jobs."""
     first = runs[0]
     here = next((run for run in runs if run.capture_path().exists()), first)
     place = here.capture_path().resolve()
@@ -156,10 +150,6 @@ def _write_records(runs: Sequence[RunFolder], folder: Path) -> None:
 def merge_scores(runs: Sequence[RunFolder], folder: Path) -> None:
     """Write ``scores/<view>/job.json`` with the methods of all runs.
 
-    Args:
-        runs: of one protocol and capture.
-        folder: of the merged run.
-
     Raises:
         ResultsError: one method has different values in two runs, or was measured from different frames.
     """
@@ -175,7 +165,6 @@ def merge_scores(runs: Sequence[RunFolder], folder: Path) -> None:
 
 
 def _one_record(records: Sequence[tuple[Path, dict[str, Any]]]) -> dict[str, Any]:
-    """Every method of one view once."""
     methods: dict[str, Any] = {}
     origin: dict[str, Path] = {}
     for file, record in records:

@@ -19,7 +19,6 @@ class Unit:
 
     Attributes:
         name: its path in the run folder.
-        source: file or folder.
     """
 
     name: str
@@ -87,5 +86,5 @@ def _files_below(folder: Path) -> Iterator[Path]:
 
 
 def _is_hidden(path: Path, root: Path) -> bool:
-    """Tell whether somebody is still writing a folder, whose name is hidden until it is whole."""
+    """Tell whether a folder is still being written, whose name is hidden until it is whole."""
     return any(part.startswith(".") for part in path.relative_to(root).parts)

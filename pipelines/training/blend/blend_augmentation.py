@@ -37,10 +37,7 @@ def augment(views: RawViews, truth: Map, rng: np.random.Generator, options: Augm
     """A crop as other cameras could have seen it.
 
     Args:
-        views: of the crop.
         truth: what the target's camera saw, (H, W, 3) in [0, 1].
-        rng: what is drawn comes from here.
-        options: how far.
 
     Returns:
         The changed views, and the truth with the common gain.
@@ -82,7 +79,6 @@ def _moved(image: Map, right: float, down: float) -> Map:
 
 
 def _blurred(views: RawViews, which: int, sigma_px: float) -> RawViews:
-    """One view out of focus."""
     splats, warps = views.splats.copy(), views.warps.copy()
     for colours in (splats, warps):
         colours[which] = cv2.GaussianBlur(colours[which], (0, 0), sigma_px)

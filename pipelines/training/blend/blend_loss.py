@@ -38,10 +38,8 @@ def blend_loss(
 
     Args:
         image: the synthesised view, (B, 3, H, W).
-        outputs: what it was composed by.
         batch: ``alphas`` (B, K, H, W) of the views and ``truth`` (B, 3, H, W) in [0, 1]; ``depths`` (B, K, H, W) and
             ``fused_depth`` (B, H, W) in the scene's own unit of length, 0 where unknown.
-        weights: of the terms.
         tsdf_guidance: without it there is no fused depth to follow: the depth term is left out.
 
     Returns:

@@ -37,12 +37,8 @@ class BlendTask:
     Attributes:
         training: samples to learn from; their `prepare` makes them.
         validation: samples that are never learned from.
-        config: shape of the network.
         seed: of the weights and the crops.
         crop_width: of the crops, pixels.
-        crop_height: of the crops.
-        batch_size: crops per step.
-        weights: of the loss.
         augmentation: of the crops; None leaves them as they are but for mirroring and the order of colours.
         schedule: see `Schedule`; the weight decay is the paper's.
 
@@ -63,7 +59,7 @@ class BlendTask:
     schedule: Schedule = LEARNING
 
     def __post_init__(self) -> None:
-        """Refuse what does not fit together."""
+        """Refuse options that do not fit together."""
         for source in (*self.training.sources, *self.validation.sources):
             if source.most_views > self.config.views:
                 raise TrainingError(
@@ -80,7 +76,7 @@ class BlendTask:
 
     @property
     def summary(self) -> str:
-        """Sentence of the model card on what is trained."""
+        """Sentence of the model card on the network."""
         return "The training of the blending network."
 
     @property
@@ -90,7 +86,7 @@ class BlendTask:
 
     @property
     def evaluated_on(self) -> str:
-        """Sentence of the model card on what `validate` measures."""
+        """Sentence of the model card on the measures of `validate`."""
         return (
             f"PSNR (dB) and SSIM, means of whole views, single instants, and `geometric_`: of the geometric blender on the same "
             f"views: {self.validation.data}."
@@ -110,7 +106,7 @@ class BlendTask:
         """Nothing: the network normalises by no statistics."""
 
     def batch(self, step: int) -> dict[str, Tensor]:
-        """Channels (B, 9 K + 1, H, W), and what `blend_loss` wants."""
+        """Channels (B, 9 K + 1, H, W), and the input of `blend_loss`."""
         rng = np.random.default_rng([self.seed, step])
         crops = [self._crop(rng) for _ in range(self.batch_size)]
         return {name: torch.from_numpy(np.stack([crop[name] for crop in crops])) for name in crops[0]}
@@ -149,7 +145,7 @@ class BlendTask:
 def crop_arrays(
     sample: BlendSample, window: tuple[int, int, int, int], config: BlendNetworkOptions, change: Change | None = None
 ) -> dict[str, Map]:
-    """Return what the network and its loss take of a window (left, top, width, height) of a sample.
+    """Return the input of the network and its loss from a window (left, top, width, height) of a sample.
 
     Depths and distances are measured in the unit of the whole view, as they are when the network is used. Views that the sample
     does not have cover nothing. `change` may alter the crop's views and truth first.

@@ -20,9 +20,6 @@ def perceptual_loss(image: Tensor, truth: Tensor) -> Tensor:
         image: (B, 3, H, W), at least 31 x 31.
         truth: same shape, in [0, 1].
 
-    Raises:
-        WeightsError: the weights of LPIPS have not been fetched.
-
     Reading:
         Not in the paper, whose L1 and SSIM blur what they cannot place: trained on captures with noise and motion blur beside
         clean ones, the network became softer in clean rooms (LPIPS 0.083 to 0.090). LPIPS asks for the truth's fine detail back,
@@ -40,15 +37,10 @@ def perceptual_loss(image: Tensor, truth: Tensor) -> Tensor:
 
 
 def require_perceptual(width: int, height: int) -> None:
-    """Refuse what the term cannot be computed for, before anything is.
+    """Refuse crops or weights the term cannot be computed with, before any work.
 
     Args:
         width: of the crops, pixels.
-        height: of the crops.
-
-    Raises:
-        TrainingError: the crops are too small.
-        WeightsError: the weights of LPIPS have not been fetched.
     """
     if min(width, height) < MIN_SIDE_PX[NET]:
         raise TrainingError(

@@ -1,4 +1,4 @@
-"""A training sample of the blending network: the views of one instant in a target view, and what the target's camera saw."""
+"""A training sample of the blending network: the views of one instant in a target view, and the captured target."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,8 +26,6 @@ class RawViews:
     """The K views in the target view as splatting and warping give them, nearest camera first.
 
     Attributes:
-        target: camera of the maps.
-        sources: cameras of the views.
         splats: splatted colour, (K, H, W, 3), float32 in [0, 1].
         depths: splatted depth, (K, H, W), float32, world units, 0 where the view shows nothing.
         alphas: coverage of the splats, (K, H, W), float32 in [0, 1).
@@ -93,12 +91,8 @@ def blend_sample(instant: Instant, truth: Image8, device: str = "cpu") -> BlendS
     """The sample of what a method is shown of a target, and what the target's camera took.
 
     Args:
-        instant: the target and its K source views.
         truth: (H, W, 3) uint8.
         device: where views are splatted and warped; another one than ``cpu`` wants NVIDIA Warp.
-
-    Raises:
-        DeviceError: no such device here, or its memory is out.
 
     Reading:
         The paper shifts the principal point to render a crop; a crop of the whole rendering shows the same.
@@ -125,7 +119,7 @@ def rendered_views(instant: Instant, device: str) -> tuple[RawViews, Map]:
 
 
 class _Recorder:
-    """A blender that keeps what it was given and what another one made of it."""
+    """A blender that keeps its input and another one's result."""
 
     def __init__(self, blender: Blender) -> None:
         self.inputs: list[BlendingInputs] = []
@@ -133,7 +127,7 @@ class _Recorder:
         self._blender = blender
 
     def blend(self, inputs: BlendingInputs) -> Blended:
-        """Return what the other blender makes, and keep it."""
+        """Return the other blender's result, and keep it."""
         self.inputs.append(inputs)
         blended = self._blender.blend(inputs)
         self.images.append(blended.image)
@@ -176,11 +170,7 @@ def write_sample(path: Path, sample: BlendSample) -> None:
 
 
 def read_sample(path: Path) -> BlendSample:
-    """Read what `write_sample` wrote.
-
-    Raises:
-        TrainingError: absent or damaged.
-    """
+    """Read a sample of `write_sample`."""
     with stored_arrays(path) as arrays:
         target, *sources = stored_cameras(arrays)
         views = RawViews(

@@ -20,11 +20,7 @@ class CaptureSource:
     """The views of a capture; it is whatever `open_capture` opens: ScanNet, Spaces, DyNeRF, one's own rig.
 
     A test capture must never be trained on: none of those that the packaged protocols name test views of, nor any other that
-    results are told of. Only the demo capture and its likes can be told from others here, and are refused.
-
-    Args:
-        capture: at its own size.
-        plan: which samples.
+    results are reported for. Only the demo capture and its likes can be recognised here, and are refused.
 
     Raises:
         TrainingError: a capture that is for tests, too small, or has too few cameras.

@@ -18,8 +18,6 @@ class CapturePlan:
     """Plan of the samples of each capture. More targets add samples and change none, of rigs as long as `instants` stays.
 
     Attributes:
-        targets: target views per capture.
-        views: K.
         span: sequences: sources come from at most so many frames before or after the target's, ...
         gap: ... and from more than so many, ...
         overlap: ... and see this share of the target's view; where fewer than K do, those that see most are taken.
@@ -54,9 +52,6 @@ def draw_views(capture: Capture, plan: CapturePlan, name: str, number: int) -> t
 
     Args:
         capture: a sequence (RGB-D: each frame is a camera) or a rig.
-        plan: which samples.
-        name: of the capture, seeds what is drawn.
-        number: of the sample.
 
     Reading:
         ScanNet's rule counts frames as they are numbered, also where an export leaves numbers out, and draws evenly. It is made

@@ -28,8 +28,6 @@ class RoomPlan:
 
     Attributes:
         first_room: seed of the first room, from 1000 on.
-        rooms: how many rooms.
-        targets: target views per room.
         views: K of most samples.
         other_views: K of the others, so that one network learns to serve them all.
         other_share: share of the others.
@@ -193,7 +191,6 @@ def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, target
     """A training plan per domain, rendered at the domain's own size; of large images windows of the usual size are kept.
 
     Args:
-        domains: their names.
         rooms: per domain; of domains whose images are large a third of that, as they take as much time.
         targets: views per room; of domains whose images are large three times as many.
         shared: whatever else plans have in common, see `RoomPlan`.
@@ -208,10 +205,6 @@ def domain_validation_plan(
     """The views of a domain by which choices may be made, with the sources that an evaluation would take.
 
     Args:
-        views: K.
-        targets: views per seed.
-        seeds: how many of the validation seeds.
-        matcher: whose depth rigs get.
         size: of the images, pixels; the domain's by default.
     """
     first, width, height = VALIDATION_SEEDS[0], *(size or find_domain(domain).size)

@@ -1,4 +1,4 @@
-"""The two kinds of samples: what the blending network sees, and what the baselines are shown."""
+"""The two kinds of samples: for the blending network and for the baselines."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from ggvs_eval.training.instant_samples import InstantSample, read_instant, writ
 
 @dataclass(frozen=True)
 class BlendKind(SampleKind[BlendSample]):
-    """The views of the sources in the target, and what the geometric blender makes of them."""
+    """The views of the sources in the target, and the geometric blender's result."""
 
     device: str = "cpu"
     folders: ClassVar = {"rooms": ("samples", 4), "captures": ("captures", 2)}

@@ -15,9 +15,7 @@ class SampleMaker:
     """Views of one instant of a capture, depth as `prepare` makes it; what several targets share is computed once.
 
     Args:
-        capture: at the size of the samples.
         options: how depth is computed by a matcher, or filtered where the camera has a sensor. The target takes no part in it.
-        frame: the instant.
     """
 
     def __init__(self, capture: Capture, options: DepthOptions, frame: int = 0) -> None:

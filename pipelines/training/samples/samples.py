@@ -90,11 +90,7 @@ class SampleKind(ABC, Generic[Sample]):
 
     @abstractmethod
     def read(self, path: Path) -> Sample:
-        """Read a sample.
-
-        Raises:
-            TrainingError: absent or damaged.
-        """
+        """Read a sample."""
 
     @abstractmethod
     def write(self, path: Path, sample: Sample) -> None:
@@ -119,8 +115,6 @@ class SamplePool(Generic[Sample]):
 
     Args:
         folder: where rooms and samples are kept; several pools, and several kinds, may share it.
-        kind: what a sample is.
-        sources: views to learn from.
     """
 
     def __init__(self, folder: Path, kind: SampleKind[Sample], sources: Sequence[SampleSource]) -> None:
@@ -145,11 +139,7 @@ class SamplePool(Generic[Sample]):
         return "; ".join(source.contents(self.kind.depth) for source in self.sources)
 
     def read(self, index: int) -> Sample:
-        """One of the samples.
-
-        Raises:
-            TrainingError: it has not been prepared, or is damaged.
-        """
+        """One of the samples."""
         number = index
         for source in self.sources:
             if number < source.count:
@@ -184,14 +174,7 @@ class SamplePool(Generic[Sample]):
 
 
 def make_samples(source: SampleSource, kind: SampleKind[Sample], capture: Capture, paths: Mapping[int, Path]) -> None:
-    """Make samples of one capture and instant.
-
-    Args:
-        source: which samples.
-        kind: what a sample is.
-        capture: at the size of the samples.
-        paths: number of each sample, and its file.
-    """
+    """Make samples of one capture and instant."""
     maker = SampleMaker(capture, DepthRunOptions(source.matcher).options(), source.frame(next(iter(paths))))
     for number, path in paths.items():
         sample, window = kind.make(maker, *source.draw(capture, number)), source.kept(number)
@@ -203,11 +186,7 @@ def _open_and_make(source: SampleSource, kind: SampleKind[Sample], folder: Path,
 
 
 def require_room(samples: SamplePool[Sample], width: int, height: int) -> None:
-    """Refuse samples in which crops of that size do not fit.
-
-    Raises:
-        TrainingError: a sample may be smaller.
-    """
+    """Refuse samples in which crops of that size do not fit."""
     for source in samples.sources:
         least = source.least_size
         if least[0] < width or least[1] < height:

@@ -21,16 +21,7 @@ HELD_BACK = CapturePlan(targets=6, gap=0, span=4)  # of a sequence that is held 
 
 
 def sample_pools(cache: Path, data: DataOptions, kind: SampleKind[Sample]) -> tuple[SamplePool[Sample], SamplePool[Sample]]:
-    """Samples to learn from, and those to be validated by; `prepare_samples` makes them.
-
-    Args:
-        cache: where rooms and samples are kept.
-        data: what is learned from.
-        kind: what a sample is.
-
-    Raises:
-        TrainingError: nothing to learn from, or captures that cannot be learned from.
-    """
+    """Samples to learn from, and those to be validated by; `prepare_samples` makes them."""
     views, domains, halves = min(USUAL_VIEWS, data.views), data.domains or tuple(DOMAINS), list(_halves(data))
     learned = capture_sources([half for half, _ in halves], CapturePlan(targets=CAPTURE_TARGETS, views=views))
     held_back = capture_sources([half for _, half in halves if half is not None], replace(HELD_BACK, views=views))

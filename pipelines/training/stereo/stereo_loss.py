@@ -15,7 +15,6 @@ def sequence_loss(flows: Sequence[Tensor], last: Tensor, truth: Tensor, decay: f
         last: the last one at full size, in pixels, (B, 1, H, W).
         truth: (B, 1, H, W), pixels.
         decay: weight of iteration i is decay**(15 / (n - 1) * (n - 1 - i)): the first one counts the same whatever n.
-        largest_px: larger truths are left out.
 
     Reading:
         The authors bring every iteration to full size; earlier ones count at their cells here, at a third less time a step.

@@ -26,16 +26,11 @@ class StereoTask:
     """The training of RAFT-Stereo.
 
     Attributes:
-        config: shape of the network.
         seed: of the weights and the pairs.
         width: of the crops, pixels, a multiple of 32.
-        height: of the crops.
-        batch_size: pairs per step.
-        iterations: updates per forward pass.
         started: share of the pairs that start from semi-global matching; as many again as remain, halved, start from nothing
             and from a displaced truth, as a previous frame's disparity would be.
         matching_weight: of the loss on the features themselves.
-        validation_pairs: how many pairs validate.
         schedule: see `Schedule`.
     """
 
@@ -57,7 +52,7 @@ class StereoTask:
 
     @property
     def summary(self) -> str:
-        """Sentence of the model card on what is trained."""
+        """Sentence of the model card on the network."""
         return "The training of RAFT-Stereo."
 
     @property
@@ -67,7 +62,7 @@ class StereoTask:
 
     @property
     def evaluated_on(self) -> str:
-        """Sentence of the model card on what `validate` measures."""
+        """Sentence of the model card on the measures of `validate`."""
         return (
             f"{self.validation_pairs} pairs of 512x320 of scenes of their own, every pixel, occluded ones included: end-point "
             "error and share of pixels off by more than 1 and 3 px, from semi-global matching (8 iterations), `zero_` from "
