@@ -58,7 +58,7 @@ class GpsGaussian:
         """Synthesise one instant.
 
         Raises:
-            RenderError: no two of the sources make a stereo pair.
+            ViewRefusedError: no two of the sources make a stereo pair.
             WeightsError: no usable weights.
         """
         device = compute_device(self.device)
