@@ -1,6 +1,6 @@
 # Every target makes the virtual environment it needs; nothing has to be installed by hand but Python 3.11 or 3.12, make and g++.
 # Folders bear some of these names too: without .PHONY `make reports` would say "up to date" and do nothing.
-.PHONY: reports test test-quick check bench bench-device validate docs wheel-test view view-demo clean
+.PHONY: reports results test test-quick check bench bench-device validate docs wheel-test view view-demo clean
 
 PYTHON ?= $(shell for p in python3.11 python3.12 python3; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' 2>/dev/null && echo $$p && break; done)
@@ -12,6 +12,12 @@ OUT ?= out/demo
 # The evaluation: of DATA=<capture> under PROTOCOL=<name or file>, or of the demo capture.
 reports: $(READY)
 	$(BIN)/ggvs-eval run $(OUT) $(if $(DATA),--capture $(DATA)) $(if $(PROTOCOL),--protocol $(PROTOCOL))
+
+# Every table and figure of README and docs, as far as it is older than the code: hours, in pieces. ONLY=name,name chooses, PLAN=1 tells
+# states and minutes, DATA= and WEIGHTS= are folders of captures and checkpoints that do not ship. Killed, it goes on where it was.
+results: $(READY)
+	$(BIN)/python docs/make_results.py $(if $(ONLY),--only $(ONLY)) $(if $(PLAN),--plan) $(if $(DATA),--data $(DATA)) \
+		$(if $(WEIGHTS),--weights $(WEIGHTS))
 
 # One process per core. Neighbours stay together, as the tests of a file share what takes long to make; who is done early helps.
 # The order is shuffled, by the same seed for everybody: `make test SEED=$RANDOM` looks for tests that depend on their order.

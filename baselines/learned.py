@@ -50,8 +50,8 @@ class LearnedBaseline:
         source: authors and venue of its paper.
         checkpoint: the authors' file that it can render with.
         method: class of its `Method`; takes the file of weights and ``device`` beside the options of a rendition.
-        recipe: class of its `TrainingRecipe`.
         renditions: the ways in which it renders.
+        recipe: class of its `TrainingRecipe`; empty where its authors' weights are to be had and none are learned here.
         takes_depth: whether it learns from sources with depth; without, no sample waits for depth.
     """
 
@@ -60,8 +60,8 @@ class LearnedBaseline:
     source: str
     checkpoint: str
     method: str
-    recipe: str
     renditions: tuple[Rendition, ...]
+    recipe: str = ""
     takes_depth: bool = False
 
     @property

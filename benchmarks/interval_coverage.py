@@ -164,8 +164,8 @@ def posterior_half_widths(posterior: Posterior) -> Array:
 
 def compare_methods(repetitions: int) -> Iterator[str]:
     """Coverage in % and mean width, over that of the 95 % interval of who knows the process, of every method."""
-    yield "coverage % / width over that of a known process"
-    yield "frames  clip             rho  " + "  ".join(f"{name:>13}" for name in (*METHODS, "package")) + "    too short %"
+    yield f"| frames | clip | c | {' | '.join(METHODS)} | ours | too short |"
+    yield "| ---: | --- | ---: |" + " ---: |" * (len(METHODS) + 2)
     for frames in FRAMES:
         for kind, make in KINDS.items():
             for correlation in CORRELATIONS:
@@ -173,18 +173,14 @@ def compare_methods(repetitions: int) -> Iterator[str]:
                 series = make(generator, repetitions, frames, correlation)
                 means, ideal = series.mean(axis=1), 1.96 * make(generator, REFERENCE, frames, correlation).mean(axis=1).std()
                 halves = {name: method(series) for name, method in METHODS.items()}
-                cells = [f"{100 * (np.abs(means) <= half).mean():6.1f} / {half.mean() / ideal:4.2f}" for half in halves.values()]
+                cells = [f"{100 * (np.abs(means) <= half).mean():.1f} / {half.mean() / ideal:.2f}" for half in halves.values()]
                 posterior = correlation_posterior(series)
                 tails = tail_probability(means, posterior.weights, posterior.scales, posterior.freedom)
                 some = Posterior(posterior.weights[:WIDTHS], posterior.scales[:WIDTHS], posterior.freedom, posterior.worth)
                 width = posterior_half_widths(some).mean() / ideal
-                cells.append(f"{100 * (tails >= 1.0 - LEVEL).mean():6.1f} / {width:4.2f}")
+                cells.append(f"**{100 * (tails >= 1.0 - LEVEL).mean():.1f} / {width:.2f}**")
                 short = 100 * (posterior.worth < FEWEST_WORTH).mean()
-                yield (
-                    f"{frames:6}  {kind:15}  {correlation:.1f}  "
-                    + "  ".join(f"{cell:>13}" for cell in cells)
-                    + f"  {short:10.0f}"
-                )
+                yield f"| {frames} | {kind} | {correlation:.1f} | {' | '.join(cells)} | {short:.0f} |"
 
 
 def scene(values: Array, pool: Pool, squares: bool = False) -> PooledScene:
@@ -203,8 +199,8 @@ def rig(generator: Generator, views: int, frames: int, correlation: float, heavy
 
 def check_package(repetitions: int) -> Iterator[str]:
     """Coverage of means and of SDT, which is not shown, and false alarms of paired comparisons of both, all in %."""
-    yield "\nfrom `measure_spread`, in %: coverage of the mean and of SDT; false alarms of pairs of both; pairs called too short"
-    yield "frames  views  tails   rho      mean       SDT  alarms, mean  alarms, SDT  too short"
+    yield "\n| frames | views | tails | c | mean | SDT | false alarms, mean | false alarms, SDT | too short |"
+    yield "| ---: | ---: | --- |" + " ---: |" * 6
     cases = [(t, v, h, c) for t in FRAMES for v in (1, 3, 9) for h in (False, True) for c in (0.0, 0.7, 0.9) if not h or v == 3]
     for frames, views, tails, correlation in cases:
         generator = np.random.default_rng([frames, views, tails, int(10 * correlation)])
@@ -225,8 +221,10 @@ def check_package(repetitions: int) -> Iterator[str]:
             of_sdt.append(deviation.p_value() < 1.0 - LEVEL and not deviation.undecided())
         sdt_held = np.abs(np.array(deviations) - np.mean(deviations)) <= halves
         shares = [100 * float(np.mean(each)) for each in (held, sdt_held, alarms, of_sdt, short)]
-        head = f"{frames:6}  {views:5}  {'heavy ' if tails else 'normal'}  {correlation:.1f}"
-        yield head + "".join(f"{share:{width}.1f}" for share, width in zip(shares, (10, 10, 14, 13, 11), strict=True))
+        yield (
+            f"| {frames} | {views} | {'heavy' if tails else 'normal'} | {correlation:.1f} | "
+            f"{' | '.join(f'{share:.1f}' for share in shares)} |"
+        )
 
 
 def main(options: Options) -> None:

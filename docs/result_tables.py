@@ -19,15 +19,7 @@ DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "
 DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
 
 FIDELITY = ("PSNR", "SSIM", "LPIPS", "L1")
-PAPER_METHODS = {  # label -> name in the paper's tables
-    "no-blending": "No Blending",
-    "distance-based": "Distance-based Blending",
-    "fwd": "FWD",
-    "gps-gaussian+given-depth": "GPSG",
-    "ibrnet": "IBRNet",
-    "enerf": "ENeRF",
-    "ours": "Ours",
-}
+README_METHODS = ("no-blending", "distance-based", "interpolation", "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", "ours")
 
 CLIP_DATASETS = {"dynerf": "DyNeRF", "enerf": "ENeRF-Outdoor", "d3dmv": "D3DMV"}
 CLIP_METHODS = {"enerf": "ENeRF", "gpsg": "GPSG", "ibrnet": "IBRNet", "ours": "paper's"}
@@ -83,11 +75,11 @@ def views_table(run: Path) -> str:
 
 
 def fidelity_table(run: Path) -> str:
-    """Fidelity of the paper's methods in one run, as Markdown."""
+    """Fidelity of ours and its opponents in one run, as Markdown."""
     measured = Results.read(run).summary().droplevel("dataset")
     names = read_json(run / "methods.json")["names"]
     rows = ["| method | " + " | ".join(FIDELITY) + " |", "| --- |" + " ---: |" * len(FIDELITY)]
-    for label in PAPER_METHODS:
+    for label in README_METHODS:
         values = measured.loc[tuple(label.partition("+")[::2])]
         rows.append(f"| {names[label]} | " + " | ".join(f"{values[metric]:.{DECIMALS[metric]}f}" for metric in FIDELITY) + " |")
     return "\n".join(rows)
@@ -110,24 +102,23 @@ def _ceiling(entry: Mapping[str, Any], metric: str) -> str:
     return f"{entry.get('bounds', {}).get(metric, '')} {value:.{DECIMALS[metric]}f}".strip()
 
 
-def sweep_table(root: Path, metrics: Sequence[str], timed: Path | None = None) -> str:
+def sweep_table(root: Path, metrics: Sequence[str]) -> str:
     """Means over the captures of a sweep, each with half the width of its interval, and seconds per frame where it rendered.
 
     Args:
         root: folder of the sweep.
         metrics: which.
-        timed: folder of a short sweep over the same methods at one go, if the times are to be taken from there.
 
     Raises:
         ResultsError: nothing is scored there.
     """
-    runs, timed_runs = (_runs_of(each) for each in (root, timed or root))
+    runs = _runs_of(root)
     results = merge_results([Results.read(run) for run in runs])
     (dataset,) = results.table["dataset"].unique()
     shown = [metric for metric in metrics if metric in set(results.table["metric"])]
     columns = {metric: intervals(results, metric, dataset) for metric in shown}
     names = read_json(runs[0] / "methods.json")
-    seconds = {label: _seconds(timed_runs, label) for label in names["labels"]}
+    seconds = {label: _seconds(runs, label) for label in names["labels"]}
     heads = [*shown, "s / frame"] if any(value == value for value in seconds.values()) else shown
     rows = [f"| method | {' | '.join(heads)} |", "| --- |" + " ---: |" * len(heads)]
     for label in names["labels"]:

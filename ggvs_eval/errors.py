@@ -57,6 +57,10 @@ class RenderError(GgvsError):
     """Frames cannot be synthesised, or a folder of renders does not fit the protocol."""
 
 
+class ViewRefusedError(RenderError):
+    """A method cannot show a view from where its sources stand, whatever they show: its cells say so, and a run goes on."""
+
+
 class MetricError(GgvsError):
     """Inputs of a metric do not fit each other or the metric's definition."""
 

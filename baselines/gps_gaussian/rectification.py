@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Array, Map
 from ggvs_eval.baselines.gps_gaussian.network import SIZE_MULTIPLE
 from ggvs_eval.camera import Camera
-from ggvs_eval.errors import RenderError
+from ggvs_eval.errors import RenderError, ViewRefusedError
 from ggvs_eval.method import SourceView
 
 MIN_PARALLAX_SINE = 0.5  # between the line through both centres and the viewing direction
@@ -198,7 +198,9 @@ def choose_pairs(target: Camera, cameras: Sequence[Camera], count: int) -> list[
             continue
         chosen.append(ordered)
     if not chosen:
-        raise RenderError(f"GPS-Gaussian needs a stereo pair among the sources; {refusals[0] if refusals else 'got one camera'}")
+        raise ViewRefusedError(
+            f"GPS-Gaussian needs a stereo pair among the sources; {refusals[0] if refusals else 'got one camera'}"
+        )
     return chosen
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import tyro
 
-from ggvs_eval.baselines.registry import LEARNED_BASELINES
+from ggvs_eval.baselines.registry import TRAINED_BASELINES
 from ggvs_eval.pipelines.commands.captures import Output
 from ggvs_eval.pipelines.training.request import Configuration, Guidance, Size, TrainingRequest
 from ggvs_eval.pipelines.training.samples.data_options import DataOptions
@@ -101,7 +101,7 @@ def train_all(
 TRAININGS: dict[str, Callable[..., None]] = {
     "blend": train_blend,
     "stereo": train_stereo,
-    **{name: _baseline(name) for name in LEARNED_BASELINES},
+    **{name: _baseline(name) for name in TRAINED_BASELINES},
     "all": train_all,
 }
 

@@ -24,10 +24,24 @@ def _distance_based() -> Method:
     return DistanceBased()
 
 
+def _interpolation() -> Method:
+    from ggvs_eval.baselines.view_interpolation import ViewInterpolation
+
+    return ViewInterpolation()
+
+
 FIXED_BASELINES: dict[str, OnlineMethod] = {
     "no-blending": OnlineMethod("No Blending", "all Gaussians of the K views in one pass, the nearest wins", FIXED, _no_blending),
     "distance-based": OnlineMethod(
         "Distance-based Blending", "splatted views weighted by camera distance (LLFF)", FIXED, _distance_based
+    ),
+    "interpolation": OnlineMethod(
+        "View Interpolation",
+        "two views warped towards each other by optical flow, where the target lies between them",
+        ("ggvs_eval.baselines.view_interpolation",),
+        _interpolation,
+        usual=False,
+        uses_depth=False,
     ),
 }
 

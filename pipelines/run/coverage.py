@@ -1,12 +1,13 @@
-"""Frames that each method of a run has: all of the protocol's, or fewer where partial renders were allowed."""
+"""Frames that each method of a run has: all of the protocol's, or fewer where it refused views or renders are partial."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ggvs_eval.run_folder import RunFolder, as_ranges, read_json, require_frames
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, as_ranges, read_json, require_frames
 
 IMPORT_FILE = "import.json"
+REFUSED = "refused"  # in the record of a render: why the method cannot show that view
 SHOWN_FIELDS = ("kind", "source", "sha256", "notes")
 
 
@@ -19,12 +20,14 @@ class Coverage:
         partial: label of a partial method -> view -> its frames, rising.
         marks: label of a partial method -> what its row stands on.
         imported: label of a method that others rendered -> where it came from.
+        refused: label of a method -> view that it cannot show -> why not.
     """
 
     numbers: range
     partial: Mapping[str, Mapping[str, Sequence[int]]]
     marks: Mapping[str, str]
     imported: Mapping[str, dict[str, Any]]
+    refused: Mapping[str, Mapping[str, str]]
 
     def frames(self, label: str, view: str) -> Sequence[int]:
         """Frames of one method in one view, rising."""
@@ -56,13 +59,24 @@ class Coverage:
 
 
 def read_coverage(run: RunFolder, numbers: range, labels: Sequence[str]) -> Coverage:
-    """Read the coverage of a run from the records of its imports."""
+    """Read the coverage of a run from the records of its imports and renders."""
     records = {label: read_import(run, label) for label in labels}
     imports = {label: record for label, record in records.items() if record}
-    scene = run.capture_record()["scene"]
+    scene, views = run.capture_record()["scene"], run.protocol().views.test
+    refused = {label: reasons for label in labels if label not in imports and (reasons := _refusals(run, label, views))}
     partial = {label: record["frames"] for label, record in imports.items() if record["partial"]}
-    marks = {label: f"partial in {scene}: {imports[label]['partial']}" for label in partial}
-    return Coverage(numbers, partial, marks, {label: {key: r[key] for key in SHOWN_FIELDS} for label, r in imports.items()})
+    partial |= {label: {view: numbers for view in views if view not in reasons} for label, reasons in refused.items()}
+    marks = {label: f"partial in {scene}: {imports[label]['partial']}" for label in imports if label in partial}
+    for label, reasons in refused.items():
+        marks[label] = f"partial in {scene}: without {', '.join(reasons)} ({next(iter(reasons.values()))})"
+    origins = {label: {key: record[key] for key in SHOWN_FIELDS} for label, record in imports.items()}
+    return Coverage(numbers, partial, marks, origins, refused)
+
+
+def _refusals(run: RunFolder, label: str, views: Sequence[str]) -> dict[str, str]:
+    """View -> why a method of ours cannot show it."""
+    records = {view: run.renders(label, view) / JOB_FILE for view in views}
+    return {view: why for view, file in records.items() if file.is_file() and (why := read_json(file).get(REFUSED))}
 
 
 def read_import(run: RunFolder, label: str) -> dict[str, Any] | None:

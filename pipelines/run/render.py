@@ -1,16 +1,19 @@
 """Render: every test view, and a camera path, by every method; one job per method and unit."""
 
+import shutil
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ggvs_eval.errors import ViewRefusedError
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.methods.registry import split_label
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit
 from ggvs_eval.pipelines.methods.spec import MethodSpec
+from ggvs_eval.pipelines.run.coverage import REFUSED
 from ggvs_eval.pipelines.run.diagnostics import write_diagnostics
 from ggvs_eval.pipelines.run.unit_job import UnitJob
 from ggvs_eval.results import installed_versions
@@ -47,19 +50,25 @@ def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
 
 def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dict[str, Any]:
     """Write the pictures of a unit; returns what job.json records beside the identity: how long each stage of each took."""
-    seconds = []
-    for (number, _, target), rendering in zip(unit.shots, spec.renderings(unit), strict=True):
-        write_image(frame_path(folder, number), quantise(rendering.image))
-        write_diagnostics(folder, number, rendering.diagnostics, target)
-        seconds.append(rendering.seconds)
+    seconds, refused = [], {}
+    try:
+        for (number, _, target), rendering in zip(unit.shots, spec.renderings(unit), strict=True):
+            write_image(frame_path(folder, number), quantise(rendering.image))
+            write_diagnostics(folder, number, rendering.diagnostics, target)
+            seconds.append(rendering.seconds)
+    except ViewRefusedError as error:  # of some poses of a path: it has no picture then
+        shutil.rmtree(folder)
+        folder.mkdir()
+        seconds, refused = [], {REFUSED: str(error)}
     method, variant = split_label(label)
     record = {
         "method": method,
         "variant": variant,
         "size": list(unit.plans[0].target.size),
-        "seconds": {stage: [frame[stage] for frame in seconds] for stage in seconds[0]},
+        "seconds": {stage: [frame[stage] for frame in seconds] for stage in (seconds[0] if seconds else ())},
         "threads": get_threads(),
         "versions": installed_versions(),
+        **refused,
     }
     if unit.fit is None:
         return record

@@ -120,6 +120,8 @@ def _collect(
         own: list[tuple[Any, ...]] = []
         reasons: dict[str, str] = {}  # of what belongs to no single view
         for view, methods in records.items():
+            if why := coverage.refused.get(label, {}).get(view):
+                absences += [Absence(metric, label, capture["scene"], view, why) for metric in protocol.measurement.metrics]
             if label not in methods:  # partial renders may lack a view
                 continue
             for name, frame, value in methods[label]["values"]:

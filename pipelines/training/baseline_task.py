@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.baselines.learned import LearnedBaseline, TrainingRecipe
-from ggvs_eval.baselines.registry import LEARNED_BASELINES
+from ggvs_eval.baselines.registry import TRAINED_BASELINES
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.method import Instant
@@ -36,10 +36,10 @@ def baseline_task(
     """The training of a baseline on the views that the blending network learns from.
 
     Args:
-        name: one of `LEARNED_BASELINES`.
+        name: one of `TRAINED_BASELINES`.
         is_trained: begins with weights that have learned already, and changes them less.
     """
-    baseline = LEARNED_BASELINES[name]
+    baseline = TRAINED_BASELINES[name]
     samples = sample_pools(cache, data, InstantKind(baseline.takes_depth))
     recipe = baseline.make_recipe(configuration, seed)
     return BaselineTask(*samples, baseline, recipe, recipe.batch_size, FINE_TUNING if is_trained else LEARNING, is_trained)

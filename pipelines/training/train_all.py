@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ggvs_eval.baselines.registry import LEARNED_BASELINES
+from ggvs_eval.baselines.registry import TRAINED_BASELINES
 from ggvs_eval.compute_device import compute_device
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.jobs.processes import default_workers
@@ -21,7 +21,7 @@ NETWORKS: tuple[Network, ...] = (
     ("blend", "registered"),
     ("blend", "none"),
     ("blend", "naive"),
-    *((what, "registered") for what in LEARNED_BASELINES),
+    *((what, "registered") for what in TRAINED_BASELINES),
 )
 
 
@@ -72,5 +72,5 @@ def prepare_all(cache: Path, request: TrainingRequest, networks: Sequence[Networ
     if any(what == "blend" for what, _ in networks):
         device = sample_device(request)
         prepare_samples(*sample_pools(cache, request, BlendKind(device)), sample_workers(device))
-    for depth in sorted({LEARNED_BASELINES[what].takes_depth for what, _ in networks if what in LEARNED_BASELINES}):
+    for depth in sorted({TRAINED_BASELINES[what].takes_depth for what, _ in networks if what in TRAINED_BASELINES}):
         prepare_samples(*sample_pools(cache, request, InstantKind(depth)), default_workers())

@@ -28,7 +28,7 @@ def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, 
     """Train a network, or go on training it.
 
     Args:
-        what: stereo, blend, or one of `LEARNED_BASELINES`.
+        what: stereo, blend, or one of `TRAINED_BASELINES`.
 
     Returns:
         The file of the weights, and the card.

@@ -41,7 +41,7 @@ OURS = LEARNED | {label for label in METHODS if label.startswith("ours-geometric
 GPS_GAUSSIAN = {"gps-gaussian", "gps-gaussian+given-depth"}
 SPLATTED = OURS | {"no-blending", "distance-based"}
 FITTED = {"4dgs", "3dgs-per-instant", "3dgstream"}
-ALL_METHODS = SPLATTED | GPS_GAUSSIAN | {"fwd", "ibrnet", "enerf", "mvsplat"} | FITTED
+ALL_METHODS = SPLATTED | GPS_GAUSSIAN | {"fwd", "ibrnet", "enerf", "mvsplat", "mvsnerf", "interpolation"} | FITTED
 
 
 def parts(*measures: str) -> set[str]:
@@ -83,6 +83,8 @@ STALE: dict[str, set[str]] = {
     "baselines/fixed_blending.py": {"no-blending", "distance-based"},
     "baselines/gps_gaussian/stereo.py": GPS_GAUSSIAN,
     "baselines/mvsplat/depth.py": {"mvsplat"},
+    "baselines/mvsnerf/volume.py": {"mvsnerf"},
+    "baselines/view_interpolation.py": {"interpolation"},
     "gaussians/harmonics.py": {"mvsplat"} | FITTED,
     "pipelines/online/unet.py": LEARNED,
     "pipelines/online/depth_filter.py": OURS,

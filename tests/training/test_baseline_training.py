@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from ggvs_eval.baselines.registry import LEARNED_BASELINES
+from ggvs_eval.baselines.registry import TRAINED_BASELINES
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.files.weights_file import configuration_of
@@ -67,7 +67,7 @@ def cache(tmp_path_factory, plane_capture):
 
 def small_task(what, cache):
     """The task of a baseline with small crops on the small samples."""
-    baseline = LEARNED_BASELINES[what]
+    baseline = TRAINED_BASELINES[what]
     samples = (SamplePool(cache, InstantKind(baseline.takes_depth), [plan]) for plan in (PLAN, VALIDATION))
     return BaselineTask(*samples, baseline, replace(baseline.make_recipe(), crop_width=64, crop_height=48))
 
@@ -134,7 +134,7 @@ def test_focused_sources_show_all_that_the_window_can(cache):
     assert cut.instant.sources[0].image.size < whole.instant.sources[0].image.size
 
 
-@pytest.mark.parametrize("what", LEARNED_BASELINES)
+@pytest.mark.parametrize("what", TRAINED_BASELINES)
 def test_a_batch_is_learned(what, cache):
     """Some steps on one batch lower its loss; the same step draws the same crops, another one others."""
     task = small_task(what, cache)
@@ -173,7 +173,7 @@ def statistics_of(network):
     return {name: tensor.clone() for name, tensor in network.named_buffers() if "running" in name}
 
 
-@pytest.mark.parametrize("what", LEARNED_BASELINES)
+@pytest.mark.parametrize("what", TRAINED_BASELINES)
 def test_what_a_training_writes_renders(what, cache, tmp_path):
     """The file says its configuration and renders by the method's label; its picture is the one that was validated."""
     task = small_task(what, cache)

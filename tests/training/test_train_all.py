@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ggvs_eval.baselines.registry import LEARNED_BASELINES
+from ggvs_eval.baselines.registry import TRAINED_BASELINES
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.pipelines.training.baseline_task import baseline_task
 from ggvs_eval.pipelines.training.request import TrainingRequest
@@ -71,7 +71,7 @@ def test_weights_that_have_learned_are_moved_more_gently(what, cache, tmp_path):
     assert tuned.schedule.rate(400, 2000) == pytest.approx(0.3 * fresh.schedule.rate(400, 2000))
 
 
-@pytest.mark.parametrize("what", LEARNED_BASELINES)
+@pytest.mark.parametrize("what", TRAINED_BASELINES)
 def test_crops_lie_within_samples_of_any_size(what, cache):
     """Each sample's own size decides where windows may be: first and last place fit, whatever was drawn."""
     task = baseline_task(what, cache, REQUEST)
@@ -95,7 +95,7 @@ def test_each_network_has_its_command(tmp_path):
         "blend",
         "blend-no-tsdf",
         "blend-naive",
-        *LEARNED_BASELINES,
+        *TRAINED_BASELINES,
     ]
     assert len(NETWORKS) == 8
     for training in trainings:

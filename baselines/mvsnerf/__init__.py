@@ -1,0 +1,12 @@
+"""MVSNeRF (Chen et al., ICCV 2021): a feature volume in the frustum of one view, and radiance along the target's rays."""
+
+from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
+
+BASELINE = LearnedBaseline(
+    name="mvsnerf",
+    title="MVSNeRF",
+    source="Chen et al., ICCV 2021",
+    checkpoint="ckpts/mvsnerf-v0.tar of apchenstu/mvsnerf",
+    method="ggvs_eval.baselines.mvsnerf.method:MvsNerf",
+    renditions=(Rendition("MVSNeRF", "radiance in a feature volume of three views, by the authors' weights"),),
+)

@@ -1,0 +1,211 @@
+"""Tables of what the benchmarks wrote to out/, and of what the cards of trained weights say, as Markdown, for `fill_tables`."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from result_plan import OUT, RECORDS, ROOT
+
+from ggvs_eval.baselines.registry import TRAINED_BASELINES
+from ggvs_eval.errors import ResultsError
+
+# Of the validation rooms the whole picture stands for all regions; the validation of depth prints the others.
+DEPTH_FIGURES = r"depth\.(motorcycle\.(epe_px|bad_[23]_percent)\.[^.]*$|sparse|rendering\.PSNR|reuse|rooms\.whole_picture|demo\.)"
+MATCHERS = ("sgbm", "sweep", "raft")
+DEPTH_ROWS = {  # shown: name of the figure without its matcher
+    "Motorcycle, mean error (px)": "depth.motorcycle.epe_px",
+    "Motorcycle, off by more than 2 px (%)": "depth.motorcycle.bad_2_percent",
+    "Motorcycle, off by more than 3 px (%)": "depth.motorcycle.bad_3_percent",
+    "real rig, sparse points within 2 % (%)": "depth.sparse.within_2_percent",
+    "real rig, median error there (%)": "depth.sparse.median_error_percent",
+    "real rig, PSNR rendered from it (dB)": "depth.rendering.PSNR",
+    "validation rooms, pixels within 2 % (%)": "depth.rooms.whole_picture.within_2_percent",
+    "demo, pixels within 2 % (%)": "depth.demo.whole_picture.within_2_percent",
+    "– with texture": "depth.demo.texture.within_2_percent",
+    "– without texture": "depth.demo.untextured.within_2_percent",
+    "– at edges of depth": "depth.demo.edge.within_2_percent",
+    "– on thin things": "depth.demo.thin.within_2_percent",
+    "demo, spread over time of what stands still (%)": "depth.demo.static.spread_percent",
+    "– after the temporal filter": "depth.demo.static.spread_filtered_percent",
+    "demo, flicker of what stands still (`depth_mTV`, %)": "depth.demo.static.flicker_percent",
+    "– with a sharpness (`depth_Sharpness`, %) of": "depth.demo.static.sharpness_percent",
+    "seconds per depth map of 1345x1008": "depth.seconds",
+}
+SPEED_ROWS = {  # shown: first part of the figures' names
+    "1352x1014, K = 4, network": "online_step",
+    "1352x1014, K = 4, geometric weights": "online_geometric_step",
+    "640x360, K = 2, network": "online_small_step",
+}
+STAGES = {"filter": "_filter", "splat": "_splat", "TSDF": "_tsdf", "blend": "_blend", "frame, p50": "", "frame, p95": "_p95"}
+
+REFINEMENT_FIGURES = {"reprojection": ".2f", "contradiction": ".2f", "PSNR": ".2f", "SSIM": ".3f"}
+BESIDE_ADDITIONS = {"compensated": ("PSNR_cc",), "recurrent_limit": ("PSNR", "flicker")}
+DOMAIN_METRICS = {"PSNR": ".2f", "LPIPS": ".3f"}
+CARD_METRICS = {"psnr_db": ".2f", "ssim": ".4f"}
+WEIGHTS = ROOT / "pipelines" / "weights"
+
+Figures = dict[str, dict[str, Any]]
+
+
+def depth_table() -> str:
+    """The figures of depth, a row each, a column per matcher; what was not measured says so."""
+    figures = _read(OUT / "depth_validation" / "figures.json")
+    bench = OUT / "bench.json"
+    figures |= _read(bench) if bench.is_file() else {}
+    rows = ["| | " + " | ".join(MATCHERS) + " | target |", "| --- |" + " ---: |" * (len(MATCHERS) + 1)]
+    for shown, name in DEPTH_ROWS.items():
+        matcher_figures = [figures.get(f"{name}.{matcher}") for matcher in MATCHERS]
+        if any(matcher_figures):
+            target = next((_target(figure) for figure in matcher_figures if figure and _target(figure)), "")
+            cells = [f"{figure['value']:.4g}" if figure else "not computed" for figure in matcher_figures]
+            rows.append(f"| {shown} | " + " | ".join([*cells, target]) + " |")
+    return "\n".join(rows)
+
+
+def speed_table() -> str:
+    """Milliseconds per stage and frame of the online step, as the paper's table of timing."""
+    figures = _read(OUT / "bench.json")
+    rows = ["| ms | " + " | ".join(STAGES) + " | frames/s |", "| --- |" + " ---: |" * (len(STAGES) + 1)]
+    for shown, name in SPEED_ROWS.items():
+        cells = [f"{figures[name + stage]['value']:.0f}" for stage in STAGES.values()]
+        rows.append(f"| {shown} | " + " | ".join(cells) + f" | {figures[name + '_rate']['value']:.2f} |")
+    return "\n".join(rows)
+
+
+def domains_table() -> str:
+    """Tabulate the output of ``python -m benchmarks.domain_validation``: a row per domain, PSNR and LPIPS per method."""
+    measured = _read(OUT / "validate_domains.json")
+    means, methods = measured["means"], measured["methods"]
+    columns = [(metric, label) for metric in DOMAIN_METRICS if metric in means for label in methods]
+    columns += [("PSNR", label) for label in means["PSNR"] if label not in methods]
+    rows = ["| domain | " + " | ".join(f"{metric}, {label}" for metric, label in columns) + " |"]
+    rows.append("| --- |" + " ---: |" * len(columns))
+    for domain in means["PSNR"][methods[0]]:
+        cells = [f"{means[metric][label][domain]:{DOMAIN_METRICS[metric]}}" for metric, label in columns]
+        rows.append(f"| {domain} | " + " | ".join(cells) + " |")
+    return "\n".join([*rows, *(f"\nNot computed: {line}." for line in measured["not_computed"])])
+
+
+def additions_table() -> str:
+    """Tabulate the output of ``python -m benchmarks.additions``: a row per addition and domain, its own measure first."""
+    gains = _read(OUT / "additions.json")["gains"]
+    rows = ["| addition | domain | measure | without | with |", "| --- | --- | --- | ---: | ---: |"]
+    for gain in sorted(gains, key=lambda gain: not gain["for"]):
+        if gain["for"] or gain["measure"] in BESIDE_ADDITIONS.get(gain["addition"], ()):
+            values = " | ".join(f"{gain[given]:.2f}" for given in ("without", "with"))
+            rows.append(f"| `{gain['addition']}` | {gain['domain']} | {gain['measure']} | {values} |")
+    return "\n".join(rows)
+
+
+def refinement_table() -> str:
+    """Tabulate the output of ``python -m benchmarks.refinement_validation``: a row per calibration."""
+    rows = ["| calibration | reprojection (px) | contradiction (px) | PSNR | SSIM |", "| --- |" + " ---: |" * 4]
+    for state, means in _read(OUT / "validate_refinement.json")["means"].items():
+        cells = [f"{means[name]:{form}}" for name, form in REFINEMENT_FIGURES.items()]
+        rows.append(f"| {state} | " + " | ".join(cells) + " |")
+    return "\n".join(rows)
+
+
+def device_table() -> str:
+    """Tabulate the times that ``benchmarks.bench_device --device cuda --json out/device.json`` wrote: ms per frame on both."""
+    measured = _read(OUT / "device.json")
+    rows = [f"{measured['machine']}:", "", "| ms per frame | CPU | GPU | times as fast |", "| --- | ---: | ---: | ---: |"]
+    for figure in measured["figures"]:
+        here, there = (f"{1e3 * figure[place]['whole']:.0f}" if place in figure else "" for place in ("cpu", "device"))
+        ratio = f"{figure['ratio']:.3g}" if "ratio" in figure else ""
+        rows.append(f"| {figure['label']}, {figure['width']}x{figure['height']} | {here} | {there} | {ratio} |")
+    return "\n".join(rows)
+
+
+def figures_table(file: Path, names: str = "") -> str:
+    """Flat figures whose names begin with a pattern, as Markdown; a ratio above 1 means better than the peer."""
+    all_figures = _read(file)
+    figures = {name: figure for name, figure in all_figures.items() if re.match(names, name)}
+    if not figures:
+        raise ResultsError(f"{file} holds no such figures")
+    rows = ["| figure | value | target | peer | ratio |", "| --- | ---: | ---: | --- | ---: |"]
+    for name, figure in figures.items():
+        peer = f"{figure['peer']}: {figure['peer_value']:.4g}" if figure.get("peer") else ""
+        ratio = f"{figure['ratio']:.3g}" if figure.get("ratio") is not None else ""
+        rows.append(f"| {name} | {figure['value']:.4g} {figure['unit']} | {_target(figure)} | {peer} | {ratio} |")
+    return "\n".join(rows)
+
+
+def roofline_table(file: Path) -> str:
+    """What each kernel of a step takes, beside what the machine could do, as Markdown."""
+    figures = {name: figure["value"] for name, figure in _read(file).items() if name.startswith("roofline_")}
+    kernels = [name.removesuffix("_share") for name in figures if name.endswith("_share")]
+    rows = ["| kernel | CPU ms | GFLOP | MB moved | MB made | share of its roof | AVX2 |", "| --- |" + " ---: |" * 6]
+    for kernel in kernels:
+        operations, moved, made, share, avx2 = (
+            figures[f"{kernel}_{what}"] for what in ("operations", "bytes", "results", "share", "avx2")
+        )
+        name = kernel.removeprefix("roofline_")
+        rows.append(
+            f"| {name} | {figures[kernel]:.1f} | {operations:.2f} | {moved:.0f} | {made:.0f} | {share:.0f} % | {avx2:.2f} x |"
+        )
+    return "\n".join(rows)
+
+
+def printed_table(measurement: str, head: str) -> str:
+    """The last table that a measurement printed whose head begins so, as it is in its log."""
+    file = RECORDS / f"{measurement}.log"
+    found = re.findall(rf"^\| {re.escape(head)} \|.*\n(?:\|.*\n)+", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    if not found:
+        raise ResultsError(f"{file} has no table of {head}")
+    return str(found[-1]).rstrip()
+
+
+def learned_sentence() -> str:
+    """Minutes and pixels that each network learned for: one sentence, the same on every page."""
+    first, *others, ours = _cards()
+    title, minutes, pixels = first
+    told = [f"{title} for {minutes} minutes of one core on {pixels} million pixels of target views"]
+    told += [f"{title} for {minutes} on {pixels}" for title, minutes, pixels in others]
+    return (
+        f"The baselines' networks are compact and were trained here: {', '.join(told)}; ours for {ours[1]} on {ours[2]}. "
+        "A row says nothing of what their authors reach."
+    )
+
+
+def learned_table() -> str:
+    """What the cards of the weights say: the costs of that sentence, and the last validation."""
+    rows = [
+        "| network | minutes of one core | million pixels | PSNR in dB | SSIM | validated on |",
+        "| --- |" + " ---: |" * 4 + " --- |",
+    ]
+    names = [*TRAINED_BASELINES, "blend"]
+    for name, (title, minutes, pixels) in zip(names, _cards(), strict=True):
+        validation = (WEIGHTS / f"{name}.md").read_text(encoding="utf-8").partition("## Validation")[2]
+        views = sum(map(int, re.findall(r"(\d+) (?:whole )?views", validation)))
+        head, *_, last = (row.strip("| ").split(" | ") for row in re.findall(r"^\|.*$", validation, re.MULTILINE))
+        values = {metric: float(value) for metric, value in zip(head, last, strict=True)}
+        psnr, ssim = (f"{values[metric]:{form}}" if metric in values else "" for metric, form in CARD_METRICS.items())
+        rows.append(f"| {title} | {minutes} | {pixels} | {psnr} | {ssim} | {views} views |")
+    return "\n".join(rows)
+
+
+def _cards() -> list[tuple[str, str, str]]:
+    """Title, minutes of one core and millions of pixels of each baseline that is trained here, and of ours, by their cards."""
+    titles = {name: baseline.title for name, baseline in TRAINED_BASELINES.items()} | {"blend": "Ours"}
+    return [(title, *_costs((WEIGHTS / f"{name}.md").read_text(encoding="utf-8"))) for name, title in titles.items()]
+
+
+def _costs(card: str) -> tuple[str, str]:
+    """Minutes and millions of pixels of a card: those of the whole descent of the weights, where it says them."""
+    minutes = re.search(r"^- Minutes of one core in all: (.*)$", card, re.MULTILINE) or re.search(
+        r"(\d+) minutes of one core$", card, re.M
+    )
+    pixels = re.search(r"^- Pixels of target views: (.*?) million", card, re.MULTILINE)
+    return minutes[1] if minutes else "unknown", pixels[1] if pixels else "unknown"
+
+
+def _read(file: Path) -> Figures:
+    figures: Figures = json.loads(file.read_text(encoding="utf-8"))
+    return figures
+
+
+def _target(figure: dict[str, Any]) -> str:
+    sign = "≥" if figure["higher_is_better"] else "≤"
+    return "" if figure.get("target") is None else f"{sign} {figure['target']:.4g}"

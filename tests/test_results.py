@@ -1,0 +1,148 @@
+"""`make results`: every table of the pages has a measurement, carries the code it came from, and is remade when that changes."""
+
+import re
+import sys
+
+import pytest
+
+from helpers.places import ROOT
+
+pytestmark = [
+    pytest.mark.skipif(not (ROOT / "docs").is_dir(), reason="an installed wheel has no pages; a checkout has"),
+    pytest.mark.slow,
+]
+
+if (ROOT / "docs").is_dir():
+    sys.path.insert(0, str(ROOT / "docs"))
+    import figure_tables
+    import fill_tables
+    import make_results
+    import result_plan
+    from result_plan import Measurement
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """A measurement that writes a number to a file, its page with a table, and its source, all in a folder of their own."""
+    (tmp_path / "source.py").write_text("from ggvs_eval.metrics.image.psnr import psnr\n")
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- numbers -->\nold\n<!-- /numbers -->\nafter\n")
+    for module in (result_plan, fill_tables, make_results):
+        monkeypatch.setattr(module, "ROOT", tmp_path)
+    for module in (result_plan, make_results):
+        monkeypatch.setattr(module, "RECORDS", tmp_path / "records")
+
+    def measurement():
+        result_plan._of_source.cache_clear()
+        made = Measurement("numbers", ("sh -c 'echo {data} >> calls; date +%N > number'",), 1, sources=("source.py",))
+        monkeypatch.setattr(fill_tables, "MEASUREMENTS", {"numbers": made})
+        monkeypatch.setattr(make_results, "MEASUREMENTS", {"numbers": made})
+        return made
+
+    table = fill_tables.Table(page, "numbers", "numbers", lambda: (tmp_path / "number").read_text().strip())
+    monkeypatch.setattr(fill_tables, "TABLES", (table,))
+    monkeypatch.setattr(fill_tables, "_draw_metric_study", lambda: None)
+    return tmp_path, page, measurement
+
+
+def run(monkeypatch, *arguments):
+    """`make results` with options."""
+    monkeypatch.setattr(sys, "argv", ["make_results.py", "--data", "DATA", *arguments])
+    return make_results.main()
+
+
+def test_what_is_stale_is_measured_once_and_written(bench, monkeypatch, capsys):
+    """A table is made, carries its code, and is made again only when that code has changed; the check names it until then."""
+    folder, page, measurement = bench
+    made = measurement()
+    assert [table.name for table in fill_tables.older_tables()] == ["numbers"]
+    assert run(monkeypatch) == 0
+    once = page.read_text()
+    assert f"<!-- /numbers: {made.identity[:12]} -->\nafter" in once
+    assert "old" not in once
+    assert fill_tables.older_tables() == []
+    assert run(monkeypatch) == 0
+    assert (folder / "calls").read_text() == "DATA\n"
+
+    (folder / "source.py").write_text("from ggvs_eval.metrics.image.psnr import psnr  # changed\n")
+    again = measurement()
+    assert again.identity != made.identity
+    monkeypatch.setattr(sys, "argv", ["fill_tables.py", "--check"])
+    fill_tables.main()
+    told = capsys.readouterr().out.splitlines()[-1]
+    for part in ("page.md", "numbers", made.identity[:12], again.identity[:12], "make results ONLY=numbers"):
+        assert part in told
+    assert run(monkeypatch) == 0
+    assert (folder / "calls").read_text() == "DATA\n" * 2
+    assert page.read_text() != once
+
+
+def test_a_plan_writes_nothing(bench, monkeypatch, capsys):
+    """The plan says name, minutes, state and tables, and leaves page and folder as they are."""
+    folder, page, measurement = bench
+    measurement()
+    before = page.read_text()
+    assert run(monkeypatch, "--plan") == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("numbers"))
+    assert [word for word in ("1", "never made", "page.md#numbers") if word in line] == ["1", "never made", "page.md#numbers"]
+    assert page.read_text() == before
+    assert not (folder / "records").exists()
+
+
+def test_what_fails_is_named_and_leaves_its_table(bench, monkeypatch, capsys):
+    """A command that fails ends with 1, is in the log of progress, and neither its table nor its record is touched."""
+    folder, page, measurement = bench
+    measurement()
+    broken = Measurement("numbers", ("sh -c 'echo half; exit 3'",), 1, sources=("source.py",))
+    monkeypatch.setattr(make_results, "MEASUREMENTS", {"numbers": broken})
+    monkeypatch.setattr(fill_tables, "MEASUREMENTS", {"numbers": broken})
+    before = page.read_text()
+    assert run(monkeypatch) == 1
+    assert "numbers" in capsys.readouterr().err
+    assert page.read_text() == before
+    assert not broken.record.exists()
+    assert "failed with 3" in (folder / "records" / "progress.log").read_text()
+
+
+def test_numbers_of_unknown_code_are_not_written(bench):
+    """What lies in out/ without a record may be of any code: its table stays as it is."""
+    folder, page, measurement = bench
+    measurement()
+    (folder / "number").write_text("42\n")
+    before = page.read_text()
+    fill_tables.fill()
+    assert page.read_text() == before
+
+
+def test_a_checkpoint_that_is_not_there_leaves_its_method_out(tmp_path):
+    """The other methods are measured all the same."""
+    words = ["run", "out", "--methods", "mvsnerf", "ours", "--weights", f"mvsnerf={tmp_path}/none.tar"]
+    assert make_results._without_missing_weights(words) == ["run", "out", "--methods", "ours"]
+    (tmp_path / "none.tar").touch()
+    assert make_results._without_missing_weights(words) == words
+
+
+def test_every_table_of_the_pages_is_made_by_a_measurement():
+    """Markers and tables are the same set, each table's measurement is one of the plan's, and each of these has an identity."""
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), ROOT / "benchmarks" / "RESULTS.md"]
+    marked = {(page, name) for page in pages for name in re.findall(r"^<!-- (\w+) -->$", page.read_text("utf-8"), re.MULTILINE)}
+    made = {(table.page, table.name) for table in fill_tables.TABLES}
+    assert marked - {(ROOT / "docs" / "architecture.md", "rooms")} == made
+    for table in fill_tables.TABLES:
+        assert table.measurement == fill_tables.CARDS or table.measurement in result_plan.MEASUREMENTS
+        assert re.fullmatch(r"\w*", table.identity)
+    assert len({each.identity for each in result_plan.MEASUREMENTS.values()}) == len(result_plan.MEASUREMENTS)
+
+
+def test_the_sentence_of_minutes_is_that_of_the_cards():
+    """Every page that says how long networks learned says what the cards of the weights say, in the same words."""
+    sentence = figure_tables.learned_sentence()
+    told = [table for table in fill_tables.TABLES if table.name == "learned"]
+    assert len(told) == 3
+    for table in told:
+        found = table.place.search(table.page.read_text("utf-8"))
+        assert found[2].strip() == sentence
+    assert "unknown" not in sentence
+    card = (ROOT / "pipelines" / "weights" / "enerf.md").read_text("utf-8")
+    minutes = re.search(r"(\d+) minutes of one core$", card, re.MULTILINE)[1]
+    assert f"ENeRF for {minutes} on" in sentence
