@@ -221,8 +221,8 @@ def work_left(plan: RunPlan) -> list[Piece]:
     for job in missing:
         along_path = job.units == (PATH,)
         count = of_path if along_path else len(plan.frames)
-        kind: Kind = "path render" if along_path else "render"
-        add(kind, job.folder, count, render_cost(job.label), RENDER_BYTES * (1 + PAGE_SHARE), job.label)
+        rendered: Kind = "path render" if along_path else "render"
+        add(rendered, job.folder, count, render_cost(job.label), RENDER_BYTES * (1 + PAGE_SHARE), job.label)
     stale, views = {unit for job in missing for unit in job.units}, plan.request.views
     for view in plan.plans if plan.methods else ():
         if (views is None or view in views) and (view in stale or not _is_scored(run, view, [*plan.methods])):
