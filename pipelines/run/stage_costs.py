@@ -17,7 +17,7 @@ RENDERED = {
     "enerf": 23.0,
     "ibrnet": 125.0,
     "mvsplat": 60.0,
-    "mvsnerf": 300.0,
+    "mvsnerf": 400.0,
     "interpolation": 0.6,
 }
 SCORED, LPIPS = 0.3, {"vgg": 2.0, "vgg-bf16": 2.5, "alex": 0.4}
