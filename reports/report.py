@@ -10,6 +10,7 @@ from ggvs_eval.reports.figures.crop_figure import draw_crops, draw_failures
 from ggvs_eval.reports.figures.curves import draw_curves
 from ggvs_eval.reports.figures.k_figure import draw_k
 from ggvs_eval.reports.figures.paper_figures import first_choice
+from ggvs_eval.reports.figures.regions import RULES, Rule, find_regions
 from ggvs_eval.reports.figures.slices import draw_slices
 from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.page.page import render_page
@@ -117,7 +118,9 @@ def _draw_figures(section: RunSection, folder: Path) -> None:
         draw_slices(slices, folder / ("epi.png" if slices.kind == "epi" else f"x-t_{slices.view}.png"))
     if section.run.pictured:
         label = first_choice(section.run)
-        draw_crops(section.run, [folder / "crops.png"], "different" if len(section.run.pictured) > 1 else "worst", label)
+        rule: Rule = "different" if len(section.run.pictured) > 1 else "worst"
+        regions = find_regions(section.run, rule, label, 2)
+        draw_crops(section.run, [folder / "crops.png"], regions, RULES[rule].format(name=section.run.name(label)))
         draw_failures(section.run, [folder / "failures.png"], label)
     for metric in dict.fromkeys(panel.metric for panel in section.panels):
         draw_curves([panel for panel in section.panels if panel.metric == metric], folder / f"curves_{metric}.png")

@@ -11,7 +11,7 @@ Runs = Annotated[
     tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(at least one)")
 ]
 Destination = Literal["page", "leaderboard", "tensorboard", "mlflow", "wandb"]
-Kind = Annotated[Literal["crops", "failures", "epi", "time", "k"], tyro.conf.Positional]
+Kind = Annotated[Literal["crops", "failures", "epi", "time", "k", "video"], tyro.conf.Positional]
 
 
 def report(runs: Runs, out: Path | None = None, to: Destination = "page") -> None:
@@ -46,28 +46,51 @@ def figure(
     boxes: int = 2,
     view: str | None = None,
     frame: int | None = None,
-    row: int | None = None,
+    row: Annotated[str, tyro.conf.arg(metavar="auto|N")] = "auto",
     metrics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(default: PSNR LPIPS)")] = (),
+    methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD ...", help_behavior_hint="(all by default)")] = (),
+    squares: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LEFT,TOP,SIDE ...", help_behavior_hint="(by --rule)")] = (),
+    width: str | None = None,
+    title: bool = True,
+    scores: bool = False,
 ) -> None:
     """Draw a figure for a paper, labelled, every method beside the truth.
 
     Args:
         kind: crops: a frame with enlarged squares; failures: the worst squares of a method, one per view; epi: an image row along
-            the camera path; time: an image row of a view along time; k: quality and time over the number of source views.
+            the camera path; time: an image row of a view along time; k: quality and time over the number of source views; video:
+            the methods beside each other, for a supplement.
         run: run folder, rendered and scored; of k the folder of a sweep.
-        out: PNG, PDF or SVG to write; a name without a suffix writes a PNG and a PDF.
+        out: PNG, PDF or SVG to write, MP4 of a video; a name without a suffix writes a PNG and a PDF.
         rule: squares of crops: where methods differ most, or where one method is worst.
         method: label of that one method; ours by default.
         boxes: number of squares.
-        view: test view of crops and time; the one with the largest score, and the first, by default.
+        view: test view of crops, time and video; the one with the largest score, and the first, by default.
         frame: frame of crops; the one with the largest score by default.
-        row: image row of epi and time; the most telling one by default.
-        metrics: panels of k.
+        row: image row of epi and time; auto takes the one in which the methods differ most.
+        metrics: panels of k, scores of the others.
+        methods: labels of the methods that are shown, in this order.
+        squares: of crops, in pixels, as the crop button of the page writes them.
+        width: of the figure, with its unit: in, cm, mm or pt; 7in, of k by its panels, by default.
+        title: say in the figure what it shows.
+        scores: write each method's scores behind its name.
     """
+    from ggvs_eval.reports.figures.look import FigureLook, parse_row, parse_width
     from ggvs_eval.reports.figures.paper_figures import write_figure
+    from ggvs_eval.reports.figures.regions import parse_square
 
-    options = {"rule": rule, "method": method, "boxes": boxes, "view": view, "frame": frame, "row": row, "metrics": metrics}
-    print(*write_figure(run, kind, out, **options), sep="\n")  # type: ignore[arg-type]
+    options = {
+        "rule": rule,
+        "method": method,
+        "boxes": boxes,
+        "view": view,
+        "frame": frame,
+        "metrics": metrics,
+        "methods": methods,
+    }
+    options |= {"row": parse_row(row), "squares": tuple(map(parse_square, squares)), "has_scores": scores}
+    look = None if width is None and title else FigureLook(parse_width(width or "7in"), title)
+    print(*write_figure(run, kind, out, look=look, **options), sep="\n")  # type: ignore[arg-type]
 
 
 def compare(
