@@ -14,7 +14,13 @@ Destination = Literal["page", "leaderboard", "tensorboard", "mlflow", "wandb"]
 Kind = Annotated[Literal["crops", "failures", "epi", "time", "k", "video"], tyro.conf.Positional]
 
 
-def report(runs: Runs, out: Path | None = None, to: Destination = "page") -> None:
+def report(
+    runs: Runs,
+    out: Path | None = None,
+    to: Destination = "page",
+    standalone: bool = False,
+    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(all by default)")] = (),
+) -> None:
     """Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and the figures of scored runs.
 
     Args:
@@ -22,6 +28,8 @@ def report(runs: Runs, out: Path | None = None, to: Destination = "page") -> Non
         out: folder to write; RUN/report of the first run by default, the file leaderboard.html, or the folder tracked.
         to: page with all that belongs to it; leaderboard: the tables alone on one page, for which no frames are needed; or a
             tracker, whose package must be installed: its files are written without a network.
+        standalone: make a page that loads nothing; otherwise it shows frames at full size from the run folder that it lies in.
+        columns: of the tables in Markdown, LaTeX and Excel, in this order: PSNR SSIM LPIPS TCC.
     """
     if to == "leaderboard":
         from ggvs_eval.reports.page.leaderboard import write_leaderboard
@@ -30,7 +38,7 @@ def report(runs: Runs, out: Path | None = None, to: Destination = "page") -> Non
     elif to == "page":
         from ggvs_eval.pipelines.run.evaluate import report as write
 
-        print(write(runs, out))
+        print(write(runs, out, standalone=standalone, columns=columns))
     else:
         from ggvs_eval.reports.tracking import track_results
 
