@@ -10,6 +10,7 @@ from ggvs_eval.reports.figures.crop_figure import draw_crops, draw_failures
 from ggvs_eval.reports.figures.curves import draw_curves
 from ggvs_eval.reports.figures.k_figure import draw_k
 from ggvs_eval.reports.figures.paper_figures import first_choice
+from ggvs_eval.reports.figures.regions import RULES, Rule, find_regions
 from ggvs_eval.reports.figures.slices import draw_slices
 from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.page.page import render_page
@@ -17,18 +18,25 @@ from ggvs_eval.reports.page.sweep_section import is_sweep, sweep_runs, sweep_sec
 from ggvs_eval.reports.run_groups import RunGroup, RunSection, read_groups
 from ggvs_eval.reports.tables.excel import has_excel, write_excel
 from ggvs_eval.reports.tables.published import CAVEATS, PAPER, SOURCE
+from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.reproduction import Reproduction, reproduce
 from ggvs_eval.reports.tables.reproduction_formats import paper_tables, reproduction_csv, reproduction_markdown
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
 from ggvs_eval.run_folder import RunFolder
 
 
-def write_tables(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction], out: Path) -> None:
+def write_tables(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction], out: Path, columns: Sequence[str] = ()) -> None:
     """Write all tables of the page, and every value that the paper publishes beside ours.
 
     Of several groups each file holds all: ``tables.csv`` tells them apart by its columns of the protocol, the others by titles.
+
+    Args:
+        columns: metrics of the tables in Markdown, LaTeX and Excel, which are one per data set then; all of them by default.
+
+    Raises:
+        ResultsError: no such column.
     """
-    everything = [table for group in groups for table in _titled(group, len(groups) > 1)]
+    everything = [table for group in groups for table in _titled(group, len(groups) > 1, columns)]
     notes = _notes(groups)
     values = {
         "values": to_csv([(group.protocol, group.all_tables) for group in groups]),
@@ -46,10 +54,10 @@ def write_tables(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction],
         print("tables.xlsx not written: pandas needs openpyxl for it; pip install openpyxl", file=sys.stderr)
 
 
-def _titled(group: RunGroup, is_one_of_several: bool) -> tuple[Table, ...]:
-    if not is_one_of_several:
-        return group.all_tables
-    return tuple(replace(table, dataset=_where(table, group)) for table in group.all_tables)
+def _titled(group: RunGroup, is_one_of_several: bool, columns: Sequence[str]) -> tuple[Table, ...]:
+    runs = [section.run for section in group.sections]
+    tables = main_tables(runs, group.results, columns) if columns else group.all_tables
+    return tuple(replace(table, dataset=_where(table, group)) for table in tables) if is_one_of_several else tables
 
 
 def _where(table: Table, group: RunGroup) -> str:
@@ -67,7 +75,12 @@ def _notes(groups: Sequence[RunGroup]) -> list[str]:
 
 
 def write_report(
-    runs: Sequence[Path], out: Path | None = None, tables_of: Sequence[Path] = (), with_figures: bool = True
+    runs: Sequence[Path],
+    out: Path | None = None,
+    tables_of: Sequence[Path] = (),
+    with_figures: bool = True,
+    standalone: bool = False,
+    columns: Sequence[str] = (),
 ) -> Path:
     """Write ``index.html``, ``tables.*``, ``reproduction.*`` (the paper's values beside ours) and ``figures/*.png``.
 
@@ -80,6 +93,8 @@ def write_report(
         out: folder to write to; None takes ``report`` in the first of them.
         tables_of: folders of sweeps that are shown by their tables and curves alone, without their runs.
         with_figures: also the figures, which the page does without; a page that is going to grow does not need them yet.
+        standalone: make a page that loads nothing, also no frames at full size from its run folder.
+        columns: metrics of the tables for papers, see `write_tables`.
 
     Raises:
         ResultsError: no run, a run given twice, or a folder that is not a scored run.
@@ -91,10 +106,10 @@ def write_report(
     sections = [section for group in groups for section in group.sections]
     out = RunFolder(roots[0]).report if out is None else out
     reproduced = reproduce([section.run for section in sections])
-    write_tables(groups, reproduced, out)
+    write_tables(groups, reproduced, out, columns)
     swept = [sweep_section(sweep, sections[0].run.metrics, runs_follow=sweep in sweeps) for sweep in (*sweeps, *tables_of)]
     page = out / "index.html"
-    write_text(page, render_page(groups, reproduced, swept))
+    write_text(page, render_page(groups, reproduced, swept, None if standalone else out))
     if with_figures:
         for index, section in enumerate(sections):
             _draw_figures(section, out / "figures" / (f"run{index}" if len(sections) > 1 else ""))
@@ -109,7 +124,9 @@ def _draw_figures(section: RunSection, folder: Path) -> None:
         draw_slices(slices, folder / ("epi.png" if slices.kind == "epi" else f"x-t_{slices.view}.png"))
     if section.run.pictured:
         label = first_choice(section.run)
-        draw_crops(section.run, [folder / "crops.png"], "different" if len(section.run.pictured) > 1 else "worst", label)
+        rule: Rule = "different" if len(section.run.pictured) > 1 else "worst"
+        regions = find_regions(section.run, rule, label, 2)
+        draw_crops(section.run, [folder / "crops.png"], regions, RULES[rule].format(name=section.run.name(label)))
         draw_failures(section.run, [folder / "failures.png"], label)
     for metric in dict.fromkeys(panel.metric for panel in section.panels):
         draw_curves([panel for panel in section.panels if panel.metric == metric], folder / f"curves_{metric}.png")

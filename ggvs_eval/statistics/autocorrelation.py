@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 from scipy.special import stdtr, stdtrit
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.progress import counted
 
 CORRELATIONS = 30
 LEAST_CORRELATION = -0.9
@@ -88,7 +89,7 @@ class ErrorOfMean:
         """
         posterior = correlation_posterior(series)
         scales = np.sqrt(np.maximum(np.square(posterior.scales) - variance, 0.0)) / count
-        short = f"clip too short for its correlation: {len(series)} frames are worth ~{posterior.worth:.1f}"
+        short = describe_short(len(series), float(posterior.worth))
         freedom = max(float(posterior.worth) - 1.0, 1.0) if squares else posterior.freedom
         return cls(posterior.weights, scales, freedom, short if posterior.worth < FEWEST_WORTH else "")
 
@@ -106,6 +107,28 @@ class ErrorOfMean:
     def greatest_half_width(self, tail: float) -> float:
         """The same under the strongest correlation that is thought of, however unlikely."""
         return max(float(self.scales.max()) * -float(stdtrit(self.freedom, tail / 2.0)), 0.0)
+
+
+def describe_short(frames: int, worth: float) -> str:
+    """Say in words why a clip is too short for a verdict.
+
+    Args:
+        frames: of the clip.
+        worth: independent frames that would be as certain.
+
+    Examples:
+        >>> describe_short(23, 2.4)
+        'clip too short: errors last from frame to frame, so that its 23 frames say no more than 2 independent ones, wanted 4'
+        >>> describe_short(3, 3.2)
+        'clip too short: 3 frames, wanted 4 independent ones'
+    """
+    independent = max(1, math.floor(worth))
+    if independent >= frames:
+        return f"clip too short: {counted(frames, 'frame')}, wanted {FEWEST_WORTH:g} independent ones"
+    return (
+        f"clip too short: errors last from frame to frame, so that its {frames} frames say no more than {independent} "
+        f"independent {'one' if independent == 1 else 'ones'}, wanted {FEWEST_WORTH:g}"
+    )
 
 
 def correlation_posterior(series: ArrayLike) -> Posterior:

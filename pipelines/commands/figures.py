@@ -11,10 +11,16 @@ Runs = Annotated[
     tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(at least one)")
 ]
 Destination = Literal["page", "leaderboard", "tensorboard", "mlflow", "wandb"]
-Kind = Annotated[Literal["crops", "failures", "epi", "time", "k"], tyro.conf.Positional]
+Kind = Annotated[Literal["crops", "failures", "epi", "time", "k", "video"], tyro.conf.Positional]
 
 
-def report(runs: Runs, out: Path | None = None, to: Destination = "page") -> None:
+def report(
+    runs: Runs,
+    out: Path | None = None,
+    to: Destination = "page",
+    standalone: bool = False,
+    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(all by default)")] = (),
+) -> None:
     """Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and the figures of scored runs.
 
     Args:
@@ -22,6 +28,8 @@ def report(runs: Runs, out: Path | None = None, to: Destination = "page") -> Non
         out: folder to write; RUN/report of the first run by default, the file leaderboard.html, or the folder tracked.
         to: page with all that belongs to it; leaderboard: the tables alone on one page, for which no frames are needed; or a
             tracker, whose package must be installed: its files are written without a network.
+        standalone: make a page that loads nothing; otherwise it shows frames at full size from the run folder that it lies in.
+        columns: of the tables in Markdown, LaTeX and Excel, in this order: PSNR SSIM LPIPS TCC.
     """
     if to == "leaderboard":
         from ggvs_eval.reports.page.leaderboard import write_leaderboard
@@ -30,7 +38,7 @@ def report(runs: Runs, out: Path | None = None, to: Destination = "page") -> Non
     elif to == "page":
         from ggvs_eval.pipelines.run.evaluate import report as write
 
-        print(write(runs, out))
+        print(write(runs, out, standalone=standalone, columns=columns))
     else:
         from ggvs_eval.reports.tracking import track_results
 
@@ -46,28 +54,51 @@ def figure(
     boxes: int = 2,
     view: str | None = None,
     frame: int | None = None,
-    row: int | None = None,
+    row: Annotated[str, tyro.conf.arg(metavar="auto|N")] = "auto",
     metrics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(default: PSNR LPIPS)")] = (),
+    methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD ...", help_behavior_hint="(all by default)")] = (),
+    squares: Annotated[tuple[str, ...], tyro.conf.arg(metavar="LEFT,TOP,SIDE ...", help_behavior_hint="(by --rule)")] = (),
+    width: str | None = None,
+    title: bool = True,
+    scores: bool = False,
 ) -> None:
     """Draw a figure for a paper, labelled, every method beside the truth.
 
     Args:
         kind: crops: a frame with enlarged squares; failures: the worst squares of a method, one per view; epi: an image row along
-            the camera path; time: an image row of a view along time; k: quality and time over the number of source views.
+            the camera path; time: an image row of a view along time; k: quality and time over the number of source views; video:
+            the methods beside each other, for a supplement.
         run: run folder, rendered and scored; of k the folder of a sweep.
-        out: PNG, PDF or SVG to write; a name without a suffix writes a PNG and a PDF.
+        out: PNG, PDF or SVG to write, MP4 of a video; a name without a suffix writes a PNG and a PDF.
         rule: squares of crops: where methods differ most, or where one method is worst.
         method: label of that one method; ours by default.
         boxes: number of squares.
-        view: test view of crops and time; the one with the largest score, and the first, by default.
+        view: test view of crops, time and video; the one with the largest score, and the first, by default.
         frame: frame of crops; the one with the largest score by default.
-        row: image row of epi and time; the most telling one by default.
-        metrics: panels of k.
+        row: image row of epi and time; auto takes the one in which the methods differ most.
+        metrics: panels of k, scores of the others.
+        methods: labels of the methods that are shown, in this order.
+        squares: of crops, in pixels, as the crop button of the page writes them.
+        width: of the figure, with its unit: in, cm, mm or pt; 7in, of k by its panels, by default.
+        title: say in the figure what it shows.
+        scores: write each method's scores behind its name.
     """
+    from ggvs_eval.reports.figures.look import FigureLook, parse_row, parse_width
     from ggvs_eval.reports.figures.paper_figures import write_figure
+    from ggvs_eval.reports.figures.regions import parse_square
 
-    options = {"rule": rule, "method": method, "boxes": boxes, "view": view, "frame": frame, "row": row, "metrics": metrics}
-    print(*write_figure(run, kind, out, **options), sep="\n")  # type: ignore[arg-type]
+    options = {
+        "rule": rule,
+        "method": method,
+        "boxes": boxes,
+        "view": view,
+        "frame": frame,
+        "metrics": metrics,
+        "methods": methods,
+    }
+    options |= {"row": parse_row(row), "squares": tuple(map(parse_square, squares)), "has_scores": scores}
+    look = None if width is None and title else FigureLook(parse_width(width or "7in"), title)
+    print(*write_figure(run, kind, out, look=look, **options), sep="\n")  # type: ignore[arg-type]
 
 
 def compare(

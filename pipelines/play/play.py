@@ -12,6 +12,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import write_video
+from ggvs_eval.pipelines.play.plausibility import LEAST_SEEN, SEEN_FROM_DEG, seen_share
 from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
 from ggvs_eval.progress import track
@@ -21,9 +22,24 @@ FPS_OF_STILLS = 30.0
 
 @dataclass
 class Timing:
-    """Seconds of each stage of each frame: reading, the method's own stages, the whole step, encoding."""
+    """Seconds of each stage of each frame: reading, the method's own stages, the whole step, encoding.
+
+    Attributes:
+        rows: stage -> seconds of each frame.
+        seen: share of each frame's view that the cameras see, see `seen_share`.
+    """
 
     rows: list[dict[str, float]] = field(default_factory=list)
+    seen: list[float] = field(default_factory=list)
+
+    @property
+    def outside(self) -> str:
+        """Frames of views that the cameras do not see, in words; empty where there is none."""
+        count = sum(share < LEAST_SEEN for share in self.seen)
+        where = f"from within {SEEN_FROM_DEG:g} degrees"
+        return (
+            f"{count} of {len(self.seen)} frames lie outside of what the cameras see {where}: expect torn rims" if count else ""
+        )
 
     def milliseconds(self) -> dict[str, tuple[float, float]]:
         """Median and 95th percentile of each stage, without the first frame where there are more."""
@@ -37,7 +53,7 @@ class Timing:
         lines += [f"{stage:14s}{median:9.1f}{high:9.1f}" for stage, (median, high) in times.items()]
         whole = sum(times[stage][0] for stage in ("read", "synthesis", "encode"))
         rates = f"{1000 / times['synthesis'][0]:.2f} frames per second of synthesis, {1000 / whole:.2f} with reading and encoding"
-        return "\n".join([*lines, rates])
+        return "\n".join([*lines, rates, *filter(None, [self.outside])])
 
 
 def record(playback: Playback, out: Path, method: str = DEFAULT_METHOD, device: str = "cpu") -> Timing:
@@ -76,6 +92,7 @@ def _views(playback: Playback, synthesizer: OnlineSynthesizer, timing: Timing) -
     """The video's frames, each made when it is asked for."""
     steps = list(zip(playback.instants, playback.poses, strict=True))
     for instant, pose in track(steps, "playing"):
+        timing.seen.append(seen_share(pose, playback.capture.cameras))
         begun = perf_counter()
         names = [camera.name for camera in synthesizer.sources(pose)]
         images = {name: playback.capture.frame(name, instant) for name in names}

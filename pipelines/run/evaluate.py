@@ -80,7 +80,14 @@ def recorded_capture(run: RunFolder) -> Capture:
     return replace(capture, units_origin=record["units_origin"], notes=tuple(record["notes"]))
 
 
-def report(roots: Sequence[Path], out: Path | None = None, tables_of: Sequence[Path] = (), with_figures: bool = True) -> Path:
+def report(
+    roots: Sequence[Path],
+    out: Path | None = None,
+    tables_of: Sequence[Path] = (),
+    with_figures: bool = True,
+    standalone: bool = False,
+    columns: Sequence[str] = (),
+) -> Path:
     """Write the page, tables and figures of one or several run folders, see `write_report`; one of the same runs is kept.
 
     Kept is a report of which every file is as it was written.
@@ -93,15 +100,15 @@ def report(roots: Sequence[Path], out: Path | None = None, tables_of: Sequence[P
         "code": [code_identity(write_report.__module__), digest_folder(templates, without=["__pycache__"])],
         "runs": [digest_folder(root, without=["report", "jobs"]) for root in (*roots, *tables_of)],
         "called": [[Path(root).name for root in each] for each in (roots, tables_of)],
-        "figures": with_figures,
+        "options": [with_figures, standalone, [*columns]],
         "excel": has_excel(),
     }
     if not roots:
-        return write_report(roots, out, tables_of, with_figures)  # which says that it takes a run
+        return write_report(roots, out, tables_of, with_figures, standalone, columns)  # which says that it takes a run
     folder = RunFolder(roots[0]).report if out is None else out
     written = MadeFiles(folder, made_from)
     if written.are_whole():
         return folder / "index.html"
-    page = write_report(roots, out, tables_of, with_figures)
+    page = write_report(roots, out, tables_of, with_figures, standalone, columns)
     written.note(file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file() and file.name != DIGESTS)
     return page

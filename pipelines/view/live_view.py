@@ -14,6 +14,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.method import Rendering
+from ggvs_eval.pipelines.play.plausibility import LEAST_SEEN, seen_share
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.diagnostics import diagnostics_picture
 from ggvs_eval.pipelines.view.frame_stock import FrameStock, fitted
@@ -21,6 +22,7 @@ from ggvs_eval.pipelines.view.frame_stock import FrameStock, fitted
 Layer = Literal["picture", "depth", "weights", "coverage", "motion"]
 LAYERS: tuple[Layer, ...] = ("picture", "depth", "weights", "coverage", "motion")
 DIVIDER_COLOUR = 255
+FADED_GREY, MOST_FADED = 128, 0.85
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +53,28 @@ class Picture:
         image: (H, W, 3), RGB uint8.
         seconds: of each stage of each method: label -> stage -> seconds, with the whole step as ``step``.
         sources: names of the source cameras of the first method, nearest first.
+        seen: share of the view that the cameras see, see `seen_share`.
+        known_depth: share of the sources' pixels of which the depth is known.
     """
 
     image: Image8
     seconds: dict[str, dict[str, float]]
     sources: tuple[str, ...]
+    seen: float = 1.0
+    known_depth: float = 1.0
+
+    @property
+    def is_outside(self) -> bool:
+        """True where the cameras do not see enough of the view."""
+        return self.seen < LEAST_SEEN
+
+    @property
+    def faded(self) -> Image8:
+        """The image as it is inside of what the cameras see; outside of it grey, the more so the farther."""
+        if not self.is_outside:
+            return self.image
+        share = MOST_FADED * (1 - self.seen / LEAST_SEEN)
+        return cv2.addWeighted(self.image, 1 - share, np.full_like(self.image, FADED_GREY), share, 0).astype(np.uint8)
 
 
 @dataclass
@@ -97,7 +116,10 @@ class LiveView:
             images.append(layer_image(rendering, request.layer, target, label))
             seconds[label] = {**rendering.seconds, "step": perf_counter() - begun}
         sources = self._running[request.methods[0]].synthesizer.sources(target)
-        return Picture(divided(images, request.divider), seconds, tuple(camera.name for camera in sources))
+        names = tuple(camera.name for camera in sources)
+        depths = [self.stock.read(name, request.instant)[1].depth for name in names]
+        known = float(np.mean([(depth > 0).mean() for depth in depths]))
+        return Picture(divided(images, request.divider), seconds, names, seen_share(target, self.stock.cameras), known)
 
     def restart(self) -> None:
         """Forget the methods' history."""

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import GgvsError
+from ggvs_eval.pipelines.play.plausibility import SEEN_FROM_DEG
 from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.view.frame_stock import FrameStock
 from ggvs_eval.pipelines.view.live_view import LAYERS, LiveView, Picture, ViewRequest
@@ -26,6 +27,12 @@ if TYPE_CHECKING:
 NOTHING = "-"
 MOST_SOURCES = 8
 JPEG_QUALITY = 85
+FIRST = "rendering the first picture ..."
+OUTSIDE = (
+    f"**outside of what the cameras see**: {{:.0%}} of this view is seen from within {SEEN_FROM_DEG:g} degrees, the rest is "
+    "guessed; *reset view* goes back"
+)
+LITTLE_DEPTH = 0.5  # of the sources' pixels, below which it is said that most of the picture stands on little
 REST_SECONDS = 0.25  # without a change, before the picture is made at full size
 RATE_SECONDS = 2.0  # over which pictures per second are counted
 
@@ -122,6 +129,7 @@ class Session:
         with self._lock:
             version = self._version
             self._refined_version = version
+        self._status.content = f"rendering at full size\n\n{self._status.content}"
         self._whole.restart()  # what it saw before was another pose at another time
         picture = self._attempt(self._whole, self._request())
         with self._lock:
@@ -159,11 +167,12 @@ class Session:
         except GgvsError as error:
             self.complain(str(error))
             return None
-        self._message.visible = False
+        self._message.content = OUTSIDE.format(picture.seen)
+        self._message.visible = picture.is_outside
         return picture
 
     def _send(self, picture: Picture) -> None:
-        self.client.scene.set_background_image(picture.image, format="jpeg", jpeg_quality=JPEG_QUALITY)
+        self.client.scene.set_background_image(picture.faded, format="jpeg", jpeg_quality=JPEG_QUALITY)
         now = monotonic()
         self._sent = [at for at in self._sent if at > now - RATE_SECONDS] + [now]
         self._status.content = status_text(picture, len(self._sent) / RATE_SECONDS)
@@ -171,7 +180,9 @@ class Session:
     def _add_controls(self, defaults: ViewDefaults) -> None:
         gui, playback = self.client.gui, self._playback
         instants, names = sorted(set(playback.instants)), [camera.name for camera in playback.capture.cameras]
-        self._message = gui.add_markdown("", visible=False)
+        self._message = gui.add_markdown(FIRST)
+        gui.add_button("reset view", hint="back to where the window opened (key: R)").on_click(lambda _: self._reset())
+        gui.add_command("reset view", hotkey="R").on_trigger(lambda _: self._reset())
         with gui.add_folder("Method"):
             self._method = gui.add_dropdown("method", tuple(defaults.methods), initial_value=defaults.method)
             self._label = gui.add_text("or by label", "", hint="any label, with options: ours+tau_m=0.05")
@@ -229,6 +240,10 @@ class Session:
             self.client.camera.wxyz = camera_orientation(camera)
         self.change()
 
+    def _reset(self) -> None:
+        """Put the window's camera back to where it opened."""
+        self._stand_where(middle_camera(self._playback.capture.cameras).name)
+
     def _show_points(self) -> None:
         if self._cloud is not None:
             self._cloud.remove()
@@ -241,6 +256,8 @@ def status_text(picture: Picture, rate: float) -> str:
     """Pictures per second, the size, the source cameras and the milliseconds of each stage, as Markdown."""
     height, width = picture.image.shape[:2]
     lines = [f"{rate:.1f} pictures per second, {width} x {height}, from {', '.join(picture.sources)}"]
+    little = "**little**: " if picture.known_depth < LITTLE_DEPTH else ""
+    lines.append(f"depth {little}known in {picture.known_depth:.0%} of what its sources see")
     for label, seconds in picture.seconds.items():
         stages = ", ".join(f"{stage} {1000 * each:.0f}" for stage, each in seconds.items())
         lines.append(f"{label}: {stages} ms")

@@ -1,6 +1,6 @@
 """Frames of every method beside the truth, with the squares that a rule has chosen enlarged below or beside them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,51 +9,63 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.figures.curves import COLOURS, save_figure
-from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, RULES, Region, Rule, find_regions, read_errors
+from ggvs_eval.reports.figures.look import FULL_LOOK, FigureLook
+from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, RULES, Region, find_regions, read_errors
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.run_folder import frame_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-WIDTH_IN = 7.0
 BOX_COLOURS = (COLOURS[4], COLOURS[5], COLOURS[3], COLOURS[2])  # light ones, which stand out from pictures
 TINY, SMALL = 6, 7
+LETTERS_PER_IN = 20  # of the small font
 
 
 def draw_crops(
     run: MeasuredRun,
     files: Sequence[Path],
-    rule: Rule,
-    label: str,
-    boxes: int = 2,
-    view: str | None = None,
-    frame: int | None = None,
+    regions: Sequence[Region],
+    rule: str,
+    look: FigureLook = FULL_LOOK,
+    scores: Mapping[str, str] | None = None,
 ) -> tuple[Path, ...]:
-    """One frame of every method with its boxes, and below it what is in each box, with the mean absolute error there."""
-    regions = find_regions(run, rule, label, boxes, view=view, frame=frame)
+    """One frame of every method with its boxes, and below it what is in each box, with the mean absolute error there.
+
+    Args:
+        regions: squares of one and the same frame.
+        rule: who chose them, in words.
+        look: width and title.
+        scores: label of a method -> what stands below its name.
+    """
     pictures = _pictures(run, regions[0])
     errors = read_errors(run, regions[0].view, regions[0].frame)
     height, width = pictures["truth"].shape[:2]
-    column_in = WIDTH_IN / len(pictures)
-    size = (WIDTH_IN, 0.5 + column_in * height / width + len(regions) * (column_in + 0.12))
+    column_in = look.width_in / len(pictures)
+    size = (look.width_in, 0.5 + column_in * height / width + len(regions) * (column_in + 0.12))
     figure, axes = _grid(size, [height / width, *[1.0] * len(regions)], len(pictures))
+    longest = int(column_in * LETTERS_PER_IN)
     for across, (key, picture) in enumerate(pictures.items()):
-        _show(axes[0, across], picture, run.name(key))
+        told = (scores or {}).get(key, "").replace(", ", "\n")
+        _show(axes[0, across], picture, f"{run.name(key)}\n{told}", longest)
         for number, region in enumerate(regions):
             _box(axes[0, across], region, number)
             _show(axes[1 + number, across], _cut(picture, region), "" if key == "truth" else f"L1 {_l1(errors[key], region):.1f}")
             _frame(axes[1 + number, across], number)
-    where = f"{regions[0].view}, frame {regions[0].frame}"
-    figure.suptitle(f"{where}; boxes: {RULES[rule].format(name=run.name(label))}", fontsize=SMALL)
+    if look.has_title:
+        figure.suptitle(f"{regions[0].view}, frame {regions[0].frame}; boxes: {rule}", fontsize=SMALL, wrap=True)
     return tuple(save_figure(figure, file) for file in files)
 
 
-def draw_failures(run: MeasuredRun, files: Sequence[Path], label: str, cases: int = 3) -> tuple[Path, ...]:
+def draw_failures(
+    run: MeasuredRun, files: Sequence[Path], label: str, cases: int = 3, look: FigureLook = FULL_LOOK
+) -> tuple[Path, ...]:
     """The worst squares of a method, one per view: where they lie, the truth, every method, and the method's error as a map."""
     regions = find_regions(run, "worst", label, cases, one_per_view=True)
     labels = ("truth", *run.pictured)
-    figure, axes = _grid((WIDTH_IN, 0.6 + 1.35 * len(regions)), [1.0] * len(regions), len(labels) + 2)
+    figure, axes = _grid(
+        (look.width_in, 0.6 + 1.35 * look.width_in / FULL_LOOK.width_in * len(regions)), [1.0] * len(regions), len(labels) + 2
+    )
     for down, region in enumerate(regions):
         pictures = _pictures(run, region)
         errors = read_errors(run, region.view, region.frame)
@@ -67,7 +79,8 @@ def draw_failures(run: MeasuredRun, files: Sequence[Path], label: str, cases: in
     bar = figure.colorbar(shown, ax=axes[:, -1], fraction=0.08, pad=0.04)
     bar.ax.tick_params(labelsize=TINY)
     bar.set_label("grey levels of 255", fontsize=TINY)
-    figure.suptitle(f"Squares {RULES['worst'].format(name=run.name(label))}, the worst of each view", fontsize=SMALL)
+    if look.has_title:
+        figure.suptitle(f"Squares {RULES['worst'].format(name=run.name(label))}, the worst of each view", fontsize=SMALL)
     return tuple(save_figure(figure, file) for file in files)
 
 
@@ -91,17 +104,17 @@ def _l1(errors: Any, region: Region) -> float:
     return float(np.mean(_cut(errors, region)))
 
 
-def _show(axes: "Axes", picture: Image8, title: str) -> None:
+def _show(axes: "Axes", picture: Image8, title: str, longest: int = 22) -> None:
     axes.imshow(picture, interpolation="antialiased")  # repeats pixels where it enlarges much, averages where it reduces
-    _bare(axes, title)
+    _bare(axes, title, longest)
 
 
-def _bare(axes: "Axes", title: str) -> None:
+def _bare(axes: "Axes", title: str, longest: int = 22) -> None:
     axes.set(xticks=[], yticks=[])
-    axes.set_title(_wrap(title), fontsize=TINY, pad=2)
+    axes.set_title(_wrap(title, longest), fontsize=TINY, pad=2)
 
 
-def _wrap(title: str, longest: int = 22) -> str:
+def _wrap(title: str, longest: int) -> str:
     """A long name in lines, so that it does not run into its neighbour's."""
     import textwrap
 

@@ -87,17 +87,25 @@ class Panel:
 
     def value_ticks(self) -> list[tuple[float, str]]:
         """Places and texts of the vertical axis, two to seven round numbers."""
-        low, high = self.bounds[2:]
-        step = 10.0 ** math.floor(math.log10((high - low) / 6))
-        step *= next(factor for factor in (1, 2, 5, 10) if (high - low) / (step * factor) <= 6)
-        decimals = max(0, -math.floor(math.log10(step)))
-        first, last = math.ceil(low / step), math.floor(high / step)
-        return [(self.y(index * step), f"{index * step:.{decimals}f}") for index in range(first, last + 1)]
+        return [(self.y(value), text) for value, text in round_ticks(*self.bounds[2:])]
 
     def frame_ticks(self) -> list[tuple[float, str]]:
         """Places and texts of the horizontal axis: first, middle and last frame."""
         first, last = (int(bound) for bound in self.bounds[:2])
         return [(self.x(frame), str(frame)) for frame in dict.fromkeys((first, (first + last) // 2, last))]
+
+
+def round_ticks(low: float, high: float) -> list[tuple[float, str]]:
+    """Two to seven round numbers from `low` to `high`, each with its text.
+
+    Examples:
+        >>> round_ticks(0, 400)
+        [(0.0, '0'), (100.0, '100'), (200.0, '200'), (300.0, '300'), (400.0, '400')]
+    """
+    step = 10.0 ** math.floor(math.log10((high - low) / 6))
+    step *= next(factor for factor in (1, 2, 5, 10) if (high - low) / (step * factor) <= 6)
+    decimals = max(0, -math.floor(math.log10(step)))
+    return [(index * step, f"{index * step:.{decimals}f}") for index in range(math.ceil(low / step), math.floor(high / step) + 1)]
 
 
 def curve_panels(run: MeasuredRun) -> tuple[Panel, ...]:

@@ -6,12 +6,18 @@ from pathlib import Path
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.merged_results import merge_results
 from ggvs_eval.reports.figures.curves import COLOURS, save_figure
+from ggvs_eval.reports.figures.look import USUAL, FigureLook
+from ggvs_eval.reports.model.measured import read_scores
+from ggvs_eval.run_folder import RunFolder
+from ggvs_eval.statistics.intervals import intervals
 
 SWEEP_FILE = "sweep.csv"
 SECONDS = "s/frame"
-USUAL = ("PSNR", "LPIPS")
+MEAN = "mean"  # what the table of a sweep calls the mean over its captures
 UNITS = {"PSNR": "dB"}
+DIGITS = 9  # by which a number of the table is found among those of its runs
 MARKERS, LINES = "os^Dv", ("-", "--", ":", "-.")
 PANEL_IN = (2.6, 2.3)
 AN_EXAMPLE = "make one with `ggvs-eval sweep k FOLDER --capture CAPTURE`"
@@ -24,7 +30,7 @@ def read_k_table(sweep: Path) -> pd.DataFrame:
         raise ResultsError(f"{sweep}: wanted the folder of a sweep, it has no {SWEEP_FILE}; {AN_EXAMPLE}")
     table = pd.read_csv(file)
     if "capture" in table:
-        table = table[table["capture"] == "mean"]
+        table = table[table["capture"] == MEAN]
     table["K"] = [int(match[1]) if (match := re.fullmatch(r"k(\d+)", str(name))) else -1 for name in table["variant"]]
     table = table[table["K"] > 0]
     if table["K"].nunique() < 2:
@@ -36,12 +42,41 @@ def read_k_table(sweep: Path) -> pd.DataFrame:
     )
 
 
-def draw_k(sweep: Path, out: Path, metrics: tuple[str, ...] = ()) -> Path:
+def sweep_runs(sweep: Path) -> list[Path]:
+    """The run folders of a sweep that its table has lines of, in their order there."""
+    table = pd.read_csv(sweep / SWEEP_FILE, dtype={"capture": str, "variant": str}).fillna({"capture": ""})
+    if "capture" not in table:
+        return [sweep / variant for variant in dict.fromkeys(table["variant"])]
+    names = dict.fromkeys(zip(table["capture"], table["variant"], strict=True))
+    return [sweep / capture / variant for capture, variant in names if capture != MEAN]
+
+
+def interval_widths(sweep: Path, metric: str) -> dict[tuple[int, float], float]:
+    """Half width of the interval of each number of a sweep over K, found by K and the number itself, rounded.
+
+    The table of a sweep has titles of its own, and its numbers are those of its runs: a number that no run has any more, or a
+    mean over data sets, has no interval.
+    """
+    scored = [read_scores(run) for run in sweep_runs(sweep) if RunFolder(run).protocol_file.is_file()]
+    widths: dict[tuple[int, float], float] = {}
+    for protocol in dict.fromkeys(run.protocol for run in scored):
+        results = merge_results([run.results for run in scored if run.protocol == protocol])
+        for dataset in dict.fromkeys(results.table["dataset"]):
+            for interval in intervals(results, metric, str(dataset)).values():
+                if interval.half_width is not None:
+                    widths[protocol.synthesis.k, round(interval.value, DIGITS)] = interval.half_width
+    return widths
+
+
+def draw_k(sweep: Path, out: Path, metrics: tuple[str, ...] = (), look: FigureLook | None = None) -> Path:
     """A panel per metric and one for the time of a frame, a line per method; each K that was evaluated is a marker.
+
+    Bars are 95 % intervals, as in the tables of the single runs.
 
     Args:
         sweep: folder that ``ggvs-eval sweep`` has made.
         metrics: which; PSNR and LPIPS, where they were measured, by default.
+        look: width.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
@@ -52,12 +87,16 @@ def draw_k(sweep: Path, out: Path, metrics: tuple[str, ...] = ()) -> Path:
     if absent:
         raise ResultsError(f"{sweep / SWEEP_FILE}: no {', '.join(absent)}; it has {', '.join(table.columns)}")
     panels = (*names, *((SECONDS,) if SECONDS in table and SECONDS not in names else ()))
-    figure = Figure(figsize=(PANEL_IN[0] * len(panels), PANEL_IN[1]), layout="constrained")
+    width = look.width_in if look else PANEL_IN[0] * len(panels)
+    figure = Figure(figsize=(width, PANEL_IN[1]), layout="constrained")
     for axes, metric in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+        widths = {} if metric == SECONDS else interval_widths(sweep, metric)
         for number, method in enumerate(dict.fromkeys(table.index.get_level_values("method"))):
             values = table.loc[method, metric].dropna()
             look = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)], "markersize": 4}
-            axes.plot(values.index, values, LINES[number % len(LINES)], label=method, linewidth=1.2, **look)
+            bars = [widths.get((int(k), round(value, DIGITS)), 0.0) for k, value in values.items()]
+            line = LINES[number % len(LINES)]
+            axes.errorbar(values.index, values, bars, fmt=line, label=method, linewidth=1.2, capsize=2, elinewidth=0.8, **look)
         unit = f" ({UNITS[metric]})" if metric in UNITS else ""
         axes.set_ylabel("seconds per frame" if metric == SECONDS else f"{metric}{unit}", fontsize=7)
         axes.set_xlabel("number of source views K", fontsize=7)

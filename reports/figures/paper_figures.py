@@ -6,11 +6,13 @@ from typing import Literal
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.figures.crop_figure import draw_crops, draw_failures
 from ggvs_eval.reports.figures.k_figure import draw_k
-from ggvs_eval.reports.figures.regions import Rule
-from ggvs_eval.reports.figures.slices import write_slices
+from ggvs_eval.reports.figures.look import FULL_LOOK, FigureLook, only_methods, score_words
+from ggvs_eval.reports.figures.regions import RULES, Rule, Square, find_regions, given_regions
+from ggvs_eval.reports.figures.side_by_side import write_side_by_side
+from ggvs_eval.reports.figures.slices import draw_slices, slices_of
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 
-FigureKind = Literal["crops", "failures", "epi", "time", "k"]
+FigureKind = Literal["crops", "failures", "epi", "time", "k", "video"]
 BOTH = (".png", ".pdf")
 
 
@@ -26,26 +28,50 @@ def write_figure(
     frame: int | None = None,
     row: int | None = None,
     metrics: tuple[str, ...] = (),
+    methods: tuple[str, ...] = (),
+    squares: tuple[Square, ...] = (),
+    look: FigureLook | None = None,
+    has_scores: bool = False,
 ) -> tuple[Path, ...]:
     """Write a figure.
 
     Args:
         folder: run folder, rendered and scored; of ``k`` the folder of a sweep.
-        kind: ``crops`` of one frame, ``failures`` of a method, slices ``epi`` and ``time``, or the curves over ``k``.
+        kind: ``crops`` of one frame, ``failures`` of a method, slices ``epi`` and ``time``, the curves over ``k``, or a ``video``
+            of the methods beside each other.
         out: file to write; without a suffix both a PNG and a PDF.
+        rule: by which crops are chosen, see `ggvs_eval.reports.figures.regions.RULES`.
+        method: label whose worst squares are shown; ours, or the first, where None.
+        metrics: panels of ``k``, scores of the others.
+        methods: labels of those that are shown, in this order; all by default.
+        squares: of crops, instead of those that the rule finds.
+        look: width and title; each kind's own width where None.
+        has_scores: whether each method's scores follow its name.
+
+    Raises:
+        ResultsError: as of the single figures, or no boxes.
     """
     if boxes < 1:
         raise ResultsError(f"wanted at least one box, got {boxes}")
+    if kind == "video":
+        return (
+            write_side_by_side(only_methods(read_run(folder), methods), out if out.suffix else out.with_suffix(".mp4"), view),
+        )
     files = (out,) if out.suffix else tuple(out.with_suffix(suffix) for suffix in BOTH)
     if kind == "k":
-        return tuple(draw_k(folder, file, metrics) for file in files)
+        return tuple(draw_k(folder, file, metrics, look) for file in files)
+    look, run = look or FULL_LOOK, only_methods(read_run(folder), methods)
+    scores = score_words(run, metrics) if has_scores else {}
     if kind in ("epi", "time"):
-        return tuple(write_slices(folder, kind, row, view, file) for file in files)
-    run = read_run(folder)
+        slices = slices_of(run, kind, row, view)
+        return tuple(draw_slices(slices, file, look, scores) for file in files)
     label = method or first_choice(run)
     if kind == "failures":
-        return draw_failures(run, files, label, boxes)
-    return draw_crops(run, files, rule, label, boxes, view, frame)
+        return draw_failures(run, files, label, boxes, look)
+    if squares:
+        return draw_crops(run, files, given_regions(run, squares, view, frame), "chosen by eye", look, scores)
+    regions = find_regions(run, rule, label, boxes, view=view, frame=frame)
+    return draw_crops(run, files, regions, RULES[rule].format(name=run.name(label)), look, scores)
 
 
 def first_choice(run: MeasuredRun) -> str:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -24,6 +24,30 @@ RULES = {
     "worst": "where the mean absolute error of {name} is largest",
     "different": "where the mean absolute errors of the methods lie farthest apart",
 }
+
+
+class Square(NamedTuple):
+    """A square of a picture that was chosen by eye, pixels."""
+
+    left: int
+    top: int
+    side: int
+
+
+def parse_square(text: str) -> Square:
+    """Read ``LEFT,TOP,SIDE``, as the page's crop button writes it.
+
+    Raises:
+        ResultsError: another text.
+
+    Examples:
+        >>> parse_square("120,80,64")
+        Square(left=120, top=80, side=64)
+    """
+    numbers = text.split(",")
+    if len(numbers) != 3 or not all(number.strip().isdecimal() for number in numbers):
+        raise ResultsError(f"square {text!r}: wanted LEFT,TOP,SIDE in pixels, such as 120,80,64")
+    return Square(*map(int, numbers))
 
 
 @dataclass(frozen=True)
@@ -77,6 +101,28 @@ def find_regions(
     return _search(run, rule, label, by_view[0].view, by_view[0].frame, count)
 
 
+def given_regions(
+    run: MeasuredRun, squares: Sequence[Square], view: str | None = None, frame: int | None = None
+) -> tuple[Region, ...]:
+    """The squares that somebody has chosen by eye.
+
+    Args:
+        squares: at least one.
+        view: test view; None takes the first.
+        frame: None takes the first.
+
+    Raises:
+        ResultsError: no such view or frame, or a square that leaves the picture.
+    """
+    view, frame = view or run.protocol.views.test[0], run.frames[0] if frame is None else frame
+    _check_place(run, view, frame)
+    height, width, _ = read_image(frame_path(run.folder.truth(view), frame)).shape
+    for left, top, side in squares:
+        if side < 1 or left + side > width or top + side > height:
+            raise ResultsError(f"square {left},{top},{side}: leaves the picture of {width} x {height} pixels; choose it within")
+    return tuple(Region(view, frame, square.top, square.left, square.side, math.nan) for square in squares)
+
+
 def read_errors(run: MeasuredRun, view: str, frame: int) -> ErrorMaps:
     """Error of each method in each pixel of a frame."""
     folders = run.frame_folders(view)
@@ -126,12 +172,16 @@ def _search(run: MeasuredRun, rule: Rule, label: str, view: str, frame: int, cou
     return tuple(regions)
 
 
+def _check_place(run: MeasuredRun, view: str, frame: int) -> None:
+    views = run.protocol.views.test
+    if view not in views:
+        raise ResultsError(f"{run.folder.root}: no test view {view!r}; use one of {', '.join(views)}")
+    if frame not in run.frames:
+        raise ResultsError(f"{run.folder.root}: no frame {frame}; use {run.frames[0]} to {run.frames[-1]}")
+
+
 def _check(run: MeasuredRun, rule: Rule, label: str, views: Sequence[str], frames: Sequence[int]) -> None:
-    test_views = run.protocol.views.test
-    if views[0] not in test_views:
-        raise ResultsError(f"{run.folder.root}: no test view {views[0]!r}; use one of {', '.join(test_views)}")
-    if frames[0] not in run.frames:
-        raise ResultsError(f"{run.folder.root}: no frame {frames[0]}; use {run.frames[0]} to {run.frames[-1]}")
+    _check_place(run, views[0], frames[0])
     if label not in run.pictured:
         raise ResultsError(f"{run.folder.root}: no whole renders of {label!r}; use one of {', '.join(run.pictured)}")
     if rule == "different" and len(run.pictured) < 2:

@@ -1,10 +1,10 @@
 """Slices through a sequence: the row of an image over viewpoints (epipolar plane image) or over time (x-t)."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -13,11 +13,15 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.reports.figures.curves import save_figure
-from ggvs_eval.reports.model.measured import MeasuredRun, read_run
+from ggvs_eval.reports.figures.look import FULL_LOOK, FigureLook
+from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.run_folder import frame_path, require_frames
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 SliceKind = Literal["epi", "time"]
-WIDTH_IN = 7.0
+INDICES_AT_MOST = 10  # of frames or poses that are looked at for the row in which methods differ most
 CONTEXT_SHARE = 0.35
 NO_TRUTH = "no truth on a virtual path"
 
@@ -26,6 +30,7 @@ NO_TRUTH = "no truth on a virtual path"
 class Strip:
     """The slice of one method: (samples, x, 3), or None for a truth that does not exist."""
 
+    label: str
     name: str
     image: Image8 | None
 
@@ -41,6 +46,8 @@ class Slices:
         strips: the truth first, then every method.
         context: frame that the row is taken from.
         title: what the slice is of.
+        first: number of its first sample, a frame or a pose.
+        fps: samples per second; 0 where they are none of time, or it is unknown.
     """
 
     kind: SliceKind
@@ -50,6 +57,8 @@ class Slices:
     strips: tuple[Strip, ...]
     context: Image8
     title: str
+    first: int = 0
+    fps: float = 0.0
 
 
 def epipolar_plane_image(folder: Path, n_poses: int, row: int) -> Image8:
@@ -105,6 +114,28 @@ def most_textured_row(images: Iterable[Image8]) -> int:
     return int(np.argmax(strength))
 
 
+def most_different_row(folders: Mapping[str, Path], indices: range) -> int | None:
+    """The row in which the methods' mean absolute errors lie farthest apart; None where fewer than two differ.
+
+    Args:
+        folders: label -> frames, those of the truth as ``truth``; without it the mean of the methods stands for it.
+        indices: frames or poses, of which at most `INDICES_AT_MOST` are looked at, evenly spaced.
+    """
+    labels = [label for label in folders if label != "truth"]
+    if len(labels) < 2:
+        return None
+    apart: np.ndarray | float = 0.0
+    totals: np.ndarray | float = 0.0  # (methods, H)
+    for index in indices[:: -(-len(indices) // INDICES_AT_MOST)]:
+        images = np.stack([read_image(frame_path(folders[label], index)).astype(np.float32) for label in labels])
+        truth = read_image(frame_path(folders["truth"], index)) if "truth" in folders else images.mean(axis=0)
+        errors = np.abs(images - truth).mean(axis=(2, 3))
+        totals, apart = totals + errors, apart + errors.mean(axis=0)
+    if "truth" in folders:
+        apart = np.ptp(totals, axis=0)
+    return int(np.argmax(apart)) if np.max(apart) > 0 else None
+
+
 def path_folders(run: MeasuredRun, labels: Iterable[str]) -> tuple[dict[str, Path], int]:
     """Find the frames along the camera path: the folders of the truth and of methods, and the number of poses.
 
@@ -124,21 +155,22 @@ def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
     """Epipolar plane images of the truth and every method; None where the run has no camera path.
 
     Reading:
-        The paper fixes a row without saying which; unless one is given, it is the row with the strongest horizontal gradients in
-        the middle pose of the truth, or of all methods together on a virtual path, which has no truth.
+        The paper fixes a row without saying which; unless one is given, it is the row in which methods differ most. Where there
+        is one method alone, or all are equal, it is the one with the strongest horizontal gradients in the middle pose of the
+        truth, or of all methods together on a virtual path, which has no truth.
     """
     folders, n_poses = path_folders(run, run.labels)
     if not n_poses:
         return None
     middle = {label: read_image(frame_path(folder, n_poses // 2)) for label, folder in folders.items()}
     of_truth = "truth" in folders
-    chosen_by = _asked(row) or (
-        f"the strongest horizontal gradients in the middle pose of {'the truth' if of_truth else 'all methods together'}"
+    chosen_by = f"the strongest horizontal gradients in the middle pose of {'the truth' if of_truth else 'all methods together'}"
+    row, chosen_by = _choose_row(
+        row, folders, range(n_poses), lambda: most_textured_row([middle["truth"]] if of_truth else middle.values()), chosen_by
     )
-    row = most_textured_row([middle["truth"]] if of_truth else middle.values()) if row is None else row
-    strips = [Strip(run.name(label), epipolar_plane_image(folder, n_poses, row)) for label, folder in folders.items()]
+    strips = [Strip(label, run.name(label), epipolar_plane_image(folder, n_poses, row)) for label, folder in folders.items()]
     if not of_truth:
-        strips.insert(0, Strip(run.name("truth"), None))
+        strips.insert(0, Strip("truth", run.name("truth"), None))
     context = next(iter(middle.values()))
     return Slices("epi", "", row, chosen_by, tuple(strips), context, f"{n_poses} poses along the camera path")
 
@@ -147,17 +179,35 @@ def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
     """x-t slices of the truth and every method in one view.
 
     Reading:
-        The paper fixes a row without saying which; unless one is given, it is the row in which the truth changes most over time.
+        The paper fixes a row without saying which; unless one is given, it is the row in which methods differ most, or the truth
+        changes most over time where there is one method alone or all are equal.
     """
     views = run.protocol.views.test
     if view not in views:
         raise ResultsError(f"{run.folder.root}: no test view {view!r}; use one of {', '.join(views)}")
     folders = run.frame_folders(view)
-    chosen_by = _asked(row) or "the largest change of the truth from frame to frame"
-    row = most_changing_row(folders["truth"], run.frames) if row is None else row
-    strips = tuple(Strip(run.name(label), temporal_slice(folder, run.frames, row)) for label, folder in folders.items())
+    row, chosen_by = _choose_row(
+        row,
+        folders,
+        run.frames,
+        lambda: most_changing_row(folders["truth"], run.frames),
+        "the largest change of the truth from frame to frame",
+    )
+    strips = tuple(Strip(label, run.name(label), temporal_slice(folder, run.frames, row)) for label, folder in folders.items())
     context = read_image(frame_path(folders["truth"], run.frames[len(run.frames) // 2]))
-    return Slices("time", view, row, chosen_by, strips, context, f"{len(run.frames)} frames of {view}")
+    title, fps = f"{len(run.frames)} frames of {view}", float(run.capture.get("fps") or 0)
+    return Slices("time", view, row, chosen_by, strips, context, title, run.frames[0], fps)
+
+
+def _choose_row(
+    asked: int | None, folders: Mapping[str, Path], indices: range, otherwise: Callable[[], int], words: str
+) -> tuple[int, str]:
+    """The row, and who chose it in words: whoever asked for one, the methods' differences, or else a rule on the pictures."""
+    if asked is not None:
+        return asked, "asked for"
+    if (row := most_different_row(folders, indices)) is not None:
+        return row, "where the methods differ most"
+    return otherwise(), words
 
 
 def all_slices(run: MeasuredRun) -> Sequence[Slices]:
@@ -167,49 +217,69 @@ def all_slices(run: MeasuredRun) -> Sequence[Slices]:
     return ([path] if path else []) + over_time
 
 
-def write_slices(run: Path, kind: SliceKind, row: int | None, view: str | None, out: Path) -> Path:
-    """Write epipolar plane images or x-t slices of every method and the truth of a run.
+def slices_of(run: MeasuredRun, kind: SliceKind, row: int | None, view: str | None) -> Slices:
+    """Epipolar plane images or x-t slices of every method and the truth of a run.
 
     Args:
         kind: ``epi`` along the camera path, ``time`` in a fixed view.
         row: image row; None chooses one and the figure says how.
         view: test view of ``time``; None takes the first.
-        out: file to write; its suffix chooses the format (``.png``, ``.pdf``, ``.svg``).
 
     Raises:
-        ResultsError: not a scored run, no camera path in it, no such view or row, or a suffix that is not a picture's.
+        ResultsError: no camera path in it, no such view or row.
     """
-    measured = read_run(run)
-    slices = path_slices(measured, row) if kind == "epi" else time_slices(measured, view or measured.protocol.views.test[0], row)
+    slices = path_slices(run, row) if kind == "epi" else time_slices(run, view or run.protocol.views.test[0], row)
     if slices is None:
-        raise ResultsError(f"{run}: no frames along a camera path under path/, wanted for an EPI; run `ggvs-eval render` again")
-    return draw_slices(slices, out)
+        raise ResultsError(
+            f"{run.folder.root}: no frames along a camera path under path/, wanted for an EPI; run `ggvs-eval render` again"
+        )
+    return slices
 
 
-def _asked(row: int | None) -> str:
-    return "" if row is None else "asked for"
+def draw_slices(slices: Slices, out: Path, look: FigureLook = FULL_LOOK, scores: Mapping[str, str] | None = None) -> Path:
+    """Draw slices below each other, with the frame that they cut on top.
 
+    Args:
+        out: file to write; its suffix chooses the format (``.png``, ``.pdf``, ``.svg``).
+        look: width and title.
+        scores: label of a method -> what stands behind its name.
 
-def draw_slices(slices: Slices, out: Path) -> Path:
-    """Draw slices below each other, with the frame that they cut on top."""
+    Raises:
+        ResultsError: a suffix that is not a picture's.
+    """
     from matplotlib.figure import Figure
 
-    context_in = WIDTH_IN * CONTEXT_SHARE * slices.context.shape[0] / slices.context.shape[1]
-    figure = Figure(figsize=(WIDTH_IN, 0.6 + context_in + 0.95 * len(slices.strips)), layout="constrained")
+    context_in = look.width_in * CONTEXT_SHARE * slices.context.shape[0] / slices.context.shape[1]
+    figure = Figure(figsize=(look.width_in, 0.6 + context_in + 0.95 * len(slices.strips)), layout="constrained")
     axes = figure.subplots(1 + len(slices.strips), 1, height_ratios=[context_in, *[0.8] * len(slices.strips)])
     axes[0].imshow(slices.context)
     axes[0].axhline(slices.row, color="#ff3b30", linewidth=1.2)
-    axes[0].set_title(f"Row {slices.row} in {slices.title}\n(row: {slices.chosen_by})", fontsize=8)
+    if look.has_title:
+        axes[0].set_title(f"Row {slices.row} in {slices.title}\n(row: {slices.chosen_by})", fontsize=8)
     axes[0].set_axis_off()
     for axis, strip in zip(axes[1:], slices.strips, strict=True):
-        axis.set_title(strip.name, loc="left", fontsize=8, pad=2)
+        axis.set_title("   ".join(filter(None, (strip.name, (scores or {}).get(strip.label)))), loc="left", fontsize=8, pad=2)
         if strip.image is None:
             axis.text(0.5, 0.5, NO_TRUTH, ha="center", va="center", fontsize=8, transform=axis.transAxes)
             axis.set(xticks=[], yticks=[])
             continue
-        samples, width = strip.image.shape[:2]
-        axis.imshow(strip.image, aspect="auto", interpolation="nearest", extent=(0, width, samples, 0))
-        axis.set_ylabel("v (pose)" if slices.kind == "epi" else "t (frame)", fontsize=7)
-        axis.tick_params(labelsize=6, labelbottom=axis is axes[-1])
+        _draw_strip(axis, strip.image, slices, is_last=axis is axes[-1])
     axes[-1].set_xlabel("x (pixel)", fontsize=7)
     return save_figure(figure, out)
+
+
+def _draw_strip(axis: "Axes", image: Image8, slices: Slices, is_last: bool) -> None:
+    """One slice with the numbers of its samples left, and seconds right of it where time passes at a known rate."""
+    from matplotlib.ticker import MaxNLocator
+
+    samples, width = image.shape[:2]
+    first, fps = slices.first, slices.fps
+    axis.imshow(image, aspect="auto", interpolation="nearest", extent=(0, width, first + samples - 0.5, first - 0.5))
+    axis.set_ylabel("v (pose)" if slices.kind == "epi" else "t (frame)", fontsize=7)
+    axis.yaxis.set_major_locator(MaxNLocator(3, integer=True))
+    axis.tick_params(labelsize=6, labelbottom=is_last)
+    if fps:
+        seconds = axis.secondary_yaxis("right", functions=(lambda t: (t - first) / fps, lambda s: s * fps + first))
+        seconds.yaxis.set_major_locator(MaxNLocator(3))
+        seconds.set_ylabel("t (s)", fontsize=7)
+        seconds.tick_params(labelsize=6)

@@ -9,7 +9,11 @@ from ggvs_eval.statistics.intervals import LEVEL, Interval
 
 SIGNIFICANT = 4
 
+FIELD_NAMES = {"IV_PSNR": "IV-PSNR", "MS_SSIM": "MS-SSIM", "CVVDP": "ColorVideoVDP"}
+ENDINGS = {"static": "static", "moving": "moving", "disoccluded": "disoccluded", "cc": "colour-corrected"}
+
 RowKind = Literal["measured", "ours", "partial", "published", "reference"]
+GREY: tuple[RowKind, ...] = ("published", "reference")
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,19 @@ class Column:
     unit: str = ""
     higher_is_better: bool | None = None
     describe: str = ""
+
+    @property
+    def head(self) -> str:
+        """Name and direction as the field writes them.
+
+        Examples:
+            >>> [Column(name, higher_is_better=True).head for name in ("PSNR", "MS_SSIM", "PSNR_cc_static")]
+            ['PSNR ↑', 'MS-SSIM ↑', 'PSNR, colour-corrected, static ↑']
+        """
+        name, parts = self.name, []
+        while (ending := next((each for each in ENDINGS if name.endswith(f"_{each}")), "")) and name != ending:
+            name, parts = name.removesuffix(f"_{ending}"), [ENDINGS[ending], *parts]
+        return " ".join(filter(None, (", ".join([FIELD_NAMES.get(name, name.replace("_", " ")), *parts]), self.arrow)))
 
     @property
     def arrow(self) -> str:
@@ -91,7 +108,7 @@ class Row:
     @property
     def is_grey(self) -> bool:
         """True for a row that is shown for comparison and not ranked."""
-        return self.kind in ("published", "reference")
+        return self.kind in GREY
 
     @property
     def competes(self) -> bool:
@@ -105,9 +122,12 @@ class Table:
 
     Attributes:
         key: short name for files, labels and anchors.
-        caption: what it shows and how it was made.
+        key: short name for files, labels and anchors.
+        caption: what it shows, as short as a paper has it.
         columns: heads, without the column of names.
         rows: measured rows first, published ones last.
+        dataset: what was measured on.
+        notes: how it was made and what does not compare, in as many sentences as it takes.
         undecided: name of a column -> why no best is named in it.
     """
 
@@ -117,7 +137,41 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     dataset: str = ""
+    notes: tuple[str, ...] = ()
     undecided: Mapping[str, str] = field(default_factory=dict)
+
+
+def join_tables(tables: Sequence[Table], names: Sequence[str]) -> tuple[Table, ...]:
+    """One table per data set with these columns alone, in this order, whatever tables they stood in.
+
+    Args:
+        tables: whose columns are metrics.
+        names: of the columns.
+    """
+    by_dataset: dict[str, list[Table]] = {}
+    for table in tables:
+        by_dataset.setdefault(table.dataset, []).append(table)
+    return tuple(_joined(parts, tuple(dict.fromkeys(names))) for parts in by_dataset.values())
+
+
+def _joined(tables: Sequence[Table], names: Sequence[str]) -> Table:
+    """Tables of one data set as one; a row that lacks a column has a dash there."""
+    places = [(table, at) for name in names for table in tables for at, column in enumerate(table.columns) if column.name == name]
+    kinds = {row.name: row.kind for table in tables for row in table.rows}
+    cells = {(table.key, row.name): row.cells for table in tables for row in table.rows}
+    rows = []
+    for name in sorted(kinds, key=lambda name: kinds[name] in GREY):  # stable: grey rows last
+        row = Row(name, tuple(_cell_at(cells.get((table.key, name)), at) for table, at in places), kinds[name])
+        if not row.is_grey or any(cell.value is not None for cell in row.cells):
+            rows.append(row)
+    notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
+    columns = tuple(table.columns[at] for table, at in places)
+    undecided = {name: why for table in tables for name, why in table.undecided.items() if name in names}
+    return Table("results", "Results", tables[0].caption, columns, tuple(rows), tables[0].dataset, notes, undecided)
+
+
+def _cell_at(cells: Sequence[Cell] | None, at: int) -> Cell:
+    return Cell("–") if cells is None else cells[at]
 
 
 def measured_cell(value: float | None, reason: str, interval: Interval | None = None, decimals: int | None = None) -> Cell:

@@ -2,18 +2,20 @@
 
 import base64
 import hashlib
+import os
 import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import read_image
-from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE
+from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE, round_ticks
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, find_regions
 from ggvs_eval.reports.figures.slices import NO_TRUTH, Slices
 from ggvs_eval.reports.model.measured import MeasuredRun
@@ -38,9 +40,10 @@ TEMPLATES = Path(__file__).parent / "templates"
 FIRST_SCRIPTS = ("theme", "loading")  # run before anything is drawn, so that no page flashes in the wrong colours
 SCRIPTS = (
     *("zoom_window", "pointer_gestures", "picture_grid", "curve_cursor", "row_cutter", "linked_slices"),
-    *("heat_map", "sortable_table", "player", "viewer", "opening", "tabs", "place", "start"),
+    *("full_size", "crop_picker", "heat_map", "sortable_table", "player", "viewer", "opening", "tabs", "place", "start"),
 )
 CONTEXT_WIDTH = 480
+UPS_AT_MOST = 2  # folders from a page up to what holds its run
 SOURCES = {"nearest": "the nearest", "coverage": "chosen for what they see of the target"}
 FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
 Part = tuple[str, str, tuple[str, ...]]
@@ -70,15 +73,25 @@ def script_digest(script: str) -> str:
 
 
 def viewer_data(
-    run: MeasuredRun, comparison: Comparison, path: PathPictures | None, maps: tuple[HeatMap, ...], row: int, fps: float
+    run: MeasuredRun,
+    comparison: Comparison,
+    path: PathPictures | None,
+    maps: tuple[HeatMap, ...],
+    row: int,
+    fps: float,
+    full: str = "",
 ) -> dict[str, Any]:
     """Everything that the viewer, the linked slices and the heat maps of one run share.
 
     Args:
         path: its frames along the camera path, compressed; None where there is none.
         fps: frames per second of the capture; 0 where unknown.
+        full: the run folder as an address from the page; empty where the page cannot name it.
     """
     return {
+        "run": run.folder.root.resolve().name,
+        "full": full,
+        "width": comparison.width,
         "views": comparison.views,
         "frames": comparison.frames,
         "fps": fps,
@@ -97,17 +110,24 @@ def viewer_data(
     }
 
 
-def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] = (), sweeps: Sequence[SweepSection] = ()) -> str:
+def render_page(
+    groups: Sequence[RunGroup],
+    reproduced: Sequence[Reproduction] = (),
+    sweeps: Sequence[SweepSection] = (),
+    folder: Path | None = None,
+) -> str:
     """Fill the templates.
 
     Args:
         groups: runs by protocol; one alone has no heading of its own.
         sweeps: tables and curves over K; they stand first where their runs follow, else behind the groups.
+        folder: where the page will lie, from which it shows frames at full size; None makes a page that loads nothing.
 
     Returns:
         The whole page; equal inputs give equal text.
     """
     scripts = {"first": page_script(FIRST_SCRIPTS), "last": page_script()}
+    contexts = _groups(groups, folder)
     return (
         template_environment()
         .get_template("page.html.j2")
@@ -117,7 +137,8 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
             dark_css=(TEMPLATES / "dark.css").read_text(encoding="utf-8"),
             scripts=scripts,
             script_digests=[script_digest(script) for script in scripts.values()],
-            groups=_groups(groups),
+            groups=contexts,
+            refers=any(section["data"]["full"] for group in contexts for section in group["sections"]),
             sweeps=[{"id": f"sweep{at}", "title": sweep.title, **vars(sweep)} for at, sweep in enumerate(sweeps)],
             plot=PLOT,
             caveats=CAVEATS,
@@ -144,7 +165,18 @@ def template_environment() -> "Environment":
     return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
 
 
-def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
+def run_address(root: Path, folder: Path | None) -> str:
+    """A run folder as an address from a page; empty where the page loads nothing, or they lie too far apart.
+
+    A page lies in its run folder, or in that of a run beside it; an address of more would tell of the machine that made it.
+    """
+    if folder is None:
+        return ""
+    parts = Path(os.path.relpath(root.resolve(), folder.resolve())).parts
+    return "" if parts.count("..") > UPS_AT_MOST else "/".join(map(quote, parts))
+
+
+def _groups(groups: Sequence[RunGroup], folder: Path | None) -> list[dict[str, Any]]:
     """Build the template context of each group; places have the same names in all groups, behind the group's own."""
     rooms = enumerate(share_room([section.run for group in groups for section in group.sections]))
     names = _tab_names(groups)
@@ -170,7 +202,7 @@ def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
             "several_datasets": len({table.dataset for table in group.tables}) > 1,
             "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
             "has_paper_rows": any(row.name.endswith(PAPER) for table in group.tables for row in table.rows),
-            "sections": [_section(*next(rooms), *next(tabs), section, verdicts[at]) for section in group.sections],
+            "sections": [_section(*next(rooms), *next(tabs), section, verdicts[at], folder) for section in group.sections],
         }
         for at, group in enumerate(groups)
     ]
@@ -237,7 +269,7 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
 
 
 def _section(
-    index: int, room: PictureRoom, title: str, address: str, section: RunSection, verdict: Verdict | None
+    index: int, room: PictureRoom, title: str, address: str, section: RunSection, verdict: Verdict | None, folder: Path | None
 ) -> dict[str, Any]:
     """Build the template context of one run, pictures as data URIs."""
     run, maps = section.run, heat_maps(section.run)
@@ -261,7 +293,7 @@ def _section(
         "comparison": comparison,
         "diagnostics": diagnostics_legend(comparison.keys),
         "first_left": (*run.ours_first, "truth")[0],
-        "data": viewer_data(run, comparison, path, maps, row, fps),
+        "data": viewer_data(run, comparison, path, maps, row, fps, run_address(run.folder.root, folder)),
         "heat_maps": maps,
         "videos": method_videos(run, fps, room.videos),
         "slices": [_slice_pictures(slices) for slices in section.slices],
@@ -303,7 +335,12 @@ def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
 
 def _slice_pictures(slices: Slices) -> dict[str, Any]:
     height, width = slices.context.shape[:2]
+    count = next(len(strip.image) for strip in slices.strips if strip.image is not None)
+    told = sorted({0, count // 2, count - 1})
     return {
+        "samples": [(round(100 * (at + 0.5) / count, 2), *_sample_texts(slices, at)) for at in told],
+        "pixels": [(round(100 * value / width, 2), text) for value, text in round_ticks(0, width)],
+        "has_seconds": slices.fps > 0,
         "kind": slices.kind,
         "view": slices.view,
         "row": slices.row,
@@ -314,6 +351,11 @@ def _slice_pictures(slices: Slices) -> dict[str, Any]:
         "strips": [(strip.name, None if strip.image is None else png_uri(_tall(strip.image))) for strip in slices.strips],
         "no_truth": NO_TRUTH if any(strip.image is None for strip in slices.strips) else "",
     }
+
+
+def _sample_texts(slices: Slices, at: int) -> tuple[str, str]:
+    """Number of a sample of a slice, and its time in seconds where that is known."""
+    return str(slices.first + at), f"{at / slices.fps:.2f} s" if slices.fps else ""
 
 
 def _tall(image: Image8, height: int = 96) -> Image8:

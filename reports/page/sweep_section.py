@@ -9,12 +9,11 @@ import pandas as pd
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.figures.curves import Curve, Panel, with_margin
-from ggvs_eval.reports.figures.k_figure import SECONDS, SWEEP_FILE, USUAL, read_k_table
+from ggvs_eval.reports.figures.k_figure import SECONDS, SWEEP_FILE, USUAL, read_k_table, sweep_runs
 from ggvs_eval.reports.model.metric_note import MetricNote
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value
 from ggvs_eval.run_folder import RunFolder
 
-MEAN = "mean"  # what the table of a sweep calls the mean over its captures
 CAPTION = "As `ggvs-eval sweep` has written it. Each variant is a protocol of its own, so nothing is ranked here"
 RUNS_FOLLOW = "; intervals stand in the tables of the single runs below."
 RUNS_ELSEWHERE = "; intervals and pictures of the single runs: `ggvs-eval report {}`."
@@ -48,15 +47,6 @@ class SweepSection:
 def is_sweep(root: Path) -> bool:
     """Tell whether a folder holds a sweep and its table, and is not a run itself."""
     return (root / SWEEP_FILE).is_file() and not RunFolder(root).protocol_file.is_file()
-
-
-def sweep_runs(sweep: Path) -> list[Path]:
-    """The run folders of a sweep that its table has lines of, in their order there."""
-    table = pd.read_csv(sweep / SWEEP_FILE, dtype={"capture": str, "variant": str}).fillna({"capture": ""})
-    if "capture" not in table:
-        return [sweep / variant for variant in dict.fromkeys(table["variant"])]
-    names = dict.fromkeys(zip(table["capture"], table["variant"], strict=True))
-    return [sweep / capture / variant for capture, variant in names if capture != MEAN]
 
 
 def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: bool = True) -> SweepSection:

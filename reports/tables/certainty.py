@@ -95,8 +95,10 @@ def _elsewhere(results: Results, metric: str, dataset: str) -> dict[str, str]:
     return {label: ELSEWHERE for label, own in places.items() if own != everywhere}
 
 
-def certainty_captions(certain: Mapping[str, Certainty], names: Mapping[str, str], undifferentiated: Sequence[str]) -> list[str]:
-    """Write captions: the meaning of ± and bold in a table, what is not ranked, and which numbers have no interval.
+def certainty_captions(
+    certain: Mapping[str, Certainty], names: Mapping[str, str], undifferentiated: Sequence[str]
+) -> tuple[list[str], list[str]]:
+    """Write the meaning of ± and bold for a table's caption, and for its note what is not ranked or has no interval.
 
     Args:
         certain: metric -> certainty.
@@ -106,10 +108,11 @@ def certainty_captions(certain: Mapping[str, Certainty], names: Mapping[str, str
     level = f"{100 * LEVEL:.0f} %"
     bounded = [one for certainty in certain.values() for one in certainty.intervals.values() if one.low is not None]
     given = "".join(f", {note}" for note in dict.fromkeys(interval.note.partition(";")[0] for interval in bounded) if note)
-    captions = [f"±: {level} interval, by the correlation over time that each clip allows{given}."] if bounded else []
+    brief = [f"±: {level} interval."] if bounded else []
+    captions = [f"Intervals are by the correlation over time that each clip allows{given}."] if bounded else []
     ranked = [certainty for certainty in certain.values() if certainty.standing]
     if any(certainty.told for certainty in ranked):
-        captions.append(f"Bold: best, and what cannot be told from it (paired, {level}).")
+        brief.append(f"Bold: best, and what cannot be told from it (paired, {level}).")
     by_digits = [metric for metric, certainty in certain.items() if certainty.standing and certainty.told is None]
     if by_digits:
         captions.append(
@@ -127,4 +130,4 @@ def certainty_captions(certain: Mapping[str, Certainty], names: Mapping[str, str
     for metric, certainty in certain.items():
         for label, why in certainty.unranked.items():
             said[f"Not ranked: {{}}, {why}."].append(f"{names.get(label, label)} in {metric}")
-    return captions + [sentence.replace("{}", ", ".join(gap), 1) for sentence, gap in said.items()]
+    return brief, captions + [sentence.replace("{}", ", ".join(gap), 1) for sentence, gap in said.items()]

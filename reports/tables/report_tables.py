@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import pandas as pd
 
+from ggvs_eval.errors import ResultsError, did_you_mean
 from ggvs_eval.reports.model.measured import (
     MeasuredRun,
     captured_values,
@@ -14,7 +15,7 @@ from ggvs_eval.reports.model.measured import (
     shared_references,
 )
 from ggvs_eval.reports.model.metric_note import MetricNote, note_groups
-from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, measured_cell, rank
+from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, join_tables, measured_cell, rank
 from ggvs_eval.reports.tables.captions import main_captions
 from ggvs_eval.reports.tables.certainty import Certainty, assess, certainty_captions
 from ggvs_eval.reports.tables.community import community_rows, describe_published
@@ -26,21 +27,29 @@ PUBLISHED_GROUPS = ("quality", "consistency")
 ALONG_PATH = "path"  # table whose reference row is the captured images
 
 
-def main_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, ...]:
+def main_tables(runs: Sequence[MeasuredRun], results: Results, columns: Sequence[str] = ()) -> tuple[Table, ...]:
     """Quality and consistency per dataset: means over frames, then views, then scenes.
 
     Args:
         runs: at least one, all under one protocol.
+        columns: metrics that make a single table, in this order; all of them, in tables of their own, by default.
 
     Returns:
         Per dataset one table for each group of the metrics that the protocol asks for, in its order.
+
+    Raises:
+        ResultsError: a column that was not measured.
     """
-    groups = note_groups(list(runs[0].metrics.values()))
+    known = list(runs[0].metrics)
+    if unknown := [name for name in columns if name not in known]:
+        near = did_you_mean(unknown[0], known)
+        raise ResultsError(f"columns: {', '.join(unknown)} was not measured; use some of {', '.join(known)}{near}")
+    groups = note_groups([note for note in runs[0].metrics.values() if not columns or note.name in columns])
     summary = results.summary()
     tables = []
     for dataset in dict.fromkeys(str(name) for name in summary.index.get_level_values("dataset")):
         tables += [_main_table(dataset, notes, runs, summary, results) for notes in groups.values()]
-    return tuple(tables)
+    return join_tables(tables, columns) if columns else tuple(tables)
 
 
 def _main_table(
@@ -58,16 +67,12 @@ def _main_table(
     published, remarks = _published(key, dataset, metrics, runs)
     grey = reference_rows(references, key, notes) + published
     names = dict(zip(row_labels(runs, here), (row.name for row in rows), strict=True))
-    caption = " ".join(
-        [
-            *main_captions(key, runs, results, names, metrics),
-            *certainty_captions(certain, names, _undifferentiated(columns, ranked)),
-            *reference_remarks(references, key, notes),
-            *remarks,
-        ]
-    )
+    means, *terms = main_captions(key, runs, results, names, metrics)
+    marks, found = certainty_captions(certain, names, _undifferentiated(columns, ranked))
+    caption = " ".join([means, *marks])
+    below = (*terms, *found, *reference_remarks(references, key, notes), *remarks)
     undecided = {metric: certainty.undecided for metric, certainty in certain.items()}
-    return Table(key, title, caption, columns, ranked + grey, dataset, undecided)
+    return Table(key, title, caption, columns, ranked + grey, dataset, below, undecided)
 
 
 def _published(key: str, dataset: str, metrics: Sequence[str], runs: Sequence[MeasuredRun]) -> tuple[tuple[Row, ...], list[str]]:

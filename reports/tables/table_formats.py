@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+from ggvs_eval.reports.model.table import Cell, Row, Table
 
 LATEX_SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -25,6 +25,8 @@ LATEX_SPECIAL = {
     "±": r"$\pm$",
     "−": "$-$",
     "∞": r"$\infty$",
+    "↑": r"$\uparrow$",
+    "↓": r"$\downarrow$",
     "≤": r"$\leq$",
     "≥": r"$\geq$",
 }
@@ -48,10 +50,11 @@ def to_markdown(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
     """GitHub's tables, best values bold, intervals behind them, published rows in italics, notes as a closing list."""
     parts = []
     for table in tables:
-        heads = ["Method", *(_head(column) for column in table.columns)]
+        heads = ["Method", *(escape_markdown(column.head) for column in table.columns)]
         rows = [[_markdown_text(row, row.name), *(_markdown_cell(row, cell) for cell in row.cells)] for row in table.rows]
         head = f"## {escape_markdown(_title(table))}\n\n{escape_markdown(table.caption)}\n\n"
-        parts.append(head + markdown_table(heads, rows))
+        note = f"\n\n{escape_markdown(_note(table))}" if _note(table) else ""
+        parts.append(head + markdown_table(heads, rows) + note)
     closing = "\n".join(f"- {escape_markdown(note)}" for note in notes)
     return "\n\n".join([*parts, *([closing] if closing else [])]) + "\n"
 
@@ -107,14 +110,13 @@ def escape_latex(text: str) -> str:
 
 
 def _latex_table(table: Table) -> str:
-    arrows = {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "": ""}
-    units = [f" ({escape_latex(column.unit)})" if column.unit else "" for column in table.columns]
-    heads = [f"{escape_latex(c.name)}{unit}{arrows[c.arrow]}" for c, unit in zip(table.columns, units, strict=True)]
+    heads = [escape_latex(column.head) for column in table.columns]
     body: list[str] = []
     for above, row in zip((None, *table.rows), table.rows, strict=False):
         if above is not None and row.is_grey and not above.is_grey:
             body.append(r"\midrule")
         body.append(" & ".join([_latex_text(row, row.name), *(_latex_cell(row, cell) for cell in row.cells)]) + r" \\")
+    note = _note(table)
     label = re.sub(r"[^a-z0-9-]+", "-", f"{table.key}-{table.dataset}".lower()).strip("-")
     lines = [
         r"\begin{table}",
@@ -128,6 +130,7 @@ def _latex_table(table: Table) -> str:
         *body,
         r"\bottomrule",
         r"\end{tabular}}",
+        *([rf"\par\smallskip\begin{{minipage}}{{\linewidth}}\footnotesize {escape_latex(note)}\end{{minipage}}"] if note else []),
         r"\end{table}",
     ]
     return "\n".join(lines) + "\n"
@@ -151,10 +154,13 @@ def _title(table: Table) -> str:
     return f"{table.title} ({table.dataset})" if table.dataset else table.title
 
 
-def _head(column: Column) -> str:
-    return " ".join(
-        filter(None, [escape_markdown(column.name), f"({escape_markdown(column.unit)})" if column.unit else "", column.arrow])
-    )
+def _note(table: Table) -> str:
+    """What stands below a table: its note, and the units, which the field leaves out of the heads."""
+    by_unit: dict[str, list[str]] = {}
+    for column in table.columns:
+        by_unit.setdefault(column.unit, []).append(column.name)
+    units = "; ".join(f"{', '.join(names)} in {unit}" for unit, names in by_unit.items() if unit)
+    return " ".join(filter(None, (*table.notes, f"{units}." if units else "")))
 
 
 def _markdown_cell(row: Row, cell: Cell) -> str:

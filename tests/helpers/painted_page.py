@@ -27,10 +27,11 @@ def paint(label: str, view: str, index: int) -> np.ndarray:
     return picture
 
 
-def write_page(runs: Sequence[Path], page: Path) -> Path:
+def write_page(runs: Sequence[Path], page: Path, standalone: bool = True) -> Path:
     """The page of a report alone; its figures for print take longer than all that a browser does with it."""
-    groups = read_groups(runs)
-    write_text(page, render_page(groups, reproduce([section.run for group in groups for section in group.sections])))
+    groups, folder = read_groups(runs), None if standalone else page.parent
+    reproduced = reproduce([section.run for group in groups for section in group.sections])
+    write_text(page, render_page(groups, reproduced, folder=folder))
     return page
 
 

@@ -1,15 +1,17 @@
 """Play: the way of the virtual camera, a video of it from a capture and from a run folder, and what cannot be played."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import Camera, translated_path
 from ggvs_eval.errors import CameraError, GgvsError, RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.play.plausibility import seen_share
 from ggvs_eval.pipelines.play.play import Timing, record
 from ggvs_eval.pipelines.play.playback import PlayOptions, blocks_of, camera_loop, playback_of_capture, playback_of_run
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
@@ -212,3 +214,21 @@ def test_a_record_refuses_what_it_cannot_write(tmp_path):
     """From Python as from the command line."""
     with refused(RenderError, "video file"):
         record(None, tmp_path / "out.webm")  # type: ignore[arg-type]
+
+
+def test_frames_outside_of_what_the_cameras_see_are_counted():
+    """The table of a film has one line more where some of its views are guessed at their rims, and none where none is."""
+    rows = [{"read": 0.1, "synthesis": 0.2, "encode": 0.1}] * 3
+    assert "outside" not in Timing(rows, [1.0, 0.9, 0.85]).table()
+    assert "2 of 3 frames lie outside" in Timing(rows, [1.0, 0.3, 0.5]).table()
+
+
+def test_a_view_is_seen_as_far_as_cameras_stand_around_it():
+    """Between the cameras all of it, beside them ever less, turned away nothing."""
+    middle = facing((0.0, 0.0, 0.0), np.array([0.0, 0.0, 4.0]), "middle")
+    rig = translated_path(middle, span=0.4, count=5)
+    shares = [seen_share(replace(pose, name="view"), rig) for pose in translated_path(middle, span=4.0, count=5)[2:]]
+    assert shares[0] > 0.9
+    assert shares[0] > shares[1] > shares[2]
+    turned = replace(middle, name="view", world_to_camera=np.diag([-1.0, 1.0, -1.0, 1.0]))
+    assert seen_share(turned, rig) == 0.0

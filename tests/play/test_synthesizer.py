@@ -2,11 +2,12 @@
 
 import re
 import warnings
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
+from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, GgvsError, RenderError
 from ggvs_eval.files.images import quantise, read_image
@@ -23,6 +24,7 @@ pytestmark = pytest.mark.slow
 RIG = [camera_at(x) for x in (-0.45, -0.15, 0.15, 0.45)]
 UNITS_PER_METRE = 2.5  # of `scenes.instant`
 DOCUMENT = ROOT / "docs" / "online.md"
+LIVE_RIG = ROOT / "docs" / "live_rig.md"
 
 
 def seen(square_x: float = 0.0):
@@ -262,3 +264,19 @@ def test_the_example_of_the_page_works(tmp_path, monkeypatch):
         view, rendered = read_image(tmp_path / "view" / f"{t:04d}.png"), names["room"].frame("cam01", t)
         assert view.shape == rendered.shape
         assert psnr_db(view / 255.0, quantise(np.full(rendered.shape, rendered.mean() / 255))) < psnr_db(view / 255.0, rendered)
+
+
+@pytest.mark.skipif(not LIVE_RIG.is_file(), reason="reads the checkout")
+def test_the_live_rig_of_the_page_works(capsys):
+    """The code of docs/live_rig.md, run as it stands, gives the wall as seen from between the cameras; every field is explained."""
+    text = LIVE_RIG.read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    names: dict = {}
+    exec(compile(example, str(LIVE_RIG), "exec"), names)
+    left = round(names["FOCAL_PX"] * 0.34 / names["WALL_M"])
+    assert psnr_db(names["picture"] / 255.0, names["wall"][:, left : left + names["WIDTH"]]) > 25
+    assert len(capsys.readouterr().out.splitlines()) == 3
+    assert len([line for line in example.splitlines() if line]) <= 30
+    given = [field.name for field in fields(Camera) if not field.kw_only]
+    assert f"`Camera({', '.join(given)})`" in text
+    assert all(re.search(rf"^\|.*`{name}`.* \|", text, flags=re.MULTILINE) for name in given)

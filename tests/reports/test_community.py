@@ -123,5 +123,5 @@ def test_the_row_stands_in_the_quality_table(tmp_path):
     assert [row.name for row in table.rows[-2:]] == ["4DGS (published, mean of 6 scenes)", "4DGS (published, flame_steak)"]
     assert table.rows[-1].is_grey
     assert not table.rows[-1].cells[0].best
-    assert "Grey: Wu et al." in table.caption
+    assert "Grey: Wu et al." in " ".join(table.notes)
     assert all("published" not in row.name for row in main_tables([run], run.results)[0].rows)

@@ -94,7 +94,7 @@ def test_a_clip_too_short_for_its_correlation_has_no_winner(runs):
     """Whatever its p value, a difference that the clip is too short for is not significant, and the verdict says why."""
     (one, other), *_ = run_sides(runs["better"], runs["plain"])
     whole = next(found for found in differences(one, other, runs["plain"]) if found.metric == "PSNR" and not found.view)
-    why = "clip too short for its correlation: 24 frames are worth ~2.1"
+    why = "clip too short: 3 frames, wanted 4 independent ones"
     short = replace(whole, comparison=replace(whole.comparison, short=why), p_value=0.001)
     assert (short.is_significant, short.verdict) == (False, f"no winner: {why}")
 

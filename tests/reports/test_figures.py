@@ -1,21 +1,28 @@
 """Figures for papers: squares found where errors were planted, curves over K, files that are what their suffix says."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.figures.k_figure import draw_k, read_k_table
+from ggvs_eval.reports.figures.look import FigureLook, parse_width
 from ggvs_eval.reports.figures.paper_figures import write_figure
-from ggvs_eval.reports.figures.regions import find_regions, read_errors, square_side
+from ggvs_eval.reports.figures.regions import Square, find_regions, read_errors, square_side
+from ggvs_eval.reports.figures.side_by_side import STRIP
 from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.statistics.intervals import intervals
 from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.run_folders import RunShape, write_run
+from helpers.sweep_folders import write_sweep
 
 SHAPE = RunShape(frames=Frames(2, 3), labels=("no-blending", "ours-geometric"))
 SIDE = 10  # of the squares in frames of 64 x 48
@@ -93,6 +100,9 @@ def test_errors_are_mean_absolute_differences(planted):
         ({"frame": 9}, "no frame 9; use 2 to 4"),
         ({"method": "nobody"}, "no whole renders of 'nobody'"),
         ({"boxes": 0}, "at least one box, got 0"),
+        ({"methods": ("ours-geometric", "nobody")}, "no whole renders of 'nobody'; use one of no-blending"),
+        ({"squares": (Square(60, 0, 8),)}, "square 60,0,8: leaves the picture of 64 x 48"),
+        ({"has_scores": True, "metrics": ("FID",)}, "no FID; it has PSNR"),
     ],
 )
 def test_figures_refuse_what_is_not_there(planted, tmp_path, asked, message):
@@ -107,6 +117,80 @@ def test_one_method_differs_from_none(tmp_path):
     with pytest.raises(ResultsError, match="use --rule worst"):
         write_figure(run, "crops", tmp_path / "a.png")
     assert write_figure(run, "crops", tmp_path / "a.png", rule="worst")[0].stat().st_size > 1000
+
+
+def drawn_figures(monkeypatch, module: str) -> list[Figure]:
+    """Catch the figures that a module draws instead of writing them."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(f"ggvs_eval.reports.figures.{module}.save_figure", lambda figure, out: drawn.append(figure) or out)
+    return drawn
+
+
+def texts(figure: Figure) -> list[str]:
+    """Titles of all axes, and of the figure."""
+    return [axes.get_title() or axes.get_title("left") for axes in figure.axes] + [figure.get_suptitle()]
+
+
+def test_squares_chosen_by_eye_are_cut_to_the_pixel(planted, tmp_path, monkeypatch):
+    """The crop is what lies in the square of that view and frame, of the methods named, in their order."""
+    drawn = drawn_figures(monkeypatch, "crop_figure")
+    write_figure(
+        planted, "crops", tmp_path / "a.png", view="cam03", frame=3, methods=("ours-geometric",), squares=(Square(41, 30, SIDE),)
+    )
+    _, _, truth, ours = drawn[0].axes
+    assert np.array_equal(truth.images[0].get_array(), np.full((SIDE, SIDE, 3), 100))
+    assert np.array_equal(ours.images[0].get_array(), np.full((SIDE, SIDE, 3), 160))
+    assert ours.get_title() == "L1 60.0"
+
+
+@pytest.mark.parametrize(("kind", "module"), [("crops", "crop_figure"), ("time", "slices"), ("epi", "slices")])
+def test_a_paper_chooses_methods_width_title_and_scores(planted, tmp_path, monkeypatch, kind, module):
+    """Methods stand in the order in which they are named, each with its scores; the title is the caption's."""
+    drawn = drawn_figures(monkeypatch, module)
+    options = {"methods": ("ours-geometric", "no-blending"), "has_scores": True, "metrics": ("PSNR",)}
+    write_figure(planted, kind, tmp_path / "a.png", look=FigureLook(parse_width("84mm"), False), **options)
+    write_figure(planted, kind, tmp_path / "b.png")
+    assert drawn[0].get_figwidth() == pytest.approx(84 / 25.4)
+    shown = " ".join(texts(drawn[0]))
+    psnr_db = read_run(planted).results.summary()["PSNR"].xs("ours-geometric", level="method").item()
+    assert f"PSNR {psnr_db:.2f}" in shown
+    assert shown.index("Ours (geometric") < shown.index("No Blending")
+    assert "row:" not in shown
+    assert "boxes:" not in shown
+    assert any("row:" in text or "boxes:" in text for text in texts(drawn[1]))
+
+
+def test_strips_say_frames_and_seconds(planted, tmp_path, monkeypatch):
+    """The vertical axis counts frames by their numbers, a second one seconds from the first of them."""
+    drawn = drawn_figures(monkeypatch, "slices")
+    write_figure(planted, "time", tmp_path / "a.png", row=7)
+    strip = drawn[0].axes[1]
+    assert strip.get_ylim() == (4.5, 1.5)
+    (seconds,) = strip.child_axes
+    drawn[0].draw_without_rendering()
+    assert seconds.get_ylim() == pytest.approx((2.5 / 30, -0.5 / 30))
+    assert drawn[0].axes[-1].get_xlabel() == "x (pixel)"
+
+
+@pytest.mark.parametrize("width", ["3.3", "0in", "1e3in", "wide"])
+def test_a_width_needs_its_unit(width):
+    """A width without a unit, or at which nothing can be drawn, is refused."""
+    with pytest.raises(ResultsError, match=r"such as 3\.3in"):
+        parse_width(width)
+
+
+def test_a_video_shows_all_beside_each_other(planted, tmp_path):
+    """Every frame holds the truth and each method under a strip with its name; an odd size is made even."""
+    (file,) = write_figure(planted, "video", tmp_path / "side", view="cam03", methods=("ours-geometric",))
+    video = VideoFrames(file)
+    assert (file.name, video.n_frames, video.fps) == ("side.mp4", 3, 30.0)
+    (frame,) = video.frames(1, 2)
+    assert frame.shape == (STRIP + 48, 2 * 64, 3)
+    assert abs(int(frame[STRIP + 35, 46].mean()) - 100) < 8
+    assert abs(int(frame[STRIP + 35, 64 + 46].mean()) - 160) < 8
+    assert frame[:STRIP].max() > 128
+    with pytest.raises(ResultsError, match=r"must end in \.mp4"):
+        write_figure(planted, "video", tmp_path / "side.avi")
 
 
 @pytest.mark.parametrize("kind", ["crops", "failures", "epi", "time"])
@@ -133,17 +217,31 @@ def test_k_table_is_the_mean_of_the_captures_in_order_of_k(sweep):
 
 def test_k_figure_has_a_panel_per_metric_and_one_for_time(sweep, tmp_path, monkeypatch):
     """PSNR and seconds are drawn from the table's numbers over K; a metric that the sweep lacks is refused by name."""
-    from matplotlib.figure import Figure
-
-    drawn: list[Figure] = []
-    monkeypatch.setattr("ggvs_eval.reports.figures.k_figure.save_figure", lambda figure, out: drawn.append(figure) or out)
+    drawn = drawn_figures(monkeypatch, "k_figure")
     draw_k(sweep, tmp_path / "k.png")
     quality, seconds = drawn[0].axes
-    line = next(line for line in quality.lines if line.get_label() == "Ours")
+    line = next(each for each in quality.containers if each.get_label() == "Ours").lines[0]
     assert (list(line.get_xdata()), list(line.get_ydata())) == ([2, 4, 10], [24.5, 26.5, 32.5])
     assert (quality.get_ylabel(), seconds.get_ylabel()) == ("PSNR (dB)", "seconds per frame")
     with refused(ResultsError, "TCC", "PSNR, s/frame"):
         draw_k(sweep, tmp_path / "k.png", ("TCC",))
+
+
+def test_k_figure_has_the_intervals_of_its_runs(tmp_path, monkeypatch):
+    """A number of the table has the interval that it has in the table of its run; one that no run has, has none."""
+    write_sweep(tmp_path)
+    lines = pd.read_csv(tmp_path / "sweep.csv")
+    shutil.rmtree(tmp_path / "k3")
+    run = read_run(write_run(tmp_path / "k3", RunShape(k=3)))
+    bounds = intervals(run.results, "PSNR", "Demo room")["ours-geometric"]
+    lines.loc[(lines["variant"] == "k3") & (lines["method"] == "Ours"), "PSNR"] = bounds.value
+    lines.to_csv(tmp_path / "sweep.csv", index=False)
+    drawn = drawn_figures(monkeypatch, "k_figure")
+    draw_k(tmp_path, tmp_path / "k.png")
+    ours = next(each for each in drawn[0].axes[0].containers if each.get_label() == "Ours")
+    segments = ours.lines[2][0].get_segments()
+    assert [abs(high - low) > 0 for (_, low), (_, high) in segments] == [False, True, False]
+    assert [y for _, y in segments[1]] == pytest.approx([bounds.low, bounds.high])
 
 
 def test_k_figure_needs_a_sweep_over_k(planted, tmp_path):

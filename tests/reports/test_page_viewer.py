@@ -4,9 +4,10 @@ import re
 
 import numpy as np
 
+from ggvs_eval.pipelines.commands.main import run_command
 from helpers.browser import PHONE
-from helpers.painted_page import RED, STAGE, clock
-from helpers.run_folders import LABELS
+from helpers.painted_page import RED, SHAPE, STAGE, clock, paint, write_page
+from helpers.run_folders import LABELS, write_run
 
 
 def test_divider_wipes_between_the_pictures(shown):
@@ -199,3 +200,54 @@ def test_pictures_beside_each_other_and_error_maps_take_the_pointer(shown):
         before = zoom_of(shown)
         shown.pinch(picture, 1.5)
         assert zoom_of(shown) > 1.2 * before
+
+
+SHOWN = "document.querySelector('.stage [data-role=under]').src"
+
+
+def test_frames_at_full_size_lie_beside_the_page(started, tmp_path):
+    """Where the screen has more pixels than the page's own picture, the frame on disk is shown; of a page alone, its own."""
+    run = write_run(tmp_path / "run", SHAPE, paint)
+    page = write_page([run], run / "report" / "index.html", standalone=False)
+    started.visit(page)
+    file = run / "renders" / "ours-geometric" / "cam00" / "0002.png"
+    assert started.wait(f"{SHOWN} === arguments[0]", file.resolve().as_uri())
+    assert started.run("document.querySelector('.stage [data-role=under]').naturalWidth") == SHAPE.width
+    assert "full size" in started.text("[data-role=full]")
+    started.focus(STAGE)
+    started.press("\ue014")
+    assert started.wait(f"{SHOWN} === arguments[0]", file.with_name("0003.png").resolve().as_uri())
+    assert started.complaints() == []
+
+    alone = tmp_path / "carried off" / "index.html"
+    alone.parent.mkdir()
+    alone.write_bytes(page.read_bytes())
+    started.visit(alone)
+    assert started.run(f"{SHOWN}.startsWith('data:')")
+    assert started.text("[data-role=full]") == ""
+    started.complaints()  # that the files are not there
+
+
+def test_crops_are_chosen_by_eye(shown, painted):
+    """`c` marks a square on every picture, what is seen of a zoomed one; the command that the page prints draws it."""
+    shown.click(STAGE, 0.5, 0.5)
+    shown.focus(STAGE)
+    shown.press("c")
+    side = round(0.16 * SHAPE.width)
+    first = f"{round(SHAPE.width / 2 - side / 2)},{round(SHAPE.height / 2 - side / 2)},{side}"
+    command = shown.text("[data-role=command]")
+    assert command.startswith("ggvs-eval figure crops run crops --view cam00 --frame 2 --squares ")
+    assert command.endswith(f",{side} --methods ours-geometric")
+    assert (
+        max(abs(a - b) for a, b in zip(*(map(int, each.split(",")) for each in (first, command.split()[10])), strict=True)) <= 1
+    )
+    shown.press("+", "+", "c", "v")
+    words = shown.text("[data-role=command]").split()
+    assert words[words.index("--view") + 1] == "cam03"
+    assert int(words[words.index("--squares") + 2].split(",")[2]) == round(SHAPE.height / 2.25)
+    assert shown.run("document.querySelectorAll('.stage .crop').length") == 2
+    words[3:5] = [str(painted.parent / "run"), str(painted.parent / "crops.png")]
+    run_command(words[1:])
+    assert (painted.parent / "crops.png").stat().st_size > 1000
+    shown.click("[data-role=no-crops]")
+    assert shown.run("document.querySelectorAll('.crop').length") == 0

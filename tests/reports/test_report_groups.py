@@ -195,7 +195,7 @@ def test_means_over_other_scenes_are_not_ranked(tmp_path):
     values = [row.cells[0].value for row in quality.rows]
     assert lacking.cells[0].value == max(values)
     assert (lacking.cells[0].best, lacking.cells[0].shade, lacking.competes) == (False, 0.0, False)
-    assert f"{NAMES[LABELS[2]]} is not measured on room; it is not ranked." in quality.caption
+    assert f"{NAMES[LABELS[2]]} is not measured on room; it is not ranked." in quality.notes
     verdict = evaluate_verdict([section.run for section in group.sections], group.results, group.tables)
     assert [one.label for one in verdict.contenders] == [LABELS[1], LABELS[0]]
     assert verdict.headline.startswith(NAMES[LABELS[1]])
@@ -204,12 +204,12 @@ def test_means_over_other_scenes_are_not_ranked(tmp_path):
 def test_versions_that_a_table_mixes_are_named(tmp_path):
     """Values made under two versions of a library are said to be, in the caption; one version of each is not worth a word."""
     runs = [write_run(tmp_path / scene, replace(SMALL, scene=scene)) for scene in ("room", "hall")]
-    assert "versions" not in read_groups(runs)[0].tables[0].caption
+    assert "versions" not in " ".join(read_groups(runs)[0].tables[0].notes)
     for run, version in zip(runs, ("2.3.0", "2.4.1"), strict=True):
         found = Results.read(run)
         replace(found, provenance=found.provenance | {"versions": {"ggvs-eval": version, "torch": version}}).write(run)
     (group,) = read_groups(runs)
-    assert all("several versions: torch 2.3.0 and 2.4.1." in table.caption for table in group.tables)
+    assert all("several versions: torch 2.3.0 and 2.4.1." in " ".join(table.notes) for table in group.tables)
 
 
 def made_table(*values: tuple[float, float], kinds: tuple[str, ...] = ()) -> Table:
@@ -234,7 +234,7 @@ def test_leaders_are_the_best_and_its_ties():
 
 def test_a_leader_by_a_clip_too_short_says_why_it_is_none():
     """The reason that a table gives for naming nobody goes with its leader, unless that is alone."""
-    why = "clip too short for its correlation: 24 frames are worth ~2.1"
+    why = "clip too short: 24 frames, wanted 4 independent ones"
     table = replace(made_table((31.04, 5.0), (31.02, 3.0)), undecided={"PSNR": why})
     assert [leader.undecided for leader in leaders([table])] == [why]
     assert [leader.undecided for leader in leaders([replace(made_table((31.0, 1.0)), undecided={"PSNR": why})])] == [""]
@@ -259,6 +259,6 @@ def test_the_first_screen_has_the_best_with_its_interval(report):
     told = "".join(summaries)
     assert all(row["shown"] in told and NAMES[LABELS[2]] in told for row in best)
     ties = len(bold) > len(best)
-    assert ("no winner: clip too short for its correlation: " in told) == ties
+    assert ("no winner: clip too short: " in told) == ties
     assert ties == ("No winner in " in (report / "tables.md").read_text(encoding="utf-8"))
     assert told.count("±") == sum(1 for row in best if row["lo"])

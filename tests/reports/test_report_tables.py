@@ -176,7 +176,9 @@ def test_a_blurred_truth_wins_no_metric_of_the_path(tmp_path):
     assert path.rows[0].cells[0].value == 0.46
     assert not path.rows[0].cells[0].shade
     assert "not ranked: better than the captured images" in path.rows[0].cells[0].hint
-    assert "Not ranked: No Blending in reprojection, No Blending in E_warp, better than the captured images" in path.caption
+    assert "Not ranked: No Blending in reprojection, No Blending in E_warp, better than the captured images" in " ".join(
+        path.notes
+    )
     assert all(leader.undecided for leader in leaders([path], metrics))
 
 
@@ -186,7 +188,8 @@ def test_where_test_views_are_sources_the_caption_says_so(tmp_path):
     two = replace(run.protocol, views=replace(run.protocol.views, test=("cam00", "cam03")))
     apart = replace(two, views=replace(two.views, sources=("cam01", "cam02")))
     said = {
-        name: "left out of its own rendering only" in main_tables([replace(run, protocol=protocol)], run.results)[0].caption
+        name: "left out of its own rendering only"
+        in " ".join(main_tables([replace(run, protocol=protocol)], run.results)[0].notes)
         for name, protocol in {"one": run.protocol, "two": two, "apart": apart}.items()
     }
     assert said == {"one": False, "two": True, "apart": False}
@@ -275,10 +278,34 @@ def test_frames_of_others_have_no_times(tmp_path):
 
 
 def test_empty_table_formats():
-    """A table without rows is still a valid table in Markdown and LaTeX."""
+    """A table without rows is still a valid table in Markdown and LaTeX, its heads as the field writes them."""
     table = Table("quality", "Quality", "Nothing yet.", (Column("PSNR", "dB", True),), ())
-    assert "| Method | PSNR (dB) ↑ |" in to_markdown([table])
-    assert "Method & PSNR (dB)$\\uparrow$" in to_latex([table])
+    assert "| Method | PSNR ↑ |" in to_markdown([table])
+    assert "Method & PSNR $\\uparrow$" in to_latex([table])
+    assert all("PSNR in dB." in text for text in (to_markdown([table]), to_latex([table])))
+
+
+def test_a_paper_chooses_its_columns(tmp_path):
+    """One table of the columns named, in their order, from whatever tables; its notes say nothing of any other column."""
+    run = write_run(tmp_path / "run")
+    measured = read_run(run)
+    (table,) = main_tables([measured], measured.results, ("TCC", "PSNR"))
+    assert [column.name for column in table.columns] == ["TCC", "PSNR"]
+    quality, consistency = main_tables([measured], measured.results)[:2]
+    for at, (whole, name) in enumerate(((consistency, "TCC"), (quality, "PSNR"))):
+        place = [column.name for column in whole.columns].index(name)
+        assert [row.cells[at] for row in table.rows if row.competes] == [row.cells[place] for row in whole.rows if row.competes]
+    assert "SDV" not in " ".join(table.notes)
+    assert len(set(table.notes)) == len(table.notes)
+    with pytest.raises(ResultsError, match=r"PSNRR was not measured; .*did you mean PSNR"):
+        main_tables([measured], measured.results, ("PSNRR",))
+    report = write_report([run], tmp_path / "report", with_figures=False, columns=("TCC", "PSNR")).parent
+    assert "Method & TCC $\\uparrow$ & PSNR $\\uparrow$" in (report / "tables.tex").read_text(encoding="utf-8")
+    caption = re.search(r"\\caption\{(.*)\}", (report / "tables.tex").read_text(encoding="utf-8"))[1]
+    assert "Not ranked" not in caption
+    assert len(caption) < 300
+    columns = {row["column"] for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8"))}
+    assert columns > {"TCC", "PSNR"}
 
 
 @pytest.mark.parametrize(
@@ -313,10 +340,10 @@ def test_intervals_stand_in_every_format(whole_run, report):
         assert f"± {half}" in page.texts
         assert f"| {'**' if bold else ''}{row['shown']}{'**' if bold else ''} ± {half} |" in markdown
         assert rf"{row['shown']}{'}' if bold else ''} {{\scriptsize $\pm$ {half}}}" in latex
-    said = "given this scene, these 2 views. Bold: best, and what cannot be told from it (paired, 95 %)."
-    assert said in markdown
-    assert said.replace("%", r"\%") in latex
-    assert any(said in text for text in page.texts)
+    for said in ("given this scene, these 2 views.", "Bold: best, and what cannot be told from it (paired, 95 %)."):
+        assert said in markdown
+        assert said.replace("%", r"\%") in latex
+        assert any(said in text for text in page.texts)
 
 
 def write_tied_run(root: Path) -> Path:

@@ -291,8 +291,8 @@ def test_the_papers_rows_stand_beside_no_run_on_other_terms(on_dynerf, changed, 
     """A run that calls its data set DyNeRF and departs from the paper's terms has none of its rows; the caption says why."""
     table = quality_table([replace(run, protocol=replace(run.protocol, **changed)) for run in on_dynerf])
     assert not [row for row in table.rows if row.kind == "published"]
-    assert "The paper's values are not shown here: " in table.caption
-    assert words in table.caption
+    assert "The paper's values are not shown here: " in " ".join(table.notes)
+    assert words in " ".join(table.notes)
 
 
 def test_the_papers_rows_stand_beside_its_scenes_alone(on_dynerf):
@@ -300,7 +300,7 @@ def test_the_papers_rows_stand_beside_its_scenes_alone(on_dynerf):
     for runs, words in ((on_dynerf[:1], "flame_steak"), ([*on_dynerf, on_dynerf[0].called("cook_spinach")], "cook_spinach")):
         table = quality_table(runs)
         assert not [row for row in table.rows if row.kind == "published"]
-        assert words in table.caption.split("The paper's values are not shown here: ")[1]
+        assert words in " ".join(table.notes).split("The paper's values are not shown here: ")[1]
 
 
 def test_a_demo_called_dynerf_has_none_of_the_papers_rows(tmp_path):
@@ -313,7 +313,7 @@ def test_a_demo_called_dynerf_has_none_of_the_papers_rows(tmp_path):
         run = read_scores(root)
         for table in main_tables([run], run.results):
             assert all(row.kind != "published" for row in table.rows)
-            assert "The paper's values are not shown here: " in table.caption
+            assert "The paper's values are not shown here: " in " ".join(table.notes)
         (root / "capture.json").unlink(missing_ok=True)
 
 

@@ -8,14 +8,15 @@ import pytest
 from ggvs_eval.errors import RenderError, ResultsError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.protocol import Frames
+from ggvs_eval.reports.figures.paper_figures import write_figure
 from ggvs_eval.reports.figures.slices import (
     epipolar_plane_image,
     most_changing_row,
+    most_different_row,
     most_textured_row,
     path_slices,
     temporal_slice,
     time_slices,
-    write_slices,
 )
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.run_folder import frame_path
@@ -77,6 +78,22 @@ def test_row_of_strongest_gradients_is_found():
     assert most_textured_row([image, image]) == 5
 
 
+def test_the_row_is_where_methods_differ_most(tmp_path):
+    """What all methods get wrong alike is no difference: the row in which one alone fails is chosen, with a truth or without."""
+    indices = range(2)
+    folders = {label: tmp_path / label for label in ("truth", "a", "b")}
+    for label, folder in folders.items():
+        for index in indices:
+            image = np.full((16, 12, 3), 90, np.uint8)
+            image[3] += 0 if label == "truth" else 100
+            image[11] += 20 if label == "b" else 0
+            write_image(frame_path(folder, index), image)
+    assert most_different_row(folders, indices) == 11
+    assert most_different_row({label: folders[label] for label in "ab"}, indices) == 11
+    assert most_different_row({"truth": folders["truth"], "a": folders["a"]}, indices) is None
+    assert most_different_row({"truth": folders["truth"], "a": folders["a"], "b": folders["a"]}, indices) is None
+
+
 def test_every_method_stands_beside_the_truth(tmp_path):
     """Slices of a run hold the truth first, then each method under its shown name, each equal to its own frames."""
     run = read_run(write_run(tmp_path / "run"))
@@ -87,11 +104,11 @@ def test_every_method_stands_beside_the_truth(tmp_path):
 
 
 def test_virtual_path_has_no_truth(tmp_path):
-    """Without a captured path the place of the truth is kept and empty, and the row is chosen from the methods."""
+    """Without a captured path the place of the truth is kept and empty, and the row is the one in which methods differ."""
     slices = path_slices(read_run(write_run(tmp_path / "run", RunShape(path_truth=False))))
     assert slices is not None
     assert [strip.image is None for strip in slices.strips] == [True, False, False, False]
-    assert "all methods together" in slices.chosen_by
+    assert "methods differ" in slices.chosen_by
 
 
 def test_missing_pose_is_named(tmp_path):
@@ -106,7 +123,7 @@ def test_missing_pose_is_named(tmp_path):
 def test_figure_is_written_twice_alike(tmp_path, kind):
     """A figure of slices is a picture, and equal inputs give equal bytes."""
     run = write_run(tmp_path / "run", RunShape(path_truth=False))
-    first, second = (write_slices(run, kind, None, None, tmp_path / f"{name}.png") for name in ("a", "b"))
+    first, second = (write_figure(run, kind, tmp_path / f"{name}.png")[0] for name in ("a", "b"))
     assert first.read_bytes() == second.read_bytes()
     assert read_image(first).shape[1] == 1400
 
@@ -115,16 +132,16 @@ def test_what_a_figure_cannot_be_drawn_of_is_refused(tmp_path):
     """An unknown view, a run without a path and a strange suffix are errors that say what to do."""
     run = write_run(tmp_path / "run", RunShape(poses=0))
     with refused(ResultsError, "'cam99'", "cam00, cam03"):
-        write_slices(run, "time", None, "cam99", tmp_path / "slice.png")
+        write_figure(run, "time", tmp_path / "slice.png", view="cam99")
     with refused(ResultsError, "camera path"):
-        write_slices(run, "epi", None, None, tmp_path / "slice.png")
+        write_figure(run, "epi", tmp_path / "slice.png")
     with refused(ResultsError, ".png, .pdf, .svg", ".bmp"):
-        write_slices(run, "time", None, None, tmp_path / "slice.bmp")
+        write_figure(run, "time", tmp_path / "slice.bmp")
 
 
 def test_single_frame_has_a_slice_of_one_sample(tmp_path):
-    """One frame is a slice of height one; its row is the middle one, because nothing changes."""
-    run = read_run(write_run(tmp_path / "run", RunShape(frames=Frames(0, 1), metrics=("PSNR",))))
+    """One frame is a slice of height one; of one method its row is the middle one, because nothing changes."""
+    run = read_run(write_run(tmp_path / "run", RunShape(frames=Frames(0, 1), metrics=("PSNR",), labels=("ours-geometric",))))
     slices = time_slices(run, "cam00")
     assert slices.row == 24
     assert {strip.image.shape for strip in slices.strips} == {(1, 64, 3)}

@@ -19,6 +19,7 @@ from ggvs_eval.pipelines.view.listener import require_viser
 from ggvs_eval.pipelines.view.live_view import LAYERS, LiveView, ViewRequest
 from ggvs_eval.pipelines.view.recording import Recording
 from ggvs_eval.pipelines.view.scene import cloud, gazed_depth, middle_camera, up_direction
+from ggvs_eval.pipelines.view.session import status_text
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views, load_protocol
 from helpers.refusals import refused
 from helpers.stereo_scenes import HEIGHT, PLANE, WIDTH, plane_depth, write_capture
@@ -110,6 +111,36 @@ def test_time_that_jumps_begins_anew(playback, stock):
     played = [history.picture(request_of(playback, instant=instant)).image for instant in (0, 1, 2)][-1]
     assert np.array_equal(jumped, alone)
     assert not np.array_equal(played, alone)
+
+
+def moved(camera, along_x: float):
+    """The camera, moved sideways."""
+    world_to_camera = camera.world_to_camera.copy()
+    world_to_camera[0, 3] -= along_x
+    return replace(camera, world_to_camera=world_to_camera)
+
+
+def test_outside_of_what_cameras_see_a_picture_fades(playback, stock):
+    """Within the rig it is shown as the method made it; far beside it is greyer, and said to be outside, with the share seen."""
+    view, request = LiveView(stock, 1.0, ALL), request_of(playback)
+    inside = view.picture(request)
+    assert (inside.is_outside, inside.faded is inside.image) == (False, True)
+    outside = view.picture(replace(request, pose=moved(request.pose, 3.0)))
+    farther = view.picture(replace(request, pose=moved(request.pose, 6.0)))
+    assert outside.is_outside
+    assert farther.seen < outside.seen < inside.seen
+    grey = [
+        np.abs(each.faded.astype(int) - 128).mean() / np.abs(each.image.astype(int) - 128).mean() for each in (outside, farther)
+    ]
+    assert grey[1] < grey[0] < 1
+
+
+def test_depth_health_is_what_the_sources_know(playback, stock):
+    """The share of the sources' pixels with depth."""
+    picture = LiveView(stock, 1.0, ALL).picture(request_of(playback))
+    known = [stock.read(name, 0)[1].depth > 0 for name in picture.sources]
+    assert picture.known_depth == pytest.approx(np.mean(known))
+    assert f"{picture.known_depth:.0%}" in status_text(picture, 1.0)
 
 
 @pytest.mark.parametrize("layer", LAYERS)

@@ -78,6 +78,20 @@ def test_dragging_moves_the_picture(page):
     assert changed >= 4
 
 
+def test_outside_of_the_rig_is_said_and_left_by_a_key(page):
+    """Far beside the cameras the page says so; R goes back to where the window opened."""
+    browser, viewer = page
+    session = session_of(viewer)
+    opened = session.client.camera.position.copy()
+    session.client.camera.position = opened + np.array([4.0, 0.0, 0.0])
+    session.change()
+    browser.wait("document.body.innerText.includes('outside of what the cameras see')", seconds=60)
+    browser.run("document.activeElement.blur()")
+    browser.press("r")
+    browser.wait("!document.body.innerText.includes('outside of what the cameras see')", seconds=60)
+    assert np.abs(session.client.camera.position - opened).max() < 1e-3
+
+
 def test_an_unknown_method_is_a_message_in_the_page(page):
     """The page says what is known; a right label takes the message away."""
     browser, _ = page

@@ -57,7 +57,10 @@ function makeLinkedSlices(root, data, open) {
   async function draw() {
     const { view, row, frame } = asked;
     root.style.setProperty("--at-frame", (frame + 0.5) / data.frames.length);
+    const second = (index) => (data.fps ? ` (${((data.frames[index] - data.start) / data.fps).toFixed(2)} s)` : "");
+    const ends = `frames ${data.frames[0]}${second(0)} to ${data.frames.at(-1)}${second(data.frames.length - 1)}`;
     part("row").textContent = `Row ${Math.floor(row * data.size[1])} of ${data.size[1]} in ${view}`;
+    if (part("ends")) part("ends").textContent = ends;
     showCurve(view, frame);
     if (begun === place()) return;
     begun = place();

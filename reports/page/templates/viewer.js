@@ -18,6 +18,8 @@ function makeViewer(root, data, alongside) {
   const player = makePlayer(part("play"), () => step(1), data.fps);
   const all = addPictures(part("all"), data.keys, data.names);
   const maps = addPictures(errors, data.keys.filter((key) => key in data.errors[data.views[0]]), data.names);
+  const crops = makeCropPicker(root, data, [stage, ...[...all, ...maps].map(([, , picture]) => picture)]);
+  const showFrame = makeFullSize(data, (isThere) => { part("full").textContent = isThere ? ", frames at full size" : ""; });
   const listeners = [];
 
   function show() {
@@ -27,34 +29,32 @@ function makeViewer(root, data, alongside) {
     const isGrid = state.mode === "two" || state.mode === "all";
     part("left-name").textContent = data.names[left];
     part("right-name").textContent = data.names[right];
-    if (isGrid) showGrid(view, left, right);
-    else showStage(view, left, right);
-    for (const [key, image] of maps) showPicture(image, data.errors[view][key][state.frame]);
     stage.hidden = isGrid;
     part("all").hidden = !isGrid;
+    for (const [key, image] of maps) showPicture(image, data.errors[view][key][state.frame]);
     root.classList.toggle("blink", state.mode === "blink");
     showTime();
     settle();
     for (const heard of listeners) heard(view, state.pixel.y, state.frame);
   }
 
-  function showStage(view, left, right) {
-    showPicture(part("under"), data.images[view][left][state.frame]);
-    showPicture(part("over"), data.images[view][right][state.frame]);
-  }
-
-  function showGrid(view, left, right) {
-    for (const [key, image] of all) {
+  /** Put the frames into what is seen; while they play, those that the page carries do. */
+  function showFrames() {
+    const [view, left, right] = ["view", "left", "right"].map((role) => part(role).value);
+    const shown = stage.hidden ? all : [[left, part("under")], [right, part("over")]];
+    for (const [key, image] of shown) {
       const figure = image.closest("figure");
-      figure.hidden = state.mode === "two" && key !== left && key !== right;
-      if (!figure.hidden) showPicture(image, data.images[view][key][state.frame]);
+      if (figure) figure.hidden = state.mode === "two" && key !== left && key !== right;
+      if (!figure?.hidden) showFrame(image, view, key, state.frame, player.isPlaying() ? 0 : zoom.seen.zoom);
     }
+    crops.tell(view, data.frames[state.frame], state.mode === "all" ? [] : [left, right]);
   }
 
   /** Hand divider, window and chosen pixel to the style sheet. */
   function settle() {
     stage.style.setProperty("--at", `${100 * state.divider}%`);
     for (const element of [root, errors, ...alongside]) placeIn(element);
+    showFrames();
     const { x, y } = pixelIndices();
     const near = zoom.seen.zoom > 1 ? `, zoom ${zoom.seen.zoom.toFixed(1)}` : "";
     part("place").textContent = `pixel x ${x}, y ${y}${near}`;
@@ -96,6 +96,11 @@ function makeViewer(root, data, alongside) {
   function moveDivider(to) {
     state.divider = Math.min(1, Math.max(0, to));
     settle();
+  }
+
+  function markCrop() {
+    crops.add(zoom.seen, state.pixel);
+    showFrames();
   }
 
   function nextView() {
@@ -157,10 +162,11 @@ function makeViewer(root, data, alongside) {
     const keys = {
       arrowleft: () => (event.shiftKey ? moveDivider(state.divider - 0.02) : step(-1)),
       arrowright: () => (event.shiftKey ? moveDivider(state.divider + 0.02) : step(1)),
-      " ": () => player.play(!player.isPlaying()),
+      " ": () => { player.play(!player.isPlaying()); settle(); },
       b: () => setMode(state.mode === "blink" ? "wipe" : "blink"),
       m: () => setMode(MODES[(MODES.indexOf(state.mode) + 1) % MODES.length]),
       v: nextView,
+      c: markCrop,
       w: () => movePixel(0, -far),
       s: () => movePixel(0, far),
       a: () => movePixel(-far, 0),
@@ -198,10 +204,12 @@ function makeViewer(root, data, alongside) {
   for (const role of ["view", "left", "right"]) part(role).addEventListener("change", show);
   for (const radio of root.querySelectorAll("input[type=radio]")) radio.addEventListener("change", () => setMode(radio.value));
   part("frame").addEventListener("input", (event) => { state.frame = Number(event.target.value); show(); });
+  part("play").addEventListener("click", settle);
   part("play").hidden = data.frames.length === 1;
   part("closer").addEventListener("click", () => zoomAtPixel(ZOOM_STEP));
   part("farther").addEventListener("click", () => zoomAtPixel(1 / ZOOM_STEP));
   part("fit").addEventListener("click", fit);
+  part("crop").addEventListener("click", markCrop);
   gestures(stage, true);
   for (const [, , picture] of [...all, ...maps]) gestures(picture, false);
   return { press, open, show, place, listen: (heard) => listeners.push(heard) };
