@@ -122,7 +122,6 @@ class Table:
 
     Attributes:
         key: short name for files, labels and anchors.
-        key: short name for files, labels and anchors.
         caption: what it shows, as short as a paper has it.
         columns: heads, without the column of names.
         rows: measured rows first, published ones last.
