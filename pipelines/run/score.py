@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.run.references import ceiling_jobs, read_ceilings, writ
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.results import Absence, Results, describe_machine, installed_versions, make_table
+from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 METRICS_ON_DEVICE = "metrics"  # stands among the renders that are not the CPU's
@@ -122,6 +122,7 @@ def _collect(
     records = {view: read_json(run.scores(view) / JOB_FILE)["methods"] for view in protocol.views.test}
     rows: list[tuple[Any, ...]] = []
     absences: list[Absence] = []
+    faults: list[Fault] = []
     for label in labels:
         head = (protocol.dataset, capture["scene"], *split_label(label))
         values: dict[str, dict[str, dict[int, float]]] = {}  # metric -> view -> frame -> value
@@ -133,6 +134,7 @@ def _collect(
             for name, frame, value in methods[label]["values"]:
                 own.append((view, frame, name, value))
                 values.setdefault(name, {}).setdefault(view, {})[frame] = value
+            faults += [_fault(label, capture["scene"], found) for found in methods[label].get("faults", ())]
             lacking = methods[label]["not_computed"]
             absences += [Absence(name, label, capture["scene"], view, reason) for name, reason in lacking.items()]
         own += _derived(protocol, values, reasons)
@@ -146,6 +148,7 @@ def _collect(
         if label in methods
     }
     provenance = _provenance(protocol, capture, renders) | {"imported": coverage.imported, "partial": coverage.marks}
+    provenance["faults"] = [list(one) for one in faults]
     provenance["versions"] = _versions(run, list(renders), records)
     if plugins := METRICS.origins(protocol.measurement.metrics) | METHODS.origins(labels):
         provenance["plugins"] = plugins
@@ -155,6 +158,13 @@ def _collect(
     provenance["absent"] = [list(one) for one in absences if one.metric in measured]
     not_computed = {one.metric: one.reason for one in reversed(absences) if one.metric not in measured}
     return Results(make_table(rows), provenance, dict(reversed(not_computed.items())))
+
+
+def _fault(label: str, scene: str, found: Mapping[str, Any]) -> Fault:
+    """A finding of the quick checks as the results keep it; an offset is called by its direction."""
+    lag = found["values"].get("offset_frames", 0.0) if found["question"] == "frame offset" else 0.0
+    called = "late" if lag < 0 else "early" if lag > 0 else ""
+    return Fault(label, scene, *(found[part] for part in ("subject", "question", "verdict", "measured", "advice")), called)
 
 
 def _derived(

@@ -9,7 +9,7 @@ from ggvs_eval.statistics.intervals import LEVEL, Interval
 
 SIGNIFICANT = 4
 
-RowKind = Literal["measured", "ours", "partial", "published", "reference"]
+RowKind = Literal["measured", "ours", "partial", "faulty", "published", "reference"]
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Row:
 
     @property
     def competes(self) -> bool:
-        """True for a method that was measured on everything that the table is of."""
+        """True for a method that was measured on everything that the table is of, and whose renders have no certain fault."""
         return self.kind in ("measured", "ours")
 
 

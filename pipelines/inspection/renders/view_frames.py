@@ -122,6 +122,16 @@ def spread(indices: range, count: int) -> list[int]:
     return [indices[round(position)] for position in chosen]
 
 
+def longest_run(indices: list[int]) -> range:
+    """The longest run of consecutive numbers, which is what can be compared over time."""
+    longest, start = range(0), 0
+    for end in range(1, len(indices) + 1):
+        if end == len(indices) or indices[end] != indices[end - 1] + 1:
+            longest = max(longest, range(indices[start], indices[end - 1] + 1), key=len)
+            start = end
+    return longest
+
+
 def views_of_run(run: RunFolder, label: str, as_measured: bool = False) -> dict[str, ViewFrames]:
     """Rendered and captured frames of one method in every test view.
 
@@ -142,7 +152,7 @@ def views_of_run(run: RunFolder, label: str, as_measured: bool = False) -> dict[
     require_frames({f"truth of {view}": run.truth(view) for view in protocol.views.test}, frames)
     measurement = protocol.measurement if as_measured else None
     return {
-        view: ViewFrames(_reader(run.renders(label, view), measurement), _reader(run.truth(view), measurement), frames)
+        view: ViewFrames(frame_reader(run.renders(label, view), measurement), frame_reader(run.truth(view), measurement), frames)
         for view in protocol.views.test
     }
 
@@ -153,10 +163,10 @@ def cameras_of_run(run: RunFolder) -> dict[str, FrameReader]:
     frames = protocol.frames.numbers
     root = run.root / "truth"
     folders = sorted(folder for folder in root.iterdir() if folder.is_dir()) if root.is_dir() else []
-    return {folder.name: _reader(folder) for folder in folders if not missing_frames(folder, frames)}
+    return {folder.name: frame_reader(folder) for folder in folders if not missing_frames(folder, frames)}
 
 
-def _reader(folder: Path, measurement: Measurement | None = None) -> FrameReader:
+def frame_reader(folder: Path, measurement: Measurement | None = None) -> FrameReader:
     """Frames of a folder as they lie there, or at the size at which a protocol measures them."""
 
     def read(index: int) -> Image8:
