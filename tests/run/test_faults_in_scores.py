@@ -1,5 +1,6 @@
 """Scoring carries the doctor's quick checks: a row of renders with a certain fault says so and is compared with no other."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from ggvs_eval.merged_results import merge_results
 from ggvs_eval.metrics import stream
 from ggvs_eval.pipelines.run import score_view
 from ggvs_eval.pipelines.run.import_renders import import_renders
+from ggvs_eval.pipelines.run.references import find_seen_views
 from ggvs_eval.pipelines.run.run_for import run_for
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.reports.report import write_report
@@ -120,6 +122,29 @@ def test_checks_of_other_code_measure_no_metric_again(run, monkeypatch):
     finally:
         first.unlink()
         first.symlink_to(kept)
+
+
+def test_renders_better_than_a_perfect_one_have_seen_the_view(quick, tmp_path):
+    """Nine tenths captured, one tenth ours lies above the ceiling of every view: `score` says so, and `doctor` by itself."""
+    protocol = quick_protocol()
+    with_ceilings = replace(protocol, measurement=replace(protocol.measurement, metrics=("PSNR",), ceilings=True))
+    (tmp_path / "seen.toml").write_text(with_ceilings.to_toml(), encoding="utf-8")
+    made = run_for(tmp_path / "run", lambda: open_capture(quick / ROOM), str(tmp_path / "seen.toml"), 1)
+    for file in (quick / MENDED).glob("*/*.png"):
+        truth = read_image(made.truth(file.parent.name) / file.name).astype(np.float32)
+        write_image(
+            tmp_path / "seen" / file.parent.name / file.name, np.rint(0.9 * truth + 0.1 * read_image(file)).astype(np.uint8)
+        )
+    import_renders(made, "seen", tmp_path / "seen")
+    import_renders(made, "mine", quick / MENDED)
+
+    found = [one for one in score(made).faults if one.question == "test view seen"]
+    shutil.rmtree(made.root / "ceilings")
+    examined = find_seen_views(made, "seen")
+
+    assert {(one.label, one.view, one.verdict) for one in found} == {("seen", f"cam0{at}", "certain") for at in (0, 3, 7)}
+    assert [(one.subject, one.measured) for one in examined] == [(one.view, one.measured) for one in found]
+    assert find_seen_views(made, "mine") == []
 
 
 def test_words_of_a_fault():
