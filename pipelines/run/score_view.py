@@ -18,8 +18,8 @@ from ggvs_eval.jobs.job import Job
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.metric import MetricOptions, ViewMetric
 from ggvs_eval.metrics.registry import METRICS, scored_by_view
-from ggvs_eval.pipelines.inspection.renders.quick_checks import check_quickly
-from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, frame_reader
+from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
+from ggvs_eval.pipelines.inspection.renders.view_frames import frame_reader
 from ggvs_eval.pipelines.run.coverage import Coverage
 from ggvs_eval.pipelines.run.score_code import checks_code, metric_code
 from ggvs_eval.protocol import Measurement, Protocol
@@ -107,15 +107,11 @@ def _score_view(
             scores = _score_methods(run, view, labels, there, metrics, protocol, options)
         for label, measured in zip(labels, scores, strict=True):
             methods[label] |= _replaced(methods[label], measured)
+    checks = QuickChecks(view, frame_reader(run.truth(view)), protocol.frames.numbers)
     for label in unchecked:  # behind the metrics, which refuse frames of another size
-        methods[label]["faults"] = _faults(run, view, label, stretches[label], protocol.frames.numbers)
+        found = checks.check(frame_reader(run.renders(label, view)), max(stretches[label], key=len))
+        methods[label]["faults"] = [asdict(finding) for finding in found]
     return {"methods": methods}
-
-
-def _faults(run: RunFolder, view: str, label: str, stretches: Sequence[range], numbers: range) -> list[dict[str, Any]]:
-    """What the quick checks find in the longest stretch of a method's frames."""
-    rendered, truth = frame_reader(run.renders(label, view)), frame_reader(run.truth(view))
-    return [asdict(finding) for finding in check_quickly(view, ViewFrames(rendered, truth, max(stretches, key=len), numbers))]
 
 
 def _replaced(kept: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:

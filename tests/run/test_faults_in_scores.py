@@ -3,7 +3,6 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +11,9 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.metrics import stream
+from ggvs_eval.pipelines.inspection.finding import Finding
+from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
+from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader
 from ggvs_eval.pipelines.run import score_view
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.references import find_seen_views
@@ -83,7 +85,7 @@ def test_a_spoilt_row_says_so_and_is_compared_with_no_other(run):
 def test_the_faults_survive_a_merge_and_a_score_that_finds_nothing_new(run, monkeypatch):
     """A second score measures nothing and checks nothing; merged with itself under another scene, each scene keeps its own."""
     before = Results.read(run.root)
-    monkeypatch.setattr(score_view, "check_quickly", None)
+    monkeypatch.setattr(QuickChecks, "check", None)
     monkeypatch.setattr(stream, "score_views", None)
 
     again = score(run)
@@ -100,15 +102,15 @@ def test_the_faults_survive_a_merge_and_a_score_that_finds_nothing_new(run, monk
 
 def test_checks_of_other_code_measure_no_metric_again(run, monkeypatch):
     """When the checks' code changes they alone are done again; when a frame changes, all is."""
-    checked: list[str] = []
+    checked: list[range] = []
 
-    def check(view: str, frames: Any) -> list[Any]:
-        checked.append(view)
+    def check(_checks: QuickChecks, _rendered: FrameReader, frames: range) -> list[Finding]:
+        checked.append(frames)
         return []
 
     with monkeypatch.context() as patch:
         patch.setattr(score_view, "checks_code", lambda: "other")
-        patch.setattr(score_view, "check_quickly", check)
+        patch.setattr(QuickChecks, "check", check)
         patch.setattr(stream, "score_views", None)
         assert score(run).spoilt == {}
     assert len(checked) == 3 * 4

@@ -97,10 +97,8 @@ class Sample:
 
 def take_sample(view: ViewFrames, count: int) -> Sample:
     """Read a burst out of the middle of a view, one full-sized frame in memory at a time."""
-    frames, captured = view.frames, view.truth_range
-    start = frames.start + (len(frames) - min(count, len(frames))) // 2
-    indices = range(start, start + min(count, len(frames)))
-    around = range(max(captured.start, start - LARGEST_OFFSET), min(captured.stop, indices.stop + LARGEST_OFFSET))
+    indices, captured = middle_of(view.frames, count), view.truth_range
+    around = range(max(captured.start, indices.start - LARGEST_OFFSET), min(captured.stop, indices.stop + LARGEST_OFFSET))
     rendered = np.stack([shrink(view.rendered(index)) for index in indices])
     return Sample(indices, rendered, around, np.stack([shrink(view.truth(index)) for index in around]))
 
@@ -120,6 +118,12 @@ def spread(indices: range, count: int) -> list[int]:
     """At most `count` numbers, evenly over a range."""
     chosen = np.linspace(0, len(indices) - 1, min(count, len(indices)))
     return [indices[round(position)] for position in chosen]
+
+
+def middle_of(indices: range, count: int) -> range:
+    """At most `count` numbers in a row, from the middle of a range."""
+    start = indices.start + max(len(indices) - count, 0) // 2
+    return range(start, min(start + count, indices.stop))
 
 
 def longest_run(indices: list[int]) -> range:
