@@ -12,8 +12,9 @@ from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.metrics import stream
 from ggvs_eval.pipelines.inspection.finding import Finding
+from ggvs_eval.pipelines.inspection.renders.copied import find_copied
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
-from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader
+from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, views_of_run
 from ggvs_eval.pipelines.run import score_view
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.references import find_seen_views
@@ -124,6 +125,14 @@ def test_checks_of_other_code_measure_no_metric_again(run, monkeypatch):
     finally:
         first.unlink()
         first.symlink_to(kept)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_honest_renders_of_few_frames_hold_no_copy(run, count):
+    """Without a frame two instants away nothing is said of noise: what stands still would pass for that of the truth."""
+    frames = range(3, 3 + count)
+    for name, view in views_of_run(run, "mine").items():
+        assert find_copied(name, replace(view, frames=frames, truth_frames=frames)) == []
 
 
 def test_renders_better_than_a_perfect_one_have_seen_the_view(quick, tmp_path):

@@ -24,8 +24,8 @@ from ggvs_eval.pipelines.inspection.renders.view_frames import (
 )
 
 SAMPLED_FRAMES = 12
-# Copies are looked for at full size, which costs most.
-COPIED_FRAMES = 2
+# Copies are looked for at full size, which costs most. With fewer frames noise cannot be told from what stands still.
+COPIED_FRAMES = 4
 
 
 class QuickChecks:
