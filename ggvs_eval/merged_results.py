@@ -43,6 +43,7 @@ def merge_results(parts: Sequence[Results]) -> Results:
     for name in ("versions", "machine"):
         provenance[name] = join_versions(part.provenance.get(name, {}) for part in parts)
     provenance["partial"] = _merge_marks([part.provenance.get("partial", {}) for part in parts] + [_missing_scenes(table)])
+    provenance["faults"] = [list(one) for part in parts for one in part.faults]
     measured = set(table["metric"])
     lacking = [one for part in parts for one in _absent_everywhere(part, measured)]
     provenance["absent"] = [list(one) for one in (*(one for part in parts for one in part.absences), *lacking)]
@@ -81,8 +82,9 @@ def with_scenes(results: Results, names: Mapping[str, str]) -> Results:
         own = {key: f"{name}/{key.removeprefix(f'{scene}/')}" for key in inputs if key.startswith(f"{scene}/")}
         inputs = {own.get(key, key): digest for key, digest in inputs.items()}
     absent = [list(one._replace(scene=names.get(one.scene, one.scene))) for one in results.absences]
+    faults = [list(one._replace(scene=names.get(one.scene, one.scene))) for one in results.faults]
     table = results.table.assign(scene=results.table["scene"].replace(dict(names)))
-    return replace(results, table=table, provenance=results.provenance | {"inputs": inputs, "absent": absent})
+    return replace(results, table=table, provenance=results.provenance | {"inputs": inputs, "absent": absent, "faults": faults})
 
 
 def _require_measured_once(parts: Sequence[Results]) -> None:

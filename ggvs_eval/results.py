@@ -3,7 +3,7 @@
 import json
 import os
 import platform
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -37,6 +37,29 @@ class Absence(NamedTuple):
     reason: str
 
 
+class Fault(NamedTuple):
+    """What the quick checks of `ggvs-eval doctor` found in a method's renders of a view; ``called`` is empty or a word for it."""
+
+    label: str
+    scene: str
+    view: str
+    question: str
+    verdict: str
+    measured: str
+    advice: str
+    called: str = ""
+
+    @property
+    def is_certain(self) -> bool:
+        """True where nothing else explains the frames, so that their numbers say nothing of the method."""
+        return self.verdict == "certain"
+
+    @property
+    def words(self) -> str:
+        """The fault in short, e.g. ``late: certain frame offset``."""
+        return f"{self.called or 'fault'}: {self.verdict} {self.question}"
+
+
 @dataclass(frozen=True)
 class Results:
     """Every value of one evaluation, with its provenance.
@@ -48,7 +71,8 @@ class Results:
             view), ``partial`` (method -> what its row stands on, where that is not everything), ``devices`` (method and view ->
             where its networks computed, there alone where that is not the CPU), ``pooling`` (metric -> how its number is made of
             views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``absent`` (values that some methods or views lack,
-            see `Absence`), ``versions`` (package -> versions that values were made under), ``machine`` (see `describe_machine`).
+            see `Absence`), ``faults`` (of renders, see `Fault`), ``versions`` (package -> versions that values were made under),
+            ``machine`` (see `describe_machine`).
         not_computed: metric -> reason, for what was asked for and no method has in any view.
         place: folder that they were read from; empty for those of a calculation.
     """
@@ -101,6 +125,36 @@ class Results:
     def absences(self) -> tuple[Absence, ...]:
         """Values that some methods or views lack while others have them."""
         return tuple(Absence(*one) for one in self.provenance.get("absent", ()))
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Faults that the quick checks found in renders."""
+        return tuple(Fault(*one) for one in self.provenance.get("faults", ()))
+
+    @property
+    def spoilt(self) -> dict[str, str]:
+        """Methods with a certain fault in their renders -> it in short; their numbers are shown and compared with no other."""
+        return {one.label: one.words for one in reversed(self.faults) if one.is_certain}
+
+    @property
+    def set_aside(self) -> dict[str, str]:
+        """Methods that are not ranked -> why: partial ones, and those whose renders have a certain fault."""
+        return self.spoilt | self.provenance.get("partial", {})
+
+    def fault_lines(self, names: Mapping[str, str] | None = None) -> list[str]:
+        """One sentence for each fault of a method, with the views that have it, what was measured in the first, and the mend.
+
+        Args:
+            names: label -> name to show, where these differ.
+        """
+        views: dict[tuple[str, str], list[Fault]] = {}
+        for one in self.faults:
+            views.setdefault((one.label, one.words), []).append(one)
+        return [
+            f"{(names or {}).get(label, label)}{' is not ranked,' if found[0].is_certain else ','} {words} "
+            f"({', '.join(one.view for one in found)}: {found[0].measured}); {found[0].advice}"
+            for (label, words), found in views.items()
+        ]
 
     def why_absent(self, metric: str, label: str, view: str = "") -> str:
         """Reason why a method has no value of a metric, in one view or in any; empty where none is recorded."""

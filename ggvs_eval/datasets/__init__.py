@@ -201,7 +201,7 @@ def _unfit(path: Path, refusals: Mapping[str, str | None]) -> str:
     mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
     reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
     if mark is None:
-        return f"{path}: no capture that can be read ({reasons}); {mend}"
+        return f"{path}: no capture that can be read; {mend} (looked for: {reasons})"
     name, layouts = mark
     if not layouts:
         form = "holds a calibration in a form that is not read; write it as transforms.json, OpenCV's YAML or capture.toml"

@@ -5,7 +5,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.plain import check_plain, why_unread
+from ggvs_eval.files.listing import IMAGE_SUFFIXES
+from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, why_unread
 
 
 def digest_files(paths: Iterable[Path]) -> str:
@@ -14,13 +15,16 @@ def digest_files(paths: Iterable[Path]) -> str:
     Args:
         paths: files; only their names enter, not their folders, so that a moved capture keeps its digest.
 
+    Raises:
+        CaptureError: no such file, no regular one, or a picture that is larger than any can be.
+
     Returns:
         64 hexadecimal digits.
     """
     total = hashlib.sha256()
     for path in paths:
         try:
-            size = check_plain(path)
+            size = check_plain(path, LARGEST_PICTURE if path.suffix.lower() in IMAGE_SUFFIXES else None)
         except OSError as error:
             raise CaptureError(f"{path}: wanted a file, got {why_unread(error)}; restore it or remove it") from error
         total.update(f"{path.name}\0{size}\0".encode())

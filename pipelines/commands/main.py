@@ -83,6 +83,8 @@ def score(
     print(results.summary().droplevel("dataset").round(4).to_string())
     for label, mark in results.provenance["partial"].items():
         print(f"{label} is {mark}")
+    for line in results.fault_lines():
+        print(line)
     for metric, reason in results.not_computed.items():
         print(f"{metric} not computed: {reason}")
     lacking = dict.fromkeys((one.metric, one.view or "all views of some methods", one.reason) for one in results.absences)

@@ -29,9 +29,9 @@ def doctor(
     """Find what is wrong with rendered frames before their numbers are believed.
 
     Frame offset, reversed time, wrong camera, exchanged colour channels, gamma, range of video levels, flicker, shifts down to a
-    quarter of a pixel, wrong resize or focal length, JPEG, frozen frames, truth copied into some frames or blended into all. The
-    last lines say how much of the error IV-PSNR forgives, and whether blur is what makes the renders steady. Ends with 1 where
-    something is certain.
+    quarter of a pixel, wrong resize or focal length, JPEG, frozen frames, truth copied into some frames or blended into all, a
+    PSNR beyond what noise and codec leave a perfect rendering. The last lines say how much of the error IV-PSNR forgives, and
+    whether blur is what makes the renders steady. Ends with 1 where something is certain.
 
     Args:
         renders: frames in any form that `score` takes, with --capture; or a run folder, whose methods are all examined.
@@ -46,12 +46,13 @@ def doctor(
     from ggvs_eval.pipelines.inspection.renders.forgiven_error import forgiven_error
     from ggvs_eval.pipelines.inspection.renders.steadiness import steadiness_line
     from ggvs_eval.pipelines.inspection.renders.view_frames import cameras_of_run, views_of_run
+    from ggvs_eval.pipelines.run.references import find_seen_views
 
     folder, labels = _rendered(renders, capture, protocol, run, first_frame, reading, jobs)
     certain = False
     for label in labels:
         views = views_of_run(folder, label)
-        findings = examine(views, cameras_of_run(folder))
+        findings = [*examine(views, cameras_of_run(folder)), *find_seen_views(folder, label)]
         certain |= any(finding.verdict == "certain" for finding in findings)
         print(f"{label}\n{faults_table(findings)}")
         for line in filter(None, (forgiven_error(views), steadiness_line(views))):

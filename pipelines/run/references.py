@@ -1,6 +1,7 @@
 """Rows that belong to no method but give its numbers a scale: noise ceilings, and the captured images along a path."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,11 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.files.coding import Coding
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.ceilings import ceilings
+from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
+from ggvs_eval.pipelines.inspection.finding import Finding
+from ggvs_eval.pipelines.inspection.renders.seen import find_seen
+from ggvs_eval.pipelines.inspection.renders.view_frames import views_of_run
 from ggvs_eval.pipelines.run.score_code import ceilings_code
 from ggvs_eval.pipelines.run.score_path import TRUTH
 from ggvs_eval.pipelines.run.score_view import digest_frames, metric_options, truth_frames
@@ -24,6 +29,7 @@ NOTES = {
     NOISE_FREE: "estimate of what the scene without the camera's noise and codec would score against this capture.",
     SECOND: "estimate of what another recording by the same camera, with noise of its own, would score.",
 }
+LEAST_DB = 30.0
 UNRECORDED = "this run folder does not say; prepare it again"
 PATH_NOTE = "what a camera on the path would have seen, measured like the methods."
 
@@ -48,6 +54,33 @@ def read_ceilings(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
         view -> ``noise_free`` and ``second_recording``, metric -> value, and ``not_computed``, metric -> reason.
     """
     return {job.folder.name: read_json(job.folder / JOB_FILE) for job in jobs}
+
+
+def find_seen_view(view: str, psnrs_db: Collection[float], perfect: Mapping[str, Any] | None) -> list[Finding]:
+    """Tell of a view whose renders are better than a perfect one's, see `find_seen`.
+
+    Args:
+        view: name.
+        psnrs_db: of its frames; empty where they were not measured.
+        perfect: its record of `read_ceilings`; None where there is none.
+    """
+    ceiling_db = (perfect or {}).get("noise_free", {}).get("PSNR")
+    return [] if ceiling_db is None or not psnrs_db else find_seen(view, float(np.mean(list(psnrs_db))), ceiling_db)
+
+
+def find_seen_views(run: RunFolder, label: str) -> list[Finding]:
+    """Ask the same of frames that need not have been scored, and of a protocol that wants no ceilings.
+
+    They are estimated only where renders are so good that they may lie above: noise of `LEAST_DB` would be seen by everybody.
+    """
+    protocol, findings = run.protocol(), []
+    wanted = replace(protocol, measurement=replace(protocol.measurement, metrics=("PSNR",), ceilings=True))
+    for name, view in views_of_run(run, label, as_measured=True).items():
+        psnrs_db = [psnr(*pair) for pair in view.pairs(list(view.frames))]
+        if np.mean(psnrs_db) > LEAST_DB:
+            (job,) = ceiling_jobs(run, wanted, [name])
+            findings += find_seen_view(name, psnrs_db, job.work(run.root))
+    return findings
 
 
 def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], records: Mapping[str, dict[str, Any]]) -> None:

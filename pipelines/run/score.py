@@ -5,7 +5,7 @@ Each view is one job for all methods, because what the truth alone decides is th
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from ggvs_eval.errors import RenderError
@@ -17,11 +17,11 @@ from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pool
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec, OnlineMethod
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
-from ggvs_eval.pipelines.run.references import ceiling_jobs, read_ceilings, write_references
+from ggvs_eval.pipelines.run.references import ceiling_jobs, find_seen_view, read_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.results import Absence, Results, describe_machine, installed_versions, make_table
+from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 METRICS_ON_DEVICE = "metrics"  # stands among the renders that are not the CPU's
@@ -53,14 +53,14 @@ class Scores:
 
     def collect(self) -> Results:
         """Collect all values, when every job is done, into the results of the run folder."""
-        paths = read_paths(self.paths)
-        results = _collect(self.run, self.run.protocol(), self.coverage, self.labels, paths)
+        paths, found = read_paths(self.paths), read_ceilings(self.ceilings)
+        results = _collect(self.run, self.run.protocol(), self.coverage, self.labels, paths, found)
         if self.device != "cpu":
             from ggvs_eval.compute_device import describe_device
 
             results.provenance.setdefault("devices", {})[METRICS_ON_DEVICE] = describe_device(self.device)
         results.write(self.run.root)
-        write_references(self.run, paths, read_ceilings(self.ceilings))
+        write_references(self.run, paths, found)
         _write_shown_names(self.run, self.run.protocol(), self.labels)
         return results
 
@@ -107,13 +107,19 @@ def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | 
 
 
 def _collect(
-    run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], paths: dict[str, dict[str, Any]]
+    run: RunFolder,
+    protocol: Protocol,
+    coverage: Coverage,
+    labels: Sequence[str],
+    paths: Mapping[str, dict[str, Any]],
+    perfect: Mapping[str, dict[str, Any]],
 ) -> Results:
     """One tidy table of all jobs, with the metrics that are made of the values of several, such as SDV."""
     capture = run.capture_record()
     records = {view: read_json(run.scores(view) / JOB_FILE)["methods"] for view in protocol.views.test}
     rows: list[tuple[Any, ...]] = []
     absences: list[Absence] = []
+    faults: list[Fault] = []
     for label in labels:
         head = (protocol.dataset, capture["scene"], *split_label(label))
         values: dict[str, dict[str, dict[int, float]]] = {}  # metric -> view -> frame -> value
@@ -127,6 +133,9 @@ def _collect(
             for name, frame, value in methods[label]["values"]:
                 own.append((view, frame, name, value))
                 values.setdefault(name, {}).setdefault(view, {})[frame] = value
+            seen = find_seen_view(view, values.get("PSNR", {}).get(view, {}).values(), perfect.get(view))
+            found = [*methods[label].get("faults", ()), *map(asdict, seen)]
+            faults += [_fault(label, capture["scene"], one) for one in found]
             lacking = methods[label]["not_computed"]
             absences += [Absence(name, label, capture["scene"], view, reason) for name, reason in lacking.items()]
         own += _derived(protocol, values, reasons)
@@ -140,6 +149,7 @@ def _collect(
         if label in methods
     }
     provenance = _provenance(protocol, capture, renders) | {"imported": coverage.imported, "partial": coverage.marks}
+    provenance["faults"] = [list(one) for one in faults]
     provenance["versions"] = _versions(run, list(renders), records)
     if plugins := METRICS.origins(protocol.measurement.metrics) | METHODS.origins(labels):
         provenance["plugins"] = plugins
@@ -149,6 +159,13 @@ def _collect(
     provenance["absent"] = [list(one) for one in absences if one.metric in measured]
     not_computed = {one.metric: one.reason for one in reversed(absences) if one.metric not in measured}
     return Results(make_table(rows), provenance, dict(reversed(not_computed.items())))
+
+
+def _fault(label: str, scene: str, found: Mapping[str, Any]) -> Fault:
+    """A finding of the quick checks as the results keep it; an offset is called by its direction."""
+    lag = found["values"].get("offset_frames", 0.0) if found["question"] == "frame offset" else 0.0
+    called = "late" if lag < 0 else "early" if lag > 0 else ""
+    return Fault(label, scene, *(found[part] for part in ("subject", "question", "verdict", "measured", "advice")), called)
 
 
 def _derived(

@@ -10,12 +10,18 @@ from ggvs_eval.metrics.registry import METRICS
 # They read the frames and hand them to every metric: their own text counts for all, what they import for one does not.
 SHARED = ("ggvs_eval.pipelines.run.score_view", "ggvs_eval.metrics.stream", "ggvs_eval.metrics.metric")
 READING = "ggvs_eval.files.images"
+CHECKS = "ggvs_eval.pipelines.inspection.renders.quick_checks"
 PATH_SCORES = "ggvs_eval.metrics.path_scores"
 
 
 def metric_code(metric: Metric) -> str:
     """Hash of the code that measures a metric of a view."""
     return code_identity(*metric.modules, READING, *SHARED, unfollowed=SHARED)
+
+
+def checks_code() -> str:
+    """Hash of the code of the checks that a view's frames go through."""
+    return code_identity(CHECKS)
 
 
 def ceilings_code(names: Sequence[str]) -> str:

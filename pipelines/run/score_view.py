@@ -4,7 +4,7 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,10 @@ from ggvs_eval.jobs.job import Job
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.metric import MetricOptions, ViewMetric
 from ggvs_eval.metrics.registry import METRICS, scored_by_view
+from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
+from ggvs_eval.pipelines.inspection.renders.view_frames import frame_reader
 from ggvs_eval.pipelines.run.coverage import Coverage
-from ggvs_eval.pipelines.run.score_code import metric_code
+from ggvs_eval.pipelines.run.score_code import checks_code, metric_code
 from ggvs_eval.protocol import Measurement, Protocol
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json
@@ -28,7 +30,7 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames
 def view_job(
     run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], view: str, device: str = "cpu"
 ) -> Job:
-    """The job of one view; in it all metrics of a method are stale when a frame changes, and one metric when its code does."""
+    """The job of one view; in it all values of a method are stale when a frame changes, and one metric when its code does."""
     options = metric_options(protocol.measurement, device)
     measurement = protocol.measurement
     metrics = scored_by_view(measurement.metrics)
@@ -37,6 +39,7 @@ def view_job(
         "disoccluded": digest_frames(run.disoccluded(view), coverage.numbers),
         "measurement": [str(value) for name, value in vars(measurement).items() if name != "metrics"],
         "metrics": {metric.name: _metric_identity(metric, options) for metric in metrics},
+        "checks": checks_code(),
     }
     stretches = {label: there for label in labels if (there := coverage.stretches(label, view))}
     identities = {
@@ -81,12 +84,16 @@ def _score_view(
     record_file = run.scores(view) / JOB_FILE
     records = read_json(record_file)["methods"] if record_file.is_file() else {}
     methods = {label: record for label, record in records.items() if label not in asked}
+    unchecked: list[str] = []
     alike: dict[tuple[tuple[range, ...], tuple[str, ...]], list[str]] = defaultdict(list)
     for label, identity in identities.items():
         record = records.get(label, {})
         fresh = fresh_metrics(record.get("identity", {}), identity)
         methods[label] = {"identity": identity} | _values_of(fresh, record, options)
         methods[label]["versions"] = join_versions([record.get("versions", {})] if fresh else [])
+        is_checked = "faults" in record and {**record["identity"], "metrics": {}} == {**identity, "metrics": {}}
+        methods[label]["faults"] = record["faults"] if is_checked else []
+        unchecked += [] if is_checked else [label]
         if stale := tuple(name for name in identity["metrics"] if name not in fresh):
             alike[stretches[label], stale].append(label)
     for (there, metrics), labels in alike.items():
@@ -94,6 +101,10 @@ def _score_view(
             scores = _score_methods(run, view, labels, there, metrics, protocol, options)
         for label, measured in zip(labels, scores, strict=True):
             methods[label] |= _replaced(methods[label], measured)
+    checks = QuickChecks(view, frame_reader(run.truth(view)), protocol.frames.numbers)
+    for label in unchecked:  # behind the metrics, which refuse frames of another size
+        found = checks.check(frame_reader(run.renders(label, view)), max(stretches[label], key=len))
+        methods[label]["faults"] = [asdict(finding) for finding in found]
     return {"methods": methods}
 
 
@@ -118,8 +129,8 @@ def _computing(device: str) -> AbstractContextManager[None]:
 
 
 def fresh_metrics(recorded: Mapping[str, Any], current: Mapping[str, Any]) -> set[str]:
-    """Metrics whose values stand: none where anything but a metric's own identity differs."""
-    if {**recorded, "metrics": {}} != {**current, "metrics": {}}:
+    """Metrics whose values stand: none where anything differs but a metric's own identity and that of the checks."""
+    if {**recorded, "metrics": {}, "checks": ""} != {**current, "metrics": {}, "checks": ""}:
         return set()
     return {name for name, identity in current["metrics"].items() if recorded["metrics"].get(name) == identity}
 

@@ -195,9 +195,10 @@ class MeasuredRun:
         return replace(self, results=with_scenes(self.results, names), all_results=everything)
 
     def name(self, label: str) -> str:
-        """Name of a method to show; ``truth`` has one too, and partial renders say that they are."""
+        """Name of a method to show; ``truth`` has one too, and renders that are partial or have a certain fault say so."""
         name = "Truth" if label == "truth" else self.names.get(label, label)
-        return f"{name}{PARTIAL}" if label in self.partial else name
+        fault = self.results.spoilt.get(label, "").partition(":")[0]
+        return f"{name}{PARTIAL}" if label in self.partial else f"{name} ({fault})" if fault else name
 
     def frame_folders(self, view: str) -> dict[str, Path]:
         """Folder of the captured frames of a view (key ``truth``, first) and of every method's that has all of them."""

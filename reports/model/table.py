@@ -12,7 +12,7 @@ SIGNIFICANT = 4
 FIELD_NAMES = {"IV_PSNR": "IV-PSNR", "MS_SSIM": "MS-SSIM", "CVVDP": "ColorVideoVDP"}
 ENDINGS = {"static": "static", "moving": "moving", "disoccluded": "disoccluded", "cc": "colour-corrected"}
 
-RowKind = Literal["measured", "ours", "partial", "published", "reference"]
+RowKind = Literal["measured", "ours", "partial", "faulty", "published", "reference"]
 GREY: tuple[RowKind, ...] = ("published", "reference")
 
 
@@ -112,7 +112,7 @@ class Row:
 
     @property
     def competes(self) -> bool:
-        """True for a method that was measured on everything that the table is of."""
+        """True for a method that was measured on everything that the table is of, and whose renders have no certain fault."""
         return self.kind in ("measured", "ours")
 
 

@@ -198,6 +198,7 @@ def _groups(groups: Sequence[RunGroup], folder: Path | None) -> list[dict[str, A
             "sources": _sources([section.run for section in group.sections]),
             "leaders": leaders(group.tables),
             "verdict": verdicts[at],
+            "headline": _headline(group, verdicts[at]),
             "parts": _parts(group),
             "several_datasets": len({table.dataset for table in group.tables}) > 1,
             "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
@@ -211,6 +212,13 @@ def _groups(groups: Sequence[RunGroup], folder: Path | None) -> list[dict[str, A
 def _verdict(group: RunGroup) -> Verdict | None:
     budgets = [table for section in group.sections for table in section.view_tables]
     return evaluate_verdict([section.run for section in group.sections], group.results, group.tables, budgets)
+
+
+def _headline(group: RunGroup, verdict: Verdict | None) -> str:
+    """The verdict's, and every method that has no part in it because of a certain fault; empty where there are neither."""
+    names = {label: section.run.names.get(label, label) for section in group.sections for label in section.run.labels}
+    faults = [f"{names[label]} is not ranked, {words}" for label, words in group.results.spoilt.items() if label in names]
+    return "; ".join([*([verdict.headline] if verdict else []), *faults])
 
 
 def _sources(runs: Sequence[MeasuredRun]) -> str:

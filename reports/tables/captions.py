@@ -32,6 +32,7 @@ def main_captions(
     sources = _sources(runs, names)
     partial = results.provenance.get("partial", {})
     marks = [f"{names.get(label, label).removesuffix(PARTIAL)} is {mark}; it is not ranked." for label, mark in partial.items()]
+    marks += [f"{line.removesuffix('?')}." for line in results.fault_lines(names)]
     whole = without_labels(results, partial)
     lacking = [*_fewer_frames(whole, metrics, protocol), *_fewer_views(whole, metrics, names)]
     shared = [INTERCHANGE] if sources and may_interchange(protocol) else []

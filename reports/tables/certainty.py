@@ -65,13 +65,14 @@ def assess(note: MetricNote, results: Results, dataset: str, captured: float | N
     """Find intervals and standing of one metric.
 
     Args:
+        results: of all methods; those that are set aside, partial or faulty, are left out.
         captured: what the captured images themselves score, of a metric without truth; None where unknown.
 
     Reading:
         A metric that sees no truth prefers what changes little, and blur changes least. Numbers better than those of the captured
         images are therefore shown and not ranked; up to there a better number is nearer to them.
     """
-    whole = without_labels(results, results.provenance.get("partial", {}))
+    whole = without_labels(results, results.set_aside)
     interval_of = intervals(whole, note.name, dataset)
     values = {label: one.value for label, one in interval_of.items() if not math.isnan(one.value)}
     unranked = _elsewhere(whole, note.name, dataset)

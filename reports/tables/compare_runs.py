@@ -42,6 +42,7 @@ class Difference:
         second: of the second.
         comparison: first minus second.
         p_value: after Holm's correction for the metrics, or for the views of one metric; None where nothing could be compared.
+        spoilt: certain fault of the renders of either, in words; empty where there is none.
     """
 
     note: MetricNote
@@ -50,6 +51,7 @@ class Difference:
     second: float
     comparison: Comparison
     p_value: float | None
+    spoilt: str = ""
 
     @property
     def metric(self) -> str:
@@ -59,11 +61,13 @@ class Difference:
     @property
     def is_significant(self) -> bool:
         """True where the difference is significant at the level of the intervals, on a clip long enough to decide."""
-        return not self.comparison.short and self.p_value is not None and self.p_value < 1.0 - LEVEL
+        return not self.spoilt and not self.comparison.short and self.p_value is not None and self.p_value < 1.0 - LEVEL
 
     @property
     def verdict(self) -> str:
         """The better method and whether that is more than chance, in words."""
+        if self.spoilt:
+            return f"not compared, {self.spoilt}"
         difference = self.comparison.difference
         if difference == 0.0:
             return "equal"
@@ -112,6 +116,8 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
         other: the second.
     """
     both = _both(one, other)
+    faults = zip(SIDES, (one.results.spoilt.get(one.label), other.results.spoilt.get(other.label)), strict=True)
+    spoilt = "; ".join(f"{side} is {words}" for side, words in faults if words)
     dataset = str(both.table["dataset"].iloc[0])
     notes = read_metric_notes(run)
     shared = [metric for metric in notes if all((side.results.table["metric"] == metric).any() for side in (one, other))]
@@ -127,7 +133,7 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
         numbers = float(means[SIDES[0], ""]), float(means[SIDES[1], ""])
         rows.append(Difference(notes[metric], "", *numbers, comparison, p_values[metric]))
         rows += _per_view(both, dataset, notes[metric])
-    return tuple(rows)
+    return tuple(replace(row, spoilt=spoilt) for row in rows)
 
 
 def _per_view(both: Results, dataset: str, note: MetricNote) -> list[Difference]:

@@ -148,7 +148,7 @@ def measured_rows(
         certain: metric -> what is known of its numbers; None shows numbers alone.
     """
     by_label: dict[str, Any] = {label_of(*names): values.loc[names] for names in values.index}
-    partial = results.provenance.get("partial", {})
+    partial, spoilt = results.provenance.get("partial", {}), results.spoilt
     rows = []
     for label in row_labels(runs, values):
         names = next((run for run in runs if label in run.labels), runs[0])
@@ -157,7 +157,8 @@ def measured_rows(
             _cell(note, key, values_of.get(key), results, label, certain[note.name] if certain else None)
             for key, note in zip(keys, notes, strict=True)
         ]
-        kind: RowKind = "partial" if label in partial else "ours" if label in names.ours else "measured"
+        usual: RowKind = "ours" if label in names.ours else "measured"
+        kind: RowKind = "partial" if label in partial else "faulty" if label in spoilt else usual
         rows.append(Row(names.name(label), tuple(cells), kind))
     return tuple(rows)
 
@@ -168,4 +169,4 @@ def _cell(note: MetricNote, key: str, value: float | None, results: Results, lab
     reason = results.why_absent(note.name, label, "" if key == note.name else key) or absent
     interval = certainty.interval(label) if certainty else None
     cell = measured_cell(None if value is None else float(value), reason, interval, note.decimals)
-    return replace(cell, unranked=certainty.unranked.get(label, "")) if certainty else cell
+    return replace(cell, unranked=certainty.unranked.get(label) or results.spoilt.get(label, "")) if certainty else cell

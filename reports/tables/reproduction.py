@@ -127,7 +127,7 @@ def _evaluate(comparable: ComparableRuns, method: PaperMethod, metric: str, pape
 
 def _evaluate_metric(comparable: ComparableRuns, label: str, metric: str, paper: str) -> tuple[Cell, Status, str]:
     name = str(comparable.results.table["dataset"].iloc[0])
-    marked = comparable.results.provenance["partial"].get(label)
+    marked = comparable.results.set_aside.get(label)
     interval = None if marked else intervals(comparable.results, metric, name).get(label)
     if interval is None or math.isnan(interval.value):
         reason = (

@@ -135,7 +135,7 @@ def evaluate_verdict(
     headline, margin = _words(field, contenders, runs, alone)
     others: dict[str, list[str]] = {}
     for each in fields:
-        if each is not field and each.ranked:
+        if each is not field and len(each.ranked) > 1:
             others.setdefault("" if each.certainty.undecided or each.ties else each.ranked[0][1], []).append(each.column.name)
     tied = tuple(others.pop("", ()))
     meaning = PLAIN.get(first.column.name, first.column.describe)
@@ -197,6 +197,8 @@ def _words(field: _Field, contenders: Sequence[Contender], runs: Sequence[Measur
         number = f"{best.cell.shown} {best.cell.spread}".strip() + unit
         if alone:
             return f"{best.name} was measured alone", number
+        if any(label in run.results.spoilt for run in runs for label in run.labels):
+            return f"Only {best.name} is ranked", number
         return "No winner can be named", f"{best.name} has {number}; the others were measured on other scenes, views or frames"
     rival = next((one for one in contenders[1:] if one.name in field.ties), contenders[1])
     standing = field.certainty.standing

@@ -64,7 +64,9 @@ def test_no_folder_no_content_no_layout(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "cam00.mp4").write_bytes(b"x")
     assert "there is none; check the path" in refusal(tmp_path / "absent")
-    assert "file: no capture that can be read (not capture.toml: no capture.toml; " in refusal(tmp_path / "file")
+    assert "file: no capture that can be read; see docs/captures.md for the layouts (looked for: not capture.toml: " in refusal(
+        tmp_path / "file"
+    )
     assert "the folder is empty" in refusal(tmp_path / "empty")
     message = refusal(tmp_path / "other")
     assert "not dynerf: no poses_bounds.npy" in message
@@ -88,7 +90,7 @@ def test_every_layout_says_why_it_refused(tmp_path):
     (tmp_path / "notes.txt").write_text("x")
     message = refusal(tmp_path)
     assert all(f"not {name}: " in message for name in DATASETS)
-    assert message.endswith("see docs/captures.md for the layouts")
+    assert "no capture that can be read; see docs/captures.md for the layouts (looked for: " in message
 
 
 def test_a_whole_data_set(dynerf, tmp_path):
@@ -97,10 +99,10 @@ def test_a_whole_data_set(dynerf, tmp_path):
     write_colmap(root / "office")
     shutil.copytree(dynerf, root / "coffee")
     (root / "licence").mkdir()
-    assert refusal(root).endswith("name one of the captures in it: coffee, office")
+    assert refusal(root).startswith(f"{root}: no capture that can be read; name one of the captures in it: coffee, office (")
     for index in range(20):
         shutil.copytree(dynerf, root / f"scene{index:02d}")
-    assert refusal(root).endswith("scene04, scene05, ...")
+    assert "scene04, scene05, ... (looked for: " in refusal(root)
 
 
 def test_wanted_layout_that_does_not_fit(dynerf):

@@ -9,7 +9,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.pipelines.inspection.finding import Finding, Verdict, verdict_of
-from ggvs_eval.pipelines.inspection.renders.fingerprint import NoiseSums, noise_sums, pooled_share
+from ggvs_eval.pipelines.inspection.renders.fingerprint import NoiseSums, has_far_frames, noise_sums, pooled_share
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, spread
 from ggvs_eval.run_folder import as_ranges
 
@@ -37,7 +37,7 @@ def find_copied(name: str, view: ViewFrames) -> list[Finding]:
     for index, (rendered, truth) in zip(view.frames, view.pairs(list(view.frames)), strict=True):
         fits[index] = worst_patches(rendered, truth)
         identical += [index] if np.array_equal(rendered, truth) else []
-    instants = spread(view.frames, NOISE_INSTANTS) if len(view.frames) > 1 else []
+    instants = [index for index in spread(view.frames, NOISE_INSTANTS) if has_far_frames(view, index)]
     noise = {index: noise_sums(view, index) for index in instants if index not in identical}
     written = _written_again({index: fit for index, fit in fits.items() if index not in identical}, noise)
     usual = [fit for index, fit in fits.items() if index not in {*identical, *written}]

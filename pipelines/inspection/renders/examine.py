@@ -4,20 +4,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ggvs_eval.pipelines.inspection.finding import Finding
-from ggvs_eval.pipelines.inspection.renders.channel_order import find_channel_order
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
 from ggvs_eval.pipelines.inspection.renders.flicker import find_flicker
 from ggvs_eval.pipelines.inspection.renders.identity import CameraPictures, find_identity, remember
 from ggvs_eval.pipelines.inspection.renders.jpeg import find_jpeg
-from ggvs_eval.pipelines.inspection.renders.offset import find_offset
 from ggvs_eval.pipelines.inspection.renders.placement import find_placement, shared_shift
+from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, check_sample
 from ggvs_eval.pipelines.inspection.renders.repeats import resized, scan_frames
-from ggvs_eval.pipelines.inspection.renders.tone import find_tone
 from ggvs_eval.pipelines.inspection.renders.upscaling import find_upscaling
-from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, take_sample
+from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, longest_run
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
-
-SAMPLED_FRAMES = 12
 
 
 def examine(
@@ -64,7 +60,7 @@ class _Examined:
 
 def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], count: int) -> _Examined:
     scan = scan_frames(name, view)
-    usable = _longest_run(scan.usable)
+    usable = longest_run(scan.usable)
     if not usable:
         return _Examined(scan.findings)
     view = replace(view, frames=usable, truth_frames=view.truth_range)
@@ -84,25 +80,8 @@ def _examine_picture(name: str, view: ViewFrames, cameras: Mapping[str, CameraPi
     """Examine a picture: its view, instant, colours and placement."""
     findings, view = find_identity(name, view, cameras)
     placed = find_placement(name, view)
-    view = placed.view
-    sample = take_sample(view, count)
-    shifted, view = find_offset(name, view, sample)
-    sample = take_sample(view, count) if shifted else sample
-    swapped, view = find_channel_order(name, view, sample)
-    sample = take_sample(view, count) if swapped else sample
+    sampled, view = check_sample(name, placed.view, count)
     copied = find_copied(name, view)
     # Copies among renders of another exposure flicker, too.
     flicker = [] if copied else find_flicker(name, view)
-    return _Examined(
-        [*findings, *shifted, *swapped, *find_tone(name, sample), *flicker, *copied, *placed.findings], placed.shift_px
-    )
-
-
-def _longest_run(indices: list[int]) -> range:
-    """The longest run of consecutive numbers, which is what can be compared over time."""
-    longest, start = range(0), 0
-    for end in range(1, len(indices) + 1):
-        if end == len(indices) or indices[end] != indices[end - 1] + 1:
-            longest = max(longest, range(indices[start], indices[end - 1] + 1), key=len)
-            start = end
-    return longest
+    return _Examined([*findings, *sampled, *flicker, *copied, *placed.findings], placed.shift_px)

@@ -71,9 +71,9 @@ def noise_sums(view: ViewFrames, index: int) -> NoiseSums:
     in which the rendering changes much, on its own account, count less.
 
     Args:
-        index: frame number; has a neighbour at least, two to either side make the answer sharp.
+        index: frame number of which `has_far_frames` holds; two to either side make the answer sharp.
     """
-    near, far = ([other for other in (index - lag, index + lag) if other in view.frames] for lag in (1, 2))
+    near, far = (_beside(view, index, lag) for lag in (1, 2))
     around = _mean(view.truth, near)
     design = _design(around)
     noise = _beyond(_fine(view.truth(index)) - around, design)
@@ -83,6 +83,15 @@ def noise_sums(view: ViewFrames, index: int) -> NoiseSums:
     weights = 1 / (own + np.median(own) + 1)
     theirs, ours = ((weights * (image * noise).sum(axis=1))[steady] for image in (captured, rendered))
     return NoiseSums(theirs, ours)
+
+
+def has_far_frames(view: ViewFrames, index: int) -> bool:
+    """Tell whether a frame lies two instants away; without one what stands still would pass for noise, in honest renders too."""
+    return bool(_beside(view, index, 2))
+
+
+def _beside(view: ViewFrames, index: int, lag: int) -> list[int]:
+    return [other for other in (index - lag, index + lag) if other in view.frames]
 
 
 def _mean(read: FrameReader, indices: Sequence[int]) -> Array32:

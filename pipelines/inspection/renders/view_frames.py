@@ -97,10 +97,8 @@ class Sample:
 
 def take_sample(view: ViewFrames, count: int) -> Sample:
     """Read a burst out of the middle of a view, one full-sized frame in memory at a time."""
-    frames, captured = view.frames, view.truth_range
-    start = frames.start + (len(frames) - min(count, len(frames))) // 2
-    indices = range(start, start + min(count, len(frames)))
-    around = range(max(captured.start, start - LARGEST_OFFSET), min(captured.stop, indices.stop + LARGEST_OFFSET))
+    indices, captured = middle_of(view.frames, count), view.truth_range
+    around = range(max(captured.start, indices.start - LARGEST_OFFSET), min(captured.stop, indices.stop + LARGEST_OFFSET))
     rendered = np.stack([shrink(view.rendered(index)) for index in indices])
     return Sample(indices, rendered, around, np.stack([shrink(view.truth(index)) for index in around]))
 
@@ -122,6 +120,22 @@ def spread(indices: range, count: int) -> list[int]:
     return [indices[round(position)] for position in chosen]
 
 
+def middle_of(indices: range, count: int) -> range:
+    """At most `count` numbers in a row, from the middle of a range."""
+    start = indices.start + max(len(indices) - count, 0) // 2
+    return range(start, min(start + count, indices.stop))
+
+
+def longest_run(indices: list[int]) -> range:
+    """The longest run of consecutive numbers, which is what can be compared over time."""
+    longest, start = range(0), 0
+    for end in range(1, len(indices) + 1):
+        if end == len(indices) or indices[end] != indices[end - 1] + 1:
+            longest = max(longest, range(indices[start], indices[end - 1] + 1), key=len)
+            start = end
+    return longest
+
+
 def views_of_run(run: RunFolder, label: str, as_measured: bool = False) -> dict[str, ViewFrames]:
     """Rendered and captured frames of one method in every test view.
 
@@ -137,7 +151,7 @@ def views_of_run(run: RunFolder, label: str, as_measured: bool = False) -> dict[
     require_frames({f"truth of {view}": run.truth(view) for view in protocol.views.test}, frames)
     measurement = protocol.measurement if as_measured else None
     return {
-        view: ViewFrames(_reader(run.renders(label, view), measurement), _reader(run.truth(view), measurement), frames)
+        view: ViewFrames(frame_reader(run.renders(label, view), measurement), frame_reader(run.truth(view), measurement), frames)
         for view in protocol.views.test
     }
 
@@ -148,10 +162,10 @@ def cameras_of_run(run: RunFolder) -> dict[str, FrameReader]:
     frames = protocol.frames.numbers
     root = run.root / "truth"
     folders = sorted(folder for folder in root.iterdir() if folder.is_dir()) if root.is_dir() else []
-    return {folder.name: _reader(folder) for folder in folders if not missing_frames(folder, frames)}
+    return {folder.name: frame_reader(folder) for folder in folders if not missing_frames(folder, frames)}
 
 
-def _reader(folder: Path, measurement: Measurement | None = None) -> FrameReader:
+def frame_reader(folder: Path, measurement: Measurement | None = None) -> FrameReader:
     """Frames of a folder as they lie there, or at the size at which a protocol measures them."""
 
     def read(index: int) -> Image8:

@@ -1,0 +1,173 @@
+"""Scoring carries the doctor's quick checks: a row of renders with a certain fault says so and is compared with no other."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.merged_results import merge_results
+from ggvs_eval.metrics import stream
+from ggvs_eval.pipelines.inspection.finding import Finding
+from ggvs_eval.pipelines.inspection.renders.copied import find_copied
+from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
+from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, views_of_run
+from ggvs_eval.pipelines.run import score_view
+from ggvs_eval.pipelines.run.import_renders import import_renders
+from ggvs_eval.pipelines.run.references import find_seen_views
+from ggvs_eval.pipelines.run.run_for import run_for
+from ggvs_eval.pipelines.run.score import score
+from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.tables.compare_runs import differences, method_sides
+from ggvs_eval.results import Fault, Results
+from ggvs_eval.run_folder import RunFolder, frame_path
+from ggvs_eval.synthetic.quick import LATE, MENDED, PROTOCOL, ROOM, quick_protocol, write_quick
+
+pytestmark = pytest.mark.slow
+
+SPOILT = {"late": "late: certain frame offset", "bgr": "fault: certain channel order", "flipped": "fault: certain mirrored"}
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory) -> Path:
+    """The quick demo, its protocol with cheap metrics alone, and two spoilt copies of its honest renders; nobody changes it."""
+    folder = write_quick(tmp_path_factory.mktemp("faults") / "quick")
+    protocol = quick_protocol()
+    cheap = replace(protocol, measurement=replace(protocol.measurement, metrics=("PSNR", "L1"), ceilings=False))
+    (folder / PROTOCOL).write_text(cheap.to_toml(), encoding="utf-8")
+    for file in (folder / MENDED).glob("*/*.png"):
+        for label, spoilt in (("bgr", np.s_[..., ::-1]), ("flipped", np.s_[:, ::-1])):
+            write_image(folder / label / file.parent.name / file.name, np.ascontiguousarray(read_image(file)[spoilt]))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(quick) -> RunFolder:
+    """A scored run of honest renders and three that are spoilt; nobody changes it."""
+    made = run_for(quick / "run", lambda: open_capture(quick / ROOM), str(quick / PROTOCOL), 1)
+    for label, folder in (("mine", MENDED), ("late", LATE), ("bgr", "bgr"), ("flipped", "flipped")):
+        import_renders(made, label, quick / folder)
+    score(made)
+    return made
+
+
+def test_each_certain_fault_is_kept_with_the_scores(run):
+    """What is planted is found in all three views, as what it is; the honest renders have nothing."""
+    results = Results.read(run.root)
+
+    assert results.spoilt == SPOILT
+    for label in SPOILT:
+        assert {one.view for one in results.faults if one.label == label and one.is_certain} == {"cam00", "cam03", "cam07"}
+    assert not [one for one in results.faults if one.label == "mine"]
+    assert all("t-1" in one.measured and "-1" in one.advice for one in results.faults if one.label == "late")
+
+
+def test_a_spoilt_row_says_so_and_is_compared_with_no_other(run):
+    """In the name of its row, below the table and in the headline; nothing is bold, shaded or better because of it."""
+    page = write_report([run.root]).read_text(encoding="utf-8")
+    lines = (run.report / "tables.md").read_text(encoding="utf-8").splitlines()
+
+    headline = page.split('<p class="headline">')[1].split("</p>")[0]
+    assert headline.startswith("Only mine is ranked; ")
+    for label, words in SPOILT.items():
+        name = f"{label} ({words.partition(':')[0]})"
+        rows = [line for line in lines if line.startswith(f"| {name} |")]
+        assert len(rows) >= 3
+        assert not any("**" in row for row in rows)
+        assert f"{label} is not ranked, {words}" in headline
+        assert any(f"{name} is not ranked, {words} (" in line for line in lines)
+    verdicts = {row.verdict for row in differences(*method_sides(run.root, "late", "mine"), run.root)}
+    assert verdicts == {"not compared, first is late: certain frame offset"}
+
+
+def test_the_faults_survive_a_merge_and_a_score_that_finds_nothing_new(run, monkeypatch):
+    """A second score measures nothing and checks nothing; merged with itself under another scene, each scene keeps its own."""
+    before = Results.read(run.root)
+    monkeypatch.setattr(QuickChecks, "check", None)
+    monkeypatch.setattr(stream, "score_views", None)
+
+    again = score(run)
+
+    assert again.faults == before.faults
+    table = before.table.assign(scene="elsewhere")
+    inputs = {key.replace(before.scenes[0], "elsewhere"): f"{digest}0" for key, digest in before.provenance["inputs"].items()}
+    moved = [list(one._replace(scene="elsewhere")) for one in before.faults]
+    other = Results(table, before.provenance | {"inputs": inputs, "faults": moved})
+    merged = merge_results([before, other])
+    assert {one.scene for one in merged.faults} == {*before.scenes, "elsewhere"}
+    assert merged.spoilt == SPOILT
+
+
+def test_checks_of_other_code_measure_no_metric_again(run, monkeypatch):
+    """When the checks' code changes they alone are done again; when a frame changes, all is."""
+    checked: list[range] = []
+
+    def check(_checks: QuickChecks, _rendered: FrameReader, frames: range) -> list[Finding]:
+        checked.append(frames)
+        return []
+
+    with monkeypatch.context() as patch:
+        patch.setattr(score_view, "checks_code", lambda: "other")
+        patch.setattr(QuickChecks, "check", check)
+        patch.setattr(stream, "score_views", None)
+        assert score(run).spoilt == {}
+    assert len(checked) == 3 * 4
+    assert score(run).spoilt == SPOILT
+    first = frame_path(run.renders("late", "cam00"), 1)
+    kept = first.resolve()
+    first.unlink()
+    write_image(first, 255 - read_image(kept))
+    try:
+        assert score(run).spoilt == SPOILT
+    finally:
+        first.unlink()
+        first.symlink_to(kept)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_honest_renders_of_few_frames_hold_no_copy(run, count):
+    """Without a frame two instants away nothing is said of noise: what stands still would pass for that of the truth."""
+    frames = range(3, 3 + count)
+    for name, view in views_of_run(run, "mine").items():
+        assert find_copied(name, replace(view, frames=frames, truth_frames=frames)) == []
+
+
+def test_renders_better_than_a_perfect_one_have_seen_the_view(quick, tmp_path):
+    """Nine tenths captured, one tenth ours lies above the ceiling of every view: `score` says so, and `doctor` by itself."""
+    protocol = quick_protocol()
+    with_ceilings = replace(protocol, measurement=replace(protocol.measurement, metrics=("PSNR",), ceilings=True))
+    (tmp_path / "seen.toml").write_text(with_ceilings.to_toml(), encoding="utf-8")
+    made = run_for(tmp_path / "run", lambda: open_capture(quick / ROOM), str(tmp_path / "seen.toml"), 1)
+    for file in (quick / MENDED).glob("*/*.png"):
+        truth = read_image(made.truth(file.parent.name) / file.name).astype(np.float32)
+        write_image(
+            tmp_path / "seen" / file.parent.name / file.name, np.rint(0.9 * truth + 0.1 * read_image(file)).astype(np.uint8)
+        )
+    import_renders(made, "seen", tmp_path / "seen")
+    import_renders(made, "mine", quick / MENDED)
+
+    found = [one for one in score(made).faults if one.question == "test view seen"]
+    shutil.rmtree(made.root / "ceilings")
+    examined = find_seen_views(made, "seen")
+
+    assert {(one.label, one.view, one.verdict) for one in found} == {("seen", f"cam0{at}", "certain") for at in (0, 3, 7)}
+    assert [(one.subject, one.measured) for one in examined] == [(one.view, one.measured) for one in found]
+    assert find_seen_views(made, "mine") == []
+
+
+def test_words_of_a_fault():
+    """An offset is called by its direction, all else a fault; likely ones are told and spoil nothing."""
+    likely = Fault("mine", "room", "cam00", "tone curve", "likely", "a power", "look")
+    early = likely._replace(label="other", question="frame offset", verdict="certain", called="early")
+    columns = ("dataset", "scene", "method", "variant", "view", "frame", "metric", "value")
+    import pandas as pd
+
+    results = Results(pd.DataFrame(columns=columns), {"protocol_sha256": "0", "faults": [list(likely), list(early)]})
+    assert results.spoilt == {"other": "early: certain frame offset"}
+    assert results.fault_lines() == [
+        "mine, fault: likely tone curve (cam00: a power); look",
+        "other is not ranked, early: certain frame offset (cam00: a power); look",
+    ]
