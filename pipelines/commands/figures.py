@@ -1,7 +1,7 @@
 """The verbs of the command line that show what was measured: report, figure, compare."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -87,7 +87,7 @@ def figure(
     from ggvs_eval.reports.figures.paper_figures import write_figure
     from ggvs_eval.reports.figures.regions import parse_square
 
-    options = {
+    options: dict[str, Any] = {
         "rule": rule,
         "method": method,
         "boxes": boxes,
@@ -98,7 +98,7 @@ def figure(
     }
     options |= {"row": parse_row(row), "squares": tuple(map(parse_square, squares)), "has_scores": scores}
     look = None if width is None and title else FigureLook(parse_width(width or "7in"), title)
-    print(*write_figure(run, kind, out, look=look, **options), sep="\n")  # type: ignore[arg-type]
+    print(*write_figure(run, kind, out, look=look, **options), sep="\n")
 
 
 def compare(

@@ -165,7 +165,8 @@ def _fault(label: str, scene: str, found: Mapping[str, Any]) -> Fault:
     """A finding of the quick checks as the results keep it; an offset is called by its direction."""
     lag = found["values"].get("offset_frames", 0.0) if found["question"] == "frame offset" else 0.0
     called = "late" if lag < 0 else "early" if lag > 0 else ""
-    return Fault(label, scene, *(found[part] for part in ("subject", "question", "verdict", "measured", "advice")), called)
+    told = {part: str(found[part]) for part in ("question", "verdict", "measured", "advice")}
+    return Fault(label, scene, str(found["subject"]), **told, called=called)
 
 
 def _derived(

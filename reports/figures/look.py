@@ -85,7 +85,10 @@ def score_words(run: MeasuredRun, metrics: Sequence[str]) -> dict[str, str]:
     absent = [name for name in names if name not in summary]
     if absent:
         raise ResultsError(f"{run.folder.root}: no {', '.join(absent)}; it has {', '.join(summary.columns)}")
+    lines = zip(summary.index.to_list(), summary[list(names)].to_numpy(), strict=True)
     return {
-        label_of(method, variant): ", ".join(f"{name} {format_value(line[name], run.metrics[name].decimals)}" for name in names)
-        for (_, method, variant), line in summary.iterrows()
+        label_of(method, variant): ", ".join(
+            f"{name} {format_value(value, run.metrics[name].decimals)}" for name, value in zip(names, values, strict=True)
+        )
+        for (_, method, variant), values in lines
     }

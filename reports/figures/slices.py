@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -279,7 +279,14 @@ def _draw_strip(axis: "Axes", image: Image8, slices: Slices, is_last: bool) -> N
     axis.yaxis.set_major_locator(MaxNLocator(3, integer=True))
     axis.tick_params(labelsize=6, labelbottom=is_last)
     if fps:
-        seconds = axis.secondary_yaxis("right", functions=(lambda t: (t - first) / fps, lambda s: s * fps + first))
+
+        def to_seconds(frames: Any) -> Any:
+            return (frames - first) / fps
+
+        def to_frames(seconds: Any) -> Any:
+            return seconds * fps + first
+
+        seconds = axis.secondary_yaxis("right", functions=(to_seconds, to_frames))
         seconds.yaxis.set_major_locator(MaxNLocator(3))
         seconds.set_ylabel("t (s)", fontsize=7)
         seconds.tick_params(labelsize=6)
