@@ -11,6 +11,8 @@ KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, 
 LARGEST_TEXT = 32 << 20
 LARGEST_TOML = 4 << 20  # its parser takes a second per MB
 LARGEST_PICTURE = 256 << 20
+# What was never written reads as zeros: a file that is nothing else takes minutes to read and holds no frame.
+SPARSE_FROM, SPARSE_SHARE, BLOCK_BYTES = 1 << 30, 0.01, 512
 # Byte order marks: Notepad and PowerShell begin their texts with one, PowerShell 5 writes UTF-16.
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
@@ -40,6 +42,9 @@ def check_plain(path: Path, most_bytes: int | None = None) -> int:
         raise _refused(path, f"{kind} instead of a regular file")
     if most_bytes is not None and status.st_size > most_bytes:
         raise _refused(path, f"{status.st_size / 1e6:.0f} MB, where {most_bytes / 1e6:.0f} MB are the most that makes sense")
+    on_disk = status.st_blocks * BLOCK_BYTES
+    if status.st_size > SPARSE_FROM and on_disk < SPARSE_SHARE * status.st_size:
+        raise _refused(path, f"{status.st_size / 1e6:.0f} MB, of which {on_disk / 1e6:.0f} MB lie on the disk: a file of holes")
     return status.st_size
 
 

@@ -12,6 +12,7 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.files.plain import NotPlainError, check_plain, read_plain, read_plain_text
 from ggvs_eval.files.toml_tables import load_toml
 from helpers.fuzz import make_endless
+from helpers.refusals import refused
 
 
 def make_socket(path: Path) -> None:
@@ -34,14 +35,22 @@ def test_what_is_no_plain_file_is_refused_at_once(make, kind, tmp_path):
     file = tmp_path / "file.png"
     make(file)
 
-    with pytest.raises(NotPlainError, match=kind) as refused:
+    with pytest.raises(NotPlainError, match=kind) as caught:
         read_plain(file, 1_000_000)
     with pytest.raises(CaptureError, match=r"file.png: wanted a picture, got (a|8590)"):
         read_image(file)
     with refused(CaptureError, "file.png: ", "wanted a file"):
         digest_files([file])
 
-    assert refused.value.filename == str(file)
+    assert caught.value.filename == str(file)
+
+
+def test_a_file_of_holes_is_refused_before_it_is_hashed(tmp_path):
+    """Also where files of its kind may have any size: 8 GiB of zeros were read for minutes."""
+    make_endless(tmp_path / "cam00.npy")
+
+    with refused(CaptureError, "cam00.npy: wanted a file", "0 MB lie on the disk"):
+        digest_files([tmp_path / "cam00.npy"])
 
 
 def test_a_file_that_grows_without_a_size_is_refused():
