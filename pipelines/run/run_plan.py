@@ -226,11 +226,16 @@ def plan_run(request: RunRequest) -> RunPlan:
     partners = DepthPartners(visible, options)
     chosen = {target.name: partners.sources(target, k, choice) for target in targets}
     sensed = visible.sensed_cameras if options.sensor is not None else frozenset[str]()
+    unseen: dict[str, CameraError] = {}
     for target in targets[: len(protocol.views.test)] if use_depth or not methods else []:
         try:
             require_sight(target, [each.camera for each in chosen[target.name]], visible.cameras, sensed)
         except CameraError as error:
-            raise CameraError(f"{error}; {WITHOUT_DEPTH}") from error
+            unseen[target.name] = error
+    if unseen:
+        (_, first), *others = unseen.items()
+        more = f"; the same is true of {listed(name for name, _ in others)}" if others else ""
+        raise CameraError(f"{first}{more}; {WITHOUT_DEPTH}") from first
     blind = [
         target.name for target in targets if not any(partners.has_depth(each.camera, target) for each in chosen[target.name])
     ]

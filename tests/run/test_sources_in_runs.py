@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from ggvs_eval.errors import CameraError
@@ -94,3 +95,15 @@ def test_a_hand_held_sequence_is_suggested_coverage(plane_capture):
     """Nearest places of a camera that was carried may look elsewhere; a rig keeps the paper's choice."""
     assert suggest_protocol(replace(plane_capture, layout="rgbd")).synthesis.sources == "coverage"
     assert suggest_protocol(plane_capture).synthesis.sources == "nearest"
+
+
+def test_all_views_that_no_source_shows_are_in_one_message(plane_capture, tmp_path):
+    """The first with its reason, the others by their names."""
+    backwards = np.diag([-1.0, 1.0, -1.0, 1.0])
+    cameras = [
+        camera if camera.name in ("cam00", "cam01") else replace(camera, world_to_camera=backwards @ camera.world_to_camera)
+        for camera in plane_capture.cameras
+    ]
+    protocol = replace(chosen_protocol("nearest"), views=Views(("cam00", "cam01"), "by hand"), path=CameraPath(poses=0))
+    with refused(CameraError, "camera cam00: ", "the same is true of cam01", "enerf"):
+        plan_run(RunRequest(tmp_path, replace(plane_capture, cameras=tuple(cameras)), protocol, LABELS))
