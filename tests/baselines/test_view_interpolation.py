@@ -127,7 +127,8 @@ def test_a_view_at_the_end_of_the_row_has_a_cell_that_says_so(tmp_path):
     The run ends well, is not begun again, and its row says what it stands on.
     """
     capture = write_small_capture(tmp_path / "room", 2)
-    protocol = replace(small_protocol(2, 0, ("PSNR", "L1")), views=Views(("cam04", "cam05"), "test"), synthesis=Synthesis(3))
+    measured = small_protocol(2, 3, ("PSNR", "L1", "EPI_coherence"))
+    protocol = replace(measured, views=Views(("cam04", "cam05"), "test"), synthesis=Synthesis(3))
     page = evaluate(tmp_path / "run", capture, protocol, ["distance-based", "interpolation"], workers=1)
     run = RunFolder(tmp_path / "run")
     results = Results.read(run.root)
@@ -136,6 +137,7 @@ def test_a_view_at_the_end_of_the_row_has_a_cell_that_says_so(tmp_path):
     mine = results.table[results.table["method"] == "interpolation"]
     assert refused == ["cam05"]
     assert set(mine["view"]) == {"cam04"}
+    assert read_json(run.path("interpolation") / JOB_FILE)["refused"] == reason
     assert results.why_absent("PSNR", "interpolation", "cam05") == reason
     assert reason in results.provenance["partial"]["interpolation"]
     tables = pd.read_csv(page.parent / "tables.csv")
