@@ -111,7 +111,7 @@ def flow(here: Image8, there: Image8) -> Map:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        search = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (here, there)]
         return np.asarray(search.calc(grey[0], grey[1], None))
     finally:
