@@ -286,7 +286,7 @@ def _frame_seconds(plan: RunPlan, label: str) -> list[float]:
     for view in plan.plans:
         try:
             stages = read_json(plan.run.renders(label, view) / JOB_FILE)["seconds"].values()
-            seconds.append(sum(map(sum, stages)) / len(plan.frames))
+            seconds += [sum(map(sum, stages)) / len(plan.frames)] if stages else []  # none of a view that it cannot show
         except (ResultsError, KeyError, TypeError, AttributeError):
             continue
     return seconds

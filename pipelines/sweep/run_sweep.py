@@ -160,4 +160,5 @@ def _seconds_per_frame(run: RunFolder, label: str) -> float:
     if read_import(run, label) is not None:
         return float("nan")
     records = [read_json(run.renders(label, view) / JOB_FILE)["seconds"] for view in run.protocol().views.test]
-    return float(np.median([sum(stages) for record in records for stages in zip(*record.values(), strict=True)]))
+    seconds = [sum(stages) for record in records for stages in zip(*record.values(), strict=True)]
+    return float(np.median(seconds)) if seconds else float("nan")

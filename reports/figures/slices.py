@@ -145,8 +145,9 @@ def path_folders(run: MeasuredRun, labels: Iterable[str]) -> tuple[dict[str, Pat
     Returns:
         Label -> folder, and the number of poses, 0 where the run has no path.
     """
-    folders = {label: run.folder.path(label) for label in ("truth", *labels) if run.folder.path(label).is_dir()}
-    n_poses = max((len(list(folder.glob("*.png"))) for folder in folders.values()), default=0)
+    counts = {label: len(list(run.folder.path(label).glob("*.png"))) for label in ("truth", *labels)}
+    folders = {label: run.folder.path(label) for label, count in counts.items() if count}  # none of a path that was refused
+    n_poses = max(counts.values())
     require_frames({f"{run.name(label)} on the path": folder for label, folder in folders.items()}, range(n_poses))
     return folders, n_poses
 

@@ -12,8 +12,11 @@ from ggvs_eval.errors import ViewRefusedError
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.run.evaluate import evaluate
 from ggvs_eval.protocol import Synthesis, Views
+from ggvs_eval.reports.figures.slices import path_folders
+from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
+from helpers.run_folders import write_run
 from helpers.scenes import camera_at, look
 from helpers.seeded_baselines import turned
 from helpers.small_runs import small_protocol, write_small_capture
@@ -122,7 +125,7 @@ def test_equal_bits_whatever_the_threads_and_the_order():
 
 @pytest.mark.slow
 def test_a_view_at_the_end_of_the_row_has_a_cell_that_says_so(tmp_path):
-    """In a run the views between cameras are rendered and scored; the others, and a path that leaves the row, say why not.
+    """In a run the views between cameras are rendered and scored; the others say why not.
 
     The run ends well, is not begun again, and its row says what it stands on.
     """
@@ -145,3 +148,13 @@ def test_a_view_at_the_end_of_the_row_has_a_cell_that_says_so(tmp_path):
     made = (run.renders("interpolation", "cam05") / JOB_FILE).stat().st_mtime_ns
     evaluate(run.root, capture, protocol, ["distance-based", "interpolation"], workers=1)
     assert (run.renders("interpolation", "cam05") / JOB_FILE).stat().st_mtime_ns == made
+
+
+def test_a_path_that_was_refused_has_no_slice(tmp_path):
+    """A method whose folder of the path holds no picture is left out of the epipolar plane images; the others stay."""
+    run = read_run(write_run(tmp_path / "run"))
+    label, *others = run.labels
+    for picture in run.folder.path(label).glob("*.png"):
+        picture.unlink()
+    folders, poses = path_folders(run, run.labels)
+    assert (set(folders), poses) == ({"truth", *others}, 6)

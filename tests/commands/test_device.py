@@ -125,7 +125,7 @@ def test_methods_without_networks_know_no_device():
         assert find_method(label).device == "cpu"
         learned, fitted = isinstance(spec, OnlineMethod) and bool(spec.weights or spec.checkpoint), isinstance(spec, FittedMethod)
         assert find_method(label, on_gpu).device == ("cuda" if learned or fitted else "cpu")
-        assert learned == (label in LEARNED or label == "gps-gaussian")
+        assert learned == (label in LEARNED or label in ("gps-gaussian", "mvsnerf"))
     assert find_method("ours+beta_temporal=0.6", on_gpu).device == "cuda"
     assert find_method("ours+beta_temporal=0.6").make().blender.device == "cpu"
 
