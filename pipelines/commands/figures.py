@@ -96,7 +96,7 @@ def figure(
         "metrics": metrics,
         "methods": methods,
     }
-    options |= {"row": parse_row(row), "squares": tuple(map(parse_square, squares)), "has_scores": scores}
+    options |= {"row": parse_row(row), "squares": tuple(parse_square(square) for square in squares), "has_scores": scores}
     look = None if width is None and title else FigureLook(parse_width(width or "7in"), title)
     print(*write_figure(run, kind, out, look=look, **options), sep="\n")  # type: ignore[arg-type]
 

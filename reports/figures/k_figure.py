@@ -101,10 +101,10 @@ def draw_k(sweep: Path, out: Path, metrics: tuple[str, ...] = (), look: FigureLo
         widths = {} if metric == SECONDS else interval_widths(sweep, metric)
         for number, method in enumerate(dict.fromkeys(table.index.get_level_values("method"))):
             values = table.loc[method, metric].dropna()
-            look = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)], "markersize": 4}
+            marks = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)], "markersize": 4}
             bars = [widths.get((int(k), round(value, DIGITS)), 0.0) for k, value in values.items()]
             line = LINES[number % len(LINES)]
-            axes.errorbar(values.index, values, bars, fmt=line, label=method, linewidth=1.2, capsize=2, elinewidth=0.8, **look)
+            axes.errorbar(values.index, values, bars, fmt=line, label=method, linewidth=1.2, capsize=2, elinewidth=0.8, **marks)
         unit = f" ({UNITS[metric]})" if metric in UNITS else ""
         axes.set_ylabel("seconds per frame" if metric == SECONDS else f"{metric}{unit}", fontsize=7)
         axes.set_xlabel("number of source views K", fontsize=7)

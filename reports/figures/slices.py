@@ -304,7 +304,8 @@ def _draw_strip(axis: "Axes", image: Image8, slices: Slices, is_last: bool) -> N
     axis.yaxis.set_major_locator(MaxNLocator(3, integer=True))
     axis.tick_params(labelsize=6, labelbottom=is_last)
     if fps:
-        seconds = axis.secondary_yaxis("right", functions=(lambda t: (t - first) / fps, lambda s: s * fps + first))
+        to_seconds = lambda t: (np.asarray(t) - first) / fps  # noqa: E731
+        seconds = axis.secondary_yaxis("right", functions=(to_seconds, lambda s: np.asarray(s) * fps + first))
         seconds.yaxis.set_major_locator(MaxNLocator(3))
         seconds.set_ylabel("t (s)", fontsize=7)
         seconds.tick_params(labelsize=6)

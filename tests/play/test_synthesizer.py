@@ -270,7 +270,7 @@ def test_the_example_of_the_page_works(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(not LIVE_RIG.is_file(), reason="reads the checkout")
 def test_the_live_rig_of_the_page_works(capsys):
-    """The code of docs/live_rig.md, run as it stands, gives the wall as seen from between the cameras; every field is explained."""
+    """The code of docs/live_rig.md, run as it stands, gives the wall as seen between the cameras; every field is explained."""
     text = LIVE_RIG.read_text(encoding="utf-8")
     (example,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     names: dict = {}
