@@ -87,18 +87,11 @@ def figure(
     from ggvs_eval.reports.figures.paper_figures import write_figure
     from ggvs_eval.reports.figures.regions import parse_square
 
-    options = {
-        "rule": rule,
-        "method": method,
-        "boxes": boxes,
-        "view": view,
-        "frame": frame,
-        "metrics": metrics,
-        "methods": methods,
-    }
-    options |= {"row": parse_row(row), "squares": tuple(parse_square(square) for square in squares), "has_scores": scores}
+    chosen: dict[str, object] = {"rule": rule, "method": method, "boxes": boxes, "view": view, "frame": frame}
+    chosen.update(row=parse_row(row), metrics=metrics, methods=methods, has_scores=scores)
+    chosen["squares"] = tuple(parse_square(square) for square in squares)
     look = None if width is None and title else FigureLook(parse_width(width or "7in"), title)
-    print(*write_figure(run, kind, out, look=look, **options), sep="\n")  # type: ignore[arg-type]
+    print(*write_figure(run, kind, out, look=look, **chosen), sep="\n")  # type: ignore[arg-type]
 
 
 def compare(
