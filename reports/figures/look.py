@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.model.measured import MeasuredRun
@@ -85,10 +86,9 @@ def score_words(run: MeasuredRun, metrics: Sequence[str]) -> dict[str, str]:
     absent = [name for name in names if name not in summary]
     if absent:
         raise ResultsError(f"{run.folder.root}: no {', '.join(absent)}; it has {', '.join(summary.columns)}")
-    lines = zip(summary.index.to_list(), summary[list(names)].to_numpy(), strict=True)
-    return {
-        label_of(method, variant): ", ".join(
-            f"{name} {format_value(value, run.metrics[name].decimals)}" for name, value in zip(names, values, strict=True)
-        )
-        for (_, method, variant), values in lines
-    }
+    told = {}
+    for keys, line in summary.iterrows():
+        _, method, variant = cast(tuple[str, str, str], keys)
+        scores = (f"{name} {format_value(float(line[name]), run.metrics[name].decimals)}" for name in names)
+        told[label_of(method, variant)] = ", ".join(scores)
+    return told

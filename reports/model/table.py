@@ -39,7 +39,8 @@ class Column:
             >>> [Column(name, higher_is_better=True).head for name in ("PSNR", "MS_SSIM", "PSNR_cc_static")]
             ['PSNR ↑', 'MS-SSIM ↑', 'PSNR, colour-corrected, static ↑']
         """
-        name, parts = self.name, list[str]()
+        name = self.name
+        parts: list[str] = []
         while (ending := next((each for each in ENDINGS if name.endswith(f"_{each}")), "")) and name != ending:
             name, parts = name.removesuffix(f"_{ending}"), [ENDINGS[ending], *parts]
         return " ".join(filter(None, (", ".join([FIELD_NAMES.get(name, name.replace("_", " ")), *parts]), self.arrow)))
