@@ -17,7 +17,7 @@ from ggvs_eval.geometry.source_views import share_of_view
 
 GRID = (16, 12)  # rays across and down
 DEPTHS = 6  # depths per ray, evenly spaced in inverse depth
-MAX_ANGLE_RAD = np.deg2rad(45.0)  # beyond, surfaces look too different for a pair, ...
+MAX_ANGLE_RAD = np.deg2rad(36.0)  # beyond, surfaces look too different for a pair, ...
 MAX_VIEW_ANGLE_RAD = np.deg2rad(75.0)  # ... and for a network that weighs what several partners see
 MAX_NEAR_DISPARITY = 0.25  # of the image's width
 MIN_MEDIAN_DISPARITY = 0.006  # of the image's width; 8 px of 1352
