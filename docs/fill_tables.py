@@ -76,6 +76,7 @@ STUDIES = {"demo room": OUT / "metric_study", "hololens_rgbd": OUT / "metric_stu
 OFFLINE_METRICS = ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "TCC", "STED", "Flicker", "SDV", "EPI_coherence", "EPI_slope_error")
 PRICE_METRICS = ("PSNR", "PSNR_static", "PSNR_moving", "PSNR_disoccluded", "LPIPS", "STED", "EPI_coherence")
 BASELINE_METRICS = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
+VIDEO_METRICS = ("PSNR", "PSNR_cc", "PSNR_moving", "SSIM", "LPIPS", "L1", "TCC", "STED", "Flicker", "SDT", "SDV")
 
 Figures = dict[str, dict[str, Any]]
 Tables = Mapping[str, Callable[[], str]]
@@ -95,6 +96,9 @@ def main() -> None:
             "real_frame_folds_views": lambda: views_table(OUT / "real_frame_folds"),
             "real_frame_coverage": lambda: results_table(OUT / "real_frame_coverage"),
             "real_frame_coverage_views": lambda: views_table(OUT / "real_frame_coverage"),
+            "real_video": lambda: sweep_table(OUT / "real_video", VIDEO_METRICS),
+            "real_video_views": lambda: views_table(OUT / "real_video" / "dome"),
+            "real_video_path": lambda: results_table(OUT / "real_video_path"),
             "depth": depth_table,
             "speed": speed_table,
         },
