@@ -1,7 +1,6 @@
-"""Draw the pictures of the real video, docs/images/real_video_*.jpg: ``python docs/draw_real_video.py [RUN [PATH_RUN]]``.
+"""Draw the pictures of the real video, docs/images/real_video_*.jpg: ``python docs/draw_real_video.py [RUN]``.
 
-Strips of all test views, the worst squares of ours, a row of the image over time, and a row along a path between cameras. The
-commands of both runs stand in docs/results.md.
+Strips of all test views, failures among them, and a row over time. The command of the run stands in docs/results.md.
 """
 
 import sys
@@ -19,7 +18,7 @@ IMAGES = ROOT / "docs" / "images"
 STRIPS = {
     "truth": "Captured",
     "distance-based": "Distance-based Blending",
-    "enerf": "ENeRF",
+    "no-blending": "No Blending",
     "ours-geometric": "Ours (geometric weights)",
     "ours": "Ours",
 }
@@ -29,20 +28,14 @@ INK = (40, 40, 40)
 TIME_VIEW = "0"  # the ball passes through it
 
 
-def main(run: Path, path_run: Path) -> None:
+def main(run: Path) -> None:
     """Draw what the runs have, and print the size of each picture."""
     _write(_strips(RunFolder(run)), "strips")
-    for folder, kind, options in (
-        (run, "failures", {"method": "ours", "boxes": 4}),
-        (run, "time", {"view": TIME_VIEW}),
-        (path_run, "epi", {}),
-    ):
-        with TemporaryDirectory() as scratch:
-            drawn = Path(scratch) / f"{kind}.png"
-            write_figure(folder, kind, drawn, **options)
-            picture = Image.open(drawn).convert("RGB")
-        picture.thumbnail((LONGEST, LONGEST))
-        _write(picture, kind)
+    with TemporaryDirectory() as scratch:
+        (file,) = write_figure(run, "time", Path(scratch) / "time.png", view=TIME_VIEW)
+        picture = Image.open(file).convert("RGB")
+    picture.thumbnail((LONGEST, LONGEST))
+    _write(picture, "time")
 
 
 def _strips(run: RunFolder) -> Image.Image:
@@ -70,5 +63,4 @@ def _write(picture: Image.Image, name: str) -> None:
 
 
 if __name__ == "__main__":
-    given = [Path(each) for each in sys.argv[1:]]
-    main(*given, *(ROOT / "out" / name for name in ("real_video/dome", "real_video_path")[len(given) :]))
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "out" / "real_video" / "dome")

@@ -98,7 +98,6 @@ def main() -> None:
             "real_frame_coverage_views": lambda: views_table(OUT / "real_frame_coverage"),
             "real_video": lambda: sweep_table(OUT / "real_video", VIDEO_METRICS),
             "real_video_views": lambda: views_table(OUT / "real_video" / "dome"),
-            "real_video_path": lambda: results_table(OUT / "real_video_path"),
             "depth": depth_table,
             "speed": speed_table,
         },
