@@ -85,7 +85,7 @@ def rectify(reference: Camera, partner: Camera) -> RectifiedPair:
 
     Reading:
         The nearest surfaces may move by more than the images overlap: what lies farther away is matched all the same. With
-        cameras 26 degrees apart and people 1 m in front of them 15 of 56 pairs are such; they are worth 0.5 dB (docs/depth.md).
+        cameras 26 degrees apart and people 1 m in front of them 12 of 58 pairs are such; they are worth 0.5 dB (docs/depth.md).
     """
     world_to_rectified, baseline = _rectifying_rotation(reference, partner)
     rotation = product(world_to_rectified, reference.rotation.T)
