@@ -61,6 +61,7 @@ ABLATION_METRICS = ("PSNR", "LPIPS", "TCC", "STED", "SDT", "EPI_coherence", "EPI
 OFFLINE_METRICS = ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "TCC", "STED", "Flicker", "SDV", "EPI_coherence", "EPI_slope_error")
 PRICE_METRICS = ("PSNR", "PSNR_static", "PSNR_moving", "PSNR_disoccluded", "LPIPS", "STED", "EPI_coherence")
 BASELINE_METRICS = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
+VIDEO_METRICS = ("PSNR", "PSNR_cc", "PSNR_moving", "SSIM", "LPIPS", "L1", "TCC", "STED", "Flicker", "SDT", "SDV")
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,8 @@ TABLES = (
     Table(RESULTS, "real_frame_folds_views", "real_frame_folds", lambda: views_table(OUT / "real_frame_folds")),
     Table(RESULTS, "real_frame_coverage", "real_frame_coverage", lambda: results_table(OUT / "real_frame_coverage")),
     Table(RESULTS, "real_frame_coverage_views", "real_frame_coverage", lambda: views_table(OUT / "real_frame_coverage")),
+    Table(RESULTS, "real_video", "real_video", lambda: sweep_table(OUT / "real_video", VIDEO_METRICS)),
+    Table(RESULTS, "real_video_views", "real_video", lambda: views_table(OUT / "real_video" / "dome")),
     Table(RESULTS, "speed", "bench", speed_table),
     Table(MEASURED, "ablations", "rooms_ablations", lambda: sweep_table(OUT / "rooms_ablations", ABLATION_METRICS)),
     Table(BENCH, "noise", "rooms_noise", lambda: sweep_table(OUT / "rooms_noise", ABLATION_METRICS)),

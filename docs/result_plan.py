@@ -179,6 +179,8 @@ MEASUREMENTS = {
         ),
         Measurement("intervals", ("python -m benchmarks.interval_coverage",), 20, sources=("benchmarks/interval_coverage.py",)),
         Measurement("device", (), 10, ("ours",), sources=("benchmarks/bench_device.py",)),  # by hand, where there is a GPU
+        # By hand: `panoptic_sports` with frames.count = 10, no path and no ceilings, in out/real_video/dome.
+        Measurement("real_video", (), 240, ("no-blending", "distance-based", "ours", "ours-geometric"), "panoptic_sports"),
         Measurement("author_clips", (), 40, sources=("benchmarks/author_clips.py",)),  # of a folder of clips that nobody ships
         Measurement(
             "rooms_noise",

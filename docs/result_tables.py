@@ -218,8 +218,9 @@ def _runs_of(sweep: Path) -> list[Path]:
 
 
 def _with_interval(metric: str, interval: Interval) -> str:
-    value = f"{interval.value:.{DECIMALS.get(metric, 3)}f}"
-    return value if interval.half_width is None else f"{value} ± {interval.half_width:.{DECIMALS.get(metric, 3)}f}"
+    decimals = DECIMALS.get(metric, DECIMALS["PSNR"] if metric.startswith("PSNR") else 3)
+    value = f"{interval.value:.{decimals}f}"
+    return value if interval.half_width is None else f"{value} ± {interval.half_width:.{decimals}f}"
 
 
 def _seconds(runs: Sequence[Path], label: str) -> float:

@@ -95,11 +95,11 @@ def _neighbourhoods(cameras: Sequence[Camera]) -> list[Camera]:
 
 
 def _matchable(camera: Camera, cameras: Sequence[Camera]) -> Camera:
-    """A camera of a guessed range, its near so far off that it can be rectified with a neighbour: nothing is known of nearer."""
+    """A camera of a guessed range, its near so far off that it overlaps with a neighbour there: nothing is known of nearer."""
     others = sorted((other for other in cameras if other is not camera), key=lambda other: remoteness(camera, other))
     for near in np.geomspace(camera.near, (camera.near * camera.far) ** 0.5, NEAREST_TRIED):
         nearer = replace(camera, near=float(near))
-        if any(can_rectify(nearer, other) for other in others[:NEIGHBOURS]):
+        if any(can_rectify(nearer, other, nearest=1.0) for other in others[:NEIGHBOURS]):
             return nearer
     return camera
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ggvs_eval.errors import DepthError
-from ggvs_eval.geometry.rectification import at_matches, depth_from_disparity, rectify, require_overlap
+from ggvs_eval.geometry.rectification import at_matches, depth_from_disparity, nearest_disparity, rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from helpers.stereo_scenes import FAR, NEAR, look_from, plane_depth, see_plane
 
@@ -98,6 +98,22 @@ def test_pairs_without_parallax_are_refused():
             rectify(REFERENCE, partner)
 
 
+def test_nearest_surfaces_that_leave_the_images_are_no_reason_to_refuse():
+    """Cameras 28 degrees apart whose nearest surfaces move by more than they overlap see the plane behind them all the same."""
+    reference, partner = replace(REFERENCE, near=1.0), look_from(3.0, 0, "far", 0.49)
+    assert nearest_disparity(reference, partner) > 1
+    pair = rectify(reference, partner)
+    assert pair.d_max <= pair.size[0]
+    depth = plane_depth(reference)
+    uv, _ = partner.project(reference.unproject(reference.pixel_centres(), depth))
+    seen = ((uv > 1) & (uv < np.array(partner.size) - 1)).all(axis=-1)
+    assert seen.mean() > 0.5
+    estimated = DepthEstimator(reference, [partner], DepthOptions()).estimate(see_plane(reference), [see_plane(partner)])
+    known = seen & (estimated.confidence > 0.1)
+    assert known.sum() > 0.7 * seen.sum()
+    assert np.median(np.abs(estimated.depth[known] / depth[known] - 1)) < 0.003
+
+
 def test_opposite_cameras_are_refused():
     """Cameras that look too far apart raise DepthError that says to choose another."""
     with pytest.raises(DepthError, match="choose another"):
@@ -118,7 +134,7 @@ def test_what_can_be_rectified_is_known_from_the_corners(x, y, turn, near):
     """Pairs side by side and askew, of near and far surfaces, are accepted and refused as by `rectify`, word for word."""
     reference = replace(REFERENCE.resized(40, 30), near=near)
     partner = look_from(x, y, "partner", turn).resized(40, 30)
-    assert message_of(require_overlap, reference, partner) == message_of(rectify, reference, partner)
+    assert message_of(nearest_disparity, reference, partner) == message_of(rectify, reference, partner)
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from((np.float32, np.uint8)))

@@ -52,14 +52,14 @@ def test_too_far_and_too_near_come_last():
 
 
 def test_a_pair_that_cannot_be_rectified_is_passed_over():
-    """Wide lenses close to a surface see much together, but what is near moves by more than the width of the image."""
+    """Very wide lenses see much together, but no plane holds what both see."""
 
     def wide(x: float, name: str, turn: float) -> Camera:
         camera = look_from(x, 0, name, turn)
-        return replace(camera, K=camera.K * np.array([[0.45, 1, 1], [1, 0.45, 1], [1, 1, 1]]), near=1.0)
+        return replace(camera, K=camera.K * np.array([[0.2, 1, 1], [1, 0.2, 1], [1, 1, 1]]), near=1.0)
 
     camera, near, far = wide(0.001, "camera", 0.0), wide(0.4, "near", 0.1), wide(3.0, "far", 0.5)
-    with pytest.raises(DepthError, match="too little to be matched"):
+    with pytest.raises(DepthError, match="too far apart to be matched"):
         rectify(camera, far)
     assert [partner.name for partner in choose_partners(camera, [far, near], 2)] == ["near"]
     with refused(DepthError, "1 other"):

@@ -10,6 +10,7 @@ from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
+from ggvs_eval.geometry.rectification import can_rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 
 CONTEXT_PX = 48  # what a matcher sees around the window that it computes again
@@ -70,12 +71,13 @@ class DepthStream:
             return reference, depth_map
         window = _window_around(changed, self.camera.size)
         left, top, width, height = window
-        if width * height > MOST_CHANGED * self.camera.width * self.camera.height:
+        is_narrow = not all(can_rectify(self.camera.cropped(*window), pair, nearest=1.0) for pair in self._whole.pairs)
+        if is_narrow or width * height > MOST_CHANGED * self.camera.width * self.camera.height:
             return blurred, self._whole.estimate(image, partner_images)
         rows, columns = slice(top, top + height), slice(left, left + width)
         try:
             fresh = self._window_estimator(window).estimate(np.ascontiguousarray(image[rows, columns]), partner_images)
-        except DepthError:  # too narrow to be rectified alone: its disparities may be as wide as it is
+        except DepthError:  # it cannot be rectified alone
             return blurred, self._whole.estimate(image, partner_images)
         here = changed[rows, columns]
         renewed = [reference.copy(), depth_map.depth.copy(), depth_map.confidence.copy()]

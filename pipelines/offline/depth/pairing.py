@@ -18,6 +18,7 @@ from ggvs_eval.geometry.source_views import share_of_view
 GRID = (16, 12)  # rays across and down
 DEPTHS = 6  # depths per ray, evenly spaced in inverse depth
 MAX_ANGLE_RAD = np.deg2rad(45.0)  # beyond, surfaces look too different for a pair, ...
+CLOSE_ANGLE_RAD = np.deg2rad(36.0)  # up to here the nearest surfaces may move by more than the images overlap
 MAX_VIEW_ANGLE_RAD = np.deg2rad(75.0)  # ... and for a network that weighs what several partners see
 MAX_NEAR_DISPARITY = 0.25  # of the image's width
 MIN_MEDIAN_DISPARITY = 0.006  # of the image's width; 8 px of 1352
@@ -74,7 +75,7 @@ def choose_partners(
 def pairs_of(camera: Camera, partners: Sequence[Camera], count: int) -> list[Camera]:
     """The first of `choose_partners`' views, which can be matched pair by pair."""
     points = _sample_view(camera)
-    return [each for each in partners[:count] if _evaluate(camera, each, points, MAX_ANGLE_RAD) and can_rectify(camera, each)]
+    return [each for each in partners[:count] if _evaluate(camera, each, points, MAX_ANGLE_RAD) and _can_be_matched(camera, each)]
 
 
 def _extend(
@@ -93,9 +94,18 @@ def _extend(
     while left and len(chosen) < count:
         best = max(left, key=lambda partner: _gain(partner, chosen))
         left.remove(best)
-        if not rectified or can_rectify(camera, best.camera):
+        if not rectified or _can_be_matched(camera, best.camera):
             chosen.append(best)
     return chosen
+
+
+def _can_be_matched(camera: Camera, other: Camera) -> bool:
+    """Tell whether a pair can be rectified and is worth its search, which is as wide as its nearest surfaces move."""
+    return can_rectify(camera, other, nearest=np.inf if _angle_rad(camera, other) <= CLOSE_ANGLE_RAD else 1.0)
+
+
+def _angle_rad(camera: Camera, other: Camera) -> float:
+    return float(np.arccos(np.clip(camera.axis @ other.axis, -1, 1)))
 
 
 def _sample_view(camera: Camera) -> Array:
@@ -109,7 +119,7 @@ def _evaluate(camera: Camera, other: Camera, points: Array, max_angle_rad: float
     """Evaluate what `other` is worth to `camera`; None where a match makes no sense."""
     uv, depth = other.project(points)
     inside = (depth > 0) & ((uv > 0) & (uv < other.size)).all(axis=-1)  # (S,)
-    angle = np.arccos(np.clip(camera.axis @ other.axis, -1, 1))
+    angle = _angle_rad(camera, other)
     offset = camera.rotation @ (other.centre - camera.centre)
     distance = float(np.linalg.norm(offset[:2]))
     if share_of_view(camera, inside, DEPTHS) < MIN_OVERLAP or angle > max_angle_rad or distance <= abs(offset[2]):
