@@ -16,7 +16,7 @@ from ggvs_eval.metrics.ceilings import ceilings
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.pipelines.inspection.finding import Finding
-from ggvs_eval.pipelines.inspection.renders.seen import find_seen
+from ggvs_eval.pipelines.inspection.renders.seen import COMPARED, find_seen
 from ggvs_eval.pipelines.inspection.renders.view_frames import views_of_run
 from ggvs_eval.pipelines.run.score_code import ceilings_code
 from ggvs_eval.pipelines.run.score_path import TRUTH
@@ -64,7 +64,7 @@ def find_seen_view(view: str, psnrs_db: Collection[float], perfect: Mapping[str,
         psnrs_db: of its frames; empty where they were not measured.
         perfect: its record of `read_ceilings`; None where there is none.
     """
-    ceiling_db = (perfect or {}).get("noise_free", {}).get("PSNR")
+    ceiling_db = (perfect or {}).get("noise_free", {}).get(COMPARED)
     return [] if ceiling_db is None or not psnrs_db else find_seen(view, float(np.mean(list(psnrs_db))), ceiling_db)
 
 
@@ -74,7 +74,7 @@ def find_seen_views(run: RunFolder, label: str) -> list[Finding]:
     They are estimated only where renders are so good that they may lie above: noise of `LEAST_DB` would be seen by everybody.
     """
     protocol, findings = run.protocol(), []
-    wanted = replace(protocol, measurement=replace(protocol.measurement, metrics=("PSNR",), ceilings=True))
+    wanted = replace(protocol, measurement=replace(protocol.measurement, metrics=(COMPARED,), ceilings=True))
     for name, view in views_of_run(run, label, as_measured=True).items():
         psnrs_db = [psnr(*pair) for pair in view.pairs(list(view.frames))]
         if np.mean(psnrs_db) > LEAST_DB:

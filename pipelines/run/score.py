@@ -14,6 +14,7 @@ from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
+from ggvs_eval.pipelines.inspection.renders.seen import COMPARED
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec, OnlineMethod
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
@@ -133,7 +134,7 @@ def _collect(
             for name, frame, value in methods[label]["values"]:
                 own.append((view, frame, name, value))
                 values.setdefault(name, {}).setdefault(view, {})[frame] = value
-            seen = find_seen_view(view, values.get("PSNR", {}).get(view, {}).values(), perfect.get(view))
+            seen = find_seen_view(view, values.get(COMPARED, {}).get(view, {}).values(), perfect.get(view))
             found = [*methods[label].get("faults", ()), *map(asdict, seen)]
             faults += [_fault(label, capture["scene"], one) for one in found]
             lacking = methods[label]["not_computed"]

@@ -11,11 +11,7 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.jobs.pace import pace
 from ggvs_eval.pipelines.methods.render_unit import PATH
-from ggvs_eval.pipelines.run.disocclusion import mask_files
-from ggvs_eval.pipelines.run.frame_cache import frames_left, path_left
-from ggvs_eval.pipelines.run.path_depth import path_files, poses_left
-from ggvs_eval.pipelines.run.run_plan import RunPlan
-from ggvs_eval.pipelines.run.stage_costs import (
+from ggvs_eval.pipelines.methods.stage_costs import (
     CHECKED_DEPTH,
     DECODED,
     MASK,
@@ -26,6 +22,10 @@ from ggvs_eval.pipelines.run.stage_costs import (
     score_cost,
     stage_of,
 )
+from ggvs_eval.pipelines.run.disocclusion import mask_files
+from ggvs_eval.pipelines.run.frame_cache import frames_left, path_left
+from ggvs_eval.pipelines.run.path_depth import path_files, poses_left
+from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.progress import counted, duration
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 

@@ -9,7 +9,6 @@ from ggvs_eval.statistics.intervals import LEVEL, Interval
 
 SIGNIFICANT = 4
 
-FIELD_NAMES = {"IV_PSNR": "IV-PSNR", "MS_SSIM": "MS-SSIM", "CVVDP": "ColorVideoVDP"}
 ENDINGS = {"static": "static", "moving": "moving", "disoccluded": "disoccluded", "cc": "colour-corrected"}
 
 RowKind = Literal["measured", "ours", "partial", "faulty", "published", "reference"]
@@ -43,7 +42,7 @@ class Column:
         parts: list[str] = []
         while (ending := next((each for each in ENDINGS if name.endswith(f"_{each}")), "")) and name != ending:
             name, parts = name.removesuffix(f"_{ending}"), [ENDINGS[ending], *parts]
-        return " ".join(filter(None, (", ".join([FIELD_NAMES.get(name, name.replace("_", " ")), *parts]), self.arrow)))
+        return " ".join(filter(None, (", ".join([name.replace("_", "-" if name.isupper() else " "), *parts]), self.arrow)))
 
     @property
     def arrow(self) -> str:

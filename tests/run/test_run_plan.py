@@ -16,6 +16,7 @@ from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods import registry, spec
 from ggvs_eval.pipelines.methods.baselines import baseline_methods
+from ggvs_eval.pipelines.methods.stage_costs import render_cost
 from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.run import work_left as counting
@@ -23,7 +24,6 @@ from ggvs_eval.pipelines.run.derived_files import digest_folder
 from ggvs_eval.pipelines.run.evaluate import measure, render
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.run.stage_costs import render_cost
 from ggvs_eval.pipelines.run.work_left import DEPTH_BYTES, Piece, Workload, count_work, work_left
 from ggvs_eval.pipelines.sweep.demo_plan import demo_to_plan, renders_first
 from ggvs_eval.pipelines.sweep.run_sweep import plan_cells

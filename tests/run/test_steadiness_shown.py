@@ -82,7 +82,8 @@ def test_videos_are_measured_without_a_run(tmp_path, capsys):
     shown = capsys.readouterr().out
     values = {(line["method"], line["column"]): line["value"] for line in csv.DictReader((tmp_path / "table.csv").open())}
 
-    assert "| Method | mTV (% of white) ↓ | Sharpness (% of white) ↑ | mTV2 (% of white) ↓ |" in shown
+    assert "| Method | mTV ↓ | Sharpness ↑ | mTV2 ↓ |" in shown
+    assert "% of white" in shown
     assert "ours: 3 frames of 64 x 48" in shown
     assert "Not alike in number or size of their frames: the values do not compare" in shown
     assert float(values["still", "mTV"]) == 0 < float(values["ours", "mTV"])

@@ -3,6 +3,7 @@
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 
 QUESTION = "test view seen"
+COMPARED = "PSNR"  # whose ceiling was checked
 # Of 192 predictions of what perfect renders score none was off by more than 1 dB.
 LIKELY_DB, CERTAIN_DB = 1.0, 2.0
 
