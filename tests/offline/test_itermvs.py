@@ -174,7 +174,7 @@ def test_the_network_fills_what_is_not_confirmed():
 def test_partners_of_the_network_need_no_rectification(weights):
     """Pairs stay those of the matcher alone; the network sees more, and alone it has depth where no pair can be rectified."""
     lens = np.array([[0.45, 1, 1], [1, 0.45, 1], [1, 1, 1]])
-    places = ((0.0, "camera", 0.0), (0.4, "near", 0.1), (3.0, "far", 0.5))
+    places = ((0.0, "camera", 0.0), (0.4, "near", 0.1), (3.0, "far", 0.7))
     cameras = [look_from(x, 0, name, turn) for x, name, turn in places]
     camera, near, far = (replace(each, K=each.K * lens, near=1.0) for each in cameras)
     options = DepthOptions(filler=IterMvs(weights, ""))
