@@ -13,6 +13,7 @@ from ggvs_eval.files.images import ResizeFilter
 from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
 from ggvs_eval.geometry.source_views import SourceChoice
 
+STREAMED = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")
 ON_SCREEN = "_stream"  # behind the name of a metric: of what stands on the screen, see `Stream`
 
 
@@ -219,6 +220,13 @@ class Protocol:
         frames_kept, path = dataclasses.replace(self.frames, count=count), dataclasses.replace(self.path, poses=poses)
         return dataclasses.replace(self, frames=frames_kept, path=path)
 
+    def streamed(self, stream: Stream) -> "Protocol":
+        """The protocol with these conditions, by its metrics and those of them that there are of the screen; its own stay."""
+        names = self.measurement.metrics
+        added = tuple(f"{name}{ON_SCREEN}" for name in STREAMED if name in names and f"{name}{ON_SCREEN}" not in names)
+        measurement = dataclasses.replace(self.measurement, metrics=names + added)
+        return dataclasses.replace(self, measurement=measurement, stream=self.stream or stream)
+
     @property
     def sha256(self) -> str:
         """Hash of every value (not of the file's layout or comments); results carry it, tables refuse to mix it.
@@ -284,7 +292,7 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
             raise ProtocolError(f"protocol {str(source)!r} is not packaged; use {choice}")
         text = (resources.files("ggvs_eval") / "protocols" / f"{source}.toml").read_text(encoding="utf-8")
         values = parse_toml(text, str(source), ProtocolError)
-    return _checked(build_table(Protocol, values, str(source), "", ProtocolError), str(source))
+    return checked_protocol(build_table(Protocol, values, str(source), "", ProtocolError), str(source))
 
 
 def packaged_protocols() -> list[str]:
@@ -298,8 +306,15 @@ def packaged_protocols() -> list[str]:
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
-def _checked(protocol: Protocol, file: str) -> Protocol:
-    """Refuse values of the right type that make no sense."""
+def checked_protocol(protocol: Protocol, file: str) -> Protocol:
+    """Refuse values of the right type that make no sense.
+
+    Args:
+        file: where they stand, for the message.
+
+    Raises:
+        ProtocolError: naming the rule.
+    """
     synthesis, measurement, stream = protocol.synthesis, protocol.measurement, protocol.stream
     streamed = [name for name in measurement.metrics if name.endswith(ON_SCREEN)]
     times_ms = [] if stream is None else [stream.depth_ms or 0.0, *(ms for each in stream.stated for ms in each.ms)]

@@ -11,7 +11,7 @@ Runs = Annotated[
     tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(at least one)")
 ]
 Destination = Literal["page", "leaderboard", "tensorboard", "mlflow", "wandb"]
-Kind = Annotated[Literal["crops", "failures", "epi", "time", "k"], tyro.conf.Positional]
+Kind = Annotated[Literal["crops", "failures", "epi", "time", "k", "stream"], tyro.conf.Positional]
 
 
 def report(runs: Runs, out: Path | None = None, to: Destination = "page") -> None:
@@ -53,7 +53,8 @@ def figure(
 
     Args:
         kind: crops: a frame with enlarged squares; failures: the worst squares of a method, one per view; epi: an image row along
-            the camera path; time: an image row of a view along time; k: quality and time over the number of source views.
+            the camera path; time: an image row of a view along time; k: quality and time over the number of source views; stream:
+            quality on the screen over pictures per second.
         run: run folder, rendered and scored; of k the folder of a sweep.
         out: PNG, PDF or SVG to write; a name without a suffix writes a PNG and a PDF.
         rule: squares of crops: where methods differ most, or where one method is worst.
