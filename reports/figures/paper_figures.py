@@ -8,9 +8,10 @@ from ggvs_eval.reports.figures.crop_figure import draw_crops, draw_failures
 from ggvs_eval.reports.figures.k_figure import draw_k
 from ggvs_eval.reports.figures.regions import Rule
 from ggvs_eval.reports.figures.slices import write_slices
+from ggvs_eval.reports.figures.stream_figure import draw_rates, rate_panels
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 
-FigureKind = Literal["crops", "failures", "epi", "time", "k"]
+FigureKind = Literal["crops", "failures", "epi", "time", "k", "stream"]
 BOTH = (".png", ".pdf")
 
 
@@ -31,7 +32,8 @@ def write_figure(
 
     Args:
         folder: run folder, rendered and scored; of ``k`` the folder of a sweep.
-        kind: ``crops`` of one frame, ``failures`` of a method, slices ``epi`` and ``time``, or the curves over ``k``.
+        kind: ``crops`` of one frame, ``failures`` of a method, slices ``epi`` and ``time``, the curves over ``k``, or
+            ``stream``: quality on the screen over pictures per second.
         out: file to write; without a suffix both a PNG and a PDF.
         rule: by which crops are chosen, see `ggvs_eval.reports.figures.regions.RULES`.
         method: label whose worst squares are shown; ours, or the first, where None.
@@ -52,6 +54,8 @@ def write_figure(
     if kind in ("epi", "time"):
         return tuple(write_slices(folder, kind, row, view, file) for file in files)
     run = read_run(folder)
+    if kind == "stream":
+        return tuple(draw_rates(rate_panels([run]), file) for file in files)
     label = method or first_choice(run)
     if kind == "failures":
         return draw_failures(run, files, label, boxes)
