@@ -16,7 +16,7 @@ from ggvs_eval.reports.figures.stream_figure import RatePanel, rate_panels
 from ggvs_eval.reports.model.measured import MeasuredRun, name_scenes, read_run
 from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.tables.error_budget import budget_table, decomposition_table
-from ggvs_eval.reports.tables.fitted import fitted_tables, price_tables
+from ggvs_eval.reports.tables.fitted import cost_tables, price_tables
 from ggvs_eval.reports.tables.on_screen import stream_table
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.timing import timing_table
@@ -35,7 +35,7 @@ class RunSection:
         run: the run.
         view_tables: where the error lies, where it varies, and one per metric.
         timing: time per stage.
-        fitted: costs and seeds, where some method is fitted.
+        costs: of every method; time to equal quality and seeds, where some are fitted.
         slices: along the path and over time.
         panels: error curves.
         on_time: what reaches the screen, where the protocol has a stream.
@@ -45,7 +45,7 @@ class RunSection:
     run: MeasuredRun
     view_tables: tuple[Table, ...]
     timing: Table
-    fitted: tuple[Table, ...]
+    costs: tuple[Table, ...]
     slices: Sequence[Slices]
     panels: tuple[Panel, ...]
     on_time: Table | None = None
@@ -90,7 +90,7 @@ class RunGroup:
     @property
     def all_tables(self) -> tuple[Table, ...]:
         """The tables over all runs, then each run's own."""
-        of_runs = (table for one in self.sections for table in (one.on_time, *one.view_tables, one.timing, *one.fitted))
+        of_runs = (table for one in self.sections for table in (one.on_time, *one.view_tables, one.timing, *one.costs))
         return (*self.tables, *self.price, *(table for table in of_runs if table))
 
 
@@ -148,7 +148,7 @@ def _read_section(root: Path, scored: str, scene: str) -> RunSection:
     """The section of a run with these results: a page that grows with every run reads the frames of the earlier ones once."""
     run = read_run(root).called(scene)
     taken_apart = tuple(table for table in (budget_table(run), decomposition_table(run)) if table)
-    tables = taken_apart + view_tables(run), timing_table(run), fitted_tables(run)
+    tables = taken_apart + view_tables(run), timing_table(run), cost_tables(run)
     return RunSection(run, *tables, all_slices(run), curve_panels(run), stream_table(run), rate_panels([run]))
 
 

@@ -263,7 +263,7 @@ def _section(
         "insets": _insets(run, opening),
         "view_tables": section.view_tables,
         "timing": section.timing,
-        "fitted": section.fitted,
+        "costs": section.costs,
         "on_time": section.on_time,
         "rate_panels": section.rate_panels,
         "comparison": comparison,
