@@ -169,6 +169,8 @@ class Stream:
         depth_ms: time of the depth of all sources of a picture; None where it is that of the run: measured where its matcher is
             ``live``, else none, because that depth was computed before.
         stated: times of methods that are not taken from the run.
+        warm_up: instants at the beginning of the clip that are not scored. Methods are ranked where they are measured at the same
+            instants, so their first pictures should be there by then; one that comes later is measured from its own first on.
     """
 
     fps: float
@@ -177,6 +179,7 @@ class Stream:
     pipelined: bool = False
     depth_ms: float | None = None
     stated: tuple[StatedTime, ...] = ()
+    warm_up: int = 0
 
 
 @dataclass(frozen=True)
@@ -335,6 +338,7 @@ def checked_protocol(protocol: Protocol, file: str) -> Protocol:
         "measurement.lpips_every must be at least 1": measurement.lpips_every >= 1,
         f"{', '.join(streamed)} of measurement.metrics need a table [stream] with its fps": not streamed or stream is not None,
         "stream.fps and stream.deadline_ms must be positive": stream is None or (stream.fps > 0 and stream.deadline_ms > 0),
+        "stream.warm_up must leave an instant": stream is None or 0 <= stream.warm_up < protocol.frames.count,
         "stream.depth_ms and stream.stated must have no negative time": min(times_ms, default=0.0) >= 0,
         "stream.stated must name each method once, with a time": len({*labels}) == len(labels)
         and (stream is None or all(each.ms for each in stream.stated)),

@@ -30,16 +30,18 @@ class Screen:
         shown: frame number, counted from the clip's first, of the picture at each instant; None while there is none yet.
         latencies_s: from the capture of each picture that is shown to its being ready, in their order.
         per_second: pictures that the method can make in a second; infinite where it takes no time.
+        warm_up: instants at the beginning that are not scored.
     """
 
     shown: tuple[int | None, ...]
     latencies_s: tuple[float, ...]
     per_second: float
+    warm_up: int = 0
 
     @property
     def first(self) -> int | None:
-        """First instant with a picture; None where there is none in the whole clip."""
-        return next((at for at, frame in enumerate(self.shown) if frame is not None), None)
+        """First instant that is scored: one with a picture, behind the warm-up; None where there is none in the whole clip."""
+        return next((at for at, frame in enumerate(self.shown) if at >= self.warm_up and frame is not None), None)
 
     def record(self) -> dict[str, Any]:
         """Counts and times as JSON values: of the instants from the first picture on, and of those before it (``dark``)."""
@@ -98,7 +100,7 @@ def on_screen(stages_s: Sequence[float], count: int, stream: Stream) -> Screen:
         shown.append(done[-1] if done else None)
     waits = {number: time - number for time, number in ready}
     latencies = tuple(waits[number] / stream.fps for number in sorted({each for each in shown if each is not None}))
-    return Screen(tuple(shown), latencies, stream.fps / busy if busy else math.inf)
+    return Screen(tuple(shown), latencies, stream.fps / busy if busy else math.inf, stream.warm_up)
 
 
 @dataclass(frozen=True, kw_only=True)

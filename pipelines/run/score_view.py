@@ -77,7 +77,7 @@ def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, An
 
 def _on_screen_identity(measurement: Measurement, options: MetricOptions, screen: Screen | str) -> dict[str, Any]:
     """The same of the metrics of the screen, which depend on what stands on it, too."""
-    seen = {"absent": screen} if isinstance(screen, str) else {"shown": list(screen.shown)}
+    seen = {"absent": screen} if isinstance(screen, str) else {"shown": list(screen.shown), "first": screen.first}
     metrics = scored_on_screen(measurement.metrics)
     return {metric.name: _metric_identity(metric.of, options) | {"code": metric_code(metric)} | seen for metric in metrics}
 
@@ -210,7 +210,7 @@ def _score_screen(
     protocol: Protocol,
     options: MetricOptions,
 ) -> dict[str, Any]:
-    """Metrics of what stands on the screen, from the first instant at which anything does."""
+    """Metrics of what stands on the screen, from the first instant on that is scored."""
     if isinstance(screen, str):
         return {"values": [], "not_computed": dict.fromkeys(metrics, screen)}
     start, folder = protocol.frames.start, run.renders(label, view)
@@ -225,9 +225,11 @@ def _score_screen(
     lit = range(start + first, protocol.frames.numbers.stop)
     plain = [name.removesuffix(ON_SCREEN) for name in metrics]
     (record,) = _score_methods(run, view, [shown], (lit,), plain, protocol, options)
+    measured = {name for name, _, _ in record["values"]}
+    reasons = {name: f"of the instants from {lit[0]} on it looks at none" for name in plain if name not in measured}
     return {
         "values": [(f"{name}{ON_SCREEN}", frame, value) for name, frame, value in record["values"]],
-        "not_computed": {f"{name}{ON_SCREEN}": reason for name, reason in record["not_computed"].items()},
+        "not_computed": {f"{name}{ON_SCREEN}": why for name, why in (reasons | record["not_computed"]).items()},
     }
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.protocol import ON_SCREEN
 from ggvs_eval.reports.figures.curves import Curve, Panel, with_margin
 from ggvs_eval.reports.figures.k_figure import SECONDS, SWEEP_FILE, USUAL, read_k_table
 from ggvs_eval.reports.figures.stream_figure import RatePanel, rate_panels
@@ -101,7 +102,7 @@ def _measured_on(sweep: Path) -> str:
 def _table(sweep: Path, notes: Mapping[str, MetricNote], caption: str) -> Table:
     lines = pd.read_csv(sweep / SWEEP_FILE).fillna({"capture": ""})
     levels = [name for name in ("method", "variant", "capture") if name in lines]
-    metrics = [name for name in lines.columns if name not in levels]
+    metrics = sorted((name for name in lines.columns if name not in levels), key=lambda name: not name.endswith(ON_SCREEN))
     columns = tuple(_column(metric, notes) for metric in metrics)
     rows = [
         Row(

@@ -30,12 +30,15 @@ def stream_table(run: MeasuredRun) -> Table | None:
         Row(run.name(label), _cells(record["methods"].get(label, {"absent": "not scored"}), stream), _kind(run, label))
         for label in run.labels
     ]
-    count = run.protocol.frames.count
     caption = (
-        f"{count} frames of one view at {stream.fps:g} per second. {_policy(stream)} Times are medians of this run "
-        f"(stated ones where the protocol states them), {record['depth']}."
+        f"{run.protocol.frames.count} frames of one view at {stream.fps:g} per second, {_scored(stream)}. {_policy(stream)} "
+        f"Times are medians of this run (stated ones where the protocol states them), {record['depth']}."
     )
     return Table("on_time", "What reaches the screen, and when", caption, COLUMNS, rank(COLUMNS, rows), run.scene)
+
+
+def _scored(stream: Stream) -> str:
+    return f"the first {stream.warm_up} not scored" if stream.warm_up else "all scored from a method's first picture on"
 
 
 def _policy(stream: Stream) -> str:

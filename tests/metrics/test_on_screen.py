@@ -54,6 +54,15 @@ def test_a_pipeline_raises_the_rate_and_no_picture_is_sooner():
     assert len(set(pipelined.shown)) > len(set(single.shown))
 
 
+def test_a_warm_up_is_not_scored():
+    """What stands on the screen is the same; the first instant that counts is behind it, or the first picture if later."""
+    plain, warm = (on_screen([0.1], 12, Stream(fps=30, warm_up=each)) for each in (0, 6))
+
+    assert plain.shown == warm.shown
+    assert (plain.first, warm.first) == (3, 6)
+    assert on_screen([0.1], 12, Stream(fps=30, warm_up=2)).first == 3
+
+
 def test_the_newest_frame_is_begun():
     """1.5 frames of work: frames 0, 1 (half a frame late), 3, 4, 6, ...; every third is lost."""
     screen = on_screen([1.5 / 30], 12, THIRTY)

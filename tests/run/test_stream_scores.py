@@ -123,6 +123,17 @@ def test_scores_are_stale_when_the_screen_changes_and_not_when_a_time_does(tmp_p
     assert not score(run).table.duplicated(["view", "frame", "metric"]).any()
 
 
+def test_a_metric_of_every_so_many_frames_that_meets_no_instant_says_so(tmp_path):
+    """LPIPS at every eighth frame looks at the first alone, which has no picture yet."""
+    run = run_of(tmp_path, Stream(fps=FPS), {"slow": (100.0,)})
+    protocol = run.protocol()
+    measurement = replace(protocol.measurement, metrics=("PSNR", "LPIPS", "LPIPS_stream"), lpips_every=8)
+    run.protocol_file.write_text(replace(protocol, measurement=measurement).to_toml())
+
+    assert "LPIPS_stream" in score(run).not_computed
+    assert measured(run, "slow")["not_computed"]["LPIPS_stream"] == "of the instants from 1 on it looks at none"
+
+
 @pytest.mark.parametrize(
     ("record", "reason"),
     [
@@ -181,6 +192,7 @@ def test_the_protocol_keeps_its_stream(tmp_path):
         (replace(streamed, stream=Stream(fps=0)), "stream.fps"),
         (replace(streamed, stream=Stream(fps=30, depth_ms=-1)), "stream.depth_ms"),
         (replace(streamed, stream=Stream(fps=30, stated=(StatedTime("mine", ()),))), "stream.stated"),
+        (replace(streamed, stream=Stream(fps=30.0, warm_up=24)), "stream.warm_up"),
         (with_metrics(plain, "PSNR_stream"), r"PSNR_stream .* \[stream\]"),
     ):
         file.write_text(broken.to_toml())
