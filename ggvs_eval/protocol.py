@@ -224,11 +224,15 @@ class Protocol:
         return dataclasses.replace(self, frames=frames_kept, path=path)
 
     def streamed(self, stream: Stream) -> "Protocol":
-        """The protocol with these conditions, by its metrics and those of them that there are of the screen; its own stay."""
+        """The protocol with these conditions, by its metrics and those of them that there are of the screen; its own stay.
+
+        The warm-up is at most half of the protocol's instants.
+        """
         names = self.measurement.metrics
         added = tuple(f"{name}{ON_SCREEN}" for name in STREAMED if name in names and f"{name}{ON_SCREEN}" not in names)
         measurement = dataclasses.replace(self.measurement, metrics=names + added)
-        return dataclasses.replace(self, measurement=measurement, stream=self.stream or stream)
+        fitting = dataclasses.replace(stream, warm_up=min(stream.warm_up, self.frames.count // 2))
+        return dataclasses.replace(self, measurement=measurement, stream=self.stream or fitting)
 
     @property
     def sha256(self) -> str:

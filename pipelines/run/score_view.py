@@ -226,7 +226,9 @@ def _score_screen(
     plain = [name.removesuffix(ON_SCREEN) for name in metrics]
     (record,) = _score_methods(run, view, [shown], (lit,), plain, protocol, options)
     measured = {name for name, _, _ in record["values"]}
-    reasons = {name: f"of the instants from {lit[0]} on it looks at none" for name in plain if name not in measured}
+    reasons = {
+        name: f"no instant from {lit[0]} on is one that it looks at (lpips_every)" for name in plain if name not in measured
+    }
     return {
         "values": [(f"{name}{ON_SCREEN}", frame, value) for name, frame, value in record["values"]],
         "not_computed": {f"{name}{ON_SCREEN}": why for name, why in (reasons | record["not_computed"]).items()},

@@ -120,7 +120,6 @@ def draw_rates(panels: Sequence[RatePanel], out: Path) -> Path:
         ResultsError: no panels.
     """
     from matplotlib.figure import Figure
-    from matplotlib.ticker import NullFormatter, ScalarFormatter
 
     if not panels:
         raise ResultsError(f"{out}: no method is on a screen in these runs; {AN_EXAMPLE}")
@@ -139,8 +138,9 @@ def draw_rates(panels: Sequence[RatePanel], out: Path) -> Path:
         unit = f" ({panel.axes.unit})" if panel.axes.unit else ""
         axes.set_ylabel(f"{panel.axes.metric}{unit} on the screen", fontsize=7)
         axes.set_xlabel("pictures per second", fontsize=7)
-        axes.xaxis.set_major_formatter(ScalarFormatter())
-        axes.xaxis.set_minor_formatter(NullFormatter())
+        texts = [text for _, text in panel.rate_ticks()]
+        axes.set_xticks([float(text) for text in texts], texts)
+        axes.set_xticks([], minor=True)
         axes.tick_params(labelsize=6)
         axes.grid(alpha=0.25, linewidth=0.5)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize=6, frameon=False)

@@ -40,6 +40,7 @@ COST_COLUMNS = (
     Column("size", "MB/frame", describe="of the scene, over its instants"),
     Column("seeds", describe="fits by another seed that were measured too, and the first"),
 )
+NOTHING = {NOT_FITTED, UNRECORDED.text}  # a column of these alone is left out
 STATED_DB = 30.0  # a PSNR that a fit may be asked for, beside those of the methods that need none
 
 
@@ -70,9 +71,9 @@ def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> T
     }
     if not any(cell.value is not None for line in lines.values() for cell in line):
         return None
-    kept = [at for at, column in enumerate(COST_COLUMNS) if any(line[at].text != NOT_FITTED for line in lines.values())]
+    kept = [at for at, _ in enumerate(COST_COLUMNS) if {line[at].text for line in lines.values()} - NOTHING]
     rows = [Row(run.name(label), tuple(line[at] for at in kept), _kind(run, label)) for label, line in lines.items()]
-    caption = "Peak memory: of the process, what it had loaded for other methods before included."
+    caption = "Peak memory: of the process, with what it had loaded for other methods before."
     if fits:
         folds = " · ".join(", ".join(fold) for fold in run.protocol.views.folds)
         caption = (

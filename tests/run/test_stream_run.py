@@ -10,7 +10,7 @@ from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.protocol import Stream
 from ggvs_eval.results import Results
-from ggvs_eval.run_folder import RunFolder, read_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.sweep import Sweep, SweepRow, load_sweep
 from helpers.small_runs import small_protocol, write_small_capture
 
@@ -44,6 +44,7 @@ def test_live_depth_counts_and_is_timed_once(capture, tmp_path):
         assert stream["methods"][label]["stages_ms"]["depth"] > 0
     assert "shrink" in stream["methods"][LABELS[1]]["stages_ms"]
     assert "live" in stream["depth"]
+    assert read_json(run.renders(LABELS[0], "cam00") / JOB_FILE)["peak_bytes"] > 50e6
     evaluated(tmp_path / "live", capture, "live")
     assert run.live_depth_record.read_bytes() == timed
     summary = Results.read(run.root).summary().droplevel("dataset")
@@ -68,7 +69,7 @@ def test_a_sweep_streams_every_variant_and_a_protocols_own_stays():
 
     assert {variant.synthesis.k for variant in variants.values()} == set(sweep.k)
     for variant in variants.values():
-        assert variant.stream == sweep.stream == Stream(fps=30.0)
+        assert variant.stream == Stream(fps=30.0, warm_up=1)  # of three frames at most half
         assert variant.measurement.metrics == ("PSNR", "L1", "TCC", "TCC_stream", "PSNR_stream")
     own = replace(protocol, stream=STREAM)
     assert {each.stream for each in sweep.protocols(own, 6).values()} == {STREAM}

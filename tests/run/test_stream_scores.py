@@ -131,7 +131,7 @@ def test_a_metric_of_every_so_many_frames_that_meets_no_instant_says_so(tmp_path
     run.protocol_file.write_text(replace(protocol, measurement=measurement).to_toml())
 
     assert "LPIPS_stream" in score(run).not_computed
-    assert measured(run, "slow")["not_computed"]["LPIPS_stream"] == "of the instants from 1 on it looks at none"
+    assert measured(run, "slow")["not_computed"]["LPIPS_stream"] == "no instant from 1 on is one that it looks at (lpips_every)"
 
 
 @pytest.mark.parametrize(
