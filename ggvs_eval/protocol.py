@@ -13,6 +13,9 @@ from ggvs_eval.files.images import ResizeFilter
 from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
 from ggvs_eval.geometry.source_views import SourceChoice
 
+STREAMED = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")
+ON_SCREEN = "_stream"  # behind the name of a metric: of what stands on the screen, see `Stream`
+
 
 @dataclass(frozen=True)
 class Views:
@@ -137,12 +140,56 @@ class Measurement:
 
 
 @dataclass(frozen=True)
+class StatedTime:
+    """Time of a picture of a method where it is stated and not measured: of frames rendered elsewhere, or on another machine.
+
+    Attributes:
+        method: its label.
+        ms: milliseconds of each of its stages, in order.
+    """
+
+    method: str
+    ms: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Conditions under which pictures reach a screen, for scores of what a viewer sees at every instant.
+
+    See `ggvs_eval.metrics.time.on_screen`. A method's clock is the median time of each of its stages as the run has recorded it,
+    or what is stated here.
+
+    Attributes:
+        fps: frames per second at which the cameras deliver.
+        policy: a method begins with the newest frame whenever it is free, and what it passes over is lost. By ``drop`` each
+            picture is shown as soon as it is ready; by ``deadline`` one that is not ready in time is never shown.
+        deadline_ms: time from the capture of a frame to its picture that ``deadline`` allows; 150 ms is the delay up to which
+            ITU-T G.114 finds a conversation undisturbed.
+        pipelined: the stages of a method work on different frames at once: more pictures per second, none of them sooner.
+        depth_ms: time of the depth of all sources of a picture; None where it is that of the run: measured where its matcher is
+            ``live``, else none, because that depth was computed before.
+        stated: times of methods that are not taken from the run.
+        warm_up: instants at the beginning of the clip that are not scored. Methods are ranked where they are measured at the same
+            instants, so their first pictures should be there by then; one that comes later is measured from its own first on.
+    """
+
+    fps: float
+    policy: Literal["drop", "deadline"] = "drop"
+    deadline_ms: float = 150.0
+    pipelined: bool = False
+    depth_ms: float | None = None
+    stated: tuple[StatedTime, ...] = ()
+    warm_up: int = 0
+
+
+@dataclass(frozen=True)
 class Protocol:
     """One evaluation protocol; equal protocols have equal hashes, whatever file they came from.
 
     Attributes:
         name: what the protocol is called.
         dataset: name of the data in tables; published values are shown beside measured ones only under the same name.
+        stream: how pictures reach a screen, for metrics such as ``PSNR_stream``; None where every picture is waited for.
     """
 
     name: str
@@ -152,6 +199,7 @@ class Protocol:
     synthesis: Synthesis
     measurement: Measurement
     path: CameraPath = CameraPath()
+    stream: Stream | None = None
 
     def with_folds(self, folds: tuple[tuple[str, ...], ...]) -> "Protocol":
         """The protocol with these folds stated, or with none."""
@@ -174,6 +222,17 @@ class Protocol:
             raise ProtocolError(f"protocol: wanted one frame or more and no negative number of poses, got {frames}, {path_poses}")
         frames_kept, path = dataclasses.replace(self.frames, count=count), dataclasses.replace(self.path, poses=poses)
         return dataclasses.replace(self, frames=frames_kept, path=path)
+
+    def streamed(self, stream: Stream) -> "Protocol":
+        """The protocol with these conditions, by its metrics and those of them that there are of the screen; its own stay.
+
+        The warm-up is at most half of the protocol's instants.
+        """
+        names = self.measurement.metrics
+        added = tuple(f"{name}{ON_SCREEN}" for name in STREAMED if name in names and f"{name}{ON_SCREEN}" not in names)
+        measurement = dataclasses.replace(self.measurement, metrics=names + added)
+        fitting = dataclasses.replace(stream, warm_up=min(stream.warm_up, self.frames.count // 2))
+        return dataclasses.replace(self, measurement=measurement, stream=self.stream or fitting)
 
     @property
     def sha256(self) -> str:
@@ -198,6 +257,10 @@ class Protocol:
                 del values["views"][name]
         if not self.views.keep_unsynced:
             del values["views"]["keep_unsynced"]
+        if self.stream is None:
+            del values["stream"]
+        elif self.stream.depth_ms is None:
+            del values["stream"]["depth_ms"]
         return values
 
     def to_toml(self) -> str:
@@ -236,7 +299,7 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
             raise ProtocolError(f"protocol {str(source)!r} is not packaged; use {choice}")
         text = (resources.files("ggvs_eval") / "protocols" / f"{source}.toml").read_text(encoding="utf-8")
         values = parse_toml(text, str(source), ProtocolError)
-    return _checked(build_table(Protocol, values, str(source), "", ProtocolError), str(source))
+    return checked_protocol(build_table(Protocol, values, str(source), "", ProtocolError), str(source))
 
 
 def packaged_protocols() -> list[str]:
@@ -250,8 +313,12 @@ def packaged_protocols() -> list[str]:
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
-def _checked(protocol: Protocol, file: str) -> Protocol:
-    synthesis, measurement = protocol.synthesis, protocol.measurement
+def checked_protocol(protocol: Protocol, file: str) -> Protocol:
+    """Refuse values of the right type that make no sense, naming the rule and the file where they stand."""
+    synthesis, measurement, stream = protocol.synthesis, protocol.measurement, protocol.stream
+    streamed = [name for name in measurement.metrics if name.endswith(ON_SCREEN)]
+    times_ms = [] if stream is None else [stream.depth_ms or 0.0, *(ms for each in stream.stated for ms in each.ms)]
+    labels = [] if stream is None else [each.method for each in stream.stated]
     views, folded = protocol.views.test, [view for fold in protocol.views.folds for view in fold]
     rules = {
         "views.test must name each test view once, and at least one": views and len(set(views)) == len(views),
@@ -266,6 +333,12 @@ def _checked(protocol: Protocol, file: str) -> Protocol:
         "measurement.metrics must name at least one metric": measurement.metrics,
         "measurement.ddof must be 0 or 1": measurement.ddof in (0, 1),
         "measurement.lpips_every must be at least 1": measurement.lpips_every >= 1,
+        f"{', '.join(streamed)} of measurement.metrics need a table [stream] with its fps": not streamed or stream is not None,
+        "stream.fps and stream.deadline_ms must be positive": stream is None or (stream.fps > 0 and stream.deadline_ms > 0),
+        "stream.warm_up must leave an instant": stream is None or 0 <= stream.warm_up < protocol.frames.count,
+        "stream.depth_ms and stream.stated must have no negative time": min(times_ms, default=0.0) >= 0,
+        "stream.stated must name each method once, with a time": len({*labels}) == len(labels)
+        and (stream is None or all(each.ms for each in stream.stated)),
     }
     for rule, holds in rules.items():
         if not holds:

@@ -15,6 +15,7 @@
     RUN/path_scores/<method>/job.json            view consistency of every method along the path
     RUN/disoccluded/<view>/<frame>.png           white where no source camera sees the view
     RUN/ceilings/<view>/job.json                 what perfect renderings of the view would score
+    RUN/live_depth.json  stream.json             seconds of live depth; what each method has on the screen, where asked for
     RUN/scores/<view>/job.json                   values of every method in one view
     RUN/results.parquet  results.json            every value in one table, and where it comes from
     RUN/report/index.html                        the page
@@ -54,6 +55,16 @@ class RunFolder:
     def depth_record(self) -> Path:
         """File of the options by which that depth is found."""
         return self.root / "depth.json"
+
+    @property
+    def live_depth_record(self) -> Path:
+        """File of the seconds that live depth took; only where its time counts."""
+        return self.root / "live_depth.json"
+
+    @property
+    def stream_record(self) -> Path:
+        """File of what each method has on the screen while frames keep coming; only where the protocol asks for it."""
+        return self.root / "stream.json"
 
     @property
     def report(self) -> Path:

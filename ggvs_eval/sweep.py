@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ggvs_eval.errors import ProtocolError, did_you_mean
 from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
-from ggvs_eval.protocol import Protocol
+from ggvs_eval.protocol import Protocol, Stream
 
 RENDERED, SPLATS = "rendered:", "splats:"
 CAPTURE = "{capture}"
@@ -63,6 +63,7 @@ class Sweep:
         row: the methods, in the order of the table.
         k: numbers of source cameras; the protocol's own where empty, and beside these where a row wants it.
         all_cameras: also with every camera as a source, but the one that is synthesised.
+        stream: how pictures reach a screen, where the sweep is of what a viewer sees; a protocol's own stays.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Sweep:
     row: tuple[SweepRow, ...]
     k: tuple[int, ...] = ()
     all_cameras: bool = False
+    stream: Stream | None = None
 
     def protocols(self, protocol: Protocol, cameras: int) -> dict[str, Protocol]:
         """One protocol per variant, by the name of its run folder: ``k4``, or the protocol's own name where only K = its own.
@@ -77,6 +79,7 @@ class Sweep:
         Args:
             cameras: of the capture; a K of the sweep that it cannot serve has no variant.
         """
+        protocol = protocol if self.stream is None else protocol.streamed(self.stream)
         own, most = protocol.synthesis.k, cameras - 1
         k_values = {*self.k, *([own] if not self.k or any(row.only_own_k for row in self.row) else [])}
         k_values |= {most} if self.all_cameras else set()

@@ -39,6 +39,7 @@ from ggvs_eval.metrics.time.colour_video_vdp import CVVDP
 from ggvs_eval.metrics.time.depth_variation import DEPTH_BLINKING, DEPTH_MTV, DEPTH_MTV2, DEPTH_SHARPNESS
 from ggvs_eval.metrics.time.deviations import SDT, SDV
 from ggvs_eval.metrics.time.flicker import FLICKER, FLICKER_EXCESS
+from ggvs_eval.metrics.time.on_screen import ScreenMetric, metrics_on_screen
 from ggvs_eval.metrics.time.strred import STED, STED_SSN
 from ggvs_eval.metrics.time.tcc import TCC
 from ggvs_eval.metrics.time.temporal_variation import MTV, MTV2
@@ -52,6 +53,7 @@ _ALL: tuple[Metric, ...] = (
     *metrics_of_parts((*_OF_IMAGES, TCC)),
     *(TCC, STED, STED_SSN, FLICKER, FLICKER_EXCESS, SDT, SDV),
     *(VMAF, CVVDP),
+    *metrics_on_screen((PSNR, SSIM, LPIPS, TCC, STED)),
     *(MTV, SHARPNESS, MTV2),
     *(EPI_COHERENCE, EPI_LINE_TEXTURE, EPI_SLOPE_ERROR, EPI_SLOPE_AGREEING),
     *(REPROJECTION, REPROJECTION_VISIBLE, E_WARP, PATH_SHARPNESS, SWITCH_RATIO, SWITCH_EXCESS),
@@ -105,6 +107,11 @@ def scored_by_view(names: Iterable[str]) -> tuple[ViewMetric, ...]:
     view_names = {metric.part if isinstance(metric, TableMetric) else metric.name for metric in asked}
     chosen = (METRICS[name] for name in METRICS if name in view_names)
     return tuple(metric for metric in chosen if isinstance(metric, ViewMetric))
+
+
+def scored_on_screen(names: Iterable[str]) -> tuple[ScreenMetric, ...]:
+    """Select the metrics that are of what stands on the screen."""
+    return tuple(metric for metric in select_metrics(names) if isinstance(metric, ScreenMetric))
 
 
 def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_map: ColourMap | None) -> list[Scorer]:

@@ -12,6 +12,7 @@ from ggvs_eval.reports.figures.k_figure import draw_k
 from ggvs_eval.reports.figures.paper_figures import first_choice
 from ggvs_eval.reports.figures.regions import RULES, Rule, find_regions
 from ggvs_eval.reports.figures.slices import draw_slices
+from ggvs_eval.reports.figures.stream_figure import draw_rates
 from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.page.sweep_section import is_sweep, sweep_runs, sweep_section
@@ -116,6 +117,8 @@ def write_report(
         for index, sweep in enumerate((*sweeps, *tables_of)):
             if swept[index].panels:
                 draw_k(sweep, out / "figures" / f"k{index or ''}.png")
+            if swept[index].rates:
+                draw_rates(swept[index].rates, out / "figures" / f"stream{index or ''}.png")
     return page
 
 
@@ -128,5 +131,7 @@ def _draw_figures(section: RunSection, folder: Path) -> None:
         regions = find_regions(section.run, rule, label, 2)
         draw_crops(section.run, [folder / "crops.png"], regions, RULES[rule].format(name=section.run.name(label)))
         draw_failures(section.run, [folder / "failures.png"], label)
+    if section.rate_panels:
+        draw_rates(section.rate_panels, folder / "stream.png")
     for metric in dict.fromkeys(panel.metric for panel in section.panels):
         draw_curves([panel for panel in section.panels if panel.metric == metric], folder / f"curves_{metric}.png")

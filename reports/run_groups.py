@@ -12,10 +12,12 @@ from ggvs_eval.merged_results import merge_results
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.figures.curves import Panel, curve_panels
 from ggvs_eval.reports.figures.slices import Slices, all_slices
+from ggvs_eval.reports.figures.stream_figure import RatePanel, rate_panels
 from ggvs_eval.reports.model.measured import MeasuredRun, name_scenes, read_run
 from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.tables.error_budget import budget_table, decomposition_table
-from ggvs_eval.reports.tables.fitted import fitted_tables, price_tables
+from ggvs_eval.reports.tables.fitted import cost_tables, price_tables
+from ggvs_eval.reports.tables.on_screen import stream_table
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.timing import timing_table
 from ggvs_eval.results import Results
@@ -31,16 +33,20 @@ class RunSection:
 
     Attributes:
         view_tables: where the error lies, where it varies, and one per metric.
-        fitted: costs and seeds, where some method is fitted.
+        costs: of every method; time to equal quality and seeds, where some are fitted.
         slices: along the path and over time.
+        on_time: what reaches the screen, where the protocol has a stream.
+        rate_panels: quality on the screen over pictures per second.
     """
 
     run: MeasuredRun
     view_tables: tuple[Table, ...]
     timing: Table
-    fitted: tuple[Table, ...]
+    costs: tuple[Table, ...]
     slices: Sequence[Slices]
     panels: tuple[Panel, ...]
+    on_time: Table | None = None
+    rate_panels: tuple[RatePanel, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -80,8 +86,8 @@ class RunGroup:
     @property
     def all_tables(self) -> tuple[Table, ...]:
         """The tables over all runs, then each run's own."""
-        of_runs = (table for one in self.sections for table in (*one.view_tables, one.timing, *one.fitted))
-        return (*self.tables, *self.price, *of_runs)
+        of_runs = (table for one in self.sections for table in (one.on_time, *one.view_tables, one.timing, *one.costs))
+        return (*self.tables, *self.price, *(table for table in of_runs if table))
 
 
 def read_groups(roots: Sequence[Path]) -> tuple[RunGroup, ...]:
@@ -130,8 +136,8 @@ def _read_section(root: Path, scored: str, scene: str) -> RunSection:
     """The section of a run with these results: a page that grows with every run reads the frames of the earlier ones once."""
     run = read_run(root).called(scene)
     taken_apart = tuple(table for table in (budget_table(run), decomposition_table(run)) if table)
-    tables = taken_apart + view_tables(run), timing_table(run), fitted_tables(run)
-    return RunSection(run, *tables, all_slices(run), curve_panels(run))
+    tables = taken_apart + view_tables(run), timing_table(run), cost_tables(run)
+    return RunSection(run, *tables, all_slices(run), curve_panels(run), stream_table(run), rate_panels([run]))
 
 
 def _name_groups(firsts: Sequence[MeasuredRun], scenes: Sequence[str]) -> list[str]:

@@ -1,11 +1,14 @@
 """Memory that this machine, or the container we are in, still has for another process."""
 
+import threading
 from collections.abc import Iterable
 from pathlib import Path
 
 CGROUP = Path("/sys/fs/cgroup")
 MEMINFO = Path("/proc/meminfo")
+SELF = Path("/proc/self")
 KIB = 1024
+SAMPLED_EVERY_S = 0.05
 
 
 def available_bytes(meminfo: Path = MEMINFO, cgroup: Path = CGROUP) -> float:
@@ -32,6 +35,43 @@ def resident_bytes(pids: Iterable[int]) -> tuple[float, float]:
         if held != float("inf"):
             now, most = now + held, max(most, highest)
     return now, most
+
+
+class PeakMemory:
+    """Highest resident memory of this process while a block of code runs, looked at every `SAMPLED_EVERY_S`.
+
+    The kernel's own peak would be exact; it is of the process's whole life, and to reset it would hide from `has_room` what
+    earlier jobs have needed.
+
+    Attributes:
+        bytes: the peak; None where the system does not tell.
+    """
+
+    def __init__(self, process: Path = SELF) -> None:
+        self.bytes: int | None = None
+        self._status, self._is_over = process / "status", threading.Event()
+        self._watcher = threading.Thread(target=self._watch, daemon=True)
+
+    def __enter__(self) -> "PeakMemory":
+        """Begin to look."""
+        self._look()
+        self._watcher.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Look a last time."""
+        self._is_over.set()
+        self._watcher.join()
+        self._look()
+
+    def _watch(self) -> None:
+        while not self._is_over.wait(SAMPLED_EVERY_S):
+            self._look()
+
+    def _look(self) -> None:
+        held = _field(self._status, "VmRSS:", KIB)
+        if held != float("inf"):
+            self.bytes = max(self.bytes or 0, int(held))
 
 
 def has_room(running: int, pids: Iterable[int]) -> bool:

@@ -20,6 +20,7 @@ from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
 from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER, DepthRunOptions
+from ggvs_eval.protocol import Stream, checked_protocol
 from ggvs_eval.synthetic.film.options import DemoOptions
 
 NONE = "(none by default)"
@@ -213,6 +214,7 @@ def protocol(
     checked: Annotated[Path | None, tyro.conf.arg(name="check")] = None,
     frames: int | None = None,
     path_poses: int | None = None,
+    stream: Annotated[float | None, tyro.conf.arg(metavar="FPS")] = None,
     reading: CaptureFlags = CAPTURE_DEFAULTS,
 ) -> None:
     """Propose a protocol for a capture, and say of every camera why it is held out as a test view or not.
@@ -225,6 +227,7 @@ def protocol(
         checked: JSON file that `check` wrote; cameras that it found fault with are not held out, as they would be a wrong truth.
         frames: evaluate the first so many instants, for a first look; up to 100 by default.
         path_poses: poses of the camera path on which consistency over views is measured.
+        stream: also score what is on a screen while cameras deliver so many frames per second, see `Stream` in the docs.
         reading: how the capture is read.
     """
     from ggvs_eval.pipelines.inspection.capture.check import read_doubts
@@ -236,6 +239,8 @@ def protocol(
     opened = reading.open(capture)
     proposal = propose_protocol(opened, read_doubts(checked) if checked else None)
     chosen = proposal.protocol.shortened(frames, path_poses)
+    if stream is not None:
+        chosen = checked_protocol(chosen.streamed(Stream(fps=stream)), "--stream")
     with atomic_file(out) as unfinished:
         unfinished.write_text(chosen.to_toml(), encoding="utf-8")
     print(text_table({"cameras": 0, "why they are held out, or not": 1}, _together(proposal.reasons)))

@@ -11,7 +11,7 @@ Runs = Annotated[
     tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(at least one)")
 ]
 Destination = Literal["page", "leaderboard", "tensorboard", "mlflow", "wandb"]
-Kind = Annotated[Literal["crops", "failures", "epi", "time", "k", "video"], tyro.conf.Positional]
+Kind = Annotated[Literal["crops", "failures", "epi", "time", "k", "stream", "video"], tyro.conf.Positional]
 
 
 def report(
@@ -66,8 +66,8 @@ def figure(
 
     Args:
         kind: crops: a frame with enlarged squares; failures: the worst squares of a method, one per view; epi: an image row along
-            the camera path; time: an image row of a view along time; k: quality and time over the number of source views; video:
-            the methods beside each other, for a supplement.
+            the camera path; time: an image row of a view along time; k: quality and time over the number of source views; stream:
+            quality on the screen over pictures per second; video: the methods beside each other, for a supplement.
         run: run folder, rendered and scored; of k the folder of a sweep.
         out: PNG, PDF or SVG to write, MP4 of a video; a name without a suffix writes a PNG and a PDF.
         rule: squares of crops: where methods differ most, or where one method is worst.

@@ -194,7 +194,8 @@ def sweep(
     What fails is listed at the end and does not stop the rest; the same call tries it again, and only it.
 
     Args:
-        name: a packaged sweep (ablations, ablations_short, baselines, k, offline, online, readings, switches) or a .toml file.
+        name: a packaged sweep (ablations, ablations_short, baselines, budget, k, offline, online, readings, stream,
+            switches) or a .toml file.
         out: folder of the sweep; each variant is a run folder in it, of several captures in a folder called like the capture.
         capture: folder of the capture, or of several, whose means are then shown too; without one the demo capture is made.
         protocol: what the variants start from; by default the packaged one that fits the capture.

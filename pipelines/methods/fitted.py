@@ -36,11 +36,6 @@ class FittedMethod(SceneMethod):
         """Options of the fitter that the label sets."""
         return dict(self.options)
 
-    @property
-    def has_options(self) -> bool:
-        """Always: a seed at least."""
-        return True
-
     def make_fitter(self) -> SceneFitter:
         """Make the fitter with the options of the label."""
         kind: type[SceneFitter] = resolve_name(self.fitter)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError, did_you_mean
@@ -43,7 +44,7 @@ def weights_takers() -> list[str]:
 
 
 def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec:
-    """The method of that label; ``METHOD+OPTION=VALUE+...`` is one with other `OnlineOptions`.
+    """The method of that label; ``METHOD+OPTION=VALUE+...`` is one with other options, ``METHOD+scale=0.5`` at half the size.
 
     Args:
         label: ``method`` or ``method+variant``.
@@ -57,11 +58,12 @@ def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec
 
 def _found(label: str, checkpoints: Mapping[str, Path]) -> MethodSpec:
     """The method of a label on the CPU."""
-    method, variant = split_label(label)
+    method, _ = split_label(label)
     if method in checkpoints:
         return _with_checkpoint(label, checkpoints[method])
-    if method in METHODS and "=" in variant:
-        return _configured(label, METHODS[method], variant)
+    named = "+".join(takewhile(lambda part: "=" not in part, label.split("+")))  # ours+no-temporal of ours+no-temporal+scale=0.5
+    if named in METHODS and named != label:
+        return METHODS[named].configured(label, label.removeprefix(f"{named}+"))
     if label not in METHODS and ":" in label:
         return _checked(label, imported(label))
     if label not in METHODS:
@@ -79,13 +81,6 @@ def _with_checkpoint(label: str, checkpoint: Path) -> MethodSpec:
         raise RenderError(f"method {label}: {spec.title} takes no weights from outside; these do: {', '.join(weights_takers())}")
     title = spec.title_from or spec.title
     return replace(spec, title=title, factory=partial(spec.make_from, checkpoint), make_from=None, weights=(checkpoint,))
-
-
-def _configured(label: str, spec: MethodSpec, variant: str) -> MethodSpec:
-    if not spec.has_options:
-        able = ", ".join(name for name, each in METHODS.shipped.items() if each.has_options)
-        raise RenderError(f"method {label}: {spec.title} has no options to set; these have: {able}")
-    return spec.configured(label, variant)
 
 
 def split_label(label: str) -> tuple[str, str]:

@@ -52,11 +52,6 @@ class MethodSpec(ABC):
         """Options of its classes that the label fixes, by name; neither files nor the device, which are recorded apart."""
         return {}
 
-    @property
-    def has_options(self) -> bool:
-        """Tell whether a label can set options of it, see `configured`."""
-        return False
-
     @abstractmethod
     def make(self) -> Method:
         """Make a fresh object that renders one sequence.
@@ -87,7 +82,7 @@ class MethodSpec(ABC):
         Raises:
             RenderError: options that it does not have.
         """
-        raise RenderError(f"method {label}: {self.title} has no options to set, got {variant}; see has_options")
+        raise RenderError(f"method {label}: {self.title} has no options to set, got {variant}")
 
     def on(self, _device: str) -> "MethodSpec":
         """The method with its networks on a device; one without networks stays as it is."""
@@ -104,7 +99,8 @@ class OnlineMethod(MethodSpec):
         checkpoint: what the user can give instead of weights that ship, or has to give where none do.
         make_from: builds one with such a checkpoint.
         title_from: how tables call it then, if not by `title`: weights that we trained are labelled so.
-        make_with: builds one with other `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
+        make_with: builds one with other `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``; a label such as
+            ``enerf+scale=0.5`` has any of them render at a fraction of the size.
         device_modules: what it renders with besides on a device that is not the CPU.
     """
 
@@ -121,11 +117,6 @@ class OnlineMethod(MethodSpec):
     def settings(self) -> dict[str, Any]:
         """Keywords of its factory."""
         return _settings(self.factory)
-
-    @property
-    def has_options(self) -> bool:
-        """True of the paper's method."""
-        return self.make_with is not None
 
     def make(self) -> Method:
         """Make a fresh object that renders one sequence."""
@@ -145,14 +136,32 @@ class OnlineMethod(MethodSpec):
         return map(method.step, unit.instants(method))
 
     def configured(self, label: str, variant: str) -> "OnlineMethod":
-        """The method with other `OnlineOptions`."""
+        """The method with other `OnlineOptions`, at a fraction of the size, or both.
+
+        Raises:
+            RenderError: options that it does not have, or a scale that is none.
+        """
         from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 
-        if self.make_with is None:
-            return self
-        options = build_table(OnlineOptions, option_values(variant), f"method {label}", "", RenderError)
-        title = f"{self.title}, {variant.replace('+', ', ')}"
-        return replace(self, title=title, factory=partial(self.make_with, options), usual=False)
+        values = option_values(variant)
+        scale = values.pop("scale", None)
+        spec = replace(self, title=f"{self.title}, {variant.replace('+', ', ')}", usual=False)
+        if values and self.make_with is None:
+            raise RenderError(f"method {label}: {self.title} has no option but scale, got {', '.join(values)}")
+        if values and self.make_with is not None:
+            options = build_table(OnlineOptions, values, f"method {label}", "", RenderError)
+            spec = replace(spec, factory=partial(self.make_with, options))
+        return spec if scale is None else spec._scaled(label, scale)
+
+    def _scaled(self, label: str, scale: Any) -> "OnlineMethod":
+        """The method at a fraction of the size, with any weights."""
+        from ggvs_eval.pipelines.methods.at_scale import at_scale
+
+        if type(scale) is not float or not 0 < scale < 1 or not self.online:
+            raise RenderError(f"method {label}: wanted a scale between 0 and 1 of a method that is online, got {scale!r}")
+        make_from = self.make_from and partial(at_scale, self.make_from, scale=scale)
+        modules = (*self.modules, at_scale.__module__)
+        return replace(self, factory=partial(at_scale, self.factory, scale=scale), make_from=make_from, modules=modules)
 
     def on(self, device: str) -> "OnlineMethod":
         """The method with its networks on a device."""

@@ -10,6 +10,7 @@ from typing import Any
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.jobs.code_identity import code_identity
+from ggvs_eval.jobs.free_memory import PeakMemory
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.run.folds import FitPlan
@@ -62,7 +63,8 @@ def _identity(capture: Capture, fit: FitPlan, spec: FittedMethod) -> dict[str, A
 def _fit(name: str, fitter: SceneFitter, footage: Footage, device: str, folder: Path) -> dict[str, Any]:
     """Fit, or go on; returns the record for the tables."""
     clock = FitClock(name, folder)
-    fitter.fit(footage, folder, clock.note)
+    with PeakMemory() as memory:
+        fitter.fit(footage, folder, clock.note)
     record = {
         "seconds": clock.seconds,
         "instants": len(footage.indices),
@@ -71,6 +73,7 @@ def _fit(name: str, fitter: SceneFitter, footage: Footage, device: str, folder: 
         "seed": footage.seed,
         "size_bytes": fitter.load(folder).size_bytes,
         "threads": get_threads(),
+        "peak_bytes": memory.bytes,
         "machine": _machine(device),
     }
     (folder / TIME_FILE).unlink(missing_ok=True)

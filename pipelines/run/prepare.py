@@ -13,6 +13,7 @@ from ggvs_eval.pipelines.offline.depth.fill_store import prepare_depth
 from ggvs_eval.pipelines.run.claim import claim_folder
 from ggvs_eval.pipelines.run.disocclusion import write_disocclusions
 from ggvs_eval.pipelines.run.frame_cache import cache_frames, cache_path
+from ggvs_eval.pipelines.run.live_depth import time_live_depth
 from ggvs_eval.pipelines.run.path_depth import write_path_depth
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, fit_capture, plan_run
 from ggvs_eval.pipelines.run.score_path import write_path_record
@@ -56,6 +57,7 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
     store = DepthStore(run.depth)
     _write_path_truth(plan)
     _fill_store(plan, store, workers)
+    time_live_depth(plan)
     if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
         views = {view: (each.target, each.depth_keys) for view, each in plan.plans.items()}
         write_disocclusions(plan.capture, views, plan.frames, run.depth, run.root / "disoccluded", workers)

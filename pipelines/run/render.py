@@ -9,6 +9,7 @@ from typing import Any
 from ggvs_eval.errors import ViewRefusedError
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.jobs.code_identity import code_identity
+from ggvs_eval.jobs.free_memory import PeakMemory
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.methods.registry import split_label
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit
@@ -51,15 +52,16 @@ def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
 def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dict[str, Any]:
     """Write the pictures of a unit; returns what job.json records beside the identity: how long each stage of each took."""
     seconds, refused = [], {}
-    try:
-        for (number, _, target), rendering in zip(unit.shots, spec.renderings(unit), strict=True):
-            write_image(frame_path(folder, number), quantise(rendering.image))
-            write_diagnostics(folder, number, rendering.diagnostics, target)
-            seconds.append(rendering.seconds)
-    except ViewRefusedError as error:  # of some poses of a path: it has no picture then
-        shutil.rmtree(folder)
-        folder.mkdir()
-        seconds, refused = [], {REFUSED: str(error)}
+    with PeakMemory() as memory:
+        try:
+            for (number, _, target), rendering in zip(unit.shots, spec.renderings(unit), strict=True):
+                write_image(frame_path(folder, number), quantise(rendering.image))
+                write_diagnostics(folder, number, rendering.diagnostics, target)
+                seconds.append(rendering.seconds)
+        except ViewRefusedError as error:  # of some poses of a path: it has no picture then
+            shutil.rmtree(folder)
+            folder.mkdir()
+            seconds, refused = [], {REFUSED: str(error)}
     method, variant = split_label(label)
     record = {
         "method": method,
@@ -67,6 +69,7 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
         "size": list(unit.plans[0].target.size),
         "seconds": {stage: [frame[stage] for frame in seconds] for stage in (seconds[0] if seconds else ())},
         "threads": get_threads(),
+        "peak_bytes": memory.bytes,
         "versions": installed_versions(),
         **refused,
     }

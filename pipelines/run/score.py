@@ -21,6 +21,7 @@ from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.run.references import ceiling_jobs, find_seen_view, read_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
+from ggvs_eval.pipelines.run.screens import Clock, read_clocks, screens_of, write_screens
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
@@ -37,6 +38,7 @@ class Scores:
         ceilings: a job per test view, where the protocol wants them.
         paths: a job per method along the camera path.
         device: where metrics compute that can.
+        clocks: label -> time of a picture where the protocol has a stream, or why it is not on the screen.
     """
 
     run: RunFolder
@@ -46,6 +48,7 @@ class Scores:
     ceilings: tuple[Job, ...]
     paths: tuple[Job, ...]
     device: str
+    clocks: Mapping[str, Clock | str]
 
     @property
     def jobs(self) -> tuple[Job, ...]:
@@ -62,6 +65,7 @@ class Scores:
             results.provenance.setdefault("devices", {})[METRICS_ON_DEVICE] = describe_device(self.device)
         results.write(self.run.root)
         write_references(self.run, paths, found)
+        write_screens(self.run, self.run.protocol(), self.clocks)
         _write_shown_names(self.run, self.run.protocol(), self.labels)
         return results
 
@@ -101,10 +105,12 @@ def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | 
     views = [view for view in protocol.views.test if units is None or view in units]
     coverage = read_coverage(run, protocol.frames.numbers, labels)
     coverage.require(run, views, labels)
-    of_views = (view_job(run, protocol, coverage, labels, view, device) for view in views)
+    clocks = read_clocks(run, protocol, coverage, labels)
+    screens = screens_of(protocol, clocks)
+    of_views = (view_job(run, protocol, coverage, labels, view, device, screens) for view in views)
     of_paths = path_jobs(run, protocol, labels) if units is None or PATH_VIEW in units else []
     ceilings = ceiling_jobs(run, protocol, views)
-    return Scores(run, tuple(labels), coverage, tuple(of_views), tuple(ceilings), tuple(of_paths), device)
+    return Scores(run, tuple(labels), coverage, tuple(of_views), tuple(ceilings), tuple(of_paths), device, clocks)
 
 
 def _collect(

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from functools import partial
@@ -17,24 +17,39 @@ from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.metric import MetricOptions, ViewMetric
-from ggvs_eval.metrics.registry import METRICS, scored_by_view
+from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen
+from ggvs_eval.metrics.time.on_screen import Screen, ScreenMetric
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
 from ggvs_eval.pipelines.inspection.renders.view_frames import frame_reader
 from ggvs_eval.pipelines.run.coverage import Coverage
 from ggvs_eval.pipelines.run.score_code import checks_code, metric_code
-from ggvs_eval.protocol import Measurement, Protocol
+from ggvs_eval.protocol import ON_SCREEN, Measurement, Protocol
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json
 
+NO_SCREENS: Mapping[str, Screen | str] = {}
+Shown = Callable[[int], Path]  # instant -> file of the picture that is measured at it
+
 
 def view_job(
-    run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], view: str, device: str = "cpu"
+    run: RunFolder,
+    protocol: Protocol,
+    coverage: Coverage,
+    labels: Sequence[str],
+    view: str,
+    device: str = "cpu",
+    screens: Mapping[str, Screen | str] = NO_SCREENS,
 ) -> Job:
-    """The job of one view; in it all values of a method are stale when a frame changes, and one metric when its code does."""
+    """The job of one view; in it all values of a method are stale when a frame changes, and one metric when its code does.
+
+    Args:
+        screens: label -> what is on the screen, or why nothing is, see `read_screens`; a value is stale when that changes, not
+            when a time does.
+    """
     options = metric_options(protocol.measurement, device)
     measurement = protocol.measurement
     metrics = scored_by_view(measurement.metrics)
-    common = {
+    common: dict[str, Any] = {
         "truth": digest_frames(run.truth(view), coverage.numbers),
         "disoccluded": digest_frames(run.disoccluded(view), coverage.numbers),
         "measurement": [str(value) for name, value in vars(measurement).items() if name != "metrics"],
@@ -46,9 +61,10 @@ def view_job(
         label: common
         | {"rendered": digest_frames(run.renders(label, view), coverage.frames(label, view))}
         | coverage.identity(label, view)
+        | {"metrics": common["metrics"] | _on_screen_identity(measurement, options, screens.get(label, ""))}
         for label in stretches
     }
-    work = partial(_score_view, run, view, tuple(labels), identities, stretches, protocol, options)
+    work = partial(_score_view, run, view, tuple(labels), identities, stretches, screens, protocol, options)
     return Job(f"scores of {view}", run.scores(view), identities, work)
 
 
@@ -57,6 +73,13 @@ def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, An
     weights = {} if metric.weights is None else {"weights": metric.weights(options).is_file()}
     elsewhere = {"device": options.device} if metric.on_device and options.device != "cpu" else {}
     return {"code": metric_code(metric)} | weights | elsewhere
+
+
+def _on_screen_identity(measurement: Measurement, options: MetricOptions, screen: Screen | str) -> dict[str, Any]:
+    """The same of the metrics of the screen, which depend on what stands on it, too."""
+    seen = {"absent": screen} if isinstance(screen, str) else {"shown": list(screen.shown), "first": screen.first}
+    metrics = scored_on_screen(measurement.metrics)
+    return {metric.name: _metric_identity(metric.of, options) | {"code": metric_code(metric)} | seen for metric in metrics}
 
 
 def digest_frames(folder: Path, frames: Sequence[int]) -> str:
@@ -76,6 +99,7 @@ def _score_view(
     asked: Sequence[str],
     identities: dict[str, Any],
     stretches: dict[str, tuple[range, ...]],
+    screens: Mapping[str, Screen | str],
     protocol: Protocol,
     options: MetricOptions,
     _folder: Path,
@@ -94,11 +118,17 @@ def _score_view(
         is_checked = "faults" in record and {**record["identity"], "metrics": {}} == {**identity, "metrics": {}}
         methods[label]["faults"] = record["faults"] if is_checked else []
         unchecked += [] if is_checked else [label]
-        if stale := tuple(name for name in identity["metrics"] if name not in fresh):
-            alike[stretches[label], stale].append(label)
+        stale = [name for name in identity["metrics"] if name not in fresh]
+        if waited_for := tuple(name for name in stale if not isinstance(METRICS[name], ScreenMetric)):
+            alike[stretches[label], waited_for].append(label)
+        if streamed := [name for name in stale if isinstance(METRICS[name], ScreenMetric)]:
+            with _computing(options.device):
+                seen = _score_screen(run, view, label, screens[label], streamed, protocol, options)
+            methods[label] |= _replaced(methods[label], seen)
     for (there, metrics), labels in alike.items():
+        shown = [partial(frame_path, run.renders(label, view)) for label in labels]
         with _computing(options.device):
-            scores = _score_methods(run, view, labels, there, metrics, protocol, options)
+            scores = _score_methods(run, view, shown, there, metrics, protocol, options)
         for label, measured in zip(labels, scores, strict=True):
             methods[label] |= _replaced(methods[label], measured)
     checks = QuickChecks(view, frame_reader(run.truth(view)), protocol.frames.numbers)
@@ -146,7 +176,7 @@ def _values_of(metrics: Collection[str], record: Mapping[str, Any], options: Met
 def _score_methods(
     run: RunFolder,
     view: str,
-    labels: Sequence[str],
+    shown: Sequence[Shown],
     stretches: tuple[range, ...],
     metrics: Sequence[str],
     protocol: Protocol,
@@ -159,13 +189,13 @@ def _score_methods(
     """
     from ggvs_eval.metrics.stream import fit_colour_maps, score_views
 
-    measurement, folders = protocol.measurement, [run.renders(label, view) for label in labels]
-    records: list[dict[str, Any]] = [{"values": [], "not_computed": {}} for _ in labels]
+    measurement, truth = protocol.measurement, partial(frame_path, run.truth(view))
+    records: list[dict[str, Any]] = [{"values": [], "not_computed": {}} for _ in shown]
     maps, corrected = None, any(metric.corrects_colours for metric in scored_by_view(metrics))
     if options.colour_scope == "view" and corrected:
-        maps = fit_colour_maps(one for frames in stretches for one in _instants(folders, run.truth(view), frames, measurement))
+        maps = fit_colour_maps(one for frames in stretches for one in _instants(shown, truth, frames, measurement))
     for frames in stretches:
-        instants = _instants(folders, run.truth(view), frames, measurement)
+        instants = _instants(shown, truth, frames, measurement)
         masks = _disoccluded(run.disoccluded(view), frames, measurement)
         placed = replace(options, first_frame=frames.start - protocol.frames.start)
         scored = score_views(instants, metrics, placed, colour_maps=maps, disoccluded=masks)
@@ -177,6 +207,40 @@ def _score_methods(
         measured = {value[0] for value in record["values"]}
         record["not_computed"] = {name: why for name, why in record["not_computed"].items() if name not in measured}
     return records
+
+
+def _score_screen(
+    run: RunFolder,
+    view: str,
+    label: str,
+    screen: Screen | str,
+    metrics: Sequence[str],
+    protocol: Protocol,
+    options: MetricOptions,
+) -> dict[str, Any]:
+    """Metrics of what stands on the screen, from the first instant on that is scored."""
+    if isinstance(screen, str):
+        return {"values": [], "not_computed": dict.fromkeys(metrics, screen)}
+    start, folder = protocol.frames.start, run.renders(label, view)
+    first = screen.first
+    assert first is not None
+
+    def shown(instant: int) -> Path:
+        frame = screen.shown[instant - start]
+        assert frame is not None
+        return frame_path(folder, start + frame)
+
+    lit = range(start + first, protocol.frames.numbers.stop)
+    plain = [name.removesuffix(ON_SCREEN) for name in metrics]
+    (record,) = _score_methods(run, view, [shown], (lit,), plain, protocol, options)
+    measured = {name for name, _, _ in record["values"]}
+    reasons = {
+        name: f"no instant from {lit[0]} on is one that it looks at (lpips_every)" for name in plain if name not in measured
+    }
+    return {
+        "values": [(f"{name}{ON_SCREEN}", frame, value) for name, frame, value in record["values"]],
+        "not_computed": {f"{name}{ON_SCREEN}": why for name, why in (reasons | record["not_computed"]).items()},
+    }
 
 
 def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptions:
@@ -195,7 +259,7 @@ def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptio
 
 def truth_frames(run: RunFolder, view: str, frames: range, measurement: Measurement) -> Iterator[Image8]:
     """The captured frames of a view at the size at which they are measured."""
-    for _, truth in _instants((), run.truth(view), frames, measurement):
+    for _, truth in _instants((), partial(frame_path, run.truth(view)), frames, measurement):
         yield truth
 
 
@@ -214,11 +278,11 @@ def _read_mask(path: Path, measurement: Measurement) -> Mask:
 
 
 def _instants(
-    folders: Sequence[Path], truth: Path, frames: range, measurement: Measurement
+    shown: Sequence[Shown], truth: Shown, frames: range, measurement: Measurement
 ) -> Iterator[tuple[list[Image8], Image8]]:
     """Every method's frame and the true one of each instant, at the size at which they are measured."""
     for index in frames:
-        paths = [frame_path(folder, index) for folder in (*folders, truth)]
+        paths = [picture(index) for picture in (*shown, truth)]
         images = [read_image(path) for path in paths]
         for path, image in zip(paths, images, strict=True):
             if image.shape != images[-1].shape:

@@ -17,6 +17,7 @@ from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose, RenderedP
 from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.metrics.registry import METRICS, derived_rows, scored_by_view, select_metrics
 from ggvs_eval.metrics.stream import fit_colour_maps, score_view
+from ggvs_eval.metrics.time.on_screen import STREAM
 from ggvs_eval.pipelines.run.score_code import PATH_SCORES, metric_code
 from ggvs_eval.pipelines.run.score_view import fresh_metrics
 from ggvs_eval.pipelines.study.clips import Clip, Take
@@ -51,7 +52,7 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
     select_metrics(named)
     if named and ALL not in names:
         return tuple(named)
-    whole = [name for name, metric in METRICS.shipped.items() if metric.group != REGION]
+    whole = [name for name, metric in METRICS.shipped.items() if metric.group not in (REGION, STREAM)]
     return tuple(dict.fromkeys([*(name for name in whole if ALL in names or name not in COSTLY), *named]))
 
 

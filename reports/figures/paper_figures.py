@@ -10,9 +10,10 @@ from ggvs_eval.reports.figures.look import FULL_LOOK, FigureLook, only_methods, 
 from ggvs_eval.reports.figures.regions import RULES, Rule, Square, find_regions, given_regions
 from ggvs_eval.reports.figures.side_by_side import write_side_by_side
 from ggvs_eval.reports.figures.slices import draw_slices, slices_of
+from ggvs_eval.reports.figures.stream_figure import draw_rates, rate_panels
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 
-FigureKind = Literal["crops", "failures", "epi", "time", "k", "video"]
+FigureKind = Literal["crops", "failures", "epi", "time", "k", "stream", "video"]
 BOTH = (".png", ".pdf")
 
 
@@ -37,8 +38,8 @@ def write_figure(
 
     Args:
         folder: run folder, rendered and scored; of ``k`` the folder of a sweep.
-        kind: ``crops`` of one frame, ``failures`` of a method, slices ``epi`` and ``time``, the curves over ``k``, or a ``video``
-            of the methods beside each other.
+        kind: ``crops`` of one frame, ``failures`` of a method, slices ``epi`` and ``time``, the curves over ``k``,
+            ``stream``: quality on the screen over pictures per second, or a ``video`` of the methods beside each other.
         out: file to write; without a suffix both a PNG and a PDF.
         rule: by which crops are chosen, see `ggvs_eval.reports.figures.regions.RULES`.
         method: label whose worst squares are shown; ours, or the first, where None.
@@ -65,6 +66,8 @@ def write_figure(
     if kind in ("epi", "time"):
         slices = slices_of(run, kind, row, view)
         return tuple(draw_slices(slices, file, look, scores) for file in files)
+    if kind == "stream":
+        return tuple(draw_rates(rate_panels([run]), file) for file in files)
     label = method or first_choice(run)
     if kind == "failures":
         return draw_failures(run, files, label, boxes, look)

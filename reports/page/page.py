@@ -51,6 +51,7 @@ Part = tuple[str, str, tuple[str, ...]]
 PARTS: tuple[Part, ...] = (
     ("compare", "Compare", ("comparison", "linked_slices", "errors")),
     ("results", "Scores", ("results",)),
+    ("on-time", "On time", ("on_time",)),
     ("heat", "Where and when", ("heat_map", "views", "curves")),
     ("slices", "Slices", ("slices",)),
     ("videos", "Videos", ("videos",)),
@@ -233,6 +234,7 @@ def _parts(group: RunGroup) -> list[Part]:
     """Parts that have something to show."""
     parts = [OF_ONE_FRAME.get(part[0], part) if group.protocol.frames.count == 1 else part for part in PARTS]
     empty = set() if any(section.slices for section in group.sections) else {"slices"}
+    empty |= set() if any(section.on_time for section in group.sections) else {"on-time"}
     return [part for part in parts if part and part[0] not in empty]
 
 
@@ -297,7 +299,9 @@ def _section(
         "insets": _insets(run, opening),
         "view_tables": section.view_tables,
         "timing": section.timing,
-        "fitted": section.fitted,
+        "costs": section.costs,
+        "on_time": section.on_time,
+        "rate_panels": section.rate_panels,
         "comparison": comparison,
         "diagnostics": diagnostics_legend(comparison.keys),
         "first_left": (*run.ours_first, "truth")[0],

@@ -8,8 +8,11 @@ from pathlib import Path
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.protocol import ON_SCREEN
 from ggvs_eval.reports.figures.curves import Curve, Panel, with_margin
 from ggvs_eval.reports.figures.k_figure import SECONDS, SWEEP_FILE, USUAL, read_k_table, sweep_runs
+from ggvs_eval.reports.figures.stream_figure import RatePanel, rate_panels
+from ggvs_eval.reports.model.measured import read_scores
 from ggvs_eval.reports.model.metric_note import MetricNote
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value
 from ggvs_eval.run_folder import RunFolder
@@ -29,6 +32,7 @@ class SweepSection:
         ks: numbers of source views, rising.
         measured_on: protocol, frames and views of the curves.
         runs_follow: whether the page shows its runs too.
+        rates: quality on the screen over pictures per second, of all its runs; none where nothing is on a screen.
     """
 
     name: str
@@ -37,11 +41,12 @@ class SweepSection:
     ks: tuple[int, ...]
     measured_on: str
     runs_follow: bool
+    rates: tuple[RatePanel, ...] = ()
 
     @property
     def title(self) -> str:
         """Heading of the section."""
-        return "Quality and time over K" if self.panels else "Sweep"
+        return "On the screen" if self.rates else "Quality and time over K" if self.panels else "Sweep"
 
 
 def is_sweep(root: Path) -> bool:
@@ -58,14 +63,21 @@ def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: boo
     """
     caption = CAPTION + (RUNS_FOLLOW if runs_follow else RUNS_ELSEWHERE.format(shlex.quote(str(sweep))))
     table = _table(sweep, notes, caption)
+    rates = sweep_rates(sweep)
     try:
         over_k = read_k_table(sweep)
     except ResultsError:  # a sweep over other things than K
-        return SweepSection(sweep.name, table, (), (), "", runs_follow)
+        return SweepSection(sweep.name, table, (), (), _measured_on(sweep) if rates else "", runs_follow, rates)
     metrics = [metric for metric in (*USUAL, SECONDS) if metric in over_k]
     ks = tuple(sorted({int(k) for k in over_k.index.get_level_values("K")}))
     panels = tuple(_panel(over_k, metric, notes) for metric in metrics)
-    return SweepSection(sweep.name, table, panels, ks, _measured_on(sweep), runs_follow)
+    return SweepSection(sweep.name, table, panels, ks, _measured_on(sweep), runs_follow, rates)
+
+
+def sweep_rates(sweep: Path) -> tuple[RatePanel, ...]:
+    """Quality on the screen over pictures per second, of the runs of a sweep on one capture that have a stream."""
+    streamed = [run for run in sweep_runs(sweep) if RunFolder(run).stream_record.is_file()]
+    return rate_panels([read_scores(run) for run in streamed]) if len({run.parent for run in streamed}) == 1 else ()
 
 
 def _measured_on(sweep: Path) -> str:
@@ -78,7 +90,7 @@ def _measured_on(sweep: Path) -> str:
 def _table(sweep: Path, notes: Mapping[str, MetricNote], caption: str) -> Table:
     lines = pd.read_csv(sweep / SWEEP_FILE).fillna({"capture": ""})
     levels = [name for name in ("method", "variant", "capture") if name in lines]
-    metrics = [name for name in lines.columns if name not in levels]
+    metrics = sorted((name for name in lines.columns if name not in levels), key=lambda name: not name.endswith(ON_SCREEN))
     columns = tuple(_column(metric, notes) for metric in metrics)
     rows = [
         Row(

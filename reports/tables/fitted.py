@@ -1,6 +1,8 @@
-"""Tables of methods that are fitted: their cost, their spread over seeds, and the price of being online."""
+"""Tables of costs: what each method sees and takes, time to equal quality, the spread over seeds, the price of being online."""
 
-from collections.abc import Mapping, Sequence
+import math
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,15 +23,25 @@ ELSEWHERE = (
     "from it to be open, and its 800,000 iterations take a day of a GPU; frames of it stand as `rendered:PATH`."
 )
 UNKNOWN = Cell("unknown: others made it")
+UNRECORDED = Cell("not recorded")
 COST_COLUMNS = (
     Column("cameras used", describe="of how many the capture has; a fit sees all but those of its fold"),
+    Column("images seen", describe="captured images, for the clip of one test view: cameras times instants"),
     Column("look-ahead", describe="instants of the future that a frame depends on"),
     Column("fitting", "s/frame", describe="of one fold, over its instants"),
+    Column("whole fit", "s", describe="of one fold: what passes before the first picture of a method that sees the whole clip"),
     Column("fitted on"),
     Column("rendering", "ms/frame", describe="median, as in the table of times"),
+    Column(
+        "peak memory",
+        "MB",
+        describe="highest resident memory of the process that fitted, or else rendered",
+    ),
     Column("size", "MB/frame", describe="of the scene, over its instants"),
     Column("seeds", describe="fits by another seed that were measured too, and the first"),
 )
+NOTHING = {NOT_FITTED, UNRECORDED.text}  # a column of these alone is left out
+STATED_DB = 30.0  # a PSNR that a fit may be asked for, beside those of the methods that need none
 
 
 def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
@@ -42,52 +54,129 @@ def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
     return records
 
 
-def fitted_tables(run: MeasuredRun) -> tuple[Table, ...]:
-    """Costs of every method, and the spread over seeds where there are several; nothing where no method is fitted."""
+def cost_tables(run: MeasuredRun) -> tuple[Table, ...]:
+    """What every method sees and costs; where some are fitted, the time to equal quality, and the spread over seeds."""
     fits = fit_records(run)
-    if not fits:
-        return ()
-    spread = _seed_table(run)
-    return (_cost_table(run, fits), *([spread] if spread else []))
+    tables = (_cost_table(run, fits), _equal_quality_table(run, fits), _seed_table(run))
+    return tuple(table for table in tables if table)
 
 
-def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> Table:
-    n_cameras = len(run.folder.capture_record()["cameras"])
+def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> Table | None:
+    """A column per cost that any method has; None where others made all frames."""
+    n_cameras = len(run.folder.capture_record().get("cameras", ()))
     ahead = read_json(run.folder.root / METHODS_FILE).get("look_ahead", ())
-    rows = []
-    for label in run.labels:
-        looks = fits[label][0]["look_ahead"] == "sequence" if label in fits else label in ahead
-        own = _fit_cells(fits[label], n_cameras) if label in fits else _other_cells(run, label, n_cameras)
-        look = UNKNOWN if own[0] is UNKNOWN else Cell("sequence") if looks else Cell("0", 0.0)
-        seeds = 1 + len(run.replicas.get(label, ()))
-        rendering, last = _rendering_cell(run, label), Cell(str(seeds), float(seeds)) if label in fits else Cell(NOT_FITTED)
-        rows.append(Row(run.name(label), (own[0], look, own[1], own[2], rendering, own[3], last), _kind(run, label)))
-    folds = " · ".join(", ".join(fold) for fold in run.protocol.views.folds)
-    caption = (
-        f"Fitted methods render each test view from a fit that has not seen its fold ({folds}); the others from K sources. "
-        f"Fitting: mean over the folds, depth excluded as for all methods. {ELSEWHERE}"
-    )
-    return Table("costs", "What each method sees and costs", caption, COST_COLUMNS, tuple(rows), run.scene)
+    lines = {
+        label: _fit_cells(run, label, fits[label], n_cameras) if label in fits else _other_cells(run, label, n_cameras, ahead)
+        for label in run.labels
+    }
+    if not any(cell.value is not None for line in lines.values() for cell in line):
+        return None
+    kept = [at for at, _ in enumerate(COST_COLUMNS) if {line[at].text for line in lines.values()} - NOTHING]
+    rows = [Row(run.name(label), tuple(line[at] for at in kept), _kind(run, label)) for label, line in lines.items()]
+    caption = "Peak memory: of the process, with what it had loaded for other methods before."
+    if fits:
+        folds = " · ".join(", ".join(fold) for fold in run.protocol.views.folds)
+        caption = (
+            f"Fitted methods render each test view from a fit that has not seen its fold ({folds}); the others from K sources. "
+            f"Fitting: mean over the folds, depth excluded as for all methods. {caption} {ELSEWHERE}"
+        )
+    columns = tuple(COST_COLUMNS[at] for at in kept)
+    return Table("costs", "What each method sees and costs", caption, columns, tuple(rows), run.scene)
 
 
-def _fit_cells(fits: Sequence[dict[str, Any]], n_cameras: int) -> tuple[Cell, Cell, Cell, Cell]:
-    """Cameras, seconds per frame, machine and megabytes per frame of a fitted method."""
+def _fit_cells(run: MeasuredRun, label: str, fits: Sequence[dict[str, Any]], n_cameras: int) -> tuple[Cell, ...]:
+    """Cells of `COST_COLUMNS` of a fitted method."""
     counts = sorted({fit["cameras"] for fit in fits})
-    seconds = sum(fit["seconds"] / fit["instants"] for fit in fits) / len(fits)
-    megabytes = sum(fit["size_bytes"] / fit["instants"] for fit in fits) / len(fits) / MEGABYTE
-    machines = dict.fromkeys(f"{fit['threads']} thread{'s' * (fit['threads'] > 1)}, {fit['machine']}" for fit in fits)
     span = f"to {counts[-1]} of {n_cameras}" if len(counts) > 1 else f"of {n_cameras}"
-    cameras = Cell(str(counts[0]), float(counts[0]), beside=span)
-    return cameras, Cell(format_value(seconds), seconds), Cell("; ".join(machines)), Cell(format_value(megabytes), megabytes)
+    machines = dict.fromkeys(f"{fit['threads']} thread{'s' * (fit['threads'] > 1)}, {fit['machine']}" for fit in fits)
+    peaks = [fit["peak_bytes"] for fit in fits if fit.get("peak_bytes")]
+    seeds = 1 + len(run.replicas.get(label, ()))
+    return (
+        Cell(str(counts[0]), float(counts[0]), beside=span),
+        _count_cell(max(fit["cameras"] * fit["instants"] for fit in fits)),
+        Cell("sequence") if fits[0]["look_ahead"] == "sequence" else Cell("0", 0.0),
+        _number_cell(sum(fit["seconds"] / fit["instants"] for fit in fits) / len(fits)),
+        _number_cell(fit_seconds(fits)),
+        Cell("; ".join(machines)),
+        _rendering_cell(run, label),
+        _count_cell(round(max(peaks) / MEGABYTE)) if peaks else UNRECORDED,
+        _number_cell(sum(fit["size_bytes"] / fit["instants"] for fit in fits) / len(fits) / MEGABYTE),
+        Cell(str(seeds), float(seeds)),
+    )
 
 
-def _other_cells(run: MeasuredRun, label: str, n_cameras: int) -> tuple[Cell, Cell, Cell, Cell]:
+def _other_cells(run: MeasuredRun, label: str, n_cameras: int, ahead: Collection[str]) -> tuple[Cell, ...]:
     """The same of a method that renders each instant from its sources; of what others made that is unknown."""
     records = render_records(run, label)
-    if not records or "splats" in records[0].get("identity", {}):
-        return UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN
-    k = run.protocol.synthesis.k
-    return Cell(str(k), float(k), beside=f"of {n_cameras}"), Cell(NOT_FITTED), Cell(NOT_FITTED), Cell(NOT_FITTED)
+    is_known, not_fitted = bool(records) and "splats" not in records[0].get("identity", {}), Cell(NOT_FITTED)
+    if not is_known:
+        return (*[UNKNOWN] * 6, _rendering_cell(run, label), UNKNOWN, UNKNOWN, not_fitted)
+    k, peaks = run.protocol.synthesis.k, [record["peak_bytes"] for record in records if record.get("peak_bytes")]
+    return (
+        Cell(str(k), float(k), beside=f"of {n_cameras}" if n_cameras else ""),
+        _count_cell(k * run.protocol.frames.count),
+        Cell("sequence") if label in ahead else Cell("0", 0.0),
+        *[not_fitted] * 3,
+        _rendering_cell(run, label),
+        _count_cell(round(max(peaks) / MEGABYTE)) if peaks else UNRECORDED,
+        *[not_fitted] * 2,
+    )
+
+
+def _count_cell(count: int) -> Cell:
+    return Cell(f"{count:,}", float(count))
+
+
+def _number_cell(value: float) -> Cell:
+    return Cell(format_value(value), value)
+
+
+def fit_seconds(fits: Sequence[dict[str, Any]]) -> float:
+    """Seconds of a fit, the mean over its folds."""
+    return float(sum(fit["seconds"] for fit in fits) / len(fits))
+
+
+def _equal_quality_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> Table | None:
+    """Seconds of fitting at which a method first reaches what others have without any, on held-out views.
+
+    Reading:
+        A fit's own curve is of its training images, and held-out views shown to it on the way would be a leak. So the curve is
+        made of whole fits: a method's labels that differ in ``steps`` are its points, and between two of them a crossing is a
+        bound from either side.
+    """
+    summary = run.results.summary().droplevel("dataset")
+    psnr_db = {label_of(*names): float(summary.loc[names].get("PSNR", math.nan)) for names in summary.index}
+    instant = [label for label in run.labels if label not in fits and math.isfinite(psnr_db.get(label, math.nan))]
+    ours = next((label for label in run.ours_first if label in instant and label in run.ours), None)
+    rivals = [label for label in (ours, next((each for each in instant if each.startswith("enerf")), None)) if label]
+    targets = {f"as {run.name(label)}, {psnr_db[label]:.2f} dB": psnr_db[label] for label in rivals}
+    targets |= {f"{STATED_DB:g} dB": STATED_DB}
+    families: dict[str, list[tuple[float, float]]] = {}
+    for label in fits:
+        families.setdefault(re.sub(r"\+steps=\d+", "", label), []).append((fit_seconds(fits[label]), psnr_db[label]))
+    if not families or not rivals:
+        return None
+    columns = tuple(Column(name, "s", False, "Seconds of one fold's fit.") for name in targets)
+    rows = [
+        Row(run.name(family), tuple(_crossing(sorted(points), target) for target in targets.values()))
+        for family, points in families.items()
+    ]
+    caption = (
+        "Seconds of fitting until a method's PSNR on held-out views is that of a method that needs no fit. The points are whole "
+        "fits: rows of a method that differ in steps (`4dgs+steps=1000`; `ggvs-eval sweep budget` has a series)."
+    )
+    return Table("equal_quality", "Cost at equal quality", caption, columns, tuple(rows), run.scene)
+
+
+def _crossing(points: Sequence[tuple[float, float]], target_db: float) -> Cell:
+    """The first of some (seconds, dB), rising in seconds, that reaches a PSNR; a bound, as the truth lies between two points."""
+    at = next((at for at, (_, reached_db) in enumerate(points) if reached_db >= target_db), None)
+    if at is None:
+        seconds, best_db = max(points, key=lambda point: point[1])
+        return Cell("not reached", note=f"{best_db:.2f} dB at best, after {format_value(seconds)} s")
+    seconds = points[at][0]
+    before = f"(more than {format_value(points[at - 1][0])})" if at else ""
+    return Cell(format_value(seconds), seconds, bound="at most", beside=before)
 
 
 def _rendering_cell(run: MeasuredRun, label: str) -> Cell:

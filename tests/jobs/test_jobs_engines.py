@@ -10,6 +10,7 @@ import urllib.request
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ggvs_eval.errors import RenderError
@@ -264,3 +265,22 @@ def test_a_local_cluster_obeys_its_own_process_alone():
         for address, security in ((plain, None), (cluster.scheduler_address, distributed.Security.temporary())):
             with pytest.raises((OSError, RuntimeError)):
                 distributed.Client(address, security=security, timeout=2)
+
+
+def test_peak_memory_is_of_the_block_alone():
+    """What a block holds for a moment counts, what was held before it does not, and a system that tells nothing gives nothing."""
+    before = np.ones(40_000_000)  # 320 MB
+    del before
+    with free_memory.PeakMemory() as idle:
+        pass
+    with free_memory.PeakMemory() as busy:
+        held = np.ones(40_000_000)
+        time.sleep(3 * free_memory.SAMPLED_EVERY_S)
+        del held
+
+    assert idle.bytes is not None
+    assert busy.bytes is not None
+    assert busy.bytes - idle.bytes > 250e6
+    with free_memory.PeakMemory(Path("/nowhere")) as unknown:
+        pass
+    assert unknown.bytes is None

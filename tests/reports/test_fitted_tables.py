@@ -6,7 +6,7 @@ import pytest
 
 from ggvs_eval.reports.model.measured import METHODS_FILE, read_run
 from ggvs_eval.reports.run_groups import read_groups
-from ggvs_eval.reports.tables.fitted import fitted_tables, price_tables
+from ggvs_eval.reports.tables.fitted import _crossing, cost_tables, price_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
@@ -34,16 +34,57 @@ def cells(table, name: str) -> dict[str, str]:
 
 
 def test_costs_of_every_method(fitted_run):
-    """Of a fit: cameras, look-ahead, mean seconds per frame over the folds, machine, megabytes, seeds; of ours what it has."""
-    costs, _ = fitted_tables(read_run(fitted_run))
+    """Of a fit: cameras, images, look-ahead, mean seconds over the folds, machine, megabytes, seeds; of ours what it has."""
+    costs, *_ = cost_tables(read_run(fitted_run))
     rendering = cells(costs, "Ours")["rendering"]
     assert cells(costs, "4DGS") == {
-        **{"cameras used": "3 of 5", "look-ahead": "sequence", "fitting": "15.00", "fitted on": "2 threads, a processor"},
+        **{
+            "cameras used": "3 of 5",
+            "images seen": "12",
+            "look-ahead": "sequence",
+            "fitting": "15.00",
+            "whole fit": "60.00",
+            "fitted on": "2 threads, a processor",
+        },
         **{"rendering": rendering, "size": "2.000", "seeds": "2"},
     }
     assert float(rendering) == pytest.approx(33.0)  # median of 30, 33, 36 ms
     ours = cells(costs, "Ours")
-    assert (ours["cameras used"], ours["look-ahead"], ours["fitting"]) == ("2 of 5", "0", "not fitted")
+    assert (ours["cameras used"], ours["images seen"], ours["look-ahead"], ours["fitting"]) == ("2 of 5", "8", "0", "not fitted")
+
+
+def test_costs_of_a_run_without_fits(tmp_path):
+    """What every method has: cameras, images, time and memory, and no column of fits."""
+    root = write_run(tmp_path / "run", RunShape(poses=0))
+    for file in root.glob("renders/ours*/*/job.json"):
+        write_json(file, read_json(file) | {"peak_bytes": 640_000_000})
+    (costs,) = cost_tables(read_run(root))
+
+    assert [column.name for column in costs.columns] == ["cameras used", "images seen", "look-ahead", "rendering", "peak memory"]
+    assert {cells(costs, row.name)["peak memory"] for row in costs.rows} == {"640", "not recorded"}
+
+
+def test_cost_at_equal_quality_is_bounded_by_whole_fits(tmp_path):
+    """A method's lengths are one row; the crossing lies between two of them, before the first, or nowhere."""
+    labels = ("ours", "4dgs+steps=100", "4dgs+steps=900")
+    root = write_run(
+        tmp_path / "run", RunShape(labels=labels, names=tuple(zip(labels, labels, strict=True)), metrics=("PSNR",), poses=0)
+    )
+    write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours"]})
+    make_fitted(root, labels[1:])
+    measured = read_run(root)
+    summary = measured.results.summary().droplevel("dataset")["PSNR"]
+    first, last = summary[("4dgs", "steps=100")], summary[("4dgs", "steps=900")]
+    table = next(table for table in cost_tables(measured) if table.key == "equal_quality")
+
+    assert [row.name for row in table.rows] == ["4dgs"]
+    assert table.columns[0].name == f"as ours, {summary[('ours', '')]:.2f} dB"
+    points = [(10.0, first), (90.0, last)]
+    assert _crossing(points, first - 1).shown == "at most 10.00"
+    assert _crossing(points, last).shown == "at most 90.00 (more than 10.00)"
+    never = _crossing(points, last + 1)
+    assert (never.text, never.value) == ("not reached", None)
+    assert never.hint.endswith("after 90.00 s")
 
 
 def test_other_seeds_stand_in_the_spread_alone(fitted_run):
@@ -53,7 +94,7 @@ def test_other_seeds_stand_in_the_spread_alone(fitted_run):
     assert SEED not in {
         f"{m}+{v}" for m, v in zip(measured.results.table["method"], measured.results.table["variant"], strict=True)
     }
-    _, spread = fitted_tables(measured)
+    spread = next(table for table in cost_tables(measured) if table.key == "seeds")
     summary = Results.read(fitted_run).summary().droplevel("dataset")["PSNR"]
     (row,) = spread.rows
     assert row.cells[0].value == pytest.approx(abs(summary[("fwd", "")] - summary[("fwd", "seed=1")]))
@@ -92,8 +133,7 @@ def test_the_tables_are_in_every_format(fitted_run):
 
 
 def test_runs_without_fitted_methods_show_none_of_it(tmp_path):
-    """No table more."""
+    """No price, no seeds, no time to equal quality."""
     (group,) = read_groups([write_run(tmp_path / "run", RunShape(poses=0))])
     assert group.price == ()
-    assert group.sections[0].fitted == ()
-    assert not {"costs", "seeds", "price"} & {table.key for table in group.all_tables}
+    assert not {"equal_quality", "seeds", "price"} & {table.key for table in group.all_tables}

@@ -135,7 +135,7 @@ def test_files_tell_the_groups_apart(report):
     titles = re.findall(r"^## (.*)$", (report / "tables.md").read_text(encoding="utf-8"), re.MULTILINE)
     labels = re.findall(r"\\label\{([^}]*)\}", (report / "tables.tex").read_text(encoding="utf-8"))
     assert len(titles) == len(set(titles)) == len(labels) == len(set(labels))
-    assert sum("street, tiny, K = 2" in title for title in titles) == 2 + 4
+    assert sum("street, tiny, K = 2" in title for title in titles) == 2 + 5
     assert {folder.name for folder in (report / "figures").iterdir()} == {"run0", "run1", "run2"}
     pytest.importorskip("openpyxl", reason="no openpyxl, by which pandas writes workbooks")
     assert len(pd.ExcelFile(report / "tables.xlsx").sheet_names) == len(titles) + 2

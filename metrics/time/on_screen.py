@@ -1,0 +1,146 @@
+"""Pictures on the screen: what a viewer sees at every instant while a method takes its time, and metrics of that sequence.
+
+Methods are evaluated as if every picture were waited for. A viewer sees, at instant t, the newest picture that was ready by then,
+and compares it with the world as it is at t. For detection this is streaming perception (Li, Wang, Ramanan: Towards Streaming
+Perception, ECCV 2020); here it is measured of synthesised views. The sequence on the screen is a re-indexing of the renders, so
+that the metrics themselves are those of every other table.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ggvs_eval.metrics.metric import Group, Metric, MetricOptions, ViewMetric
+from ggvs_eval.protocol import ON_SCREEN, Stream
+from ggvs_eval.statistics.pooling import Pooling
+
+STREAM = Group("stream", "On the screen: what a viewer sees while frames keep coming")
+TIE = 1e-6  # frames: what is ready that much after an instant was ready at it, and sums of rounded times make no difference
+
+
+@dataclass(frozen=True)
+class Screen:
+    """What stands on the screen at each instant of a clip.
+
+    Attributes:
+        shown: frame number, counted from the clip's first, of the picture at each instant; None while there is none yet.
+        latencies_s: from the capture of each picture that is shown to its being ready, in their order.
+        per_second: pictures that the method can make in a second; infinite where it takes no time.
+        warm_up: instants at the beginning that are not scored.
+    """
+
+    shown: tuple[int | None, ...]
+    latencies_s: tuple[float, ...]
+    per_second: float
+    warm_up: int = 0
+
+    @property
+    def first(self) -> int | None:
+        """First instant that is scored: one with a picture, behind the warm-up; None where there is none in the whole clip."""
+        return next((at for at, frame in enumerate(self.shown) if at >= self.warm_up and frame is not None), None)
+
+    def record(self) -> dict[str, Any]:
+        """Counts and times as JSON values: of the instants from the first picture on, and of those before it (``dark``)."""
+        lit = [frame for frame in self.shown if frame is not None]
+        seen = sorted(set(lit))
+        latencies_ms = [1000 * latency for latency in self.latencies_s]
+        return {
+            "shown": len(seen),
+            "repeated": len(lit) - len(seen),
+            "dropped": seen[-1] - seen[0] + 1 - len(seen) if seen else 0,
+            "dark": len(self.shown) - len(lit),
+            "latency_ms": float(np.mean(latencies_ms)) if latencies_ms else None,
+            "latency_p95_ms": float(np.percentile(latencies_ms, 95)) if latencies_ms else None,
+            "per_second": self.per_second if math.isfinite(self.per_second) else None,
+        }
+
+
+def on_screen(stages_s: Sequence[float], count: int, stream: Stream) -> Screen:
+    """What stands on the screen, from the time that each stage of a method takes.
+
+    A method begins with the newest frame whenever it is free. It is busy with one for the sum of its stages, or for the longest
+    of them where stages are pipelined; the picture is ready after their sum in either case.
+
+    Args:
+        stages_s: seconds of each stage, the same for every frame.
+        count: instants of the clip.
+        stream: rate of the cameras and policy.
+
+    Examples:
+        >>> on_screen([0.0], 4, Stream(fps=10)).shown
+        (0, 1, 2, 3)
+        >>> on_screen([0.1, 0.1], 6, Stream(fps=10)).shown
+        (None, None, 0, 0, 2, 2)
+        >>> on_screen([0.1, 0.1], 6, Stream(fps=10, pipelined=True)).shown
+        (None, None, 0, 1, 2, 3)
+
+    Reading:
+        Li et al. let a detector skip a frame where it is better to wait for the next one (their dynamic schedule); here it never
+        waits while a new frame is there. Before an instant means at it, too: a picture that takes no time is shown at its own
+        instant, one that takes any time at the next. Admission to a pipeline is by its longest stage, so that frames wait before
+        it and never in it.
+    """
+    latency, busy = sum(stages_s) * stream.fps, (max if stream.pipelined else sum)(stages_s) * stream.fps  # in frames
+    allowed = stream.deadline_ms / 1000 * stream.fps if stream.policy == "deadline" else math.inf
+    ready: list[tuple[float, int]] = []
+    frame, free = 0, 0.0
+    while frame < count:
+        begun = max(free, float(frame))
+        if begun + latency - frame <= allowed + TIE:
+            ready.append((begun + latency, frame))
+        free = begun + busy
+        frame = max(frame + 1, math.floor(free + TIE))
+    shown: list[int | None] = []
+    for instant in range(count):
+        done = [number for time, number in ready if time <= instant + TIE]
+        shown.append(done[-1] if done else None)
+    waits = {number: time - number for time, number in ready}
+    latencies = tuple(waits[number] / stream.fps for number in sorted({each for each in shown if each is not None}))
+    return Screen(tuple(shown), latencies, stream.fps / busy if busy else math.inf, stream.warm_up)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScreenMetric(Metric):
+    """A metric of frames, of what stands on the screen at each instant.
+
+    Attributes:
+        of: the metric.
+    """
+
+    of: ViewMetric
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """See `Metric.modules`."""
+        return (*self.of.modules, __name__)
+
+
+def metrics_on_screen(metrics: Iterable[ViewMetric]) -> tuple[ScreenMetric, ...]:
+    """Each metric of what stands on the screen, ``PSNR_stream`` and so on."""
+    return tuple(
+        ScreenMetric(
+            name=f"{metric.name}{ON_SCREEN}",
+            kind=metric.kind,
+            function=metric.function,
+            unit=metric.unit,
+            higher_is_better=metric.higher_is_better,
+            group=STREAM,
+            decimals=metric.decimals,
+            pooling=partial(_pooling, metric),
+            describe=f"{metric.name} of what a viewer sees at each instant: the newest picture that was ready",
+            note=metric.note,
+            reference="after Li et al. 2020 (streaming perception)",
+            of=metric,
+        )
+        for metric in metrics
+    )
+
+
+def _pooling(metric: ViewMetric, options: MetricOptions) -> Pooling:
+    """As of the metric, from parts under names of their own."""
+    pooling = metric.pooling(options)
+    return replace(pooling, parts=tuple(f"{part}{ON_SCREEN}" for part in pooling.parts))

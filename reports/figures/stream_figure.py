@@ -1,0 +1,147 @@
+"""Quality on the screen over pictures per second: what a viewer sees of each method, and the same pictures waited for."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.protocol import ON_SCREEN
+from ggvs_eval.reports.figures.curves import COLOURS, Panel, save_figure, with_margin
+from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.results import label_of
+from ggvs_eval.run_folder import read_json
+
+DRAWN = ("PSNR", "LPIPS", "TCC")
+PANEL_IN = (3.4, 2.6)
+AN_EXAMPLE = "make one with `ggvs-eval sweep stream FOLDER --capture CAPTURE`"
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One method at one size and K: pictures per second, the number on the screen, and the number where each is waited for."""
+
+    title: str
+    per_second: float
+    seen: float
+    waited: float
+
+
+@dataclass(frozen=True)
+class Family:
+    """A method at all sizes and K, slowest first; `number` chooses its colour."""
+
+    name: str
+    number: int
+    marks: tuple[Mark, ...]
+
+
+@dataclass(frozen=True)
+class RatePanel:
+    """One metric over pictures per second, on a logarithmic axis.
+
+    Attributes:
+        axes: metric, unit and direction; its places across are decimal logarithms of the rate.
+        fps: rate of the cameras, which a method must reach to show every frame.
+        families: one per method.
+    """
+
+    axes: Panel
+    fps: float
+    families: tuple[Family, ...]
+
+    def x(self, per_second: float) -> float:
+        """Horizontal place of a rate in the drawing, in its pixels."""
+        return self.axes.x(math.log10(per_second))
+
+    def line(self, family: Family) -> str:
+        """What a viewer sees of a method, as the points of an SVG polyline."""
+        return " ".join(f"{self.x(mark.per_second)},{self.axes.y(mark.seen)}" for mark in family.marks)
+
+    def rate_ticks(self) -> list[tuple[float, str]]:
+        """Places and texts of the horizontal axis: 1, 2, 5, 10, ... within it."""
+        low, high = self.axes.bounds[:2]
+        rates = (digit * 10.0**power for power in range(math.floor(low), math.ceil(high) + 1) for digit in (1, 2, 5))
+        return [(self.x(rate), f"{rate:g}") for rate in rates if low <= math.log10(rate) <= high]
+
+
+def rate_panels(runs: Sequence[MeasuredRun]) -> tuple[RatePanel, ...]:
+    """A panel per metric of runs that differ in K alone, or of one; none where nothing is on a screen."""
+    streams = {run.protocol.stream for run in runs}
+    (stream,) = streams if len(streams) == 1 else (None,)
+    if stream is None:
+        return ()
+    return tuple(panel for metric in DRAWN if (panel := _panel(runs, metric, stream.fps)))
+
+
+def _panel(runs: Sequence[MeasuredRun], metric: str, fps: float) -> RatePanel | None:
+    note = next((run.metrics[metric] for run in runs if metric in run.metrics), None)
+    if note is None:
+        return None
+    marks: dict[str, list[Mark]] = {}
+    for run in runs:
+        for label, mark in _marks(run, metric, several=len(runs) > 1):
+            marks.setdefault(re.sub(r"\+scale=[^+]*", "", label), []).append(mark)
+    every = [mark for of_family in marks.values() for mark in of_family]
+    if not every:
+        return None
+    families = []
+    for number, (label, of_family) in enumerate(marks.items()):
+        name = next((run.name(label) for run in runs if label in run.names), label)
+        families.append(Family(name, number, tuple(sorted(of_family, key=lambda mark: mark.per_second))))
+    rates = [fps, *(mark.per_second for mark in every)]
+    values = [value for mark in every for value in (mark.seen, mark.waited)]
+    bounds = (math.log10(min(rates)) - 0.08, math.log10(max(rates)) + 0.08, *with_margin(min(values), max(values)))
+    better = "higher is better" if note.higher_is_better else "lower is better"
+    return RatePanel(Panel(metric, note.unit, better, "", (), bounds), fps, tuple(families))
+
+
+def _marks(run: MeasuredRun, metric: str, several: bool) -> list[tuple[str, Mark]]:
+    """Methods of a run that have a rate and both numbers."""
+    file = run.folder.stream_record
+    records = read_json(file)["methods"] if file.is_file() else {}
+    summary = run.results.summary().droplevel("dataset")
+    values = {label_of(*names): summary.loc[names] for names in summary.index}
+    at_k = f", K = {run.protocol.synthesis.k}" if several else ""
+    found = []
+    for label in run.labels:
+        per_second, of_label = records.get(label, {}).get("per_second"), values.get(label, {})
+        seen, waited = (float(of_label.get(name, math.nan)) for name in (f"{metric}{ON_SCREEN}", metric))
+        if per_second and math.isfinite(seen) and math.isfinite(waited):
+            found.append((label, Mark(f"{run.name(label)}{at_k}", per_second, seen, waited)))
+    return found
+
+
+def draw_rates(panels: Sequence[RatePanel], out: Path) -> Path:
+    """Draw the panels beside each other, for print.
+
+    Raises:
+        ResultsError: no panels.
+    """
+    from matplotlib.figure import Figure
+
+    if not panels:
+        raise ResultsError(f"{out}: no method is on a screen in these runs; {AN_EXAMPLE}")
+    figure = Figure(figsize=(PANEL_IN[0] * len(panels), PANEL_IN[1]), layout="constrained")
+    for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+        axes.set_xscale("log")
+        axes.axvline(panel.fps, color="#999999", linewidth=0.8, linestyle=":", label="rate of the cameras")
+        for family in panel.families:
+            colour, rates = COLOURS[family.number % len(COLOURS)], [mark.per_second for mark in family.marks]
+            axes.plot(
+                rates, [mark.seen for mark in family.marks], "o-", color=colour, markersize=4, label=family.name, linewidth=1
+            )
+            axes.plot(rates, [mark.waited for mark in family.marks], "o", color=colour, markersize=4, fillstyle="none")
+            for mark in family.marks:
+                axes.plot([mark.per_second] * 2, [mark.seen, mark.waited], color=colour, linewidth=0.5, alpha=0.5)
+        unit = f" ({panel.axes.unit})" if panel.axes.unit else ""
+        axes.set_ylabel(f"{panel.axes.metric}{unit} on the screen", fontsize=7)
+        axes.set_xlabel("pictures per second", fontsize=7)
+        texts = [text for _, text in panel.rate_ticks()]
+        axes.set_xticks([float(text) for text in texts], texts)
+        axes.set_xticks([], minor=True)
+        axes.tick_params(labelsize=6)
+        axes.grid(alpha=0.25, linewidth=0.5)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize=6, frameon=False)
+    return save_figure(figure, out)

@@ -1,0 +1,77 @@
+"""A whole run with a stream: live depth is timed once and counted, offline depth takes no time, and a sweep sets the stream."""
+
+from dataclasses import replace
+
+import pytest
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.run.evaluate import measure
+from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
+from ggvs_eval.protocol import Stream
+from ggvs_eval.results import Results
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
+from ggvs_eval.sweep import Sweep, SweepRow, load_sweep
+from helpers.small_runs import small_protocol, write_small_capture
+
+pytestmark = pytest.mark.slow
+
+STREAM = Stream(fps=1.0)  # slow enough for any machine
+LABELS = ("distance-based", "distance-based+scale=0.5")
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory) -> Capture:
+    """Six cameras, three frames."""
+    return write_small_capture(tmp_path_factory.mktemp("capture") / "room", 3)
+
+
+def evaluated(root, capture: Capture, matcher: str) -> RunFolder:
+    """The run, measured."""
+    protocol = small_protocol(3, 0, ("PSNR", "TCC")).streamed(STREAM)
+    measure(plan_run(RunRequest(root, capture, protocol, LABELS, DepthRunOptions(matcher))), 1)
+    return RunFolder(root)
+
+
+def test_live_depth_counts_and_is_timed_once(capture, tmp_path):
+    """Its median is the first stage of every method that looks at depth; a second call measures nothing again."""
+    run = evaluated(tmp_path / "live", capture, "live")
+    timed = run.live_depth_record.read_bytes()
+    stream = read_json(run.stream_record)
+
+    for label in LABELS:
+        assert next(iter(stream["methods"][label]["stages_ms"])) == "depth"
+        assert stream["methods"][label]["stages_ms"]["depth"] > 0
+    assert "shrink" in stream["methods"][LABELS[1]]["stages_ms"]
+    assert "live" in stream["depth"]
+    assert read_json(run.renders(LABELS[0], "cam00") / JOB_FILE)["peak_bytes"] > 50e6
+    evaluated(tmp_path / "live", capture, "live")
+    assert run.live_depth_record.read_bytes() == timed
+    summary = Results.read(run.root).summary().droplevel("dataset")
+    assert summary["PSNR_stream"].notna().all()
+    assert (summary["PSNR_stream"] < summary["PSNR"]).all()  # a frame late
+
+
+def test_depth_that_was_computed_before_takes_no_time(capture, tmp_path):
+    """No stage of depth, no record, and the table's caption can say so."""
+    run = evaluated(tmp_path / "before", capture, "sgbm")
+    stream = read_json(run.stream_record)
+
+    assert not run.live_depth_record.exists()
+    assert "depth" not in stream["methods"][LABELS[0]]["stages_ms"]
+    assert stream["depth"].startswith("without depth")
+
+
+def test_a_sweep_streams_every_variant_and_a_protocols_own_stays():
+    """The packaged sweep has its rate; metrics of the screen join those of the protocol, each once."""
+    sweep, protocol = load_sweep("stream"), small_protocol(3, 0, ("PSNR", "L1", "TCC", "TCC_stream"))
+    variants = sweep.protocols(protocol, 6)
+
+    assert {variant.synthesis.k for variant in variants.values()} == set(sweep.k)
+    for variant in variants.values():
+        assert variant.stream == Stream(fps=30.0, warm_up=1)  # of three frames at most half
+        assert variant.measurement.metrics == ("PSNR", "L1", "TCC", "TCC_stream", "PSNR_stream")
+    own = replace(protocol, stream=STREAM)
+    assert {each.stream for each in sweep.protocols(own, 6).values()} == {STREAM}
+    unstreamed = Sweep("plain", "", (SweepRow("One", "no-blending"),))
+    assert [*unstreamed.protocols(protocol, 6).values()] == [protocol]
