@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.errors import MetricError
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.image.regions import REGION
 from ggvs_eval.metrics.metric import Metric, MetricOptions, TableMetric, Value, ViewMetric
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose, RenderedPath
 from ggvs_eval.metrics.path_scores import score_path
-from ggvs_eval.metrics.registry import METRICS, derived_rows, scored_by_view, select_metrics
+from ggvs_eval.metrics.registry import METRICS, derived_rows, scored_by_view, scored_on_screen, select_metrics
 from ggvs_eval.metrics.stream import fit_colour_maps, score_view
 from ggvs_eval.metrics.time.on_screen import STREAM
 from ggvs_eval.pipelines.run.score_code import PATH_SCORES, metric_code
@@ -50,6 +51,10 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
     """
     named = [name for name in dict.fromkeys(names) if name != ALL]
     select_metrics(named)
+    if screened := [metric.name for metric in scored_on_screen(named)]:
+        raise MetricError(
+            f"{', '.join(screened)}: of what is on a screen, which takes times; a study's frames have none, name others"
+        )
     if named and ALL not in names:
         return tuple(named)
     whole = [name for name, metric in METRICS.shipped.items() if metric.group not in (REGION, STREAM)]

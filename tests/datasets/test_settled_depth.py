@@ -135,7 +135,7 @@ def test_a_guess_refuses_no_camera(tmp_path, rig):
 
 
 def test_the_same_guess_as_a_fact_costs_no_neighbour(dome):
-    """What a user says of the range is believed: the nearest surfaces would leave the images, what lies farther away would not."""
+    """What a user says of the range is believed: nearest surfaces would leave the images, farther ones not."""
     cameras = guessed_as_given(dome)
     partners = DepthPartners(cameras, DepthOptions())
     found = {camera.name: partners.of(camera) for camera in cameras.cameras}

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen
 from ggvs_eval.metrics.time.on_screen import on_screen
+from ggvs_eval.pipelines.study.measure import study_metrics
 from ggvs_eval.protocol import Stream
 
 THIRTY = Stream(fps=30.0)
@@ -109,3 +111,10 @@ def test_metrics_of_the_screen_have_names_and_parts_of_their_own():
     assert [metric.name for metric in scored_by_view(["PSNR", *names])] == ["PSNR"]
     assert METRICS["STED_stream"].pooling(MetricOptions()).parts == ("STED_spatial_stream", "STED_temporal_stream")
     assert METRICS["PSNR_stream"].unit == METRICS["PSNR"].unit
+
+
+def test_a_study_has_no_screen():
+    """Its frames take no time: a metric of the screen is refused by name, and is not among all."""
+    with pytest.raises(MetricError, match="PSNR_stream"):
+        study_metrics(["PSNR", "PSNR_stream"])
+    assert not scored_on_screen(study_metrics(["all"]))
