@@ -14,7 +14,7 @@ from ggvs_eval.protocol import Protocol, Stream
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 DEPTH, FIT, STATED = "depth", "fit", "stated"  # stages beside those of the method's own
-UNTIMED = "nobody knows how long these pictures took; state it in the protocol: [[stream.stated]] method, ms"
+UNTIMED = "the time of these pictures is unknown; state it in the protocol: [[stream.stated]] method, ms"
 WHOLE_CLIP = "offline: it has seen the whole clip before its first picture, and a viewer cannot wait for that"
 Clock = dict[str, float]  # stage -> seconds of a picture
 
@@ -80,7 +80,7 @@ def _clock(run: RunFolder, stream: Stream, views: Sequence[str], label: str) -> 
 
 
 def _nature(label: str) -> tuple[bool, bool]:
-    """Tell whether a method looks at depth, and whether it sees nothing of the future; both of one that nobody knows any more."""
+    """Tell whether a method looks at depth, and whether it sees nothing of the future; both are assumed of an unknown one."""
     try:
         spec = find_method(label)
     except RenderError:

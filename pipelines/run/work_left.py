@@ -62,7 +62,7 @@ class Stage:
     Attributes:
         name: of `STAGES`.
         count: frames, maps or scenes.
-        unknown: how many of them take nobody knows how long.
+        unknown: how many of them have no estimate.
         seconds: of the others, by all processes.
         n_bytes: that it writes.
     """
