@@ -56,8 +56,9 @@ struct Block {
     int64_t source_step, sums_step;
 
     Block(const FeatureLayer& layer, int rows)
-        : rows(rows), source_step(int64_t(rows) * (layer.before + kDepthChunk - 1) / kDepthChunk * kDepthChunk + kBlockPad),
+        : rows(rows), source_step(int64_t(rows) * chunks(layer.before) * kDepthChunk + kBlockPad),
           sums_step(int64_t(rows) * layer.after + kBlockPad) {}
+    static int chunks(int before) { return (before + kDepthChunk - 1) / kDepthChunk; }
     int64_t memory() const { return kTileSums * (source_step + sums_step); }  // floats
 };
 
