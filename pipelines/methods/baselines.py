@@ -69,6 +69,7 @@ def learned_method(baseline: LearnedBaseline, rendition: Rendition) -> OnlineMet
         make_from=make_from,
         title_from=rendition.title,
         uses_depth=rendition.uses_depth,
+        departs=f"{retrained} network, trained here" if retrained else "",
     )
 
 

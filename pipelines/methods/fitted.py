@@ -36,6 +36,11 @@ class FittedMethod(SceneMethod):
         """Options of the fitter that the label sets."""
         return dict(self.options)
 
+    @property
+    def learned_from(self) -> str:
+        """The capture, but for what is rendered."""
+        return "this capture, without the fold of the test view"
+
     def make_fitter(self) -> SceneFitter:
         """Make the fitter with the options of the label."""
         kind: type[SceneFitter] = resolve_name(self.fitter)
@@ -79,9 +84,9 @@ class FittedMethod(SceneMethod):
         return unit.fit
 
 
-def fitted_method(title: str, describe: str, fitter: str, online: bool = False) -> FittedMethod:
+def fitted_method(title: str, describe: str, fitter: str, online: bool = False, departs: str = "") -> FittedMethod:
     """A method by its `SceneFitter`, ``module:class``; `online` where it sees nothing of the future."""
-    return FittedMethod(title, describe, (fitter.partition(":")[0],), fitter, online=online, usual=False)
+    return FittedMethod(title, describe, (fitter.partition(":")[0],), fitter, online=online, usual=False, departs=departs)
 
 
 FITTED: dict[str, FittedMethod] = {
@@ -89,18 +94,21 @@ FITTED: dict[str, FittedMethod] = {
         "4DGS (compact)",
         "a cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each by itself, fit to the whole clip",
         "ggvs_eval.baselines.fitted.four_d:FourD",
+        departs="starts from estimated depth; harmonics of degree 1; a smaller field; one image a step; black background",
     ),
     "3dgs-per-instant": fitted_method(
         "3DGS per Instant",
         "a cloud of Gaussians fitted to each instant alone: the best of one instant, with nothing that ties it to the next",
         "ggvs_eval.baselines.fitted.per_instant:PerInstant",
         online=True,
+        departs="starts from estimated depth; fewer steps; harmonics of degree 1; opacity never reset",
     ),
     "3dgstream": fitted_method(
         "3DGStream (compact)",
         "the cloud of the previous instant, moved by a small field and completed, with seconds of fitting per instant",
         "ggvs_eval.baselines.fitted.stream:Stream",
         online=True,
+        departs="starts from estimated depth; dense planes in place of hash grids; harmonics do not turn",
     ),
 }
 
@@ -120,6 +128,11 @@ class StoredSplats(SceneMethod):
         """The method of a label, which is its title too."""
         describe = f"3D Gaussians that others have fitted, {path.name}, rendered by the splat of this package"
         return cls(label, describe, (SplatsScene.__module__,), path.resolve(), online=False, usual=False, uses_depth=False)
+
+    @property
+    def learned_from(self) -> str:
+        """Nobody knows whether the test views were among it."""
+        return "this capture, by others"
 
     def require(self) -> None:
         """Open the files."""

@@ -16,6 +16,8 @@ from ggvs_eval.method import Method, Rendering
 from ggvs_eval.pipelines.methods.render_unit import RenderUnit
 from ggvs_eval.scene_fitter import FittedScene
 
+LEARNED = "learned from"  # column of what methods declare
+
 
 def shipped(name: str) -> Path:
     """A file of trained weights that ships."""
@@ -35,6 +37,7 @@ class MethodSpec(ABC):
         usual: whether it is rendered where no method is named; ablations that only a sweep asks for are not.
         uses_depth: whether it looks at the depth of its sources, or learns a scene from it.
         device: where its networks compute, if it has any.
+        departs: what is not as its authors published it.
     """
 
     title: str
@@ -46,6 +49,21 @@ class MethodSpec(ABC):
     usual: bool = True
     uses_depth: bool = True
     device: str = "cpu"
+    departs: str = ""
+
+    @property
+    @abstractmethod
+    def learned_from(self) -> str:
+        """What its weights or its scene were learned from."""
+
+    @property
+    def declared(self) -> dict[str, str]:
+        """What differs from other methods by design, and no protocol removes: head of a column -> text."""
+        return {
+            "depth": "given" if self.uses_depth else "none",
+            LEARNED: self.learned_from,
+            "not as published": self.departs or "-",
+        }
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -112,6 +130,16 @@ class OnlineMethod(MethodSpec):
     title_from: str = ""
     make_with: Callable[..., Method] | None = None
     device_modules: tuple[str, ...] = ()
+
+    @property
+    def learned_from(self) -> str:
+        """Other captures, and how many pixels of them where the weights say so."""
+        from ggvs_eval.files.weights_file import read_notes  # late, for the sake of a fast command line
+
+        if not self.weights:
+            return "nothing"
+        pixels = [int(notes["pixels"]) for notes in map(read_notes, self.weights) if "pixels" in notes]
+        return "other captures" + "".join(f", {count / 1e6:,.0f} million pixels" for count in pixels)
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -13,18 +13,18 @@ from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.merged_results import join_versions
-from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
+from ggvs_eval.metrics.registry import METRICS, derived_rows, pooling_records, select_metrics
 from ggvs_eval.pipelines.inspection.renders.seen import COMPARED
-from ggvs_eval.pipelines.methods.registry import METHODS, find_method, split_label
-from ggvs_eval.pipelines.methods.spec import MethodSpec, OnlineMethod
+from ggvs_eval.pipelines.methods.registry import METHODS, split_label
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.run.references import ceiling_jobs, find_seen_view, read_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.pipelines.run.screens import Clock, read_clocks, screens_of, write_screens
+from ggvs_eval.pipelines.run.shown_names import write_shown_names
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 
 METRICS_ON_DEVICE = "metrics"  # stands among the renders that are not the CPU's
 
@@ -66,7 +66,7 @@ class Scores:
         results.write(self.run.root)
         write_references(self.run, paths, found)
         write_screens(self.run, self.run.protocol(), self.clocks)
-        _write_shown_names(self.run, self.run.protocol(), self.labels)
+        write_shown_names(self.run, self.run.protocol(), self.labels)
         return results
 
 
@@ -229,25 +229,3 @@ def _render_records(run: RunFolder, renders: Sequence[str]) -> dict[str, dict[st
     """``method/view`` -> record of its job; frames that others rendered have none."""
     files = {render: run.renders(*render.rsplit("/", 1)) / JOB_FILE for render in renders}
     return {render: read_json(file) for render, file in files.items() if file.is_file()}
-
-
-def _method_of(label: str) -> MethodSpec | None:
-    """Entry of the registry under a label; None for frames that were rendered elsewhere."""
-    try:
-        return find_method(label)
-    except RenderError:
-        return None
-
-
-def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> None:
-    """Write how the report calls methods and metrics; it reads this from disk and imports neither."""
-    specs = {label: spec for label in labels if (spec := _method_of(label))}
-    titles = {label: specs[label].title if label in specs else label for label in labels}
-    ours = [label for label in specs if specs[label].ours]
-    looks = [label for label in specs if not specs[label].online]
-    ahead = {"look_ahead": looks} if looks else {}
-    nearest = [label for label in specs if isinstance(specs[label], OnlineMethod)]
-    names = {"labels": list(labels), "names": titles, "ours": ours, "from_sources": nearest}
-    write_json(run.root / "methods.json", names | ahead)
-    notes = metric_notes(protocol.measurement.metrics, metric_options(protocol.measurement))
-    write_json(run.root / "metrics.json", notes)

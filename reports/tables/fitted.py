@@ -1,7 +1,5 @@
-"""Tables of costs: what each method sees and takes, time to equal quality, the spread over seeds, the price of being online."""
+"""Tables of costs: what each method sees and takes, the spread over seeds, the price of being online."""
 
-import math
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -41,7 +39,6 @@ COST_COLUMNS = (
     Column("seeds", describe="fits by another seed that were measured too, and the first"),
 )
 NOTHING = {NOT_FITTED, UNRECORDED.text}  # a column of these alone is left out
-STATED_DB = 30.0  # a PSNR that a fit may be asked for, beside those of the methods that need none
 
 
 def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
@@ -55,9 +52,9 @@ def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
 
 
 def cost_tables(run: MeasuredRun) -> tuple[Table, ...]:
-    """What every method sees and costs; where some are fitted, the time to equal quality, and the spread over seeds."""
+    """What every method sees and costs and, where some are fitted, the spread over seeds."""
     fits = fit_records(run)
-    tables = (_cost_table(run, fits), _equal_quality_table(run, fits), _seed_table(run))
+    tables = (_cost_table(run, fits), _seed_table(run))
     return tuple(table for table in tables if table)
 
 
@@ -72,7 +69,7 @@ def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> T
     if not any(cell.value is not None for line in lines.values() for cell in line):
         return None
     kept = [at for at, _ in enumerate(COST_COLUMNS) if {line[at].text for line in lines.values()} - NOTHING]
-    rows = [Row(run.name(label), tuple(line[at] for at in kept), _kind(run, label)) for label, line in lines.items()]
+    rows = [Row(run.name(label), tuple(line[at] for at in kept), row_kind(run, label)) for label, line in lines.items()]
     caption = "Peak memory: of the process, with what it had loaded for other methods before."
     if fits:
         folds = " · ".join(", ".join(fold) for fold in run.protocol.views.folds)
@@ -136,49 +133,6 @@ def fit_seconds(fits: Sequence[dict[str, Any]]) -> float:
     return float(sum(fit["seconds"] for fit in fits) / len(fits))
 
 
-def _equal_quality_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> Table | None:
-    """Seconds of fitting at which a method first reaches what others have without any, on held-out views.
-
-    Reading:
-        A fit's own curve is of its training images, and held-out views shown to it on the way would be a leak. So the curve is
-        made of whole fits: a method's labels that differ in ``steps`` are its points, and between two of them a crossing is a
-        bound from either side.
-    """
-    summary = run.results.summary().droplevel("dataset")
-    psnr_db = {label_of(*names): float(summary.loc[names].get("PSNR", math.nan)) for names in summary.index}
-    instant = [label for label in run.labels if label not in fits and math.isfinite(psnr_db.get(label, math.nan))]
-    ours = next((label for label in run.ours_first if label in instant and label in run.ours), None)
-    rivals = [label for label in (ours, next((each for each in instant if each.startswith("enerf")), None)) if label]
-    targets = {f"as {run.name(label)}, {psnr_db[label]:.2f} dB": psnr_db[label] for label in rivals}
-    targets |= {f"{STATED_DB:g} dB": STATED_DB}
-    families: dict[str, list[tuple[float, float]]] = {}
-    for label in fits:
-        families.setdefault(re.sub(r"\+steps=\d+", "", label), []).append((fit_seconds(fits[label]), psnr_db[label]))
-    if not families or not rivals:
-        return None
-    columns = tuple(Column(name, "s", False, "Seconds of one fold's fit.") for name in targets)
-    rows = [
-        Row(run.name(family), tuple(_crossing(sorted(points), target) for target in targets.values()))
-        for family, points in families.items()
-    ]
-    caption = (
-        "Seconds of fitting until a method's PSNR on held-out views is that of a method that needs no fit. The points are whole "
-        "fits: rows of a method that differ in steps (`4dgs+steps=1000`; `ggvs-eval sweep budget` has a series)."
-    )
-    return Table("equal_quality", "Cost at equal quality", caption, columns, tuple(rows), run.scene)
-
-
-def _crossing(points: Sequence[tuple[float, float]], target_db: float) -> Cell:
-    """The first of some (seconds, dB), rising in seconds, that reaches a PSNR; a bound, as the truth lies between two points."""
-    at = next((at for at, (_, reached_db) in enumerate(points) if reached_db >= target_db), None)
-    if at is None:
-        seconds, best_db = max(points, key=lambda point: point[1])
-        return Cell("not reached", note=f"{best_db:.2f} dB at best, after {format_value(seconds)} s")
-    seconds = points[at][0]
-    before = f"(more than {format_value(points[at - 1][0])})" if at else ""
-    return Cell(format_value(seconds), seconds, bound="at most", beside=before)
-
-
 def _rendering_cell(run: MeasuredRun, label: str) -> Cell:
     table = timing_table(run)
     total = next(at for at, column in enumerate(table.columns) if column.name == TOTAL)
@@ -186,7 +140,8 @@ def _rendering_cell(run: MeasuredRun, label: str) -> Cell:
     return replace(cell, beside="")
 
 
-def _kind(run: MeasuredRun, label: str) -> RowKind:
+def row_kind(run: MeasuredRun, label: str) -> RowKind:
+    """Of a row: ours or another measured one."""
     return "ours" if label in run.ours else "measured"
 
 
@@ -200,7 +155,7 @@ def _seed_table(run: MeasuredRun) -> Table | None:
     rows = []
     for label, others in run.replicas.items():
         values = [[float(numbers[each][note.name]) for each in (label, *others)] for note in notes]
-        rows.append(Row(run.name(label), tuple(map(_seed_cell, notes, values)), _kind(run, label)))
+        rows.append(Row(run.name(label), tuple(map(_seed_cell, notes, values)), row_kind(run, label)))
     columns = tuple(Column(note.name, note.unit, None, note.describe) for note in notes)
     caption = "Largest minus smallest number over the seeds of the fit; the other tables show the first seed."
     return Table("seeds", "Spread over seeds", caption, columns, tuple(rows), run.scene)
@@ -223,7 +178,7 @@ def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, 
     notes = list(runs[0].metrics.values())
     tables = []
     for dataset in dict.fromkeys(str(name) for name in results.table["dataset"]):
-        cells = {label: tuple(_price(note, results, label, ours[0], dataset) for note in notes) for label in fitted}
+        cells = {label: tuple(difference_cell(note, results, label, ours[0], dataset) for note in notes) for label in fitted}
         columns = tuple(Column(f"{note.name} {note.arrow}", note.unit, None, note.describe) for note in notes)
         name, k = runs[0].name(ours[0]), runs[0].protocol.synthesis.k
         caption = (
@@ -235,10 +190,10 @@ def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, 
     return tuple(tables)
 
 
-def _price(note: MetricNote, results: Results, label: str, online: str, dataset: str) -> Cell:
-    """One difference with its interval, or why there is none."""
+def difference_cell(note: MetricNote, results: Results, label: str, other: str, dataset: str) -> Cell:
+    """A method minus another with the interval of the paired difference, or why there is none."""
     try:
-        comparison = compare(results, note.name, label, online, dataset)
+        comparison = compare(results, note.name, label, other, dataset)
     except ResultsError as refusal:
         return Cell("not computed", note=str(refusal))
     value = comparison.difference

@@ -2,11 +2,14 @@
 
 import csv
 
+import numpy as np
 import pytest
 
 from ggvs_eval.reports.model.measured import METHODS_FILE, read_run
 from ggvs_eval.reports.run_groups import read_groups
-from ggvs_eval.reports.tables.fitted import _crossing, cost_tables, price_tables
+from ggvs_eval.reports.tables.differences import differences_table
+from ggvs_eval.reports.tables.fit_budget import _crossing, budget_tables
+from ggvs_eval.reports.tables.fitted import cost_tables, price_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
@@ -75,7 +78,7 @@ def test_cost_at_equal_quality_is_bounded_by_whole_fits(tmp_path):
     measured = read_run(root)
     summary = measured.results.summary().droplevel("dataset")["PSNR"]
     first, last = summary[("4dgs", "steps=100")], summary[("4dgs", "steps=900")]
-    table = next(table for table in cost_tables(measured) if table.key == "equal_quality")
+    table = next(table for table in budget_tables(measured) if table.key == "equal_quality")
 
     assert [row.name for row in table.rows] == ["4dgs"]
     assert table.columns[0].name == f"as ours, {summary[('ours', '')]:.2f} dB"
@@ -85,6 +88,36 @@ def test_cost_at_equal_quality_is_bounded_by_whole_fits(tmp_path):
     never = _crossing(points, last + 1)
     assert (never.text, never.value) == ("not reached", None)
     assert never.hint.endswith("after 90.00 s")
+
+
+def test_the_winner_changes_only_where_a_longer_fit_is_certainly_better(tmp_path):
+    """Under no budget ours; a fit that is 3 dB behind or no better by more than chance is left out; one 3 dB ahead has a line."""
+    labels = ("ours", "4dgs+steps=100", "4dgs+steps=200", "4dgs+steps=900")
+    names = tuple(zip(labels, labels, strict=True))
+    root = write_run(tmp_path / "run", RunShape(labels=labels, names=names, metrics=("PSNR",), poses=0))
+    write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours"]})
+    make_fitted(root, labels[1:])
+    for label, factor in zip(labels[1:], (1, 2, 9), strict=True):
+        for job in (root / "renders" / label).glob("*/job.json"):
+            record = read_json(job)
+            record["fit"]["seconds"] *= factor
+            write_json(job, record)
+    results = Results.read(root)
+    table = results.table
+    of = {label: table["variant"] == label.partition("+")[2] for label in labels}
+    ours = table.loc[of["ours"], "value"].to_numpy()
+    for label, ahead_db in zip(labels[1:], (-3.0, 0.0, 3.0), strict=True):
+        wobble = 0.2 * (-1.0) ** np.arange(len(ours))
+        table.loc[of[label], "value"] = ours + ahead_db + wobble
+    results.write(root)
+    best = next(table for table in budget_tables(read_run(root)) if table.key == "budget")
+
+    assert [row.name for row in best.rows] == ["ours", "4dgs+steps=900"]
+    first, last = (row.cells for row in best.rows)
+    assert (first[0].text, last[0].value) == ("0", 540.0)
+    assert first[2].value is None
+    assert last[2].value == pytest.approx(3.0)
+    assert last[2].low > 0
 
 
 def test_other_seeds_stand_in_the_spread_alone(fitted_run):
@@ -132,8 +165,24 @@ def test_the_tables_are_in_every_format(fitted_run):
             assert title in text
 
 
+def test_what_differs_by_design_is_a_table_of_its_own(fitted_run):
+    """What was declared stands beside what the protocol makes the same; of other people's frames nothing is known."""
+    declared = {"depth": "given", "learned from": "this capture", "not as published": "fewer steps"}
+    file = fitted_run / METHODS_FILE
+    before = read_json(file)
+    assert differences_table(read_run(fitted_run)) is None  # scored before it was recorded
+    write_json(file, before | {"declared": {FITTED: declared}})
+    table = differences_table(read_run(fitted_run))
+    write_json(file, before)
+
+    assert cells(table, "4DGS") == declared
+    assert set(cells(table, "Ours").values()) == {"unknown: others made it"}
+    assert "cam00, cam03" in table.caption
+    assert "4 frames" in table.caption
+
+
 def test_runs_without_fitted_methods_show_none_of_it(tmp_path):
     """No price, no seeds, no time to equal quality."""
     (group,) = read_groups([write_run(tmp_path / "run", RunShape(poses=0))])
     assert group.price == ()
-    assert not {"equal_quality", "seeds", "price"} & {table.key for table in group.all_tables}
+    assert not {"equal_quality", "budget", "seeds", "price"} & {table.key for table in group.all_tables}
