@@ -60,7 +60,8 @@ class Synthesis:
         height: height of input and output images; 0 keeps the capture's.
         resize_filter: how the capture's frames reach that size.
         sources: which cameras these are, see `choose_sources`: the ``nearest`` by centre, as in the paper, or those that by their
-            calibration see most of the target's view (``coverage``); all methods get the same.
+            calibration see most of the target's view (``coverage``), or the three of the triangle that it lies in (``triplet``);
+            all methods get the same.
     """
 
     k: int

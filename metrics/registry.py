@@ -52,7 +52,7 @@ _ALL: tuple[Metric, ...] = (
     *_OF_IMAGES,
     *metrics_of_parts((*_OF_IMAGES, TCC)),
     *(TCC, STED, STED_SSN, FLICKER, FLICKER_EXCESS, SDT, SDV),
-    *(VMAF, CVVDP),
+    *(*VMAF, CVVDP),
     *metrics_on_screen((PSNR, SSIM, LPIPS, TCC, STED)),
     *(MTV, SHARPNESS, MTV2),
     *(EPI_COHERENCE, EPI_LINE_TEXTURE, EPI_SLOPE_ERROR, EPI_SLOPE_AGREEING),

@@ -17,14 +17,21 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.errors import CameraError
+from ggvs_eval.geometry.camera_triplets import NEED, find_triplet
 
-SourceChoice = Literal["nearest", "coverage"]
+SourceChoice = Literal["nearest", "coverage", "triplet"]
+CHOSEN_AS: dict[SourceChoice, str] = {
+    "nearest": "the nearest",
+    "coverage": "chosen for what they see of the target",
+    "triplet": "the corners of the triangle of cameras that the target lies in",
+}  # in words
 
 GRID = (12, 9)  # rays across and down
 DEPTHS = 5  # per ray, evenly spaced in inverse depth
 LEAST_SHARE = 1e-3  # of a view at the instant of its exchange
 NEAREST_FADE = 0.3  # of the distance to the first camera that is not chosen, over which shares fall
 COVERAGE_FADE = 0.6  # of what the last camera adds, over which shares fall
+TRIPLET_FADE = 0.25  # coordinate in its triangle from which a camera counts whole
 POOL_FADE = 0.1  # of what a camera sees
 FULL_TURN_RAD, MOST_TURN_RAD = np.deg2rad(60.0), np.deg2rad(75.0)  # between two axes: a camera counts whole up to the first,
 # and is turned away from the second on
@@ -53,13 +60,14 @@ def choose_sources(target: Camera, cameras: Sequence[Camera], k: int, how: Sourc
 
     Args:
         target: camera to synthesise, of the rig or a virtual one.
-        k: number of sources; ``coverage`` gives fewer where fewer cameras look the target's way.
-        how: ``nearest``, the cameras whose centres lie nearest, whatever they see; or ``coverage``, those that together see most
-            of the target's view between its near and its far depth, from directions like its own.
+        k: number of sources; ``coverage`` gives fewer where fewer cameras look the target's way, ``triplet`` wants three.
+        how: ``nearest``, the cameras whose centres lie nearest, whatever they see; ``coverage``, those that together see most
+            of the target's view between its near and its far depth, from directions like its own; or ``triplet``, the corners of
+            the triangle of cameras that the target lies in, see `find_triplet`.
 
     Raises:
         CameraError: no such choice, or fewer than `k` other cameras; for ``coverage``, none that looks the target's way and sees
-            any of it.
+            any of it; for ``triplet``, another `k` than three, or cameras in a row.
 
     Examples:
         >>> from ggvs_eval.camera import translated_path
@@ -79,7 +87,7 @@ def choose_sources(target: Camera, cameras: Sequence[Camera], k: int, how: Sourc
         raise CameraError(f"sources: wanted one of {', '.join(get_args(SourceChoice))}, got {how!r}")
     others = nearest_cameras(target, cameras, len([camera for camera in cameras if camera.name != target.name]))
     nearest_cameras(target, others, k)  # refuses too few
-    shares = _nearest_shares(target, others, k) if how == "nearest" else _coverage_shares(target, others, k)
+    shares = SHARES[how](target, others, k)
     return tuple(ChosenSource(others[index], share) for index, share in sorted(shares.items()))
 
 
@@ -101,6 +109,13 @@ def _nearest_shares(target: Camera, others: Sequence[Camera], k: int) -> dict[in
     if len(distances) == k or distances[k] == 0:
         return dict.fromkeys(range(k), 1.0)
     return {index: _share((distances[k] - distances[index]) / (NEAREST_FADE * distances[k])) for index in range(k)}
+
+
+def _triplet_shares(target: Camera, others: Sequence[Camera], k: int) -> dict[int, float]:
+    """Index in `others` -> share; falls as the target comes near the side of its triangle that the camera does not touch."""
+    if k != NEED:
+        raise CameraError(f"camera {target.name}: wanted K = {NEED} for the triangle around it, got {k}; set synthesis.k")
+    return {index: _share(coordinate / TRIPLET_FADE) for index, coordinate in find_triplet(target, others).items()}
 
 
 def _share(margin: float) -> float:
@@ -128,6 +143,9 @@ def _coverage_shares(target: Camera, others: Sequence[Camera], k: int) -> dict[i
         without = np.append(values[~sets[:, member]], values_fewer[~fewer[:, member]]).max()
         shares[int(pool[member])] = _share(float((values[best] - without) / (COVERAGE_FADE * gain)))
     return shares
+
+
+SHARES = {"nearest": _nearest_shares, "coverage": _coverage_shares, "triplet": _triplet_shares}
 
 
 def _pool(worth: Array, k: int) -> tuple[NDArray[np.int64], Array]:

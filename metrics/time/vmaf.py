@@ -3,8 +3,10 @@
 import json
 import subprocess
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import ClassVar
 
 from ggvs_eval import kernels
 from ggvs_eval.arrays import Image8
@@ -14,7 +16,10 @@ from ggvs_eval.metrics.metric import FURTHER, ColourMap, MetricOptions, TruthFra
 from ggvs_eval.metrics.time.spooled_frames import SpooledFrames
 
 MODEL = "vmaf_v0.6.1"
-MIN_SIDE_PX = 32  # below, VMAF's pyramid has no coarsest scale
+MODEL_V1 = "vmaf_v1.0.16_3d0h"  # built into libvmaf from 3.2 on
+# Shorter and longer side: below, the pyramid has no coarsest scale; v1's measure of banding has none either, and crashes.
+SMALLEST_PX = {MODEL_V1: (160, 216)}
+SMALLEST_OF_OTHERS_PX = (32, 32)
 TIMEOUT_S = 3600
 
 
@@ -39,8 +44,10 @@ def vmaf(pairs: Iterable[tuple[Image8, Image8]], model: str = MODEL, matrix: str
         [97.43...]
 
     Reading:
-        Model vmaf_v0.6.1, for a 1080p screen at three heights, whatever the size of the frames. It looks at luma alone, here
-        BT.709 in 16..235, and was trained on compression and scaling: it says little of geometry.
+        Models for a 1080p screen at three heights, whatever the size of the frames, and below 45 frames per second. The older
+        one looks at luma alone, v1.0.16 (June 2026) at chroma and banding too; frames are BT.709 in 16..235, 4:2:0. Both were
+        trained on compression and scaling: they say little of geometry. Each is a metric of its own, as their values differ and
+        which models there are depends on the ffmpeg that is installed.
     """
     with SpooledFrames() as frames:
         for rendered, truth in pairs:
@@ -50,8 +57,10 @@ def vmaf(pairs: Iterable[tuple[Image8, Image8]], model: str = MODEL, matrix: str
 
 
 def _vmaf_of(frames: SpooledFrames, model: str = MODEL, matrix: str = "bt709") -> list[float]:
-    if not frames.count or min(frames.shape[:2]) < MIN_SIDE_PX:
-        raise MetricError(f"VMAF needs frames of at least {MIN_SIDE_PX} pixels a side, got {frames.count} of {frames.shape[:2]}")
+    smallest = SMALLEST_PX.get(model, SMALLEST_OF_OTHERS_PX)
+    if not frames.count or any(side < least for side, least in zip(sorted(frames.shape[:2]), smallest, strict=True)):
+        sides = " x ".join(map(str, smallest))
+        raise MetricError(f"VMAF by {model}: wanted frames of at least {sides} pixels, got {frames.count} of {frames.shape[:2]}")
     with TemporaryDirectory(prefix="ggvs-eval-vmaf-") as folder:
         log = Path(folder) / "vmaf.json"
         height, width = frames.shape[:2]
@@ -66,8 +75,9 @@ def _vmaf_of(frames: SpooledFrames, model: str = MODEL, matrix: str = "bt709") -
         except (OSError, subprocess.TimeoutExpired) as error:
             raise MetricError(f"VMAF: {error}") from error
         if run.returncode or not log.is_file():
-            reason = (run.stderr.strip().splitlines() or ["no word why"])[-1]
-            raise MetricError(f"VMAF: ffmpeg failed: {reason}")
+            said = run.stderr.strip().splitlines()
+            reason = next((line for line in said if "libvmaf" in line), said[-1] if said else "no word why")
+            raise MetricError(f"VMAF by {model}: ffmpeg failed: {reason}")
         return [float(frame["metrics"]["vmaf"]) for frame in json.loads(log.read_text(encoding="utf-8"))["frames"]]
 
 
@@ -82,9 +92,10 @@ def find_ffmpeg() -> str:
 
 
 class VmafScorer:
-    """VMAF; all frames have their values at the end."""
+    """VMAF by its model of 2016; all frames have their values at the end."""
 
-    names = ("VMAF",)
+    names: ClassVar = ("VMAF_v0",)
+    model: ClassVar = MODEL
 
     def __init__(self, _names: Sequence[str], _options: MetricOptions, _colour_map: ColourMap | None) -> None:
         self._frames = SpooledFrames()
@@ -101,17 +112,28 @@ class VmafScorer:
     def finish(self) -> list[Value]:
         """See `Scorer`."""
         with self._frames as frames:
-            return [("VMAF", index, value) for index, value in zip(self._indices, _vmaf_of(frames), strict=True)]
+            values = _vmaf_of(frames, self.model)
+        return [(self.names[0], index, value) for index, value in zip(self._indices, values, strict=True)]
 
 
-VMAF = ViewMetric(
-    name="VMAF",
-    kind="frame",
-    function=vmaf,
-    higher_is_better=True,
-    group=FURTHER,
-    decimals=2,
-    describe=f"fused measure of the video industry, 0 to 100, model {MODEL}; trained on compression, says little of geometry",
-    reference="Li et al. 2016, Netflix",
-    scorer=VmafScorer,
+class VmafV1Scorer(VmafScorer):
+    """VMAF by its model of 2026; a scorer of its own, since an older ffmpeg lacks it alone."""
+
+    names: ClassVar = ("VMAF_v1",)
+    model: ClassVar = MODEL_V1
+
+
+VMAF = tuple(
+    ViewMetric(
+        name=scorer.names[0],
+        kind="frame",
+        function=partial(vmaf, model=scorer.model),
+        higher_is_better=True,
+        group=FURTHER,
+        decimals=2,
+        describe=f"fused measure of the video industry, 0 to 100, {scorer.model}; trained on compression, little of geometry",
+        reference="Li et al. 2016, Netflix",
+        scorer=scorer,
+    )
+    for scorer in (VmafScorer, VmafV1Scorer)
 )

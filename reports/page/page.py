@@ -15,6 +15,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import read_image
+from ggvs_eval.geometry.source_views import CHOSEN_AS
 from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE, round_ticks
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, find_regions
 from ggvs_eval.reports.figures.slices import NO_TRUTH, Slices
@@ -44,7 +45,6 @@ SCRIPTS = (
 )
 CONTEXT_WIDTH = 480
 UPS_AT_MOST = 2  # folders from a page up to what holds its run
-SOURCES = {"nearest": "the nearest", "coverage": "chosen for what they see of the target"}
 FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
 Part = tuple[str, str, tuple[str, ...]]
 # Behind the first screen of a group: place, title and templates of each part.
@@ -227,7 +227,7 @@ def _sources(runs: Sequence[MeasuredRun]) -> str:
     if not all(set(run.labels) <= run.from_sources for run in runs):
         return ""
     synthesis = runs[0].protocol.synthesis
-    return f", from {synthesis.k} other cameras, {SOURCES[synthesis.sources]}"
+    return f", from {synthesis.k} other cameras, {CHOSEN_AS[synthesis.sources]}"
 
 
 def _parts(group: RunGroup) -> list[Part]:

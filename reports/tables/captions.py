@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 
+from ggvs_eval.geometry.source_views import CHOSEN_AS
 from ggvs_eval.merged_results import BETWEEN
 from ggvs_eval.progress import counted
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.measured import PARTIAL, MeasuredRun, without_labels
 from ggvs_eval.results import Results
 
-CHOSEN_FOR = {"nearest": "", "coverage": ", chosen for what they see of the target"}  # words after the number of sources
 OWN_PACKAGE = "ggvs-eval"  # what its version changes is measured again
 INTERCHANGE = (
     "A test view is left out of its own rendering only and may be a source of others; `views.sources` of a protocol forbids it."
@@ -47,7 +47,8 @@ def _sources(runs: Sequence[MeasuredRun], names: Mapping[str, str]) -> str:
         return ""
     synthesis = runs[0].protocol.synthesis
     exempt = f", but for {', '.join(others)}" if others else ""
-    return f"K = {synthesis.k} source views{CHOSEN_FOR[synthesis.sources]}{exempt}"
+    chosen = "" if synthesis.sources == "nearest" else f", {CHOSEN_AS[synthesis.sources]}"
+    return f"K = {synthesis.k} source views{chosen}{exempt}"
 
 
 def may_interchange(protocol: Protocol) -> bool:

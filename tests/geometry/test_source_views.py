@@ -19,6 +19,7 @@ from helpers.refusals import refused
 pytestmark = pytest.mark.slow
 
 CHOICES = ("nearest", "coverage")
+ALL = (*CHOICES, "triplet")
 SIZE, NEAR, FAR = (64, 48), 10.0, 32.0
 
 
@@ -38,6 +39,10 @@ def make_rig(shape: str, seed: int = 101) -> list[Camera]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ggvs_eval.synthetic.film.rig.AIM_SWAY", 10.0)
         return hand_held_poses(seed, *SIZE, 20, 4.0, NEAR, FAR)
+
+
+def k_of(how: str) -> int:
+    return 3 if how == "triplet" else 4
 
 
 def names(sources) -> list[str]:
@@ -71,19 +76,19 @@ def value(target: Camera, sources: list[Camera]) -> float:
     return float(source_views._values(np.ones((1, len(sources)), bool), worth)[0])
 
 
-@pytest.mark.parametrize("how", CHOICES)
+@pytest.mark.parametrize("how", ALL)
 @pytest.mark.parametrize("shape", ["rows", "arc", "grid", "walk"])
 def test_sources_are_others_nearest_first_and_few(shape, how):
     """Never the target, never twice, nearest first, at most K, shares in (0, 1], and the same again."""
     cameras = make_rig(shape)
     for target in cameras[::3]:
-        chosen = choose_sources(target, cameras, 4, how)
+        chosen = choose_sources(target, cameras, k_of(how), how)
         distances = [np.linalg.norm(each.camera.centre - target.centre) for each in chosen]
         assert target.name not in names(chosen)
         assert 1 <= len(set(names(chosen))) == len(chosen) <= 4
         assert distances == sorted(distances)
         assert all(LEAST_SHARE <= each.share <= 1 for each in chosen)
-        assert shares(choose_sources(target, cameras[::-1], 4, how)) == shares(chosen)
+        assert shares(choose_sources(target, cameras[::-1], k_of(how), how)) == shares(chosen)
 
 
 def test_nearest_are_the_nearest():
@@ -138,7 +143,7 @@ def test_k_of_k_are_all(how):
     assert set(shares(chosen).values()) == {1.0}
 
 
-@pytest.mark.parametrize("how", CHOICES)
+@pytest.mark.parametrize("how", ALL)
 @given(
     turn=st.tuples(*[st.floats(-3, 3)] * 3),
     shift=st.tuples(*[st.floats(-50, 50)] * 3),
@@ -156,18 +161,19 @@ def test_the_world_may_be_turned_shifted_and_scaled(how, turn, shift, scale, ind
     np.testing.assert_allclose([away[name] for name in here], list(here.values()), atol=1e-3)
 
 
-@pytest.mark.parametrize("how", CHOICES)
+@pytest.mark.parametrize("how", ALL)
 @given(shape=st.sampled_from(["rows", "arc", "grid"]), start=st.integers(0, 58), part=st.floats(0, 0.99), k=st.integers(2, 4))
 @settings(max_examples=20, deadline=None)
 def test_shares_are_continuous_as_the_target_moves(how, shape, start, part, k):
     """In 1/6000 of the way round no share changes much, that of a camera that comes or goes included."""
     cameras = make_rig(shape)
     poses = camera_loop(cameras, 60)[start : start + 2]
+    k = 3 if how == "triplet" else k
     before, after = (shares(choose_sources(between(*poses, place), cameras, k, how)) for place in (part, part + 0.01))
     assert max(abs(before.get(name, 0) - after.get(name, 0)) for name in {*before, *after}) < 0.1
 
 
-@pytest.mark.parametrize("how", CHOICES)
+@pytest.mark.parametrize("how", ALL)
 def test_a_view_has_no_share_at_its_exchange(how):
     """Found by bisection: just before and just after the set changes, who goes and who comes have the least share."""
     cameras = make_rig("rows")
@@ -187,7 +193,7 @@ def test_a_view_has_no_share_at_its_exchange(how):
 
 
 def at(target: Camera, cameras: list[Camera], how: str):
-    return choose_sources(target, cameras, 4, how)
+    return choose_sources(target, cameras, k_of(how), how)
 
 
 def between(one: Camera, other: Camera, part: float) -> Camera:
@@ -197,13 +203,13 @@ def between(one: Camera, other: Camera, part: float) -> Camera:
     return replace(one, world_to_camera=world_to_camera)
 
 
-@pytest.mark.parametrize("how", CHOICES)
+@pytest.mark.parametrize("how", ALL)
 def test_too_few_cameras_and_unknown_choices_are_refused(how):
     """One line each."""
     cameras = make_rig("grid")[:3]
     with refused(CameraError, "3 source cameras", "2 others"):
         choose_sources(cameras[0], cameras, 3, how)
-    with refused(CameraError, "nearest, coverage", "'covrage'"):
+    with refused(CameraError, "nearest, coverage, triplet", "'covrage'"):
         choose_sources(cameras[0], cameras, 2, "covrage")  # type: ignore[arg-type]
 
 
@@ -214,3 +220,37 @@ def test_a_camera_covers_itself():
     assert covered_share(camera, [turned(camera, np.pi, "back")]) == 0
     assert covered_share(camera, [camera.cropped(0, 0, camera.width // 2, camera.height)]) == pytest.approx(0.5)
     assert covered_share(camera, []) == 0
+
+
+def flat_rig(places: list[tuple[float, float]]) -> list[Camera]:
+    """Cameras of a plane that look along its normal."""
+    first = make_rig("grid")[0]
+    pose = np.eye(4)
+    rig = []
+    for index, (x, y) in enumerate(places):
+        pose[:3, 3] = -x, -y, 0
+        rig.append(replace(first, name=f"at{index}", world_to_camera=pose.copy()))
+    return rig
+
+
+def test_a_triplet_is_the_triangle_around_the_target():
+    """Corners of the triangle, at the middle of which all count whole; at a corner it counts alone; outside, the nearest side."""
+    rig = flat_rig([(0, 0), (3, 0), (0, 3), (9, 8), (-8, -9)])
+    target = replace(flat_rig([(1, 1)])[0], name="target")
+    assert shares(choose_sources(target, rig, 3, "triplet")) == {"at0": 1.0, "at1": 1.0, "at2": 1.0}
+    corner = shares(choose_sources(replace(rig[1], name="target"), rig, 3, "triplet"))
+    assert corner["at1"] == 1.0
+    assert sorted(corner.values())[:2] == [LEAST_SHARE] * 2
+    triangle = rig[:3]
+    outside = shares(choose_sources(replace(flat_rig([(1.5, -2)])[0], name="target"), triangle, 3, "triplet"))
+    assert (outside["at0"], outside["at1"]) == pytest.approx((1.0, 1.0))
+    assert outside["at2"] == LEAST_SHARE
+
+
+def test_a_row_of_cameras_has_no_triplets():
+    """It is refused with the choice that is left, and so are two sources."""
+    row = flat_rig([(index, 0) for index in range(5)])
+    with refused(CameraError, "form a triangle", "nearest"):
+        choose_sources(row[2], row, 3, "triplet")
+    with refused(CameraError, "K = 3", "got 2"):
+        choose_sources(make_rig("grid")[0], make_rig("grid"), 2, "triplet")

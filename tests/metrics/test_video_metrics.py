@@ -17,12 +17,12 @@ from helpers.refusals import refused
 FRAMES, HEIGHT, WIDTH = 6, 120, 160
 
 
-def video(frames=FRAMES):
+def video(frames=FRAMES, height=HEIGHT, width=WIDTH):
     """A pan over a photograph, and the same blurred and with noise; pairs of uint8."""
     photograph, random = data.astronaut(), np.random.default_rng(0)
     pairs = []
     for t in range(frames):
-        truth = np.ascontiguousarray(photograph[100 + t : 100 + t + HEIGHT, 150 + 2 * t : 150 + 2 * t + WIDTH])
+        truth = np.ascontiguousarray(photograph[100 + t : 100 + t + height, 150 + 2 * t : 150 + 2 * t + width])
         blurred = cv2.GaussianBlur(truth, (0, 0), 1.0) + random.normal(0, 6, truth.shape)
         pairs.append((np.rint(np.clip(blurred, 0, 255)).astype(np.uint8), truth))
     return pairs
@@ -38,25 +38,42 @@ def test_vmaf_equals_a_run_of_ffmpeg_on_the_same_pictures():
     pairs = video()
     by_hand = [70.069538, 79.177140, 78.509543, 78.456714, 79.103893, 78.698894]
 
-    scores = score_view(pairs, ["VMAF"])
+    scores = score_view(pairs, ["VMAF_v0"])
 
     assert scores.not_computed == {}
     assert [frame for _, frame, _ in scores.values] == list(range(FRAMES))
     assert [value for _, _, value in scores.values] == pytest.approx(by_hand, abs=1e-4)
 
 
+def test_the_model_of_2026_is_a_column_of_its_own(monkeypatch):
+    """As a run of ffmpeg by hand on the same frames; where libvmaf lacks the model, that column alone has a reason."""
+    pytest.importorskip("imageio_ffmpeg")
+    pairs = video(3, 180, 240)
+    by_hand = [73.453350, 73.833751, 74.913046]
+    scores = score_view(pairs, ["VMAF_v1", "VMAF_v0"])
+    assert [value for name, _, value in scores.values if name == "VMAF_v1"] == pytest.approx(by_hand, abs=1e-4)
+
+    monkeypatch.setattr(vmaf_module.VmafV1Scorer, "model", "vmaf_v9.9.9")
+    scores = score_view(pairs, ["VMAF_v1", "VMAF_v0"])
+    assert set(scores.not_computed) == {"VMAF_v1"}
+    assert "vmaf_v9.9.9" in scores.not_computed["VMAF_v1"]
+    assert {name for name, _, _ in scores.values} == {"VMAF_v0"}
+
+
 def test_vmaf_that_cannot_run_says_why(monkeypatch):
     """No package, a program that fails, frames that are too small: one reason each, and no traceback."""
     pairs = video(2)
     monkeypatch.setattr(vmaf_module, "find_ffmpeg", lambda: sys.executable)
-    with pytest.raises(MetricError, match="VMAF: ffmpeg failed: "):
+    with refused(MetricError, "vmaf_v0.6.1", "ffmpeg failed"):
         vmaf(pairs)
     monkeypatch.undo()
-    with refused(MetricError, "32 pixels"):
+    with refused(MetricError, "32 x 32", "(20, 160)"):
         vmaf([(truth[:20], truth[:20]) for _, truth in pairs])
+    with refused(MetricError, "160 x 216", "(120, 160)"):
+        vmaf(pairs, vmaf_module.MODEL_V1)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    scores = score_view(pairs, ["VMAF", "PSNR"])
-    assert scores.not_computed == {"VMAF": "VMAF needs the ffmpeg of imageio-ffmpeg; `pip install 'ggvs-eval[vmaf]'`"}
+    scores = score_view(pairs, ["VMAF_v0", "PSNR"])
+    assert scores.not_computed == {"VMAF_v0": "VMAF needs the ffmpeg of imageio-ffmpeg; `pip install 'ggvs-eval[vmaf]'`"}
     assert {name for name, _, _ in scores.values} == {"PSNR"}
 
 

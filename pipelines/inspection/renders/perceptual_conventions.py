@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.errors import MetricError
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import halved
 from ggvs_eval.pipelines.inspection.renders.recompute import (
     FrameMeasure,
@@ -115,8 +116,8 @@ def flip_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
 
 
 def vmaf_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
-    """VMAF of either model and matrix, its frames averaged in three ways."""
-    from ggvs_eval.metrics.time.vmaf import vmaf
+    """VMAF of each model that this ffmpeg has and either matrix, its frames averaged in three ways."""
+    from ggvs_eval.metrics.time.vmaf import MODEL, MODEL_V1, vmaf
 
     averages: Mapping[str, Callable[[NDArray[np.float64]], float]] = {
         "mean over frames": lambda values: float(values.mean()),
@@ -124,9 +125,14 @@ def vmaf_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
         "worst frame": lambda values: float(values.min()),
     }
     rows = []
-    for model in ("vmaf_v0.6.1", "vmaf_v0.6.1neg"):
+    for model in (MODEL, f"{MODEL}neg", MODEL_V1):
         for matrix in ("bt709", "bt601"):
-            frames = {name: np.array(vmaf(view_pairs(view), model, matrix)) for name, view in views.items()}
+            try:
+                frames = {name: np.array(vmaf(view_pairs(view), model, matrix)) for name, view in views.items()}
+            except MetricError:
+                if model == MODEL:
+                    raise
+                continue  # an older libvmaf
             for average, pool in averages.items():
                 name = f"{model}, {matrix.replace('bt', 'BT.')}, {average}"
                 values = mean_over_views({view: pool(of_view) for view, of_view in frames.items()})
