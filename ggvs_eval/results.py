@@ -196,6 +196,12 @@ def label_of(method: str, variant: str) -> str:
     return f"{method}+{variant}" if variant else method
 
 
+def split_label(label: str) -> tuple[str, str]:
+    """(method, variant) of a label; the variant of a plain method is the empty string."""
+    method, _, variant = label.partition("+")
+    return method, variant
+
+
 def make_table(rows: Iterable[Sequence[Any]]) -> "pd.DataFrame":
     """Build the tidy table from rows in the order of `COLUMNS`."""
     import pandas as pd

@@ -16,6 +16,7 @@ from ggvs_eval.reports.figures.stream_figure import RatePanel, rate_panels
 from ggvs_eval.reports.model.measured import MeasuredRun, name_scenes, read_run
 from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.tables.differences import differences_table
+from ggvs_eval.reports.tables.drift import drift_table
 from ggvs_eval.reports.tables.error_budget import budget_table, decomposition_table
 from ggvs_eval.reports.tables.fit_budget import budget_tables
 from ggvs_eval.reports.tables.fitted import cost_tables, price_tables
@@ -34,7 +35,7 @@ class RunSection:
     """Everything that the page shows of one run.
 
     Attributes:
-        view_tables: where the error lies, where it varies, and one per metric.
+        view_tables: where the error lies, where it varies, how it drifts over a long clip, and one per metric.
         costs: of every method, and what else differs; where some are fitted, seeds, time to equal quality, the best by budget.
         slices: along the path and over time.
         on_time: what reaches the screen, where the protocol has a stream.
@@ -137,7 +138,7 @@ def _make_section(run: MeasuredRun) -> RunSection:
 def _read_section(root: Path, scored: str, scene: str) -> RunSection:
     """The section of a run with these results: a page that grows with every run reads the frames of the earlier ones once."""
     run = read_run(root).called(scene)
-    taken_apart = tuple(table for table in (budget_table(run), decomposition_table(run)) if table)
+    taken_apart = tuple(table for table in (budget_table(run), decomposition_table(run), drift_table(run)) if table)
     costs = tuple(table for table in (*cost_tables(run), *budget_tables(run), differences_table(run)) if table)
     tables = taken_apart + view_tables(run), timing_table(run), costs
     return RunSection(run, *tables, all_slices(run), curve_panels(run), stream_table(run), rate_panels([run]))

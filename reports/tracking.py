@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.model.measured import MeasuredRun, distinct_names, read_scores
+from ggvs_eval.results import split_label
 
 Tracker = Literal["tensorboard", "mlflow", "wandb"]
 # Tracker -> the package that writes its files, which is also the extra's content.
@@ -67,13 +68,12 @@ def tracked_methods(run: MeasuredRun, name: str) -> list[TrackedMethod]:
     tracked = []
     for label in run.labels:
         rows = table[[one == label for one in labels]]
-        method, _, variant = label.partition("+")
         framed = rows[rows["frame"] >= 0].groupby(["metric", "frame"], sort=False)["value"].mean().reset_index()
         curves: dict[str, list[tuple[int, float]]] = {}
         for metric, frame, value in zip(framed["metric"], framed["frame"], framed["value"], strict=True):
             curves.setdefault(str(metric), []).append((int(frame), float(value)))
         settings = {**protocol, "method": run.name(label)}
-        numbers = {str(metric): float(value) for metric, value in means[(method, variant)].items() if not math.isnan(value)}
+        numbers = {str(metric): float(value) for metric, value in means[split_label(label)].items() if not math.isnan(value)}
         tracked.append(TrackedMethod(f"{name}/{label}", settings, numbers, curves))
     return tracked
 

@@ -13,6 +13,7 @@ from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptio
 from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.spec import MethodSpec, OnlineMethod
 from ggvs_eval.plugins import Registry, imported
+from ggvs_eval.results import split_label
 
 
 def _checked(name: str, offered: object) -> MethodSpec:
@@ -81,9 +82,3 @@ def _with_checkpoint(label: str, checkpoint: Path) -> MethodSpec:
         raise RenderError(f"method {label}: {spec.title} takes no weights from outside; these do: {', '.join(weights_takers())}")
     title = spec.title_from or spec.title
     return replace(spec, title=title, factory=partial(spec.make_from, checkpoint), make_from=None, weights=(checkpoint,))
-
-
-def split_label(label: str) -> tuple[str, str]:
-    """(method, variant) of a label; the variant of a plain method is the empty string."""
-    method, _, variant = label.partition("+")
-    return method, variant

@@ -1,7 +1,7 @@
 """Time of a run's stages before they begin: known costs of this package's stages, by the pace of this machine."""
 
-from ggvs_eval.pipelines.methods.registry import split_label
 from ggvs_eval.protocol import Measurement
+from ggvs_eval.results import split_label
 
 # Core-seconds per megapixel at `pace` 1, K = 4, frames of 480 x 360 to 1352 x 1014; a plug-in's method has none until it has
 # rendered a frame.

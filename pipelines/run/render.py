@@ -11,13 +11,12 @@ from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.free_memory import PeakMemory
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.pipelines.methods.registry import split_label
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.run.coverage import REFUSED
 from ggvs_eval.pipelines.run.diagnostics import write_diagnostics
 from ggvs_eval.pipelines.run.unit_job import UnitJob
-from ggvs_eval.results import installed_versions
+from ggvs_eval.results import installed_versions, split_label
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
 
 

@@ -15,7 +15,7 @@ from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.registry import METRICS, derived_rows, pooling_records, select_metrics
 from ggvs_eval.pipelines.inspection.renders.seen import COMPARED
-from ggvs_eval.pipelines.methods.registry import METHODS, split_label
+from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.run.references import ceiling_jobs, find_seen_view, read_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
@@ -23,7 +23,7 @@ from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.pipelines.run.screens import Clock, read_clocks, screens_of, write_screens
 from ggvs_eval.pipelines.run.shown_names import write_shown_names
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table
+from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table, split_label
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 
 METRICS_ON_DEVICE = "metrics"  # stands among the renders that are not the CPU's

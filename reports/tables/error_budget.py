@@ -15,6 +15,7 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+from ggvs_eval.results import split_label
 from ggvs_eval.run_folder import frame_path, missing_frames
 from ggvs_eval.statistics.decomposition import TwoWay, decompose_metric
 
@@ -59,9 +60,8 @@ def decomposition_table(run: MeasuredRun) -> Table | None:
 
 
 def _variance_cells(run: MeasuredRun, label: str) -> tuple[Cell, ...]:
-    method, _, variant = label.partition("+")
     try:
-        parts = decompose_metric(run.results, METRIC, run.scene, method, variant, run.protocol.dataset)
+        parts = decompose_metric(run.results, METRIC, run.scene, *split_label(label), run.protocol.dataset)
     except ResultsError as error:
         return tuple(Cell(f"not computed: {error}") for _ in VARIANCE_COLUMNS)
     return tuple(Cell(text.format(value(parts)), value(parts)) for _, text, value in VARIANCE_COLUMNS)

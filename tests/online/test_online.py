@@ -8,12 +8,13 @@ import pytest
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.method import SourceView
-from ggvs_eval.pipelines.methods.registry import METHODS, find_method, split_label
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod
 from ggvs_eval.pipelines.online import geometry_guided
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
 from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter, filter_depth
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
+from ggvs_eval.results import split_label
 from helpers.photographs import psnr_db
 from helpers.refusals import refused
 from helpers.scenes import SQUARE_Z, WALL_Z, camera_at, instant, look

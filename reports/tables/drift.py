@@ -1,0 +1,69 @@
+"""Table of drift: whether a method gets better or worse the longer it runs."""
+
+import numpy as np
+
+from ggvs_eval.arrays import Array
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.reports.model.metric_note import MetricNote
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_half_width, format_value
+from ggvs_eval.reports.tables.fitted import row_kind
+from ggvs_eval.results import split_label
+from ggvs_eval.statistics.drift import measure_drift
+from ggvs_eval.statistics.intervals import LEVEL
+from ggvs_eval.statistics.panels import read_panel
+
+LEAST_FRAMES = 60  # of a clip of which it is asked
+PER_FRAMES = 100  # of which the table gives the slope
+APART = "{}, apart from the scene"
+
+
+def drift_table(run: MeasuredRun) -> Table | None:
+    """Slopes over time of the first table's metrics; None of clips too short to ask.
+
+    A scene that gets harder pulls all methods down, so beside each slope is that of the difference to the mean of all methods.
+    """
+    if run.protocol.frames.count < LEAST_FRAMES:
+        return None
+    notes = [note for note in run.metrics.values() if note.group == next(iter(run.metrics.values())).group]
+    series = {note.name: of for note in notes if (of := _series(run, note.name))}
+    if not series:
+        return None
+    shown = [run.metrics[name] for name in series]
+    columns = [Column(name, note.unit, note.higher_is_better) for note in shown for name in (note.name, APART.format(note.name))]
+    rows = []
+    for label in run.labels:
+        cells = []
+        for note in shown:
+            own = series[note.name].get(label)
+            everyone = np.mean(list(series[note.name].values()), axis=0)
+            cells += [_cell(own, note), _cell(None if own is None else own - everyone, note)]
+        rows.append(Row(run.name(label), tuple(cells), row_kind(run, label)))
+    caption = (
+        f"Change per {PER_FRAMES} frames of the line through the mean of the views, over {run.protocol.frames.count} frames, "
+        f"with its {100 * LEVEL:.0f} % interval; apart from the scene: of the difference to the mean of all methods."
+    )
+    return Table("drift", "Drift over time", caption, tuple(columns), tuple(rows), run.scene)
+
+
+def _series(run: MeasuredRun, metric: str) -> dict[str, Array]:
+    """Label -> value of each frame, the mean over the views, of the methods that have one in every view and frame."""
+    found = {}
+    for label in run.labels:
+        try:
+            panel = read_panel(run.results, metric, run.results.scenes[0], *split_label(label))
+        except ResultsError:
+            continue
+        if len(panel.frames) == run.protocol.frames.count:
+            found[label] = panel.values.mean(axis=0)
+    return found
+
+
+def _cell(series: Array | None, note: MetricNote) -> Cell:
+    if series is None:
+        return Cell("not computed: no value of every frame")
+    drift = measure_drift(series)
+    slope, half = PER_FRAMES * drift.slope, PER_FRAMES * drift.half_width
+    text = f"{'+' if slope > 0 else ''}{format_value(slope, note.decimals)}".replace("-", "−")
+    spread = f"± {format_half_width(slope, half, note.decimals)}"
+    return Cell(text, slope, False, 0.0, spread, slope - half, slope + half, drift.short)
