@@ -171,7 +171,8 @@ def run(
     print_plan([plan], engine.jobs, root, dry_run)
     if dry_run:
         return
-    measure(plan, engine)
+    for line in measure(plan, engine).fault_lines():
+        print(line, file=sys.stderr)
     print(report([root]))
 
 

@@ -18,6 +18,7 @@ from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.stages import Stages, measure_runs, render_runs
 from ggvs_eval.protocol import Protocol
+from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder
 
 
@@ -49,10 +50,10 @@ def evaluate(
 
 
 @kept_workers()
-def measure(plan: RunPlan, workers: Workers) -> None:
+def measure(plan: RunPlan, workers: Workers) -> Results:
     """Prepare, render and score what a run lacks: everything of `evaluate` but the report."""
-    for _, scores in measure_runs([plan], Stages(plan.run.root, as_engine(workers))):
-        scores.collect()
+    ((_, scores),) = measure_runs([plan], Stages(plan.run.root, as_engine(workers)))
+    return scores.collect()
 
 
 def render(prepared: RunPlan, workers: Workers = 1) -> int:

@@ -1,5 +1,6 @@
 """Frames of every method beside the truth, with the squares that a rule has chosen enlarged below or beside them."""
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,19 +64,23 @@ def draw_failures(
     """The worst squares of a method, one per view: where they lie, the truth, every method, and the method's error as a map."""
     regions = find_regions(run, "worst", label, cases, one_per_view=True)
     labels = ("truth", *run.pictured)
-    figure, axes = _grid(
-        (look.width_in, 0.6 + 1.35 * look.width_in / FULL_LOOK.width_in * len(regions)), [1.0] * len(regions), len(labels) + 2
-    )
+    column_in = look.width_in / (len(labels) + 2)
+    longest = int(column_in * LETTERS_PER_IN)
+    names = {key: _wrap(run.name(key), longest) for key in labels}
+    error_of = _wrap(f"error of {run.name(label)}", longest)
+    most_lines = max(text.count("\n") + 1 for text in (*names.values(), error_of))
+    height_in = 0.3 + 0.1 * most_lines + (column_in + 0.25) * len(regions)
+    figure, axes = _grid((look.width_in, height_in), [1.0] * len(regions), len(labels) + 2)
     for down, region in enumerate(regions):
         pictures = _pictures(run, region)
         errors = read_errors(run, region.view, region.frame)
-        _show(axes[down, 0], pictures[label], f"{region.view}, frame {region.frame}")
+        _show(axes[down, 0], pictures[label], f"{region.view}, frame {region.frame}", longest)
         _box(axes[down, 0], region, 0)
         for across, key in enumerate(labels, start=1):
-            told = "" if key == "truth" else f"\nL1 {_l1(errors[key], region):.1f}"
-            _show(axes[down, across], _cut(pictures[key], region), f"{run.name(key)}{told}")
+            name, told = "" if down else names[key], "" if key == "truth" else f"\nL1 {_l1(errors[key], region):.1f}"
+            _show(axes[down, across], _cut(pictures[key], region), f"{name}{told}", longest)
         shown = axes[down, -1].imshow(_cut(errors[label], region), cmap="magma", vmin=0, vmax=ERROR_FULL_SCALE)
-        _bare(axes[down, -1], f"error of {run.name(label)}")
+        _bare(axes[down, -1], "" if down else error_of, longest)
     bar = figure.colorbar(shown, ax=axes[:, -1], fraction=0.08, pad=0.04)
     bar.ax.tick_params(labelsize=TINY)
     bar.set_label("grey levels of 255", fontsize=TINY)
@@ -115,10 +120,10 @@ def _bare(axes: "Axes", title: str, longest: int = 22) -> None:
 
 
 def _wrap(title: str, longest: int) -> str:
-    """A long name in lines, so that it does not run into its neighbour's."""
+    """A long name in lines, so that it does not run into its neighbour's; options (``history_tolerance=0.02``) as words."""
     import textwrap
 
-    return "\n".join(line for part in title.splitlines() for line in textwrap.wrap(part, longest))
+    return "\n".join(line for part in title.splitlines() for line in textwrap.wrap(re.sub("[_=]", " ", part), longest))
 
 
 def _box(axes: "Axes", region: Region, number: int) -> None:
