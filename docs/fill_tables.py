@@ -53,7 +53,7 @@ from ggvs_eval.reports.tables.study_tables import (
 )
 
 README, RESULTS, PEERS = ROOT / "README.md", ROOT / "docs" / "results.md", ROOT / "docs" / "baselines.md"
-MEASURED, BENCH = ROOT / "docs" / "measurements.md", ROOT / "benchmarks" / "RESULTS.md"
+MEASURED, METRICS, BENCH = ROOT / "docs" / "measurements.md", ROOT / "docs" / "metrics.md", ROOT / "benchmarks" / "RESULTS.md"
 CARDS = "cards"  # of the weights, which ship: their tables are made anew each time and have no code to be older than
 OFFLINE_RUN, UNSEEN_RUN = OUT / "offline" / "offline", OUT / "offline_unseen" / "offline"
 STUDIES = {"demo room": OUT / "metric_study", "hololens_rgbd": OUT / "metric_study_real"}
@@ -109,13 +109,13 @@ TABLES = (
     Table(RESULTS, "real_frame", "real_frame", lambda: results_table(OUT / "real_frame")),
     Table(RESULTS, "real_frame_views", "real_frame", lambda: views_table(OUT / "real_frame")),
     Table(RESULTS, "real_frame_small", "real_frame_small", lambda: results_table(OUT / "real_frame_small")),
-    Table(RESULTS, "real_frame_small_views", "real_frame_small", lambda: views_table(OUT / "real_frame_small")),
+    Table(BENCH, "real_frame_small_views", "real_frame_small", lambda: views_table(OUT / "real_frame_small")),
     Table(RESULTS, "real_frame_folds", "real_frame_folds", lambda: results_table(OUT / "real_frame_folds")),
-    Table(RESULTS, "real_frame_folds_views", "real_frame_folds", lambda: views_table(OUT / "real_frame_folds")),
+    Table(BENCH, "real_frame_folds_views", "real_frame_folds", lambda: views_table(OUT / "real_frame_folds")),
     Table(RESULTS, "real_frame_coverage", "real_frame_coverage", lambda: results_table(OUT / "real_frame_coverage")),
-    Table(RESULTS, "real_frame_coverage_views", "real_frame_coverage", lambda: views_table(OUT / "real_frame_coverage")),
+    Table(BENCH, "real_frame_coverage_views", "real_frame_coverage", lambda: views_table(OUT / "real_frame_coverage")),
     Table(RESULTS, "real_video", "real_video", lambda: sweep_table(OUT / "real_video", VIDEO_METRICS)),
-    Table(RESULTS, "real_video_views", "real_video", lambda: views_table(OUT / "real_video" / "dome")),
+    Table(BENCH, "real_video_views", "real_video", lambda: views_table(OUT / "real_video" / "dome")),
     Table(RESULTS, "speed", "bench", speed_table),
     Table(MEASURED, "ablations", "rooms_ablations", lambda: sweep_table(OUT / "rooms_ablations", ABLATION_METRICS)),
     Table(BENCH, "noise", "rooms_noise", lambda: sweep_table(OUT / "rooms_noise", ABLATION_METRICS)),
@@ -124,10 +124,10 @@ TABLES = (
     Table(BENCH, "offline", "offline", lambda: report_table(OFFLINE_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS)),
     Table(MEASURED, "offline_price", "offline", lambda: report_table(OFFLINE_RUN, ("price",), PRICE_METRICS)),
     Table(BENCH, "refinement", "refinement", refinement_table),
-    Table(MEASURED, "domains", "domains", domains_table),
+    Table(BENCH, "domains", "domains", domains_table),
     Table(MEASURED, "device", "device", device_table),
     Table(BENCH, "additions", "additions", additions_table),
-    Table(ROOT / "docs" / "metrics.md", "verdicts", "metric_study", lambda: verdict_table(_studies())),
+    Table(BENCH, "verdicts", "metric_study", lambda: verdict_table(_studies())),
     Table(BENCH, "learned", CARDS, learned_sentence),
     Table(BENCH, "real_frame_budget", "real_frame", lambda: budget_rows(OUT / "real_frame")),
     Table(BENCH, "baselines", "rooms_baselines", lambda: sweep_table(OUT / "rooms_baselines", BASELINE_METRICS)),
@@ -160,7 +160,7 @@ TABLES = (
     Table(BENCH, "author_clips", "author_clips", lambda: author_clips_table(OUT / "author_clips.json")),
     Table(BENCH, "author_clips_colmap", "author_clips", lambda: author_clips_colmap_table(OUT / "author_clips.json")),
     Table(BENCH, "ladders", "metric_study", lambda: ladder_table(read_study(STUDIES["demo room"]))),
-    Table(BENCH, "by_ladder", "metric_study", lambda: by_ladder_table(_studies())),
+    Table(METRICS, "by_ladder", "metric_study", lambda: by_ladder_table(_studies())),
     Table(BENCH, "correlations", "metric_study", lambda: correlation_table(read_study(STUDIES["demo room"]))),
     Table(BENCH, "correlations_real", "metric_study_real", lambda: correlation_table(read_study(STUDIES["hololens_rgbd"]))),
     Table(BENCH, "sensitivity", "metric_study", lambda: sensitivity_table(read_study(STUDIES["demo room"]))),
