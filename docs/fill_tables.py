@@ -53,7 +53,7 @@ from ggvs_eval.reports.tables.study_tables import (
 )
 
 README, RESULTS, PEERS = ROOT / "README.md", ROOT / "docs" / "results.md", ROOT / "docs" / "baselines.md"
-MEASURED, METRICS, BENCH = ROOT / "docs" / "measurements.md", ROOT / "docs" / "metrics.md", ROOT / "benchmarks" / "RESULTS.md"
+MEASURED, BENCH = ROOT / "docs" / "measurements.md", ROOT / "benchmarks" / "RESULTS.md"
 CARDS = "cards"  # of the weights, which ship: their tables are made anew each time and have no code to be older than
 OFFLINE_RUN, UNSEEN_RUN = OUT / "offline" / "offline", OUT / "offline_unseen" / "offline"
 STUDIES = {"demo room": OUT / "metric_study", "hololens_rgbd": OUT / "metric_study_real"}
@@ -102,12 +102,12 @@ TABLES = (
     Table(README, "learned", CARDS, learned_sentence),
     Table(README, "real_frame", "real_frame", lambda: fidelity_table(OUT / "real_frame")),
     Table(PEERS, "learned", CARDS, learned_sentence),
-    Table(PEERS, "learned_table", CARDS, learned_table),
+    Table(BENCH, "learned_table", CARDS, learned_table),
     Table(RESULTS, "demo", "demo", lambda: results_table(OUT / "demo")),
     Table(RESULTS, "ceilings", "demo", lambda: ceilings_table(OUT / "demo")),
     Table(RESULTS, "depth", "validate", depth_table),
     Table(RESULTS, "real_frame", "real_frame", lambda: results_table(OUT / "real_frame")),
-    Table(RESULTS, "real_frame_views", "real_frame", lambda: views_table(OUT / "real_frame")),
+    Table(BENCH, "real_frame_views", "real_frame", lambda: views_table(OUT / "real_frame")),
     Table(RESULTS, "real_frame_small", "real_frame_small", lambda: results_table(OUT / "real_frame_small")),
     Table(BENCH, "real_frame_small_views", "real_frame_small", lambda: views_table(OUT / "real_frame_small")),
     Table(RESULTS, "real_frame_folds", "real_frame_folds", lambda: results_table(OUT / "real_frame_folds")),
@@ -120,7 +120,7 @@ TABLES = (
     Table(MEASURED, "ablations", "rooms_ablations", lambda: sweep_table(OUT / "rooms_ablations", ABLATION_METRICS)),
     Table(BENCH, "noise", "rooms_noise", lambda: sweep_table(OUT / "rooms_noise", ABLATION_METRICS)),
     Table(BENCH, "switches", "rooms_switches", lambda: sweep_table(OUT / "rooms_switches", BASELINE_METRICS)),
-    Table(MEASURED, "over_k", "rooms_k", lambda: k_table(OUT / "rooms_k", BASELINE_METRICS)),
+    Table(BENCH, "over_k", "rooms_k", lambda: k_table(OUT / "rooms_k", BASELINE_METRICS)),
     Table(BENCH, "offline", "offline", lambda: report_table(OFFLINE_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS)),
     Table(MEASURED, "offline_price", "offline", lambda: report_table(OFFLINE_RUN, ("price",), PRICE_METRICS)),
     Table(BENCH, "refinement", "refinement", refinement_table),
@@ -160,7 +160,7 @@ TABLES = (
     Table(BENCH, "author_clips", "author_clips", lambda: author_clips_table(OUT / "author_clips.json")),
     Table(BENCH, "author_clips_colmap", "author_clips", lambda: author_clips_colmap_table(OUT / "author_clips.json")),
     Table(BENCH, "ladders", "metric_study", lambda: ladder_table(read_study(STUDIES["demo room"]))),
-    Table(METRICS, "by_ladder", "metric_study", lambda: by_ladder_table(_studies())),
+    Table(BENCH, "by_ladder", "metric_study", lambda: by_ladder_table(_studies())),
     Table(BENCH, "correlations", "metric_study", lambda: correlation_table(read_study(STUDIES["demo room"]))),
     Table(BENCH, "correlations_real", "metric_study_real", lambda: correlation_table(read_study(STUDIES["hololens_rgbd"]))),
     Table(BENCH, "sensitivity", "metric_study", lambda: sensitivity_table(read_study(STUDIES["demo room"]))),

@@ -18,7 +18,7 @@ WIDTH, HEIGHT, FOCAL_PX, WALL_M = 320, 240, 300.0, 2.0
 K = np.array([[FOCAL_PX, 0, WIDTH / 2], [0, FOCAL_PX, HEIGHT / 2], [0, 0, 1]])  # pixels
 
 
-def camera_at(name, x_m):
+def camera_at(name: str, x_m: float) -> Camera:
     """Camera at (x, 0, 0) that looks along z."""
     world_to_camera = np.eye(4)
     world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ [x_m, 0, 0]  # t = -R c
@@ -29,7 +29,7 @@ rig = [camera_at(f"cam{number}", 0.2 * number) for number in range(4)]
 wall = quantise(np.kron(np.random.default_rng(0).random((HEIGHT // 8, 60, 3)), np.ones((8, 8, 1))))
 
 
-def grab():
+def grab() -> tuple[dict, dict]:
     """What each camera sees now, and how far away it is: put your drivers here."""
     lefts = {camera.name: round(FOCAL_PX * camera.centre[0] / WALL_M) for camera in rig}
     images = {name: wall[:, left : left + WIDTH] for name, left in lefts.items()}
