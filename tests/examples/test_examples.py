@@ -1,0 +1,90 @@
+"""The examples: each is run by the command in its header, on the quick demo capture and little of it."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+
+from ggvs_eval.files.images import read_image
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.protocol import Frames, Synthesis, Views, load_protocol
+from ggvs_eval.results import Results
+from ggvs_eval.synthetic.quick import write_quick
+from helpers.places import ROOT
+
+EXAMPLES = ROOT / "examples"
+LIVE_RIG, SCORE_FOLDER, SWEEP = EXAMPLES / "live_rig.py", EXAMPLES / "score_folder.py", EXAMPLES / "sweep.toml"
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not EXAMPLES.is_dir(), reason="no examples/ beside an installed wheel")]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A working folder as the headers want it: the quick demo, its protocol cut to two views and metrics."""
+    folder = tmp_path_factory.mktemp("examples")
+    write_quick(folder / "quick")
+    protocol = load_protocol(folder / "quick" / "quick.toml")
+    measurement = replace(protocol.measurement, metrics=("PSNR", "SSIM"), ceilings=False)
+    cut = replace(protocol, views=Views(("cam00", "cam03"), "test"), measurement=measurement)
+    for renders in ("mended", "late"):
+        shutil.rmtree(folder / "quick" / renders / "cam07")
+    (folder / "quick" / "quick.toml").write_text(cut.to_toml(), encoding="utf-8")
+    small = replace(cut, views=Views(("cam03",), "test"), frames=Frames(1, 2), synthesis=Synthesis(2, width=120, height=90))
+    (folder / "small.toml").write_text(small.to_toml(), encoding="utf-8")
+    return folder
+
+
+def command_of(example, beginning):
+    """The words of the command in an example's header, its own path the one of the checkout."""
+    line = re.search(rf"^[# ]+{beginning} (.*?)(?:  #.*)?$", example.read_text(encoding="utf-8"), re.MULTILINE)[1]
+    return [str(ROOT / word) if word.startswith("examples/") else word for word in shlex.split(line)]
+
+
+def ran(folder, example):
+    """What a script prints, called in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, *command_of(example, "python")], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_a_live_rig_gives_a_picture(folder):
+    """A line for each picture, and the last one in a file."""
+    assert len(ran(folder, LIVE_RIG).splitlines()) == 3
+    assert read_image(folder / "view.png").shape == (240, 320, 3)
+
+
+def test_the_page_shows_the_live_rig():
+    """docs/live_rig.md has the script as it stands, but for its header."""
+    code = LIVE_RIG.read_text(encoding="utf-8").split('"""\n\n', 1)[1]
+    assert f"```python\n{code}```" in (ROOT / "docs" / "live_rig.md").read_text(encoding="utf-8")
+
+
+def test_folders_are_scored(folder):
+    """Both folders have their numbers and intervals, the late one its fault, and the page is there."""
+    out = ran(folder, SCORE_FOLDER)
+    values = {line.split()[1]: float(line.split()[2]) for line in out.splitlines() if line.startswith("PSNR")}
+    summary = Results.read(folder / "out" / "scores").summary().droplevel(["dataset", "variant"])["PSNR"]
+    assert values == pytest.approx(summary.round(4).to_dict(), abs=1e-9)
+    assert values["mended"] > values["late"] + 2
+    assert re.search(r"^SSIM +mended +0\.\d+ \+- \d\S* +given this scene", out, re.MULTILINE), out
+    assert "late is not ranked, late: certain frame offset" in out
+    assert (folder / out.splitlines()[-1]).is_file()
+
+
+def test_a_sweep_has_a_line_for_each_k_and_row(folder, monkeypatch):
+    """One table of two methods at two K, every cell measured."""
+    monkeypatch.chdir(folder)
+    words = command_of(SWEEP, "ggvs-eval sweep")
+    words[words.index("quick/quick.toml")] = "small.toml"
+    run_command(["sweep", *words, "--jobs", "1"])
+    table = pd.read_csv(folder / "out" / "sweep" / "sweep.csv")
+    assert sorted(zip(table["variant"], table["method"], strict=True)) == [
+        (f"k{k}", title) for k in (2, 3) for title in ("Ours", "Ours, No Temporal Filtering")
+    ]
+    assert table["PSNR"].between(20, 50).all()
