@@ -14,7 +14,8 @@ USUAL = (10, 90)  # percentiles of published values
 CAUSES = {
     "unseen": "places that no source camera sees",
     "wide": "colour and light over wide areas, as of cameras that differ",
-    "detail": "detail: misplaced edges of wrong depth, blur and noise",
+    "misplaced": "in the wrong place, by wrong depth, poses or motion",
+    "detail": "detail: blur, noise, and what belongs elsewhere altogether",
 }
 
 
@@ -27,7 +28,7 @@ def describe_absolute(name: str, cell: Cell, column: Column, table: Table, budge
 
     Reading:
         The range is that of the values which this package has from papers, on whatever capture: it says whether a number is far
-        from all of them, not more. The largest of the three parts of the squared error is named as the cause.
+        from all of them, not more. The largest of the four parts of the squared error is named as the cause.
     """
     unit, at = f" {column.unit}" if column.unit else "", table.columns.index(column)
     beside = []

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from skimage import data
 
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.metrics.image.psnr import psnr
@@ -18,10 +20,16 @@ GREY = np.full((60, 80, 3), 100, np.uint8)
 LEFT = np.broadcast_to(np.arange(80) < 40, (60, 80))
 
 
+@pytest.fixture(scope="module")
+def photograph() -> np.ndarray:
+    """A picture with texture, 320 x 240."""
+    return np.ascontiguousarray(data.astronaut()[40:280, 60:380])
+
+
 def test_another_brightness_is_wide():
     """A picture that is 10 levels brighter throughout has a squared error of 100, all of it wide."""
     budget = error_budget(GREY + np.uint8(10), GREY, np.zeros((60, 80), bool))
-    assert (budget.unseen, budget.wide, budget.detail) == pytest.approx((0, 100, 0), abs=1e-3)
+    assert (budget.unseen, budget.wide, budget.misplaced, budget.detail) == pytest.approx((0, 100, 0, 0), abs=1e-3)
 
 
 def test_a_checkered_error_is_detail():
@@ -32,11 +40,22 @@ def test_a_checkered_error_is_detail():
     assert (budget.wide, budget.detail) == pytest.approx((0, 100), abs=0.5)
 
 
+def test_a_texture_in_the_wrong_place_is_misplaced(photograph):
+    """Two pixels to the right: nearly all of the error goes where windows may move; of blur and of noise next to nothing does."""
+    moved = error_budget(np.roll(photograph, 2, axis=1), photograph, None)
+    blurred = error_budget(cv2.GaussianBlur(photograph, (0, 0), 1.5), photograph, None)
+    noise = np.random.default_rng(0).normal(0, 8, photograph.shape)
+    noisy = error_budget(np.rint(np.clip(photograph + noise, 0, 255)).astype(np.uint8), photograph, None)
+    assert moved.misplaced > 0.85 * moved.total
+    assert blurred.misplaced < 0.06 * blurred.total
+    assert noisy.misplaced < 0.01 * noisy.total
+
+
 def test_what_no_camera_sees_counts_apart():
     """An error of 10 levels in the unseen half is unseen alone, and does not leak into the wide error of the other half."""
     image = np.where(LEFT[..., None], GREY + np.uint8(10), GREY)
     budget = error_budget(image, GREY, LEFT)
-    assert (budget.unseen, budget.wide, budget.detail) == pytest.approx((50, 0, 0), abs=1e-6)
+    assert (budget.unseen, budget.wide, budget.misplaced, budget.detail) == pytest.approx((50, 0, 0, 0), abs=1e-6)
 
 
 @given(st.integers(0, 2**32 - 1), st.booleans())
@@ -58,7 +77,7 @@ def test_the_table_has_a_row_per_method_and_view(tmp_path):
     assert [row.name for row in table.rows] == names
     for row in table.rows:
         assert row.cells[1] == NOT_TOLD
-        assert row.cells[2].value + row.cells[3].value == pytest.approx(100)
+        assert sum(cell.value for cell in row.cells[2:]) == pytest.approx(100)
 
     for view in run.protocol.views.test:
         for frame in run.frames:
