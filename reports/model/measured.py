@@ -11,7 +11,7 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
-from ggvs_eval.reports.model.table import Cell, Row, format_value
+from ggvs_eval.reports.model.table import Cell, Row, RowKind, format_value
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json, require_frames
 
@@ -199,6 +199,12 @@ class MeasuredRun:
         name = "Truth" if label == "truth" else self.names.get(label, label)
         fault = self.results.spoilt.get(label, "").partition(":")[0]
         return f"{name}{PARTIAL}" if label in self.partial else f"{name} ({fault})" if fault else name
+
+    def row(self, label: str, cells: Sequence[Cell]) -> Row:
+        """A method's row of a table, of the kind that its name says too."""
+        usual: RowKind = "ours" if label in self.ours else "measured"
+        kind: RowKind = "partial" if label in self.partial else "faulty" if label in self.results.spoilt else usual
+        return Row(self.name(label), tuple(cells), kind)
 
     def frame_folders(self, view: str) -> dict[str, Path]:
         """Folder of the captured frames of a view (key ``truth``, first) and of every method's that has all of them."""

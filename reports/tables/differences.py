@@ -2,8 +2,7 @@
 
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun
-from ggvs_eval.reports.model.table import Cell, Column, Row, Table
-from ggvs_eval.reports.tables.fitted import row_kind
+from ggvs_eval.reports.model.table import Cell, Column, Table
 from ggvs_eval.run_folder import read_json
 
 COLUMNS = (
@@ -20,12 +19,7 @@ def differences_table(run: MeasuredRun) -> Table | None:
     if declared is None:
         return None
     rows = [
-        Row(
-            run.name(label),
-            tuple(Cell(declared.get(label, {}).get(column.name, UNKNOWN)) for column in COLUMNS),
-            row_kind(run, label),
-        )
-        for label in run.labels
+        run.row(label, [Cell(declared.get(label, {}).get(column.name, UNKNOWN)) for column in COLUMNS]) for label in run.labels
     ]
     caption = f"The same for all: {_same(run.protocol)}. What stays different:"
     return Table("differences", "What differs between the methods", caption, COLUMNS, tuple(rows), run.scene)

@@ -6,8 +6,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.metric_note import MetricNote
-from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_half_width, format_value
-from ggvs_eval.reports.tables.fitted import row_kind
+from ggvs_eval.reports.model.table import Cell, Column, Table, format_half_width, format_value
 from ggvs_eval.results import split_label
 from ggvs_eval.statistics.drift import measure_drift
 from ggvs_eval.statistics.intervals import LEVEL
@@ -38,7 +37,7 @@ def drift_table(run: MeasuredRun) -> Table | None:
             own = series[note.name].get(label)
             everyone = np.mean(list(series[note.name].values()), axis=0)
             cells += [_cell(own, note), _cell(None if own is None else own - everyone, note)]
-        rows.append(Row(run.name(label), tuple(cells), row_kind(run, label)))
+        rows.append(run.row(label, cells))
     caption = (
         f"Change per {PER_FRAMES} frames of the line through the mean of the views, over {run.protocol.frames.count} frames, "
         f"with its {100 * LEVEL:.0f} % interval; apart from the scene: of the difference to the mean of all methods."

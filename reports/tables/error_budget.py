@@ -58,9 +58,7 @@ def decomposition_table(run: MeasuredRun) -> Table | None:
     """The table of one run; None where it has a single view or frame, or no L1."""
     if run.protocol.frames.count < 2 or len(run.protocol.views.test) < 2 or METRIC not in set(run.results.table["metric"]):
         return None
-    rows = [
-        Row(run.name(label), _variance_cells(run, label), "ours" if label in run.ours else "measured") for label in run.labels
-    ]
+    rows = [run.row(label, _variance_cells(run, label)) for label in run.labels]
     columns = tuple(column for column, _, _ in VARIANCE_COLUMNS)
     return Table("decomposition", "Where the error varies", VARIANCE_CAPTION, columns, tuple(rows), run.scene)
 
@@ -159,10 +157,7 @@ def budget_table(run: MeasuredRun) -> Table | None:
     instants = [(view, frame) for view in run.protocol.views.test for frame in frames]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV releases the GIL
         budgets = dict(zip(instants, pool.map(partial(_budgets, run), instants), strict=True))
-    rows = [
-        Row(run.name(label), _share_cells([one[label] for one in budgets.values()]), "ours" if label in run.ours else "measured")
-        for label in run.pictured
-    ]
+    rows = [run.row(label, _share_cells([one[label] for one in budgets.values()])) for label in run.pictured]
     for view in run.protocol.views.test:
         rows.append(Row(f"{run.name(shown)} in {view}", _share_cells([budgets[view, frame][shown] for frame in frames])))
     return Table(BUDGET_KEY, "Where the error lies", CAPTION, COLUMNS, tuple(rows), run.title)

@@ -7,7 +7,7 @@ from typing import Any
 
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value
-from ggvs_eval.reports.tables.fitted import difference_cell, fit_records, fit_seconds, row_kind
+from ggvs_eval.reports.tables.fitted import difference_cell, fit_records, fit_seconds
 from ggvs_eval.results import label_of
 
 STATED_DB = 30.0  # a PSNR that a fit may be asked for, beside those of the methods that need none
@@ -82,7 +82,7 @@ def _winners(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db
             continue
         from_s = Cell(format_value(cost_s[label]), cost_s[label]) if cost_s[label] else Cell("0", 0.0)
         number = Cell(format_value(psnr_db[label], run.metrics["PSNR"].decimals), psnr_db[label])
-        rows.append(Row(run.name(label), (from_s, number, ahead or Cell("nothing is cheaper")), row_kind(run, label)))
+        rows.append(run.row(label, (from_s, number, ahead or Cell("nothing is cheaper"))))
         best = label
     columns = (
         Column("fitting", "s", None, "Seconds of one fold's fit that this method needs: the budget from which it is the best."),

@@ -7,7 +7,7 @@ from typing import Any
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun
 from ggvs_eval.reports.model.metric_note import MetricNote
-from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, format_half_width, format_value
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_half_width, format_value
 from ggvs_eval.reports.tables.timing import TOTAL, render_records, timing_table
 from ggvs_eval.results import Results, label_of
 from ggvs_eval.run_folder import read_json
@@ -69,7 +69,7 @@ def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> T
     if not any(cell.value is not None for line in lines.values() for cell in line):
         return None
     kept = [at for at, _ in enumerate(COST_COLUMNS) if {line[at].text for line in lines.values()} - NOTHING]
-    rows = [Row(run.name(label), tuple(line[at] for at in kept), row_kind(run, label)) for label, line in lines.items()]
+    rows = [run.row(label, [line[at] for at in kept]) for label, line in lines.items()]
     caption = "Peak memory: of the process, with what it had loaded for other methods before."
     if fits:
         folds = " · ".join(", ".join(fold) for fold in run.protocol.views.folds)
@@ -140,11 +140,6 @@ def _rendering_cell(run: MeasuredRun, label: str) -> Cell:
     return replace(cell, beside="")
 
 
-def row_kind(run: MeasuredRun, label: str) -> RowKind:
-    """Of a row: ours or another measured one."""
-    return "ours" if label in run.ours else "measured"
-
-
 def _seed_table(run: MeasuredRun) -> Table | None:
     """Largest minus smallest number over the seeds of a fit; None where every method has one seed."""
     if run.all_results is None:
@@ -155,7 +150,7 @@ def _seed_table(run: MeasuredRun) -> Table | None:
     rows = []
     for label, others in run.replicas.items():
         values = [[float(numbers[each][note.name]) for each in (label, *others)] for note in notes]
-        rows.append(Row(run.name(label), tuple(map(_seed_cell, notes, values)), row_kind(run, label)))
+        rows.append(run.row(label, list(map(_seed_cell, notes, values))))
     columns = tuple(Column(note.name, note.unit, None, note.describe) for note in notes)
     caption = "Largest minus smallest number over the seeds of the fit; the other tables show the first seed."
     return Table("seeds", "Spread over seeds", caption, columns, tuple(rows), run.scene)

@@ -4,7 +4,7 @@ from typing import Any
 
 from ggvs_eval.protocol import Stream
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value, rank
+from ggvs_eval.reports.model.table import Cell, Column, Table, format_value, rank
 from ggvs_eval.run_folder import read_json
 
 COLUMNS = (
@@ -26,10 +26,7 @@ def stream_table(run: MeasuredRun) -> Table | None:
     if stream is None or not file.is_file():
         return None
     record = read_json(file)
-    rows = [
-        Row(run.name(label), _cells(record["methods"].get(label, {"absent": "not scored"}), stream), _kind(run, label))
-        for label in run.labels
-    ]
+    rows = [run.row(label, _cells(record["methods"].get(label, {"absent": "not scored"}), stream)) for label in run.labels]
     caption = (
         f"{run.protocol.frames.count} frames of one view at {stream.fps:g} per second, {_scored(stream)}. {_policy(stream)} "
         f"Times are medians of this run (stated ones where the protocol states them), {record['depth']}."
@@ -65,7 +62,3 @@ def _cells(record: dict[str, Any], stream: Stream) -> tuple[Cell, ...]:
         Cell(f"{latency * in_frames:.1f}", latency * in_frames, beside=f"({late * in_frames:.1f})"),
         *(Cell(str(record[name]), float(record[name])) for name in COUNTS),
     )
-
-
-def _kind(run: MeasuredRun, label: str) -> Any:
-    return "partial" if label in run.partial else "ours" if label in run.ours else "measured"

@@ -8,7 +8,7 @@ import numpy as np
 
 from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+from ggvs_eval.reports.model.table import Cell, Column, Table
 from ggvs_eval.run_folder import JOB_FILE, frame_path, read_json
 
 TOTAL = "total"
@@ -26,10 +26,7 @@ def timing_table(run: MeasuredRun) -> Table:
     times = {label: _stage_seconds(records, first) for label, records in jobs.items()}
     stages = [*dict.fromkeys(stage for stages in times.values() for stage in stages if stage != TOTAL), TOTAL]
     columns = tuple(Column(stage, "ms", False) for stage in stages)
-    rows = [
-        Row(run.name(label), tuple(_cell(times[label], stage) for stage in stages), "ours" if label in run.ours else "measured")
-        for label in run.labels
-    ]
+    rows = [run.row(label, [_cell(times[label], stage) for stage in stages]) for label in run.labels]
     return Table("timing", "Time per frame", _caption(run, jobs, first), columns, tuple(rows), run.scene)
 
 
