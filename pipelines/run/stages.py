@@ -10,11 +10,13 @@ from typing import TypeVar
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
 from ggvs_eval.jobs.ledger import Failure, Ledger
+from ggvs_eval.pipelines.run.coverage import read_coverage, read_import
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.render import note_labels
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.pipelines.run.score import Scores, plan_scores
+from ggvs_eval.run_folder import missing_frames
 
 Value = TypeVar("Value")
 AnyJob = TypeVar("AnyJob", bound=Job)
@@ -111,7 +113,7 @@ def _score_runs(plans: Sequence[RunPlan], whole: dict[str, list[str]], stages: S
     """Measure all that is whole in the run folders; in a part of a run, which others may work on, its own methods alone."""
     planned: list[tuple[RunPlan, Scores]] = []
     for plan in plans:
-        lacking = {*plan.methods, *plan.request.imports}.difference(whole[plan.name])
+        lacking = {*plan.methods, *plan.request.imports}.difference(whole[plan.name]) | _left_unfinished(plan)
         labels = whole[plan.name] if plan.request.views else [each for each in plan.run.labels() if each not in lacking]
         work = partial(plan_scores, plan.run, labels, plan.request.views, plan.request.networks.device)
         scores = stages.attempt(f"score {plan.name}", work)
@@ -120,6 +122,19 @@ def _score_runs(plans: Sequence[RunPlan], whole: dict[str, list[str]], stages: S
     stages.note("score", [job for some in jobs.values() for job in some])
     stages.run("score", [job for some in jobs.values() for job in some], "scoring")
     return [(plan, scores) for plan, scores in planned if all(job.is_done() for job in jobs[plan.name])]
+
+
+def _left_unfinished(plan: RunPlan) -> set[str]:
+    """Methods that an earlier call began to render, did not finish, and that this one was not asked for; each is named."""
+    run, numbers, views = plan.run, plan.protocol.frames.numbers, plan.protocol.views.test
+    others = [label for label in run.labels() if label not in {*plan.methods, *plan.request.imports}]
+    coverage = read_coverage(run, numbers, others)
+    rendered_here = [label for label in others if label not in coverage.partial and not read_import(run, label)]
+    lacking = {label for label in rendered_here if any(missing_frames(run.renders(label, view), numbers) for view in views)}
+    for label in sorted(lacking):
+        words = f"its frames are incomplete, --methods {label} goes on with them"
+        print(f"{run.root}: {label} left out, an earlier call did not finish it: {words}", file=sys.stderr)
+    return lacking
 
 
 def _named(job: AnyJob, run: str) -> AnyJob:

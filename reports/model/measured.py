@@ -13,7 +13,7 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.reports.model.table import Cell, Row, RowKind, format_value
 from ggvs_eval.results import Results
-from ggvs_eval.run_folder import RunFolder, read_json, require_frames
+from ggvs_eval.run_folder import RunFolder, missing_frames, read_json, require_frames
 
 REFERENCES_FILE = "references.json"
 METHODS_FILE = "methods.json"
@@ -223,12 +223,18 @@ def read_run(root: Path) -> MeasuredRun:
     if not folder.labels():
         raise ResultsError(f"{folder.root}: no frames under renders/ to report on; run `ggvs-eval render` again")
     hidden = {label for others in run.replicas.values() for label in others}
-    labels = tuple(label for label in folder.labels() if label not in hidden)
+    labels = tuple(label for label in folder.labels() if label not in hidden and not _is_unfinished(run, label))
     run = replace(run, labels=labels, references=read_references(folder))
     for view in run.protocol.views.test:
         named = {f"{run.name(label)} in {view}": path for label, path in run.frame_folders(view).items()}
         require_frames(named, run.frames)
     return run
+
+
+def _is_unfinished(run: MeasuredRun, label: str) -> bool:
+    """Tell whether a method was begun by a call that was stopped: it was never scored, and lacks frames."""
+    folders = (run.folder.renders(label, view) for view in run.protocol.views.test)
+    return label not in run.labels and any(missing_frames(folder, run.frames) for folder in folders)
 
 
 def read_scores(root: Path) -> MeasuredRun:

@@ -148,6 +148,18 @@ def test_a_lost_view_is_rendered_again_with_the_same_bits(finished_copy, demo_ca
         np.testing.assert_array_equal(read_image(frame_path(folder, t)), wanted[t])
 
 
+def test_what_an_earlier_call_left_unfinished_is_named_and_left_out(finished_copy, demo_capture, protocol, capsys):
+    """A call for other methods scores them; the one that was stopped comes back when it is asked for."""
+    frame_path(finished_copy.renders("ours-geometric", "cam01"), 2).unlink()
+    evaluate(finished_copy.root, demo_capture, protocol, LABELS[:1], workers=1)
+
+    assert "ours-geometric left out" in capsys.readouterr().err
+    assert set(Results.read(finished_copy.root).table["method"]) == {"no-blending"}
+    shutil.rmtree(finished_copy.renders("ours-geometric", "cam01"))
+    evaluate(finished_copy.root, demo_capture, protocol, LABELS, workers=1)
+    assert set(Results.read(finished_copy.root).table["method"]) == {"no-blending", "ours-geometric"}
+
+
 def test_the_target_takes_no_part(finished):
     """No depth of any source of a test view was matched against that view."""
     prepared = reopen(finished, workers=1)

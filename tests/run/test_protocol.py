@@ -62,7 +62,11 @@ def test_the_choice_of_sources_survives_a_round_trip(tmp_path):
         ("k = 4", "k = '4'", "synthesis.k must be a whole number, got '4'"),
         ("k = 4", "k = true", "synthesis.k must be a whole number, got True"),
         ("k = 4", "k = 0", "synthesis.k must be at least 1"),
-        ("k = 4", "k = 4\nsources = 'covrage'", "synthesis.sources must be one of 'nearest', 'coverage', 'triplet', got 'covrage'"),
+        (
+            "k = 4",
+            "k = 4\nsources = 'covrage'",
+            "synthesis.sources must be one of 'nearest', 'coverage', 'triplet', got 'covrage'",
+        ),
         ("count = 24", "", "missing key frames.count"),
         ("count = 24", "count = 0", "frames.count at least 1"),
         ('"lanczos"', '"lanzcos"', "synthesis.resize_filter must be one of 'area', 'lanczos'"),
