@@ -23,8 +23,10 @@ ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out"
 RECORDS = OUT / "results"  # one per measurement that was made here, with its log
 SHORT = 12  # digits of an identity that a page shows
-FLAME_STEAK, HOLOLENS = "n3v_flame_steak", "hololens_rgbd"
+FLAME_STEAK, HOLOLENS, DOME = "n3v_flame_steak", "hololens_rgbd", "panoptic_basketball"
+VIDEO_PROTOCOL = "benchmarks/real_video.toml"
 ROOMS = tuple(f"out/rooms/{seed}" for seed in range(3))
+ON_A_VIDEO = ("no-blending", "distance-based", "ours", "ours-geometric", "ours+no-temporal")
 FITTED = ("ours", "3dgs-per-instant")
 ON_A_REAL_FRAME = ("no-blending", "distance-based", "interpolation", "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", "ours")
 ON_A_SMALL_FRAME = (*ON_A_REAL_FRAME[:-1], "mvsplat", "mvsnerf", "ours", "ours-geometric")
@@ -179,8 +181,17 @@ MEASUREMENTS = {
         ),
         Measurement("intervals", ("python -m benchmarks.interval_coverage",), 20, sources=("benchmarks/interval_coverage.py",)),
         Measurement("device", (), 10, ("ours",), sources=("benchmarks/bench_device.py",)),  # by hand, where there is a GPU
-        # By hand: `panoptic_sports` with frames.count = 10, no path and no ceilings, in out/real_video/dome.
-        Measurement("real_video", (), 240, ("no-blending", "distance-based", "ours", "ours-geometric"), "panoptic_sports"),
+        Measurement(
+            "real_video",
+            (
+                f"ggvs-eval run out/real_video/dome --capture {{data}}/{DOME} --protocol {VIDEO_PROTOCOL} "
+                f"--methods {' '.join(ON_A_VIDEO)}",
+            ),
+            70,
+            ON_A_VIDEO,
+            str(ROOT / VIDEO_PROTOCOL),
+            captures=(DOME,),
+        ),
         Measurement("author_clips", (), 40, sources=("benchmarks/author_clips.py",)),  # of a folder of clips that nobody ships
         Measurement(
             "rooms_noise",
