@@ -16,6 +16,9 @@ LEARNED = (f"{ONLINE}.geometry_guided", f"{ONLINE}.network_blender")
 ON_DEVICE = (f"{ONLINE}.device.step",)
 OFFLINE = (f"{ONLINE}.whole_sequence",)
 
+# What the paper does not have, as the table of differences says it.
+COMPENSATED, SETTLED, RECURRENT = "exposure compensation", "settled depth", "a recurrent output where nothing moves"
+
 
 def _geometric(options: Any = None, background: bool = True) -> Method:
     """With geometric weights in place of the network, and `OnlineOptions`."""
@@ -76,6 +79,7 @@ OURS: dict[str, OnlineMethod] = {
         LEARNED,
         partial(_learned_with, guidance="none", fused=False),
         device_modules=ON_DEVICE,
+        departs=f"adds {COMPENSATED}, {RECURRENT}",
         ours=True,
         weights=(shipped("blend-no-tsdf.safetensors"),),
     ),
@@ -85,6 +89,7 @@ OURS: dict[str, OnlineMethod] = {
         LEARNED,
         partial(_learned_with, guidance="registered", temporal=False),
         device_modules=ON_DEVICE,
+        departs=f"adds {COMPENSATED}, {SETTLED}",
         ours=True,
         weights=(shipped("blend.safetensors"),),
     ),
@@ -94,6 +99,7 @@ OURS: dict[str, OnlineMethod] = {
         LEARNED,
         _learned,
         device_modules=ON_DEVICE,
+        departs=f"adds {COMPENSATED}, {SETTLED}, {RECURRENT}",
         ours=True,
         weights=(shipped("blend.safetensors"),),
         make_with=_learned,
@@ -103,6 +109,7 @@ OURS: dict[str, OnlineMethod] = {
         "the whole online method with geometric weights in place of the blending network",
         GEOMETRIC,
         _geometric,
+        departs=f"adds {COMPENSATED}, {SETTLED}, {RECURRENT}",
         ours=True,
         make_with=_geometric,
     ),

@@ -178,7 +178,8 @@ class OnlineMethod(MethodSpec):
             raise RenderError(f"method {label}: {self.title} has no option but scale, got {', '.join(values)}")
         if values and self.make_with is not None:
             options = build_table(OnlineOptions, values, f"method {label}", "", RenderError)
-            spec = replace(spec, factory=partial(self.make_with, options))
+            departs = f"{self.departs}, but for {', '.join(values)}" if self.departs else ""
+            spec = replace(spec, factory=partial(self.make_with, options), departs=departs)
         return spec if scale is None else spec._scaled(label, scale)
 
     def _scaled(self, label: str, scale: Any) -> "OnlineMethod":

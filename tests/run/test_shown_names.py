@@ -54,6 +54,13 @@ def test_weights_that_were_given_are_not_called_retrained(run):
     assert record["declared"]["enerf"]["learned from"] == "weights that were given"
 
 
+def test_what_the_paper_does_not_have_is_declared_of_ours():
+    """The additions by name; with an option set, the option too."""
+    assert "exposure compensation" in find_method("ours").departs
+    assert "recurrent" not in find_method("ours+no-temporal").departs
+    assert find_method("ours+compensated=false").departs.endswith("but for compensated")
+
+
 @pytest.mark.parametrize("label", sorted(METHODS))
 def test_every_method_declares_the_same_columns(label):
     """A table of them has no blank."""
