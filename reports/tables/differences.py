@@ -30,6 +30,6 @@ def _same(protocol: Protocol) -> str:
     size = f"{synthesis.width} x {synthesis.height}" if synthesis.width else "the capture's size"
     return (
         f"test views {', '.join(protocol.views.test)}, each left out of its own rendering and of the depth for it; "
-        f"{protocol.frames.count} frames of {size}, resized by {synthesis.resize_filter}; K = {synthesis.k} sources for methods that "
-        "render from sources; scores from 8-bit pictures on disk by one implementation of each metric"
+        f"{protocol.frames.count} frames of {size}, resized by {synthesis.resize_filter}; K = {synthesis.k} sources for methods "
+        "that render from sources; scores from 8-bit pictures on disk by one implementation of each metric"
     )
