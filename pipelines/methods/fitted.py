@@ -131,7 +131,7 @@ class StoredSplats(SceneMethod):
 
     @property
     def learned_from(self) -> str:
-        """Nobody knows whether the test views were among it."""
+        """The capture; whether the test views were among it is unknown."""
         return "this capture, by others"
 
     def require(self) -> None:

@@ -17,7 +17,9 @@ ON_DEVICE = (f"{ONLINE}.device.step",)
 OFFLINE = (f"{ONLINE}.whole_sequence",)
 
 # What the paper does not have, as the table of differences says it.
-COMPENSATED, SETTLED, RECURRENT = "exposure compensation", "settled depth", "a recurrent output where nothing moves"
+UNFUSED = "adds exposure compensation and a recurrent output where nothing moves"
+INSTANT = "adds exposure compensation and settled depth"
+ADDED = "adds exposure compensation, settled depth and a recurrent output where nothing moves"
 
 
 def _geometric(options: Any = None, background: bool = True) -> Method:
@@ -69,6 +71,7 @@ OURS: dict[str, OnlineMethod] = {
         LEARNED,
         partial(_learned_with, guidance="naive", fused=False),
         device_modules=ON_DEVICE,
+        departs=UNFUSED,
         ours=True,
         usual=False,
         weights=(shipped("blend-naive.safetensors"),),
@@ -79,7 +82,7 @@ OURS: dict[str, OnlineMethod] = {
         LEARNED,
         partial(_learned_with, guidance="none", fused=False),
         device_modules=ON_DEVICE,
-        departs=f"adds {COMPENSATED}, {RECURRENT}",
+        departs=UNFUSED,
         ours=True,
         weights=(shipped("blend-no-tsdf.safetensors"),),
     ),
@@ -89,7 +92,7 @@ OURS: dict[str, OnlineMethod] = {
         LEARNED,
         partial(_learned_with, guidance="registered", temporal=False),
         device_modules=ON_DEVICE,
-        departs=f"adds {COMPENSATED}, {SETTLED}",
+        departs=INSTANT,
         ours=True,
         weights=(shipped("blend.safetensors"),),
     ),
@@ -99,7 +102,7 @@ OURS: dict[str, OnlineMethod] = {
         LEARNED,
         _learned,
         device_modules=ON_DEVICE,
-        departs=f"adds {COMPENSATED}, {SETTLED}, {RECURRENT}",
+        departs=ADDED,
         ours=True,
         weights=(shipped("blend.safetensors"),),
         make_with=_learned,
@@ -109,7 +112,7 @@ OURS: dict[str, OnlineMethod] = {
         "the whole online method with geometric weights in place of the blending network",
         GEOMETRIC,
         _geometric,
-        departs=f"adds {COMPENSATED}, {SETTLED}, {RECURRENT}",
+        departs=ADDED,
         ours=True,
         make_with=_geometric,
     ),
@@ -118,6 +121,7 @@ OURS: dict[str, OnlineMethod] = {
         "without temporal depth filter, temporal term of the ray march and recurrent output",
         GEOMETRIC,
         partial(_geometric_with, temporal=False),
+        departs=INSTANT,
         ours=True,
         usual=False,
     ),
@@ -126,6 +130,7 @@ OURS: dict[str, OnlineMethod] = {
         "views rendered forward as points of one pixel, not as pixel-sized Gaussians",
         GEOMETRIC,
         partial(_geometric_with, splatted_as="points"),
+        departs=ADDED,
         ours=True,
         usual=False,
     ),
@@ -134,6 +139,7 @@ OURS: dict[str, OnlineMethod] = {
         "what no view shows stays black",
         GEOMETRIC,
         partial(_geometric, background=False),
+        departs=ADDED,
         ours=True,
         usual=False,
     ),
@@ -142,6 +148,7 @@ OURS: dict[str, OnlineMethod] = {
         "a reference that sees the whole sequence: depth filtered backwards in time, then forwards",
         OFFLINE,
         _offline,
+        departs=ADDED,
         ours=True,
         online=False,
         usual=False,

@@ -29,14 +29,16 @@ def drift_table(run: MeasuredRun) -> Table | None:
     if not series:
         return None
     shown = [run.metrics[name] for name in series]
-    columns = [Column(name, note.unit, note.higher_is_better) for note in shown for name in (note.name, APART.format(note.name))]
+    heads = ("{}", APART) if len(run.labels) > 1 else ("{}",)  # one method alone is all of the mean
+    columns = [Column(head.format(note.name), note.unit, note.higher_is_better) for note in shown for head in heads]
+    means = {name: np.mean(list(by_label.values()), axis=0) for name, by_label in series.items()}
     rows = []
     for label in run.labels:
         cells = []
         for note in shown:
             own = series[note.name].get(label)
-            everyone = np.mean(list(series[note.name].values()), axis=0)
-            cells += [_cell(own, note), _cell(None if own is None else own - everyone, note)]
+            apart = None if own is None else own - means[note.name]
+            cells += [_cell(each, note) for each in (own, apart)[: len(heads)]]
         rows.append(run.row(label, cells))
     caption = (
         f"Change per {PER_FRAMES} frames of the line through the mean of the views, over {run.protocol.frames.count} frames, "

@@ -14,15 +14,15 @@ PLANTED_DB = -0.02  # per frame, of one method
 HARDER_DB = -0.05  # per frame, of all
 
 
-def long_run(root, frames: int) -> None:
+def long_run(root, frames: int, labels: tuple[str, ...] = LABELS) -> None:
     """A run whose scene gets harder for all, and in which ENeRF gets worse beside."""
     shape = RunShape(
-        frames=Frames(0, frames), labels=LABELS, names=tuple(zip(LABELS, LABELS, strict=True)), metrics=("PSNR",), poses=0
+        frames=Frames(0, frames), labels=labels, names=tuple(zip(labels, labels, strict=True)), metrics=("PSNR",), poses=0
     )
     write_run(root, shape, paint=lambda *_: np.zeros((8, 8, 3), np.uint8))
     results, random = Results.read(root), np.random.default_rng(0)
     table = results.table
-    for label in LABELS:
+    for label in labels:
         mine = table["method"] == label
         slope = HARDER_DB + (PLANTED_DB if label == "enerf" else 0.0)
         table.loc[mine, "value"] = 30 + slope * table.loc[mine, "frame"] + random.normal(0, 0.1, mine.sum())
@@ -45,3 +45,9 @@ def test_short_clips_have_no_table(tmp_path):
     """A slope over a second of video says nothing."""
     long_run(tmp_path / "run", 8)
     assert drift_table(read_run(tmp_path / "run")) is None
+
+
+def test_one_method_alone_is_not_set_against_itself(tmp_path):
+    """It is all of the mean, and a column of zeros would say that it stands still."""
+    long_run(tmp_path / "run", LEAST_FRAMES, LABELS[:1])
+    assert [column.name for column in drift_table(read_run(tmp_path / "run")).columns] == ["PSNR"]

@@ -90,6 +90,18 @@ def test_cost_at_equal_quality_is_bounded_by_whole_fits(tmp_path):
     assert never.hint.endswith("after 90.00 s")
 
 
+def test_families_stand_in_the_order_of_the_run(tmp_path):
+    """Equal inputs give equal tables, whatever the order of a set would be."""
+    labels = ("ours", "3dgs-per-instant+steps=300", "3dgstream", "4dgs", "fwd", "ibrnet", "mvsplat")
+    names = tuple(zip(labels, labels, strict=True))
+    root = write_run(tmp_path / "run", RunShape(labels=labels, names=names, metrics=("PSNR",), poses=0))
+    write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours"]})
+    measured = read_run(make_fitted(root, labels[1:]))
+    table = next(table for table in budget_tables(measured) if table.key == "equal_quality")
+    families = [label.partition("+")[0] for label in measured.labels if label != "ours"]
+    assert [row.name.partition("+")[0] for row in table.rows] == families
+
+
 def test_the_winner_changes_only_where_a_longer_fit_is_certainly_better(tmp_path):
     """Under no budget ours; a fit that is 3 dB behind or no better by more than chance is left out; one 3 dB ahead has a line."""
     labels = ("ours", "4dgs+steps=100", "4dgs+steps=200", "4dgs+steps=900")

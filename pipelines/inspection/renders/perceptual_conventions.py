@@ -132,7 +132,7 @@ def vmaf_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
             except MetricError:
                 if model == MODEL:
                     raise
-                continue  # an older libvmaf
+                continue  # an older libvmaf, or frames too small for it
             for average, pool in averages.items():
                 name = f"{model}, {matrix.replace('bt', 'BT.')}, {average}"
                 values = mean_over_views({view: pool(of_view) for view, of_view in frames.items()})
