@@ -56,7 +56,7 @@ bench: $(READY)
 bench-device: view
 	$(if $(WHEELS),$(PYTHON) -m pip install -q --no-index --no-deps --upgrade --target build/wheels $(WHEELS)/*.whl)
 	$(PYTHON) setup.py -q build_ext --inplace
-	PYTHONPATH=build/view:.:build/wheels $(PYTHON) -m benchmarks.bench_device_step $(BENCH_OPTIONS)
+	PYTHONPATH=build/view:.:build/wheels $(PYTHON) -P -m benchmarks.bench_device_step $(BENCH_OPTIONS)
 
 validate: $(READY)
 	$(BIN)/python -m benchmarks.validate $(if $(DATA),--data $(DATA))

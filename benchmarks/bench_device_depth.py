@@ -23,7 +23,7 @@ from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
     DeviceRaftMatcher,
     RaftMatcher,
-    network_on,
+    load_network,
     shipped_weights,
     weights_digest,
 )
@@ -97,7 +97,7 @@ def _network_ms(matcher: DeviceRaftMatcher, shape: tuple[int, ...]) -> float:
     device = torch.device(matcher.device)
     scale = 2 if max(shape) > matcher.largest_side_px else 1
     sides = [-(-side // scale // SIZE_MULTIPLE) * SIZE_MULTIPLE for side in shape[:2]]
-    network = network_on(matcher.weights, device)
+    network = load_network(matcher.weights, device)
     with rendering_on(device):
         images = torch.rand(2, 3, *sides, device=device) * 255
         start = torch.zeros(2, 1, *(side // network.config.factor for side in sides), device=device)

@@ -14,6 +14,7 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from ggvs_eval.compute_device import rendering_on
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.files.images import quantise
@@ -24,7 +25,7 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, find_matcher
 from ggvs_eval.pipelines.offline.stereo import raft_matcher, raft_refinement
 from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_disparity
-from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, network_on, shipped_weights, weights_digest
+from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, load_network, shipped_weights, weights_digest
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.play import playback
 from ggvs_eval.pipelines.run.prepare import prepare_run
@@ -121,10 +122,13 @@ def test_the_check_is_that_of_opencv():
 
 
 def test_a_network_is_loaded_once_for_each_device():
-    """The CPU's own stays where it is."""
-    here, there = (network_on(shipped_weights(), torch.device(name)) for name in ("cpu", "cpu:0"))
-    assert here is network_on(shipped_weights(), torch.device("cpu"))
-    assert here is not there
+    """The CPU's own stays where it is, also where a device computes already as the file is first read."""
+    load_network.cache_clear()
+    with rendering_on(torch.device("meta")):
+        there = load_network(shipped_weights(), torch.device("meta"))
+    here = load_network(shipped_weights(), torch.device("cpu"))
+    assert here is load_network(shipped_weights(), torch.device("cpu"))
+    assert [{each.device.type for each in network.parameters()} for network in (here, there)] == [{"cpu"}, {"meta"}]
 
 
 def test_keys_name_the_device_and_those_of_the_cpu_do_not():

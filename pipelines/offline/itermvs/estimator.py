@@ -23,15 +23,15 @@ CHECKPOINT_KEY = "model"
 
 
 @lru_cache(maxsize=1)
-def load_network(path: Path) -> IterMvsNetwork:
-    """The network of a weights file, in evaluation mode.
+def load_network(path: Path, device: torch.device | str = "cpu") -> IterMvsNetwork:
+    """The network of a weights file, in evaluation mode, on a device.
 
     Args:
         path: a ``.ckpt`` of the authors, or safetensors with the same names under ``model.``.
     """
     network = IterMvsNetwork()
     load_strict(read_tensors(path, CHECKPOINT_KEY, of=NETWORK), network, path, NETWORK)
-    return network.eval()
+    return network.eval().to(device)
 
 
 class IterMvsEstimator:
@@ -53,7 +53,7 @@ class IterMvsEstimator:
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Depth at one instant, everywhere, and the network's own confidence, (H, W)."""
         with rendering_on(self._device):
-            network = load_network(self._options.weights).to(self._device)
+            network = load_network(self._options.weights, self._device)
             images = [_tensor(each, c) for each, c in zip((image, *partner_images), self._cameras, strict=True)]
             motion = [[torch.as_tensor(each, dtype=torch.float32) for each in of] for of in (self._matrices, self._offsets)]
             found = network(images, *motion, self._camera.near, self._camera.far, self._options.iterations)

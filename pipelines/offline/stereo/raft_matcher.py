@@ -8,7 +8,6 @@ disparity and confidence back; on the CPU each in a thread of its own.
 import hashlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib import resources
@@ -50,8 +49,8 @@ def weights_digest(path: Path) -> str:
 
 
 @lru_cache(maxsize=2)
-def load_network(path: Path) -> RaftStereo:
-    """The network of a weights file, in evaluation mode; its configuration is known from the tensors.
+def load_network(path: Path, device: torch.device | str = "cpu") -> RaftStereo:
+    """The network of a weights file, in evaluation mode, on a device; its configuration is known from the tensors.
 
     Args:
         path: safetensors of ours, or a ``.pth`` of the authors: a state dict whose names may begin with ``module.``.
@@ -62,7 +61,7 @@ def load_network(path: Path) -> RaftStereo:
     tensors = read_tensors(path, of=NETWORK)
     network = RaftStereo(_configuration(tensors, path))
     load_strict(tensors, network, path, NETWORK)
-    return network.eval()
+    return network.eval().to(device)
 
 
 def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftOptions:
@@ -80,13 +79,6 @@ def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftOptio
             nearest = f"{len(different)} differ from '{title}', first {name}: {shapes.get(name)}, wanted {expected.get(name)}"
             fewest = len(different)
     raise WeightsError(f"{path}: {len(shapes)} tensors of no known RAFT-Stereo; {nearest or 'none of its names is known'}")
-
-
-@lru_cache(maxsize=2)
-def network_on(path: Path, device: torch.device) -> RaftStereo:
-    """The network of a weights file on a device, see `load_network`."""
-    network = load_network(path)
-    return network if device == torch.device("cpu") else deepcopy(network).to(device)
 
 
 @dataclass(frozen=True)
@@ -158,7 +150,7 @@ class RaftMatcher:
     def _disparities(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None, sides: int) -> Tensor:
         """Disparity of the pair and, with two sides, of its mirror image, (sides, H, W), on the device."""
         device, size = compute_device(self.device), (left.shape[1], left.shape[0])
-        network, scale = network_on(self.weights, device), 2 if max(size) > self.largest_side_px else 1
+        network, scale = load_network(self.weights, device), 2 if max(size) > self.largest_side_px else 1
         across, down = size[0] // scale, size[1] // scale
 
         def small(image: NDArray[Any], by: int = cv2.INTER_AREA) -> NDArray[Any]:
