@@ -121,6 +121,7 @@ def test_the_check_is_that_of_opencv():
     np.testing.assert_array_equal(there, left_right_gap(left, right))
 
 
+@pytest.mark.filterwarnings("ignore:for .* to a meta parameter")
 def test_a_network_is_loaded_once_for_each_device():
     """The CPU's own stays where it is, also where a device computes already as the file is first read."""
     load_network.cache_clear()
