@@ -55,12 +55,13 @@ def test_what_is_printed_is_what_the_page_shows(walk):
 
 @pytest.fixture(scope="module")
 def first_evaluation(walk):
-    """The guide's first evaluation on the first frames of what README's block made, by three metrics, and its steps."""
+    """The guide's first evaluation, on a few frames and sources of what README's block made and by three metrics; its steps."""
     folder, _ = walk
     quick = folder / "quick"
     protocol = load_protocol(str(quick / "quick.toml"))
     cheap = replace(protocol.measurement, metrics=("PSNR", "SSIM", "TCC"), ceilings=False)
-    short = replace(protocol, measurement=cheap, frames=replace(protocol.frames, count=FRAMES))
+    few = {"frames": replace(protocol.frames, count=FRAMES), "synthesis": replace(protocol.synthesis, k=2)}
+    short = replace(protocol, measurement=cheap, **few)
     (quick / "quick.toml").write_text(short.to_toml(), encoding="utf-8")
     for file in (quick / "mended").glob("*/*.png"):
         if int(file.stem) not in short.frames.numbers:

@@ -15,9 +15,7 @@ from ggvs_eval.pipelines.commands import captures
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder
-from ggvs_eval.synthetic.film import film
-from ggvs_eval.synthetic.room import lighting
-from helpers.lit_rooms import stored_rooms
+from helpers.lit_rooms import light_by_few_rays
 from helpers.places import ROOT
 from helpers.walks import Step, commands_of, follow
 
@@ -37,9 +35,7 @@ def walk(tmp_path_factory) -> tuple[Path, list[Step]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(captures, "default_workers", lambda: 1)
-        # An eighth of the rays finds the light that bounces: the same code in a fraction of the time. Nobody else may see it.
-        patch.setattr(lighting, "AMBIENT_DIRECTIONS", 8)
-        patch.setattr(film, "_lit_room", stored_rooms(tmp_path_factory.mktemp("light")))
+        light_by_few_rays(patch, tmp_path_factory.mktemp("light"))
         return folder, [follow(line) for line in commands_of(PAGE)]
 
 

@@ -1,5 +1,6 @@
 """Domains: what each option of their captures does, and that training and validation film what they say."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from ggvs_eval.synthetic.film.raycast import render_depth
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
 from ggvs_eval.synthetic.film.sensor import compress, defocus, denoise, mosaic_and_back, rig_sensors, sharpen, to_linear, to_srgb
 from ggvs_eval.synthetic.film.shots import hand_held_shots, rig_of
+from helpers.lit_rooms import light_by_few_rays
 from helpers.refusals import refused
 from helpers.scenes import render_view
 
@@ -39,6 +41,13 @@ SMALL = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=2, path_pos
 # At 3326e7f, before there were domains.
 PLAIN_NOISE, PLAIN_SPREAD = 0.7496200160267352, 0.012452947166492987
 WALK = replace(SMALL, layout="rgbd", n_frames=4, fps=3.0, noise_sigma_255=0.0, exposure_spread=0.0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _lit_quickly(tmp_path_factory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        light_by_few_rays(patch, tmp_path_factory.mktemp("light"))
+        yield
 
 
 def spacing_of(options: DemoOptions) -> float:
