@@ -16,8 +16,8 @@ BIN_255, FEWEST_PIXELS, FEWEST_BINS = 8, 40, 8
 LOWEST_255, HIGHEST_255 = 3.0, 252.0
 # Honest renders of several methods came out at powers of 0.99 to 1.01, in each channel; a power of 1.1 at 1.09 and more.
 LEAST_POWER, LARGEST_SPREAD = 1.05, 1.08
-# A milky picture is affine: a power law has to leave less than the best affine map, and much less than a gain does. Planted powers
-# of 1.1 left 0.3 to 0.61 and 0.11 to 0.32; honest renders of a rig whose cameras differ by a fifth in colour 0.77 and 0.52 at least.
+# A milky picture is affine: a power law has to leave less than the best affine map, and much less than a gain does. Planted
+# powers of 1.1 left 0.3 to 0.61 and 0.11 to 0.32, honest renders of a rig whose cameras differ in colour by a fifth .77, .52.
 LIKELY_TONE, CERTAIN_TONE, OF_GAIN = 0.7, 0.5, 0.5
 CERTAIN_POWER = 1.5
 # Cameras differ in exposure by some per cent.
