@@ -15,6 +15,7 @@ from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.registry import METRICS, derived_rows, pooling_records, select_metrics
 from ggvs_eval.pipelines.inspection.renders.seen import COMPARED
+from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.run.references import ceiling_jobs, find_seen_view, read_ceilings, write_references
@@ -132,6 +133,7 @@ def _collect(
         values: dict[str, dict[str, dict[int, float]]] = {}  # metric -> view -> frame -> value
         own: list[tuple[Any, ...]] = []
         reasons: dict[str, str] = {}  # of what belongs to no single view
+        found: list[Fault] = []
         for view, methods in records.items():
             if why := coverage.refused.get(label, {}).get(view):
                 absences += [Absence(metric, label, capture["scene"], view, why) for metric in protocol.measurement.metrics]
@@ -141,10 +143,10 @@ def _collect(
                 own.append((view, frame, name, value))
                 values.setdefault(name, {}).setdefault(view, {})[frame] = value
             seen = find_seen_view(view, values.get(COMPARED, {}).get(view, {}).values(), perfect.get(view))
-            found = [*methods[label].get("faults", ()), *map(asdict, seen)]
-            faults += [_fault(label, capture["scene"], one) for one in found]
+            found += [_fault(label, capture["scene"], one) for one in (*methods[label].get("faults", ()), *map(asdict, seen))]
             lacking = methods[label]["not_computed"]
             absences += [Absence(name, label, capture["scene"], view, reason) for name, reason in lacking.items()]
+        faults += of_all_views(found, sum(label in methods for methods in records.values()))
         own += _derived(protocol, values, reasons)
         own += _along_path(protocol, paths.get(label), reasons)
         absences += [Absence(name, label, capture["scene"], "", reason) for name, reason in reasons.items()]

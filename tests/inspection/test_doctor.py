@@ -12,6 +12,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
+from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, cameras_of_run, views_of_run
 from ggvs_eval.run_folder import RunFolder, frame_path
 from ggvs_eval.synthetic.demo import write_demo
@@ -352,6 +353,16 @@ def test_two_faults_are_found_together(honest, truth):
 
     assert faults(diagnose(moved, truth, range(2, 7))) == ["frame offset", "channel order"]
     assert faults(diagnose(dark, truth)) == ["wrong camera", "tone curve"]
+
+
+def test_a_mild_gamma_of_few_views_is_their_cameras():
+    """More than half of the views have one that was written; what is certain, or another fault, needs no company."""
+    mild = [Finding(name, "tone curve", "likely", "a power") for name in ("cam00", "cam01")]
+    alone = [Finding("cam02", "tone curve", "certain", "a power"), Finding("cam02", "value range", "likely", "16..235")]
+
+    assert of_all_views([*mild, *alone], 4) == alone
+    assert of_all_views([*mild, *alone], 3) == [*mild, *alone]
+    assert of_all_views(mild[:1], 1) == mild[:1]
 
 
 def test_one_frame_is_enough_for_what_one_frame_shows(honest, truth):

@@ -11,6 +11,7 @@ from ggvs_eval.pipelines.inspection.renders.jpeg import find_jpeg
 from ggvs_eval.pipelines.inspection.renders.placement import find_placement, shared_shift
 from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, check_sample
 from ggvs_eval.pipelines.inspection.renders.repeats import resized, scan_frames
+from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.pipelines.inspection.renders.upscaling import find_upscaling
 from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, longest_run
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
@@ -40,7 +41,7 @@ def examine(
     for name, one in examined.items():
         is_told = any(finding.question == "shift" for finding in one.findings)
         findings += [*one.findings, *(extra for extra in shared if extra.subject == name and not is_told)]
-    return findings
+    return of_all_views(findings, len(views))
 
 
 def faults_table(findings: Sequence[Finding], width: int = WIDTH) -> str:

@@ -1,6 +1,8 @@
 """Tone: a second, a missing or a slightly different gamma, and the range of video levels."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -27,7 +29,23 @@ VIDEO_BLACK, VIDEO_SLOPE = 16.0, 219 / 255
 LIKELY_BLACK_255, CERTAIN_BLACK_255 = 4.0, 3.0
 # Levels that noise and averaging leave beyond video black and white.
 FLOOR_255, CEILING_255 = 13.0, 238.0
+QUESTION = "tone curve"
 Curve = NDArray[np.float64]
+
+
+class Told(Protocol):
+    """What was found in the renders of a view, here or as results keep it."""
+
+    @property
+    def question(self) -> str:
+        """The fault."""
+
+    @property
+    def verdict(self) -> str:
+        """``likely`` or ``certain``."""
+
+
+AnyTold = TypeVar("AnyTold", bound=Told)
 
 
 @dataclass(frozen=True)
@@ -54,6 +72,17 @@ def find_tone(name: str, sample: Sample) -> list[Finding]:
         return []
     fits = [fit_tone(curve) for curve in curves]
     return _video_range(name, sample, fits) or _power_law(name, fits)
+
+
+def of_all_views(found: Sequence[AnyTold], views: int) -> list[AnyTold]:
+    """What was found in a method's views, without a likely tone curve that no more than half of them have.
+
+    Reading:
+        Whoever writes frames by another curve writes all of them so. In one view it is the camera's: where one of a light field
+        differs, every method that blends the others looked as if its frames had been written with a gamma of 0.93.
+    """
+    likely = [one for one in found if one.question == QUESTION and one.verdict == "likely"]
+    return [one for one in found if one not in likely or 2 * len(likely) > views]
 
 
 def tone_curve(sample: Sample, channel: int) -> Curve:
@@ -112,7 +141,7 @@ def _power_law(name: str, fits: list[ToneFit]) -> list[Finding]:
         f"rendered = truth^{power:.2f} in each channel, levels in 0..1; leaves {rest:.2f} of what the best affine map leaves"
     )
     verdict = verdict_of(strength > CERTAIN_POWER and rest < CERTAIN_TONE)
-    return [Finding(name, "tone curve", verdict, measured, {"power": power, "rest_ratio": rest}, _power_advice(power))]
+    return [Finding(name, QUESTION, verdict, measured, {"power": power, "rest_ratio": rest}, _power_advice(power))]
 
 
 def _power_advice(power: float) -> str:
