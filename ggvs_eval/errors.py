@@ -117,8 +117,6 @@ def mendable(error: BaseException) -> str | None:
         return None
     mend = "".join(f"; {mend}" for numbers, mend in MENDS.items() if error.errno in numbers)
     files = [str(name) for name in (error.filename, error.filename2) if isinstance(name, str | os.PathLike)]
-    for link in (name for name in files if error.errno == errno.ENOENT and os.path.islink(name)):
-        mend += f"; it links to {os.readlink(link)}, which has gone: bring it back"
     reason = error.strerror or str(error) or type(error).__name__
     return one_line(f"{' -> '.join(files)}{': ' * bool(files)}{reason}{mend}; {GO_ON}")
 

@@ -1,6 +1,5 @@
 """Renders of every layout become <view>/<frame>.png of a run, each picture at its place."""
 
-import errno
 import shutil
 import socket
 from collections.abc import Callable
@@ -10,9 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ggvs_eval.errors import RenderError, mendable
+from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.pipelines.run.derived_files import digest_folder
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 from helpers.refusals import refused
@@ -213,21 +211,6 @@ def test_png_files_are_linked_and_stay_theirs(truth_run, tmp_path):
     assert file.is_symlink()
     assert file.resolve() == (tmp_path / "theirs" / "cam02" / "0003.png").resolve()
     assert not frame_path(truth_run.renders("mine", "cam00"), 3).is_symlink()
-
-
-def test_a_link_whose_file_has_gone_is_told_from_a_lost_frame(truth_run, tmp_path):
-    """The message names what the frame linked to, by which one sees what was moved away."""
-    theirs = write_folders(tmp_path / "theirs") / "cam02" / "0003.png"
-    import_renders(truth_run, "mine", tmp_path / "theirs")
-    file = frame_path(truth_run.renders("mine", "cam02"), 3)
-    theirs.unlink()
-
-    with pytest.raises(FileNotFoundError) as lost:
-        digest_folder(truth_run.root)
-
-    assert f"{file}: No such file or directory; it links to {theirs.resolve()}, which has gone" in mendable(lost.value)
-    file.unlink()
-    assert "links" not in mendable(FileNotFoundError(errno.ENOENT, "No such file or directory", str(file)))
 
 
 def test_what_was_unpacked_stays_without_the_archive(truth_run, tmp_path):
