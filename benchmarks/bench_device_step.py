@@ -113,6 +113,12 @@ def _print(size: tuple[int, int], figure: dict[str, Any], divisor: int) -> None:
         )
 
 
+def _write(file: Path | None, record: dict[str, Any]) -> None:
+    """Keep what is measured so far: a part that fails later must not take it along, a GPU is lent for minutes."""
+    if file is not None:
+        file.write_text(json.dumps(record, indent=1))
+
+
 def main() -> None:
     """Check and time both sizes; the figures go to a file as well where one is named. Exit code 1 where a check fails."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -123,17 +129,19 @@ def main() -> None:
     device = compute_device(options.device)
     machine = f"{describe_device(device)}, torch {torch.__version__}, {get_threads()} threads of the CPU"
     print(machine)
-    figures = {}
+    figures: dict[str, Any] = {}
+    record: dict[str, Any] = {"machine": machine, "figures": figures}
     for width, height in TARGETS_MS:
         size = width // options.shrink, height // options.shrink
         instants = scene(*size)
         figure = {"check": check(instants, str(device)), "times": time_parts(instants, str(device))}
         _print(size, figure, options.shrink)
         figures[f"{size[0]}x{size[1]}"] = figure
-    depth, scoring = measure_depth(str(device), options.shrink), print_scoring(size, str(device))
-    if options.json:
-        record = {"machine": machine, "figures": figures, "depth": depth, "scoring": scoring}
-        options.json.write_text(json.dumps(record, indent=1))
+        _write(options.json, record)
+    depth = record["depth"] = measure_depth(str(device), options.shrink)
+    _write(options.json, record)
+    scoring = record["scoring"] = print_scoring(size, str(device))
+    _write(options.json, record)
     rendered = min(figure["check"]["within_a_level"] for figure in figures.values()) >= LEAST_SHARE
     if not (rendered and is_as_the_cpu(depth) and scoring["largest_difference"] <= LEAST_CLOSE):
         raise SystemExit(1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from ggvs_eval.compute_device import one_thread
+from ggvs_eval.compute_device import one_thread, rendering_on
 from ggvs_eval.depth_store import DepthMap, DepthStore
 from ggvs_eval.errors import DepthError, WeightsError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth, finish
@@ -52,6 +52,14 @@ def rig_and_images():
 def estimate(weights, cameras, images):
     """Depth of the first camera with the others as its partners."""
     return IterMvsEstimator(cameras[0], cameras[1:], IterMvs(weights, "")).estimate(images[0], images[1:])
+
+
+@pytest.mark.filterwarnings("ignore:for .* to a meta parameter")
+def test_a_device_that_asks_first_leaves_the_cpu_its_own_network(weights):
+    """One that was kept and moved would be computed with where it no longer lies."""
+    with rendering_on(torch.device("meta")):
+        load_network(weights, torch.device("meta"))
+    assert {each.device.type for each in load_network(weights, torch.device("cpu")).parameters()} == {"cpu"}
 
 
 def test_names_and_shapes_are_those_of_the_checkpoint():

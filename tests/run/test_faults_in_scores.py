@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -126,6 +127,23 @@ def test_checks_of_other_code_measure_no_metric_again(run, monkeypatch):
         first.unlink()
         first.symlink_to(kept)
         score(run)  # of the frame as it was, for the tests that come after
+
+
+def test_a_mild_gamma_is_told_of_a_method_and_not_of_a_camera(run, monkeypatch):
+    """What one of three views seems to have is its camera's; what two of them have was written so."""
+
+    def check(checks: QuickChecks, _rendered: FrameReader, _frames: range) -> list[Finding]:
+        return [Finding(checks._view, "tone curve", "likely", "a power")] if checks._view in curved else []
+
+    found = {}
+    with monkeypatch.context() as patch:
+        patch.setattr(QuickChecks, "check", check)
+        for curved in (("cam00",), ("cam00", "cam03")):
+            patch.setattr(score_view, "checks_code", partial(" ".join, curved))
+            found[curved] = {one.view for one in score(run).faults if one.label == "mine"}
+    score(run)  # by the checks as they are, for the tests that come after
+
+    assert found == {("cam00",): set(), ("cam00", "cam03"): {"cam00", "cam03"}}
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])
