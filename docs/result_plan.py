@@ -8,7 +8,7 @@ from functools import cache, cached_property
 from pathlib import Path
 
 from ggvs_eval.files.digest import digest_values
-from ggvs_eval.jobs.code_identity import code_identity, installed_code
+from ggvs_eval.jobs.code_identity import code_identity, installed_code, what_runs
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.methods.registry import find_method, usual_methods
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, digest_weights
@@ -241,7 +241,7 @@ def _of_source(file: str) -> str:
             continue
         seen.add(name)
         text = (ROOT / name).read_text(encoding="utf-8")
-        texts.append(hashlib.sha256(text.encode()).hexdigest())
+        texts.append(hashlib.sha256(what_runs(text).encode()).hexdigest())
         for imported in _imports(text):
             path = f"{imported.replace('.', '/')}.py"
             if imported.startswith("benchmarks.") and (ROOT / path).is_file():

@@ -64,7 +64,7 @@ def test_what_is_stale_is_measured_once_and_written(bench, monkeypatch, capsys):
     assert run(monkeypatch) == 0
     assert (folder / "calls").read_text() == "DATA\n"
 
-    (folder / "source.py").write_text("from ggvs_eval.metrics.image.psnr import psnr  # changed\n")
+    (folder / "source.py").write_text("from ggvs_eval.metrics.image.psnr import psnr as measure\n")
     again = measurement()
     assert again.identity != made.identity
     monkeypatch.setattr(sys, "argv", ["fill_tables.py", "--check"])

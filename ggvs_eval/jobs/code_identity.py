@@ -1,5 +1,8 @@
 """Identity of code: a hash of everything that a module imports of this package, so that changed code means changed jobs.
 
+Comments, docstrings, empty lines and the modules of errors and progress do not count: a message that became clearer costs nobody
+a night of rendering.
+
 The closure is found by reading source files, at their heads and inside functions; nothing is imported. A package counts where
 something is taken from it, not where it only lies on the way to a module: no ``__init__.py`` does more than define names. Of an
 extension module, the sources that it was built from count, which setup.py hashes into it: equal code has equal hashes on every
@@ -9,8 +12,10 @@ machine, whatever compiled it.
 import ast
 import hashlib
 import importlib.util
+import io
 import os
 import re
+import tokenize
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -25,10 +30,11 @@ PACKAGE = ggvs_eval.__name__
 ROOMS_APART = ("baselines", "metrics", "pipelines", "reports")  # a checkout keeps them beside the package, see setup.cfg
 BUILT_FROM = re.compile(rb"ggvs-eval sources ([0-9a-f]{64})")  # ggvs_eval/kernels/sources.hpp
 
-# Where and when work is done moves no result; nor do threads and instruction set, so that asking the processor for these does
-# not tie one kernel to all others.
-NEVER_COUNTED = f"{PACKAGE}.jobs."
+# Where and when work is done moves no result, nor does what is said meanwhile; nor do threads and instruction set, so that asking
+# the processor for these does not tie one kernel to all others.
+NEVER_COUNTED = (f"{PACKAGE}.jobs.", f"{PACKAGE}.errors", f"{PACKAGE}.progress")
 UNFOLLOWED = frozenset({f"{PACKAGE}.kernels"})
+LAYOUT = frozenset({tokenize.NL, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER})
 
 
 @dataclass(frozen=True)
@@ -119,7 +125,7 @@ class _Code:
 
 @cache
 def _code_of(tree: CodeTree, module: str) -> _Code:
-    """Read a module: a source's text, whatever ends its lines, or what an extension module was built from."""
+    """Read a module: of a source what runs, whatever ends its lines; of an extension module what it was built from."""
     file = tree.file(module)
     if file is None:
         raise ModuleNotFoundError(f"{module}: wanted its code for the identity of a job, found none in {tree.folder}")
@@ -129,7 +135,29 @@ def _code_of(tree: CodeTree, module: str) -> _Code:
         return _Code(built_from[1].decode() if built_from else hashlib.sha256(content).hexdigest(), frozenset())
     package = module if file.name == "__init__.py" else module.rpartition(".")[0]
     imports = {name for name in _imports(tree, package, ast.parse(content, str(file))) if not name.startswith(NEVER_COUNTED)}
-    return _Code(hashlib.sha256(content.replace(b"\r\n", b"\n")).hexdigest(), frozenset(imports))
+    return _Code(hashlib.sha256(what_runs(content.decode("utf-8-sig")).encode()).hexdigest(), frozenset(imports))
+
+
+def what_runs(source: str) -> str:
+    """A source without what moves no result: comments, docstrings (any statement that is a string alone) and empty lines.
+
+    Rows are taken out, not tokens written anew: versions of Python cut f-strings in different ways.
+    """
+    rows = io.StringIO(source, newline=None).read().split("\n")
+    dropped, statement = set[int](), list[tokenize.TokenInfo]()
+    for token in tokenize.generate_tokens(io.StringIO("\n".join(rows)).readline):
+        row = token.start[0] - 1
+        if token.type == tokenize.COMMENT:
+            rows[row] = rows[row][: token.start[1]].rstrip()
+        elif token.type == tokenize.NL and not rows[row].strip():
+            dropped.add(row)
+        elif token.type == tokenize.NEWLINE:
+            if {part.type for part in statement} == {tokenize.STRING}:
+                dropped.update(range(statement[0].start[0] - 1, token.end[0]))
+            statement = []
+        elif token.type not in LAYOUT:
+            statement.append(token)
+    return "\n".join(row for number, row in enumerate(rows) if number not in dropped)
 
 
 def _imports(tree: CodeTree, package: str, source: ast.AST) -> Iterator[str]:
