@@ -24,8 +24,9 @@ results: $(READY)
 SEED ?= 1
 PYTEST := -m pytest -n auto --dist worksteal --randomly-seed=$(SEED)
 
+# All tests but those that take half a minute to do whole what others show in parts; these are of `make validate`.
 test: $(READY)
-	$(BIN)/python $(PYTEST)
+	$(BIN)/python $(PYTEST) -m "not proof"
 
 # Without what takes seconds, a browser or hundreds of damaged files.
 test-quick: $(READY)
@@ -46,8 +47,8 @@ view-demo: .venv/.view
 	$(BIN)/pip install --disable-pip-version-check -q -e '.[view]'
 	touch $@
 
-# Heavier proofs: speed against peers (out/bench.json), quality on real captures (out/validate.json), by domains of captures
-# (out/validate_domains.json) and by calibrations (out/validate_refinement.json).
+# Heavier proofs: whole runs, films and trainings; speed against peers (out/bench.json), quality on real captures (out/validate.json), by
+# domains of captures (out/validate_domains.json) and by calibrations (out/validate_refinement.json).
 bench: $(READY)
 	$(BIN)/python -m benchmarks
 
@@ -59,6 +60,7 @@ bench-device: view
 	PYTHONPATH=build/view:.:build/wheels $(PYTHON) -P -m benchmarks.bench_device_step $(BENCH_OPTIONS)
 
 validate: $(READY)
+	$(BIN)/python $(PYTEST) -m proof
 	$(BIN)/python -m benchmarks.validate $(if $(DATA),--data $(DATA))
 	$(BIN)/python -m benchmarks.domain_validation $(if $(DATA),--data $(DATA))
 	$(BIN)/python -m benchmarks.refinement_validation
@@ -80,7 +82,7 @@ wheel-test: $(READY)
 	$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
 		> "$$(echo build/wheel/venv/lib/python3*/site-packages)/dependencies.pth"
 	cp -r tests build/wheel/tests
-	cd build/wheel && venv/bin/python $(PYTEST) -q -c /dev/null --rootdir . -p no:cacheprovider tests
+	cd build/wheel && venv/bin/python $(PYTEST) -m "not proof" -q -c /dev/null --rootdir . -p no:cacheprovider tests
 
 # The package as setup.cfg installs it, in links, for the type checker.
 view:

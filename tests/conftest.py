@@ -5,7 +5,8 @@ installed wheel.
 
 Files or tests that take long say ``pytestmark = pytest.mark.slow``, those that throw damaged files ``pytest.mark.fuzz``; what
 opens a browser is `page` by itself, and all others are `quick`, for ``make test-quick``. A quick test that is slow is named among
-the warnings; it does not fail, since another machine may be slower than ours.
+the warnings; it does not fail, since another machine may be slower than ours. ``pytest.mark.proof`` does whole, in half a minute,
+what others test in parts: ``make test`` leaves it to ``make validate``, so as to be over in ten minutes.
 """
 
 import os
@@ -27,6 +28,7 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
 MARKERS = {
     "quick": "none of the others; `make test-quick` runs these",
     "slow": "takes seconds of a core: whole runs, rooms, networks, other processes",
+    "proof": "whole runs, films and trainings that repeat what other tests show in parts: `make validate` runs these",
     "page": "opens a page in a real browser",
     "fuzz": "reads hundreds of damaged files",
     "gpu": "wants a GPU",

@@ -172,6 +172,7 @@ def test_a_step_gives_a_picture(weights):
     np.testing.assert_array_equal(MvsNerf(weights).step(odd_rig(4)).image, rendering.image)
 
 
+@pytest.mark.proof
 @pytest.mark.usefixtures("torch_threads")
 def test_a_step_is_the_same_again(weights):
     """Equal bits from a second object and with another number of threads, close ones with other chunks."""

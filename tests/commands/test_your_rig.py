@@ -20,7 +20,11 @@ from helpers.places import ROOT
 from helpers.walks import Step, commands_of, follow
 
 PAGE = ROOT / "docs" / "your_rig.md"
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not PAGE.is_file(), reason="no docs/ beside an installed wheel")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.proof,  # the walk takes 70 s of a core
+    pytest.mark.skipif(not PAGE.is_file(), reason="no docs/ beside an installed wheel"),
+]
 
 ENDS_WITH_1 = "# ends with 1"
 # After the best similarity; centres in percent of the rig's extent. Reached: 1.2 % and 2.8 degrees, with 90 points at 320 x 240.

@@ -82,6 +82,7 @@ def test_all_cameras_are_found_near_the_truth(demo, calibrated):
     assert measured["focal_error_percent_max"] < 2
 
 
+@pytest.mark.proof
 def test_one_lens_per_camera(demo, tmp_path):
     """Without shared intrinsics every camera gets a lens of its own, and lenses and poses stay near the truth; reached: 0.41 px,
     0.58 %, 0.43 degrees and 0.5 %.
@@ -119,6 +120,7 @@ def test_result_opens_at_once(demo, calibrated):
     ]
 
 
+@pytest.mark.proof
 def test_equal_frames_give_equal_models(demo, calibrated, tmp_path):
     """The same frames as stills and the same options give the same bytes: seeds, order and threads are fixed."""
     stills = write_stills(demo, tmp_path / "stills", NAMES)
@@ -155,6 +157,7 @@ def test_known_poses_stay_fixed(demo, tmp_path):
     assert found.n_points > 300
 
 
+@pytest.mark.proof
 def test_a_studios_poses_stay_fixed_and_metric(demo, tmp_path):
     """Poses of a Qualisys file are kept, in metres, and the capture that is written knows that they are."""
     capture = open_capture(demo)
@@ -184,6 +187,7 @@ def test_swapped_poses_do_not_fit(demo, calibrated, tmp_path):
     assert max(found.points_seen.get("cam00", 0), found.points_seen.get("cam05", 0)) < 0.1 * others
 
 
+@pytest.mark.proof
 def test_lens_distortion_is_found(demo, tmp_path):
     """Frames of a barrel lens (k1 = -0.12) give that lens within 0.02, poses like those of pinhole frames, and a capture that is
     read undistorted.

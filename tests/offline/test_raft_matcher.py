@@ -61,6 +61,7 @@ def test_a_known_shift_is_found(standing, largest_side_px):
     assert confidence.max() <= 1
 
 
+@pytest.mark.proof
 def test_what_the_right_image_denies_is_rejected(standing):
     """Against a right image of something else hardly anything survives the left-right check."""
     left, right = (stereo_sample(seed, 192, 128).left for seed in OTHER_PAIRS[:2])
@@ -105,6 +106,7 @@ def test_equal_inputs_give_equal_bits(tmp_path):
     assert torch.get_num_threads() == threads[0]
 
 
+@pytest.mark.proof
 def test_the_shipped_network_improves_on_what_it_starts_from():
     """On a scene that it was neither trained nor validated on, its error is at least a tenth below that of its start."""
     shipped = find_matcher("raft")

@@ -50,6 +50,7 @@ def contents(root: Path) -> dict[str, bytes]:
     return {file.relative_to(root).as_posix(): file.read_bytes() for file in files if "jobs" not in file.parts}
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
 def test_a_whole_run_is_the_same_on_every_engine(engine, serial, demo_capture, protocol, tmp_path):
     """Truth, depth, masks, renders, path and table are byte for byte those of one process; so are ceilings and path scores."""

@@ -220,6 +220,7 @@ def test_a_shard_that_is_none_is_refused(text, words, tmp_path):
     assert "wanted i/n" in str(ended.value.code)
 
 
+@pytest.mark.proof
 def test_dask_workers_render_the_same_bits(words, undisturbed, tmp_path):
     """A sweep over three dask workers, one of which is killed while it renders, ends like the serial one."""
     distributed = pytest.importorskip("distributed")

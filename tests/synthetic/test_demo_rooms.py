@@ -142,6 +142,7 @@ def small_protocols():
     return shrunken
 
 
+@pytest.mark.proof
 def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     """Each room is rendered and evaluated beside the main one, one page shows all, and a second call computes nothing."""
     monkeypatch.setattr(demo_runs, "load_protocol", small_protocols)

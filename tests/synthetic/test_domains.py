@@ -285,6 +285,7 @@ def test_a_garden_has_thin_foliage_before_a_far_background() -> None:
 TINY_DOMAINS = ("narrow", "handheld", "misplaced_depth")
 
 
+@pytest.mark.proof
 def test_samples_of_many_domains_are_one_lot(tmp_path: Path) -> None:
     """Each domain is rendered into its own folder, and its samples stand one after another, sensors' depth included."""
     plans = [replace(plan, width=96, height=72) for plan in domain_plans(TINY_DOMAINS, rooms=1, targets=1, matcher="sgbm")]

@@ -62,6 +62,7 @@ def evenly_lit(*surfaces: Surface) -> Instant:
     return Instant(geometry, None, np.ones_like(geometry.vertices), np.zeros((0, 3), np.float32), [])
 
 
+@pytest.mark.proof
 @pytest.mark.slow
 def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
     """A sample is a function of its arguments alone: also where its scene is laid out and lit anew."""

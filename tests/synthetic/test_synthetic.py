@@ -193,6 +193,7 @@ def test_exposure_differs_between_cameras_only_when_wanted():
     assert (camera_gains(CLEAN) == 1).all()
 
 
+@pytest.mark.proof
 def test_another_seed_is_another_room(cameras, instants):
     """Rooms of different seeds differ all over the picture, in colour and depth."""
     other = LitRoom(build_room(7)).at(0.0)
@@ -201,6 +202,7 @@ def test_another_seed_is_another_room(cameras, instants):
     assert (np.abs(depth - depth_7) > 0.1).mean() > 0.5
 
 
+@pytest.mark.proof
 def test_rooms_of_the_tests_are_lit_as_all_rooms_are(instants):
     """The light that tests share on disk has the bits of light that is cast anew."""
     fresh = LitRoom(build_room(TINY.seed)).at(0.4)

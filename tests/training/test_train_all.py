@@ -149,6 +149,7 @@ def test_a_folder_is_trained_into_by_one_process_only(tmp_path):
     assert "another call is still training it into" in failures["fwd"]
 
 
+@pytest.mark.proof
 def test_networks_are_trained_side_by_side(cache, capsys):
     """One that cannot go on stops no other and leaves a line; a second call finishes it; weights, cards and curves stand."""
     out = cache.parent

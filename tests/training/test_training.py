@@ -248,6 +248,7 @@ def test_the_card_tells_cost_and_quality(tmp_path):
 SMALL = StereoTask(width=128, height=96, batch_size=1, iterations=2, validation_pairs=1)
 
 
+@pytest.mark.proof
 def test_stereo_batches_depend_on_the_step_alone():
     """The same step gives the same bits, another one other pairs; starts have the size of the network's cells."""
     once, again, other = SMALL.batch(3), SMALL.batch(3), SMALL.batch(7)
