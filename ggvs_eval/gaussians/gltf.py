@@ -33,6 +33,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.gaussians.cloud import GaussianCloud
 from ggvs_eval.gaussians.harmonics import CONSTANT
+from ggvs_eval.progress import track
 
 EXTENSION = "KHR_gaussian_splatting"
 KERNEL = {
@@ -47,7 +48,7 @@ HIGHEST_DEGREE = 3  # of the extension
 FRAME = "frame"  # in a node's extras: the number of its instant
 MAGIC, VERSION, JSON_CHUNK, BINARY_CHUNK = b"glTF", 2, b"JSON", b"BIN\0"
 MOST_BYTES = (1 << 32) - 1  # the container counts its bytes in 32 bits
-FLOAT, UNSIGNED_SHORT = 5126, 5123
+FLOAT = 5126
 TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 POINTS, VERTICES = 0, 34962
 Cloud = Callable[[int], GaussianCloud]
@@ -76,16 +77,16 @@ def write_glb(
         RenderError: a cloud without Gaussians, with harmonics that the extension does not know or with numbers beyond floats; or
             more than a .glb can hold. Nothing is left of the file then.
     """
+    turn = {} if up is None else {"rotation": _rotation_to_y(up)}
     with atomic_file(path) as unfinished, unfinished.open("wb") as file, TemporaryFile(dir=unfinished.parent) as binary:
         parts = _Parts(binary)
         meshes = []
-        for place, frame in enumerate(frames):
+        for place, frame in enumerate(track(frames, "writing instants")):
             with torch.no_grad():
-                rows = _rows(cloud(frame), degree, f"{path}: frame {frame}")
-            meshes.append(_mesh(parts, rows, frame))
+                meshes.append(_mesh(parts, _rows(cloud(frame), degree, f"{path}: frame {frame}"), frame))
             if parts.n_bytes > MOST_BYTES:
                 raise _too_large(path, place, len(frames))
-        document = _document(meshes, frames, up) | ({"animations": [_animation(parts, frames, fps)]} if len(frames) > 1 else {})
+        document = _document(meshes, frames, turn) | ({"animations": [_animation(parts, frames, fps)]} if len(frames) > 1 else {})
         document |= {"accessors": parts.accessors, "bufferViews": parts.views, "buffers": [{"byteLength": parts.n_bytes}]}
         text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
@@ -108,51 +109,52 @@ class _Parts:
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
 
-    def add(self, values: Array32 | NDArray[np.uint16], *, of_vertices: bool = True, has_bounds: bool = False) -> int:
-        """Append rows of 4, 8, 12 or 16 bytes, so that all stay aligned; returns the number of their accessor."""
-        width = values.shape[1] if values.ndim == 2 else 1
-        is_float = values.dtype == np.float32
-        accessor: dict[str, Any] = {"bufferView": len(self.views), "componentType": FLOAT if is_float else UNSIGNED_SHORT}
-        accessor |= {"count": len(values), "type": TYPES[width]} | ({} if is_float else {"normalized": True})
+    def add(self, values: Array32, *, of_vertices: bool = True, has_bounds: bool = False) -> int:
+        """Append rows of floats, (N, components), which keeps all aligned; returns the number of their accessor."""
+        accessor: dict[str, Any] = {"bufferView": len(self.views), "componentType": FLOAT}
+        accessor |= {"count": len(values), "type": TYPES[values.shape[1]]}
         if has_bounds:
-            rows = values.reshape(len(values), width)
-            accessor |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+            accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
         view = {"buffer": 0, "byteOffset": self.n_bytes, "byteLength": values.nbytes}
-        self._file.write(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes())
+        self._file.write(values.astype("<f4").tobytes())
         self.n_bytes += values.nbytes
         self.views.append(view | ({"target": VERTICES} if of_vertices else {}))
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
 
-def _rows(cloud: GaussianCloud, degree: int | None, name: str) -> dict[str, Array32 | NDArray[np.uint16]]:
+def _rows(cloud: GaussianCloud, degree: int | None, name: str) -> dict[str, Array32]:
     """Attributes of a primitive by their names."""
     if degree is None and cloud.degree > HIGHEST_DEGREE:
         raise RenderError(f"{name}: wanted harmonics of degree 0 to {HIGHEST_DEGREE}, got {cloud.degree}; keep degree 3 of them")
     if not len(cloud):
         raise RenderError(f"{name}: wanted Gaussians, the cloud has none, which glTF cannot say; leave this instant out")
-    values = {key: tensor.detach().to("cpu", torch.float64).numpy() for key, tensor in cloud.parameters().items()}
+    values = {key: tensor.detach().cpu().numpy() for key, tensor in cloud.parameters().items()}
+    sh = values.pop("sh")
+    values = {key: each.astype(np.float64) for key, each in values.items()}  # so that activations are rounded once
     kept = (min(cloud.degree if degree is None else degree, cloud.degree, HIGHEST_DEGREE) + 1) ** 2
     with np.errstate(over="ignore", invalid="ignore"):
         turns = values["quaternions"] / np.linalg.norm(values["quaternions"], axis=1, keepdims=True)
         opacity = 1 / (1 + np.exp(-values["opacity_logits"]))
         wide = {"POSITION": values["means"], ROTATION: np.roll(turns, -1, axis=1), SCALE: np.exp(values["log_scales"])}
-        wide |= {OPACITY: opacity} | {term: values["sh"][:, n] for n, term in enumerate(TERMS[:kept])}
+        wide |= {OPACITY: opacity[:, None], "COLOR_0": _fallback_colours(sh[:, 0], opacity)} | {
+            term: sh[:, n] for n, term in enumerate(TERMS[:kept])
+        }
         rows = {key: each.astype(np.float32) for key, each in wide.items()}
     broken = [key for key, each in rows.items() if not np.isfinite(each).all()]
     if broken:
         raise RenderError(f"{name}: wanted finite numbers, some of its {broken[0]} are not; the fit has diverged")
-    return {**rows, "COLOR_0": _fallback_colours(values["sh"][:, 0], opacity)}
+    return rows
 
 
-def _fallback_colours(constant_terms: NDArray[np.float64], opacity: NDArray[np.float64]) -> NDArray[np.uint16]:
+def _fallback_colours(constant_terms: Array32, opacity: NDArray[np.float64]) -> NDArray[np.float64]:
     """Colours for viewers that show points, (N, 4): linear, as glTF wants them of vertices, with the opacity as alpha."""
     display = (constant_terms * CONSTANT + 0.5).clip(0, 1)
     linear = np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
-    return np.round(np.column_stack([linear, opacity]) * 65535).astype(np.uint16)
+    return np.column_stack([linear, opacity])
 
 
-def _mesh(parts: _Parts, rows: dict[str, Array32 | NDArray[np.uint16]], frame: int) -> dict[str, Any]:
+def _mesh(parts: _Parts, rows: dict[str, Array32], frame: int) -> dict[str, Any]:
     attributes = {name: parts.add(values, has_bounds=name == "POSITION") for name, values in rows.items()}
     return {
         "name": f"Gaussians of frame {frame}",
@@ -160,7 +162,7 @@ def _mesh(parts: _Parts, rows: dict[str, Array32 | NDArray[np.uint16]], frame: i
     }
 
 
-def _document(meshes: list[dict[str, Any]], frames: Sequence[int], up: Sequence[float] | None) -> dict[str, Any]:
+def _document(meshes: list[dict[str, Any]], frames: Sequence[int], turn: dict[str, Any]) -> dict[str, Any]:
     """The scene: a root, which may turn, and a node per instant, of which the first one is shown where no animation plays."""
     root = {"name": "sequence", "children": list(range(1, len(meshes) + 1))}
     nodes = [{"name": f"frame {frame}", "mesh": n, "extras": {FRAME: frame}} for n, frame in enumerate(frames)]
@@ -171,7 +173,7 @@ def _document(meshes: list[dict[str, Any]], frames: Sequence[int], up: Sequence[
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [root | ({} if up is None else {"rotation": _rotation_to_y(up)}), *nodes],
+        "nodes": [root | turn, *nodes],
         "meshes": meshes,
     }
 
@@ -183,7 +185,7 @@ def _animation(parts: _Parts, frames: Sequence[int], fps: float) -> dict[str, An
     for n in range(len(frames)):
         keys = sorted({0.0, starts[n], starts[n + 1]})
         shown = [starts[n] <= time and (time < starts[n + 1] or n == len(frames) - 1) for time in keys]
-        times = parts.add(np.array(keys, np.float32), of_vertices=False, has_bounds=True)
+        times = parts.add(np.array(keys, np.float32)[:, None], of_vertices=False, has_bounds=True)
         scales = parts.add(np.repeat(np.array(shown, np.float32)[:, None], 3, axis=1), of_vertices=False)
         samplers.append({"input": times, "output": scales, "interpolation": "STEP"})
     channels = [{"sampler": n, "target": {"node": n + 1, "path": "scale"}} for n in range(len(frames))]
