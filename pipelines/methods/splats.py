@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # the command line starts without torch
 PREFIX = "splats:"
 CLOUD, DEFORMATION = "point_cloud.ply", "deformation.pth"
 ITERATION = re.compile(r"iteration_(\d+)")
+ENDING = re.compile(r"\.(ply|glb)$")
 KINDS = (
     "a .ply of 3D Gaussian splatting, a folder with one .ply per instant (its frame number in its name), a .glb with "
     f"KHR_gaussian_splatting, or an output folder of it or of 4DGS, with point_cloud/iteration_N/{CLOUD}"
@@ -179,7 +180,7 @@ def named_splats(labels: Sequence[str]) -> tuple[tuple[str, ...], dict[str, Path
             plain.append(label)
             continue
         path = Path(text)
-        name = name[:-1] or f"splats-{re.sub(r'[^A-Za-z0-9_.-]+', '-', path.resolve().name).removesuffix('.ply')}"
+        name = name[:-1] or f"splats-{re.sub(r'[^A-Za-z0-9_.-]+', '-', ENDING.sub('', path.resolve().name))}"
         if not text or not re.fullmatch(r"\w[\w.-]*", name):
             raise RenderError(f"method {label}: wanted {PREFIX}PATH or NAME={PREFIX}PATH with a plain name, PATH being {KINDS}")
         if paths.get(name, path) != path:
