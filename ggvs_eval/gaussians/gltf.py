@@ -8,9 +8,9 @@ Reading:
     Files of 3D Gaussian splatting have logarithms of scales, logits of opacity and w first; the extension has scales and opacity
     as they are, unit quaternions and w last. The colour space is ``srgb_rec709_display``, since fits see 8-bit sRGB pictures.
     A sequence has a node per instant, which an animation scales in steps: 1 while its instant lasts, 0 else. glTF 2.0 (3.5.3)
-    names that as the way to animate visibility, and viewers play it that know no other extension. The splatting extension wants
-    scales above 0 of splats that are drawn; these are not. KHR_node_visibility is animated by KHR_animation_pointer alone, which
-    fewer viewers have.
+    names that as the way to animate visibility, and viewers play it that know no extension. The splatting extension leaves open
+    what splats at a scale of 0 look like; they are not meant to be seen, and Babylon.js leaves them out. KHR_node_visibility is
+    animated by KHR_animation_pointer alone, which fewer viewers have.
     The container takes 28 bytes of headers, so `struct` and `json` write it; pygltflib would keep all instants in memory.
 """
 
