@@ -22,7 +22,7 @@ class PublishedScene(FittedScene):
     Args:
         folder: with ``point_cloud.ply`` and ``deformation.pth``, or with iterations of them below ``point_cloud``, of which the
             last one is taken.
-        instants: frame numbers of the clip that it was fitted to.
+        instants: frame numbers of the clip that it was fitted to; an attribute too.
         near: Gaussians at or before this depth are not rendered, world units.
 
     Reading:
@@ -36,13 +36,13 @@ class PublishedScene(FittedScene):
         values = read_ply(self._folder / CLOUD).to(compute_device(device)).parameters()
         sh = values.pop("sh")
         self._gaussians = {**values, "sh_base": sh[:, :1], "sh_rest": sh[:, 1:]}
-        self._instants, self._near, self._device = instants, near, device
+        self.instants, self._near, self._device = instants, near, device
 
     def cloud(self, index: int) -> GaussianCloud:
         """The Gaussians of an instant."""
-        if index not in self._instants:
-            raise RenderError(f"{self._folder}: wanted instants {self._instants[0]}..{self._instants[-1]}, got {index}")
-        return self._motion.cloud(self._gaussians, self._instants.index(index) / len(self._instants))
+        if index not in self.instants:
+            raise RenderError(f"{self._folder}: wanted instants {self.instants[0]}..{self.instants[-1]}, got {index}")
+        return self._motion.cloud(self._gaussians, self.instants.index(index) / len(self.instants))
 
     def render(self, index: int, target: Camera) -> Rendering:
         """Render one instant."""

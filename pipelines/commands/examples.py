@@ -19,6 +19,7 @@ EXAMPLES = {
     "ggvs-eval status": "out/ablations",
     "ggvs-eval play": "my_capture round.mp4",
     "ggvs-eval view": "my_capture",
+    "ggvs-eval export": "my_clouds sequence.glb --capture my_capture",
     "ggvs-eval doctor": "my_renders --capture my_capture --protocol mine.toml",
     "ggvs-eval explain": "out/mine ssim 0.936 --method mine",
     "ggvs-eval steadiness": "mine=my_video.mp4 theirs=their_video.mp4",

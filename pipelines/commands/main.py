@@ -28,6 +28,7 @@ from ggvs_eval.pipelines.commands.captures import (
     undistort,
 )
 from ggvs_eval.pipelines.commands.examples import EXAMPLES
+from ggvs_eval.pipelines.commands.export import export
 from ggvs_eval.pipelines.commands.figures import compare, figure, report
 from ggvs_eval.pipelines.commands.merge import merge
 from ggvs_eval.pipelines.commands.play import play, view
@@ -115,6 +116,7 @@ COMMANDS: Commands = {
     "status": status,
     "play": play,
     "view": view,
+    "export": export,
     "train": TRAININGS,
     "doctor": doctor,
     "explain": explain,

@@ -16,19 +16,21 @@ from ggvs_eval.method import NEAR_M, Rendering
 from ggvs_eval.scene_fitter import FittedScene
 
 if TYPE_CHECKING:  # the command line starts without torch
+    from ggvs_eval.baselines.fitted.published import PublishedScene
     from ggvs_eval.gaussians import GaussianCloud
 
 PREFIX = "splats:"
 CLOUD, DEFORMATION = "point_cloud.ply", "deformation.pth"
 ITERATION = re.compile(r"iteration_(\d+)")
+ENDING = re.compile(r"\.(ply|glb)$")
 KINDS = (
-    "a .ply of 3D Gaussian splatting, a folder with one .ply per instant (its frame number in its name), or an output folder of "
-    f"it or of 4DGS, with point_cloud/iteration_N/{CLOUD}"
+    "a .ply of 3D Gaussian splatting, a folder with one .ply per instant (its frame number in its name), a .glb with "
+    f"KHR_gaussian_splatting, or an output folder of it or of 4DGS, with point_cloud/iteration_N/{CLOUD}"
 )
 
 
 class SplatsScene(FittedScene):
-    """Clouds of Gaussians in ``.ply`` files: one for all instants, or one for each.
+    """Clouds of Gaussians in ``.ply`` files or a ``.glb``: one for all instants, or one for each.
 
     Args:
         path: see `splats_files`.
@@ -42,19 +44,25 @@ class SplatsScene(FittedScene):
     def __init__(self, path: Path) -> None:
         self._path = path
         self._files = splats_files(path)
-        self._by_number = _numbered(self._files, path) if len(self._files) > 1 else {}
+        self._by_number = _numbered(self._files, path)
         self._read = lru_cache(maxsize=1)(_read)
-        self._read(self._files[0])  # what is broken shows before anything is rendered
+        self._read(*self._by_number[self.instants[0]])  # what is broken shows before anything is rendered
+
+    @property
+    def instants(self) -> list[int]:
+        """Frame numbers of the clouds, ascending; 0 for one of all instants."""
+        return sorted(self._by_number)
 
     def cloud(self, index: int) -> "GaussianCloud":
         """The Gaussians of an instant."""
-        if self._by_number and index not in self._by_number:
-            first, last = min(self._by_number), max(self._by_number)
+        first, last = self.instants[0], self.instants[-1]
+        place = self._by_number.get(index if len(self._by_number) > 1 else first)
+        if place is None:
             raise RenderError(
                 f"{self._path}: wanted a cloud of frame {index}, there are {len(self._by_number)} of {first} to {last}; number "
                 "the files as the capture's frames, from 0"
             )
-        return self._read(self._by_number.get(index, self._files[0]))
+        return self._read(*place)
 
     def render(self, index: int, target: Camera) -> Rendering:
         """Render one instant."""
@@ -73,13 +81,18 @@ class SplatsScene(FittedScene):
         return sum(file.stat().st_size for file in self._files)
 
 
-def _read(path: Path) -> "GaussianCloud":
+def _is_glb(path: Path) -> bool:
+    return path.suffix.lower() == ".glb"
+
+
+def _read(path: Path, mesh: int) -> "GaussianCloud":
     from ggvs_eval.gaussians import read_ply
+    from ggvs_eval.gaussians.gltf_reading import read_glb
 
-    return read_ply(path)
+    return read_glb(path, mesh) if _is_glb(path) else read_ply(path)
 
 
-def open_splats(path: Path, instants: range = range(1)) -> FittedScene:
+def open_splats(path: Path, instants: range = range(1)) -> "SplatsScene | PublishedScene":
     """Open the Gaussians that others have fitted.
 
     Args:
@@ -100,8 +113,8 @@ def splats_files(path: Path) -> list[Path]:
     """List the files of which a scene is made.
 
     Args:
-        path: a ``.ply``; a folder of them, one per instant; or the output folder of 3D Gaussian splatting or of 4DGS, whose last
-            iteration is taken.
+        path: a ``.ply`` or ``.glb``; a folder of ``.ply``, one per instant; or the output folder of 3D Gaussian splatting or of
+            4DGS, whose last iteration is taken.
     """
     if path.is_file():
         return [path]
@@ -121,18 +134,24 @@ def splats_notes(path: Path) -> list[str]:
     from ggvs_eval.gaussians.ply import unknown_properties
 
     file = splats_files(path)[0]
-    names = unknown_properties(file)
+    names = [] if _is_glb(file) else unknown_properties(file)
     return [f"{file}: {', '.join(names)} of its Gaussians not known here, passed over"] if names else []
 
 
-def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, Path]:
-    numbers: dict[int, Path] = {}
+def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, tuple[Path, int]]:
+    """Frame number -> file and the mesh in it; a cloud of all instants is of frame 0."""
+    from ggvs_eval.gaussians.gltf_reading import glb_frames
+
+    if len(files) == 1:
+        return {frame: (path, mesh) for frame, mesh in glb_frames(path).items()} if _is_glb(path) else {0: (files[0], 0)}
+    numbers: dict[int, tuple[Path, int]] = {}
     for file, number in zip(files, _frame_numbers(files), strict=True):
         if not isinstance(number, int) or is_stamp(number):
             raise RenderError(f"{file}: wanted a frame number in the name of each .ply of the sequence {path}; rename it")
         if number in numbers:
-            raise RenderError(f"{path}: {numbers[number].name} and {file.name} are both of frame {number}; keep one of them")
-        numbers[number] = file
+            other = numbers[number][0].name
+            raise RenderError(f"{path}: {other} and {file.name} are both of frame {number}; keep one of them")
+        numbers[number] = (file, 0)
     return numbers
 
 
@@ -161,7 +180,7 @@ def named_splats(labels: Sequence[str]) -> tuple[tuple[str, ...], dict[str, Path
             plain.append(label)
             continue
         path = Path(text)
-        name = name[:-1] or f"splats-{re.sub(r'[^A-Za-z0-9_.-]+', '-', path.resolve().name).removesuffix('.ply')}"
+        name = name[:-1] or f"splats-{re.sub(r'[^A-Za-z0-9_.-]+', '-', ENDING.sub('', path.resolve().name))}"
         if not text or not re.fullmatch(r"\w[\w.-]*", name):
             raise RenderError(f"method {label}: wanted {PREFIX}PATH or NAME={PREFIX}PATH with a plain name, PATH being {KINDS}")
         if paths.get(name, path) != path:

@@ -1,0 +1,53 @@
+"""The verb of the command line that gives Gaussians to others' viewers: export."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.errors import CommandError, RenderError
+from ggvs_eval.pipelines.commands.captures import Layout
+
+FPS = 30.0  # of a sequence whose capture is not given
+Direction = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
+
+
+def export(
+    splats: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SPLATS")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.glb")],
+    capture: Path | None = None,
+    fps: float | None = None,
+    up: Direction = None,
+    frames: int | None = None,
+    degree: Literal[0, 1, 2, 3] | None = None,
+    layout: Layout = None,
+) -> None:
+    """Write 3D Gaussians, one cloud or a sequence, as one .glb that viewers open and play (glTF, KHR_gaussian_splatting).
+
+    Args:
+        splats: what splats:PATH takes: a .ply, a folder with one per instant, output of 4DGS; or a fit, RUN/fits/LABEL/all.
+        out: file to write.
+        capture: that they belong to: tells frames per second, which way is up, and how long the clip of 4DGS output is.
+        fps: frames per second; those of the capture, or 30, by default.
+        up: direction in the world that viewers show as up; that of the capture's cameras, or +Y, by default.
+        frames: write the first so many instants; all by default.
+        degree: of the spherical harmonics that are kept, for a smaller file; all by default.
+        layout: of the capture on disk; detected by default.
+    """
+    from ggvs_eval.gaussians.gltf import write_glb
+    from ggvs_eval.pipelines.methods.sequence import open_sequence
+    from ggvs_eval.pipelines.view.scene import up_direction
+
+    if out.suffix.lower() != ".glb":
+        raise RenderError(f"{out}: wanted a name that ends in .glb, which is how viewers know it; {out.with_suffix('.glb')}?")
+    if not (fps is None or 0 < fps < float("inf")) or not (frames is None or frames > 0):
+        raise CommandError(f"wanted --fps above 0 and --frames of at least 1, got {fps} and {frames}")
+    opened = open_capture(capture, layout) if capture else None
+    sequence = open_sequence(splats, opened.n_frames if opened else None)
+    rate = fps or (opened.fps if opened else 0) or FPS
+    direction = up if up or not opened else tuple(up_direction(opened.cameras))
+    instants = list(sequence.instants)[:frames]
+    write_glb(out, instants, sequence.cloud, fps=rate, degree=degree, up=direction)
+    length = f"{len(instants)} instants at {rate:g} frames per second" if len(instants) > 1 else "one instant"
+    print(f"{out}: {length}, {out.stat().st_size / 1e6:.1f} MB")
