@@ -25,6 +25,7 @@ RECORDS = OUT / "results"  # one per measurement that was made here, with its lo
 SHORT = 12  # digits of an identity that a page shows
 FLAME_STEAK, HOLOLENS, DOME = "n3v_flame_steak", "hololens_rgbd", "panoptic_basketball"
 VIDEO_PROTOCOL = "benchmarks/real_video.toml"
+DEMO_CAPTURE = "out/demo-capture"
 ROOMS = tuple(f"out/rooms/{seed}" for seed in range(3))
 ON_A_VIDEO = ("no-blending", "distance-based", "enerf", "ours", "ours-geometric", "ours+no-temporal")
 FITTED = ("ours", "3dgs-per-instant")
@@ -89,8 +90,16 @@ def _run(name: str, capture: str, methods: tuple[str, ...], minutes: int, protoc
 def _sweep(name: str, sweep: str, captures: tuple[str, ...], minutes: int, protocol: str) -> Measurement:
     """A packaged sweep; rooms are filmed first where they are not there."""
     films = [f"ggvs-eval demo {room} --seed {room[-1]} --n-frames 30" for room in captures if room in ROOMS]
+    films += [f"ggvs-eval demo {DEMO_CAPTURE}"] * (DEMO_CAPTURE in captures)
     command = f"ggvs-eval sweep {sweep} out/{name} --capture {' '.join(captures)} --protocol {protocol}"
     return Measurement(name, (*films, command), minutes, protocol=protocol, sweep=sweep)
+
+
+def _stream(name: str, capture: str, minutes: int, protocol: str, captures: tuple[str, ...] = ()) -> Measurement:
+    """The sweep of what is on the screen, one job at a time, as its seconds count."""
+    film = (f"ggvs-eval demo {capture}",) * (capture == DEMO_CAPTURE)
+    command = f"ggvs-eval sweep stream out/{name} --capture {capture} --protocol {protocol} --jobs 1"
+    return Measurement(name, (*film, command), minutes, protocol=str(ROOT / protocol), sweep="stream", captures=captures)
 
 
 _NOISE = ("ours+no-temporal", "ours")
@@ -146,7 +155,9 @@ MEASUREMENTS = {
         _sweep("rooms_switches", "switches", ROOMS, 25, "rooms_short"),
         _sweep("rooms_k", "k", ROOMS, 30, "rooms_short"),
         _sweep("rooms_baselines", "baselines", ROOMS, 120, "rooms_short"),
-        _sweep("offline", "offline", ("out/demo-capture",), 480, "offline"),
+        _stream("stream", DEMO_CAPTURE, 20, "benchmarks/room_stream.toml"),
+        _stream("stream_real", f"{{data}}/{DOME}", 60, "benchmarks/real_stream.toml", (DOME,)),
+        _sweep("offline", "offline", (DEMO_CAPTURE,), 480, "offline"),
         Measurement(
             "offline_unseen",
             (
