@@ -27,9 +27,12 @@ LAYERS, PNP_ERROR_PX, PNP_ROUNDS, PNP_CONFIDENCE, LEAST_INLIERS = 10, 8.0, 100, 
 N_POINTS, LEAST_SPACING_PX, LEAST_MATCHES = 5000, 3, 12
 LEAST_SHIFT_PX = 4.0  # of the poses compared: matches are good to about 0.1 px
 STILL = 0.25  # of the shift that the poses ask for: images that move less stand still
-LUCAS_KANADE = {"winSize": (9, 9), "maxLevel": 3, "criteria": (3, 30, 0.01)}
+LUCAS_KANADE = {"winSize": (9, 9), "maxLevel": 3, "criteria": (3, 30, 0.01), "minEigThreshold": 1 / 1024}  # 1 level per px
 THERE_AND_BACK_PX = 0.5
+MATCH_NOISE_PX, UNSURE_DEG = 0.1, 0.05  # a region whose rotation such noise alone would turn by more tells nothing
+ONE_SURFACE = 1.03  # of depths around a point, farthest over nearest: beyond it the edge of something is what moves
 WINDOWS = (6, 8)  # of the map, rows and columns
+AGREED_PX = 1.0  # of the pose that the map is drawn against: one for all must not bend with the part that does
 Look = Callable[[int], tuple[Image, NDArray[np.float32] | None]]
 
 
@@ -84,10 +87,12 @@ def spatial_consistency(poses: Sequence[Pose]) -> SpatialConsistency:
         PnP (RANSAC, 100 rounds, 8 px, 30 % inliers) from the earlier picture's points in space and their matches; the mean of
         squared angles to the mean rotation vector, and of squared distances to the mean translation. Ours: matches are
         Lucas-Kanade's there and back, not a network's; depth is given, one for all methods, not predicted; a step reaches so
-        many poses on that the cameras move the picture by 4 px, for all methods alike; a region wants 12 matches, not 4, and
-        one region alone is no value, not 0; translations count in steps of the path, since their units are arbitrary; no
-        motion is segmented, see `poses`. Their score SGC joins these two numbers with the same against a network's poses and a
-        depth error, by weights fitted to that network's units: it has no meaning here. The map is ours.
+        many poses on that the cameras move the picture by 4 px, for all methods alike. PnP's pose is refined from the path's,
+        since flat regions have two. A region wants, not 4 matches, but 12 on texture (1 level per px) inside one surface that
+        determine its rotation to 0.05 degrees; one region alone is no value, not 0. Translations count in steps of the path,
+        since their units are arbitrary; no motion is segmented, see `poses`. Their score SGC joins these numbers with the same
+        against a network's poses and a depth error, by weights fitted to that network's units; it has no meaning here. The map
+        is ours.
     """
     return _measured([pose[0] for pose in poses], lambda index: poses[index][1:])
 
@@ -169,20 +174,17 @@ def _step(cameras: Sequence[Camera], look: Look, points: NDArray[np.float32], fi
     poses = [
         pose
         for layer in range(layers.max() + 1)
-        if (pose := _local_pose(points_3d[layers == layer], found[layers == layer], after.K)) is not None
+        if (pose := _local_pose(points_3d[layers == layer], found[layers == layer], after.K, motion)) is not None
     ]
     if len(poses) < 2:
-        return f"{len(poses)} of {layers.max() + 1} layers of depth have the {LEAST_MATCHES} matches of a pose, wanted 2"
+        return f"{len(poses)} of {layers.max() + 1} layers of depth have matches that determine a pose, wanted 2"
     turns, shifts = (np.array([pose[part] for pose in poses]) for part in (0, 1))
     angles = (Rotation.from_rotvec(turns) * Rotation.from_rotvec(turns.mean(axis=0)).inv()).magnitude()
     step = float(np.linalg.norm(motion[:3, 3]))
-    agreed = np.eye(4)
-    agreed[:3, :3], agreed[:3, 3] = Rotation.from_rotvec(np.median(turns, axis=0)).as_matrix(), np.median(shifts, axis=0)
-    distances = np.linalg.norm(_project(after.K, transformed(agreed, points_3d)) - found, axis=1)
     return _Step(
         rotation=float(np.square(np.degrees(angles)).mean()),
         translation=float(np.square(shifts - shifts.mean(axis=0)).sum(axis=1).mean()) / step**2 if step else None,
-        bend_px=_by_window(distances, start, before),
+        bend_px=_bend_px(points_3d, found, start, after, motion),
     )
 
 
@@ -196,11 +198,13 @@ def _matches(image: Image8, later: Image8, points: NDArray[np.float32]) -> tuple
 
 
 def _lift(camera: Camera, depth: NDArray[np.float32], points: NDArray[np.float32]) -> tuple[Array, NDArray[np.bool_]]:
-    """The points in the camera's frame, homogeneous (N, 4), and whether their depth is known."""
+    """The points in the camera's frame, homogeneous (N, 4), and whether all that is matched around one has its depth."""
     column, row = points.astype(int).T
     z = depth[row, column].astype(np.float64)
+    around = np.ones(LUCAS_KANADE["winSize"], np.uint8)
+    nearest, farthest = (change(depth, around)[row, column] for change in (cv2.erode, cv2.dilate))
     across = (points + 0.5 - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]] * z[:, None]
-    return np.column_stack([across, z, np.ones_like(z)]), z > 0
+    return np.column_stack([across, z, np.ones_like(z)]), (nearest > 0) & (farthest < ONE_SURFACE * nearest)
 
 
 def _project(K: Array, points_3d: Array) -> Array:
@@ -224,18 +228,21 @@ def _layers(depths: NDArray[np.float32]) -> NDArray[np.int64]:
     return layers
 
 
-def _local_pose(points_3d: Array, found: NDArray[np.float32], K: Array) -> tuple[Array, Array] | None:
-    """Rotation vector and translation of a region; None where its matches show none."""
+def _local_pose(
+    points_3d: Array, found: NDArray[np.float32], K: Array, motion: Array, error_px: float = PNP_ERROR_PX
+) -> tuple[Array, Array] | None:
+    """Rotation vector and translation of a region, refined from the path's own; None where its matches do not determine them."""
     if len(found) < LEAST_MATCHES:
         return None
+    pixels, start = found.astype(np.float64) + 0.5, Rotation.from_matrix(motion[:3, :3]).as_rotvec()
     try:
-        solved, turn, shift, inliers = cv2.solvePnPRansac(
+        solved, _, _, inliers = cv2.solvePnPRansac(
             points_3d[:, :3],
-            found.astype(np.float64) + 0.5,
+            pixels,
             K,
             None,
             iterationsCount=PNP_ROUNDS,
-            reprojectionError=PNP_ERROR_PX,
+            reprojectionError=error_px,
             confidence=PNP_CONFIDENCE,
             flags=cv2.SOLVEPNP_ITERATIVE,
         )
@@ -243,14 +250,25 @@ def _local_pose(points_3d: Array, found: NDArray[np.float32], K: Array) -> tuple
         return None
     if not solved or inliers is None or len(inliers) < max(LEAST_MATCHES, LEAST_INLIERS * len(found)):
         return None
+    of_pose = inliers.ravel()
+    turn, shift = cv2.solvePnPRefineLM(points_3d[of_pose, :3], pixels[of_pose], K, None, start[:, None], motion[:3, 3:].copy())
+    slopes = cv2.projectPoints(points_3d[of_pose, :3], turn, shift, K, None)[1][:, :6]
+    turn_variance = np.linalg.pinv(slopes.T @ slopes)[:3, :3].trace()
+    if np.degrees(MATCH_NOISE_PX * np.sqrt(turn_variance)) > UNSURE_DEG:
+        return None
     return turn.ravel(), shift.ravel()
 
 
-def _by_window(values: Array, points: NDArray[np.float32], camera: Camera) -> Array:
-    """Median of the values in each window of the picture; NaN where there are fewer than `LEAST_MATCHES`."""
-    column, row = points.astype(int).T
+def _bend_px(points_3d: Array, found: NDArray[np.float32], start: NDArray[np.float32], camera: Camera, motion: Array) -> Array:
+    """Median distance of the matches in each window from the pose of most of all matches; NaN where they are too few."""
+    agreed = _local_pose(points_3d, found, camera.K, motion, AGREED_PX)
+    if agreed is None:
+        return np.full(WINDOWS, np.nan)
+    moved = transformed(Rotation.from_rotvec(agreed[0]).as_matrix(), points_3d[:, :3]) + agreed[1]
+    distances = np.linalg.norm(_project(camera.K, moved) - found, axis=1)
+    column, row = start.astype(int).T
     window = row * WINDOWS[0] // camera.height * WINDOWS[1] + column * WINDOWS[1] // camera.width
-    inside = (values[window == each] for each in range(WINDOWS[0] * WINDOWS[1]))
+    inside = (distances[window == each] for each in range(WINDOWS[0] * WINDOWS[1]))
     return np.array([np.median(each) if len(each) >= LEAST_MATCHES else np.nan for each in inside]).reshape(WINDOWS)
 
 
