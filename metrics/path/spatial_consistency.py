@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,7 +28,12 @@ LAYERS, PNP_ERROR_PX, PNP_ROUNDS, PNP_CONFIDENCE, LEAST_INLIERS = 10, 8.0, 100, 
 N_POINTS, LEAST_SPACING_PX, LEAST_MATCHES = 5000, 3, 12
 LEAST_SHIFT_PX = 4.0  # of the poses compared: matches are good to about 0.1 px
 STILL = 0.25  # of the shift that the poses ask for: images that move less stand still
-LUCAS_KANADE = {"winSize": (9, 9), "maxLevel": 3, "criteria": (3, 30, 0.01), "minEigThreshold": 1 / 1024}  # 1 level per px
+LUCAS_KANADE: dict[str, Any] = {
+    "winSize": (9, 9),
+    "maxLevel": 3,
+    "criteria": (3, 30, 0.01),
+    "minEigThreshold": 1 / 1024,
+}  # 1 level per px
 THERE_AND_BACK_PX = 0.5
 MATCH_NOISE_PX, UNSURE_DEG = 0.1, 0.05  # a region whose rotation such noise alone would turn by more tells nothing
 ONE_SURFACE = 1.03  # of depths around a point, farthest over nearest: beyond it the edge of something is what moves
@@ -66,7 +72,7 @@ class _Step:
 
 
 def spatial_consistency(poses: Sequence[Pose]) -> SpatialConsistency:
-    """Measure the local pose consistency of SGC (Dou et al., arXiv 2603.19048; github.com/tj12323/SGC, sgc/calculate_glo_fast.py).
+    """Measure the local pose consistency of SGC (Dou et al., arXiv 2603.19048; their sgc/calculate_glo_fast.py).
 
     Args:
         poses: camera, image (H, W, 3) uint8 in 0..255 or float in [0, 1], and depth (H, W) float32, world units, 0 = unknown; in
@@ -83,9 +89,10 @@ def spatial_consistency(poses: Sequence[Pose]) -> SpatialConsistency:
         ggvs_eval.errors.MetricError: SGC compares poses: wanted at least 2 on the path, got 0; add poses
 
     Reading:
-        As the authors' program: the later picture is cut into 10 layers by k-means over its depth; in each a pose is found by
-        PnP (RANSAC, 100 rounds, 8 px, 30 % inliers) from the earlier picture's points in space and their matches; the mean of
-        squared angles to the mean rotation vector, and of squared distances to the mean translation. Ours: matches are
+        As the authors' program (github.com/tj12323/SGC): the later picture is cut into 10 layers by k-means over its depth; in
+        each a pose is found by PnP (RANSAC, 100 rounds, 8 px, 30 % inliers) from the earlier picture's points in space and
+        their matches; the mean of squared angles to the mean rotation vector, and of squared distances to the mean translation.
+        Ours: matches are
         Lucas-Kanade's there and back, not a network's; depth is given, one for all methods, not predicted; a step reaches so
         many poses on that the cameras move the picture by 4 px, for all methods alike. PnP's pose is refined from the path's,
         since flat regions have two. A region wants, not 4 matches, but 12 on texture (1 level per px) inside one surface that
@@ -163,7 +170,7 @@ def _step(cameras: Sequence[Camera], look: Look, points: NDArray[np.float32], fi
     points_3d, known = _lift(before, depth, points)
     column, row = np.rint(found).astype(int).T
     kept &= known & (column >= 0) & (column < after.width) & (row >= 0) & (row < after.height)
-    points_3d, found, column, row, start = (each[kept] for each in (points_3d, found, column, row, points))
+    points_3d, found, start, column, row = points_3d[kept], found[kept], points[kept], column[kept], row[kept]
     if not kept.any():
         return "no point with a depth is found again"
     motion = rigid_between(before, after)
