@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ggvs_eval.metrics.metric import MetricOptions
     from ggvs_eval.metrics.path.colmap_consistency import colmap_consistency
     from ggvs_eval.metrics.path.rendered_path import PathPose
+    from ggvs_eval.metrics.path.spatial_consistency import spatial_consistency
     from ggvs_eval.metrics.path.warping_error import warping_error
     from ggvs_eval.metrics.path_scores import score_path
     from ggvs_eval.metrics.registry import METRICS
@@ -65,6 +66,7 @@ __all__ = [
     "sdt",
     "sdv",
     "sharpness",
+    "spatial_consistency",
     "ssim",
     "ssim_variant",
     "strred",
@@ -89,6 +91,7 @@ _MODULES = {
     "metric": ("MetricOptions",),
     "path.colmap_consistency": ("colmap_consistency",),
     "path.rendered_path": ("PathPose",),
+    "path.spatial_consistency": ("spatial_consistency",),
     "path.warping_error": ("warping_error",),
     "path_scores": ("score_path",),
     "registry": ("METRICS",),

@@ -33,6 +33,7 @@ from ggvs_eval.metrics.path.colmap_consistency import COLMAP_MATCHES, COLMAP_REG
 from ggvs_eval.metrics.path.epi_coherence import EPI_COHERENCE, EPI_LINE_TEXTURE
 from ggvs_eval.metrics.path.epi_slope import EPI_SLOPE_AGREEING, EPI_SLOPE_ERROR
 from ggvs_eval.metrics.path.reprojection import REPROJECTION, REPROJECTION_VISIBLE
+from ggvs_eval.metrics.path.spatial_consistency import SGC_ROTATION, SGC_TRANSLATION
 from ggvs_eval.metrics.path.view_switch import SWITCH_EXCESS, SWITCH_RATIO
 from ggvs_eval.metrics.path.warping_error import E_WARP, PATH_SHARPNESS
 from ggvs_eval.metrics.time.colour_video_vdp import CVVDP
@@ -57,7 +58,7 @@ _ALL: tuple[Metric, ...] = (
     *(MTV, SHARPNESS, MTV2),
     *(EPI_COHERENCE, EPI_LINE_TEXTURE, EPI_SLOPE_ERROR, EPI_SLOPE_AGREEING),
     *(REPROJECTION, REPROJECTION_VISIBLE, E_WARP, PATH_SHARPNESS, SWITCH_RATIO, SWITCH_EXCESS),
-    *(COLMAP_REGISTERED, COLMAP_TRACK_LENGTH, COLMAP_MATCHES),
+    *(COLMAP_REGISTERED, COLMAP_TRACK_LENGTH, COLMAP_MATCHES, SGC_ROTATION, SGC_TRANSLATION),
 )
 
 
@@ -86,7 +87,7 @@ def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
         What is steady without truth is told from the rendering's own change from one image to the next, and blur lowers that:
         mTV, mTV2, E_warp, reprojection, and the change of depth maps. Their sharpness is added even if nobody asks for it. TCC,
         STED, Flicker, SDT and SDV compare with captured frames; EPI_coherence has its own, EPI_line_texture; switch_ratio is a
-        ratio of changes, from which blur cancels; COLMAP finds fewer features in blurred images.
+        ratio of changes, from which blur cancels; COLMAP and SGC find fewer matches in blurred images.
     """
     selected: dict[str, Metric] = {}
     asked = list(names)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import MetricError
-from ggvs_eval.files.images import to_8_bit, write_image
+from ggvs_eval.files.images import read_image, to_8_bit, write_image
 from ggvs_eval.metrics.image.sharpness import sharpness
 from ggvs_eval.metrics.inputs import Image
 from ggvs_eval.metrics.metric import ALONG_PATH, Group, Kind, Metric, Value
@@ -66,7 +66,15 @@ class PathOptions:
 def write_view(folder: Path, index: int, image: Image) -> None:
     """Write a whole image of a path for the metrics that want files."""
     (folder / "views").mkdir(exist_ok=True)
-    write_image(folder / "views" / f"{index:06d}.png", to_8_bit(image))
+    write_image(_view_file(folder, index), to_8_bit(image))
+
+
+def _view_file(folder: Path, index: int) -> Path:
+    return folder / "views" / f"{index:06d}.png"
+
+
+def _depth_file(folder: Path, index: int) -> Path:
+    return folder / "views" / f"{index:06d}.npy"
 
 
 def spread_rows(height: int, count: int) -> list[int]:
@@ -84,7 +92,7 @@ class RenderedPath:
         sources: names of the source cameras of each pose.
         n_switches: steps at which the source cameras change; None where that was not measured.
         sharpness: of each pose's image, see `metrics.image.sharpness`.
-        folder: where the whole images lie, see `write_view`; None where no metric wants them.
+        folder: where the whole images lie, see `write_view`, and the depths; None where no metric wants them.
     """
 
     def __init__(self, options: PathOptions, folder: Path | None = None) -> None:
@@ -122,6 +130,8 @@ class RenderedPath:
         self.sharpness.append(sharpness(pose.image))
         if self.folder is not None:
             write_view(self.folder, len(self.cameras) - 1, pose.image)
+            if pose.depth is not None:
+                np.save(_depth_file(self.folder, len(self.cameras) - 1), pose.depth)
         before, self._before = self._before, pose
         if before is not None and not self._no_steps:
             self._add_step(before, pose)
@@ -136,6 +146,17 @@ class RenderedPath:
     def epis(self) -> Iterator[Image]:
         """Epipolar plane images, one per chosen row, each (V, W, 3)."""
         return (np.stack([rows[index] for rows in self._images]) for index in range(len(self.rows)))
+
+    def look(self, index: int) -> tuple[Image, NDArray[np.float32] | None]:
+        """Whole image and depth of a pose, read from the folder.
+
+        Raises:
+            MetricError: they were not kept.
+        """
+        if self.folder is None:
+            raise MetricError("the images of the path were not kept; name the metrics that want them when the path is scored")
+        depth = _depth_file(self.folder, index)
+        return read_image(_view_file(self.folder, index)), np.load(depth) if depth.is_file() else None
 
     def _add_step(self, *poses: PathPose) -> None:
         before, after = ((pose.camera, pose.image, pose.depth) for pose in poses)

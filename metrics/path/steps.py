@@ -64,7 +64,7 @@ def reprojection_step(before: Pose, after: Pose, depth_tolerance: float = DEPTH_
         the mean. Depths that contradict each other make pixels invisible, not wrong: they lower `visible_share`.
     """
     cameras = before[0], after[0]
-    depths = [_checked_depth(camera, depth) for camera, _, depth in (before, after)]
+    depths = [checked_depth(camera, depth) for camera, _, depth in (before, after)]
     images = [_checked_image(camera, image) for camera, image, _ in (before, after)]
     check_pair(before[1], after[1])
     valid_depths = depths[1][depths[1] > 0]
@@ -91,9 +91,10 @@ def _checked_image(camera: Camera, image: Image) -> NDArray[np.float32]:
     return image.astype(np.float32) / np.float32(white_level(image))
 
 
-def _checked_depth(camera: Camera, depth: NDArray[np.float32] | None) -> NDArray[np.float32]:
+def checked_depth(camera: Camera, depth: NDArray[np.float32] | None) -> NDArray[np.float32]:
+    """The depth of a pose if it has one that fits its camera."""
     if depth is None:
-        raise MetricError(f"pose {camera.name}: no depth; reprojection wants depth along the path")
+        raise MetricError(f"pose {camera.name}: no depth; wanted depth along the path")
     if depth.shape != (camera.height, camera.width) or not np.isfinite(depth).all() or (depth < 0).any():
         raise MetricError(
             f"pose {camera.name}: wanted depths >= 0 of {camera.height} x {camera.width}, 0 = unknown, got {depth.shape} with "

@@ -28,7 +28,10 @@ from ggvs_eval.run_folder import JOB_FILE, read_json
 
 # 25 ms of a core or more for a frame of 224x168, where all others together take 12: these see the first view of a take, and
 # where they are of single frames every `EVERY`th of them.
-COSTLY = frozenset({"LPIPS", "LPIPS_cc", "DISTS", "FLIP", "CVVDP", "COLMAP_registered", "COLMAP_track_length", "COLMAP_matches"})
+COSTLY = frozenset(
+    {"LPIPS", "LPIPS_cc", "DISTS", "FLIP", "CVVDP", "COLMAP_registered", "COLMAP_track_length", "COLMAP_matches"}
+    | {"SGC_rotation", "SGC_translation"}
+)
 EVERY = 6
 UNDEGRADED = "none"  # stands for all ladders of frames at strength 0
 ALL = "all"

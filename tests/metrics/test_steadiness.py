@@ -124,6 +124,7 @@ def test_what_is_told_without_truth_is_never_told_alone():
     """Every metric that blur improves names its sharpness, and asking for it gets both, next to each other."""
     assert {name for name, metric in {**METRICS, **DEPTH_METRICS}.items() if metric.beside} == {
         *("mTV", "mTV2", "reprojection", "E_warp", "COLMAP_registered", "COLMAP_track_length", "COLMAP_matches"),
+        *("SGC_rotation", "SGC_translation"),
         *("depth_mTV", "depth_mTV2", "depth_blinking"),
     }
     assert [metric.name for metric in select_metrics(["E_warp", "PSNR", "mTV2"])] == [

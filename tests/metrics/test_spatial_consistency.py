@@ -1,0 +1,209 @@
+"""SGC of a path: regions of a true path agree on the camera's motion; a bent region does not, and the map says which."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import pytest
+
+from ggvs_eval.camera import Camera, translated_path
+from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import quantise
+from ggvs_eval.kernels.portable import rotation_by
+from ggvs_eval.metrics.path.rendered_path import PathPose
+from ggvs_eval.metrics.path.spatial_consistency import NAMES, WINDOWS, spatial_consistency
+from ggvs_eval.metrics.path_scores import score_path
+from ggvs_eval.synthetic.film.film import Footage, lit_room
+from ggvs_eval.synthetic.film.options import DemoOptions
+from ggvs_eval.synthetic.film.shots import path_shots
+from helpers.epi_scenes import Plane, look
+from helpers.refusals import refused
+
+pytestmark = pytest.mark.slow
+
+SIZE, VIEWS = (320, 240), 5
+QUARTER = np.s_[SIZE[1] // 2 :, SIZE[0] // 2 :]
+QUARTER_WINDOWS = np.zeros(WINDOWS, bool)
+QUARTER_WINDOWS[WINDOWS[0] // 2 :, WINDOWS[1] // 2 :] = True
+WALL, BOARD = Plane(4.0), Plane(2.6, half_width=0.7, seed=1)
+METRICS = NAMES[:2]
+
+
+@lru_cache
+def room():
+    """The furnished room from 17 poses in a row, with exact depth."""
+    options, instant = DemoOptions(width=SIZE[0], height=SIZE[1], path_poses=32), lit_room(0).at(0.0)
+    shots = path_shots(options)[: 4 * VIEWS - 3]
+    frames = [next(Footage(options, shot, lambda _: instant).frames()) for shot in shots]
+    return [(shot.camera, frame.image, frame.depth) for shot, frame in zip(shots, frames, strict=True)]
+
+
+def bent(quarters=0):
+    """Every fourth of these poses; the lower right quarter of the picture takes steps shorter by so many quarters."""
+    poses = []
+    for index in range(VIEWS):
+        camera, image, depth = room()[4 * index]
+        image = image.copy()
+        image[QUARTER] = room()[(4 - quarters) * index][1][QUARTER]
+        poses.append((camera, image, depth))
+    return poses
+
+
+@lru_cache
+def exact():
+    return spatial_consistency(bent())
+
+
+def path(span=0.9):
+    """Cameras that step sideways, 3 px on the wall at every step."""
+    K = np.array([[120.0, 0, SIZE[0] / 2], [0, 120.0, SIZE[1] / 2], [0, 0, 1]])
+    return translated_path(Camera("middle", K, np.eye(4), *SIZE, 1.0, 9.0), span, VIEWS)
+
+
+def composed(board_camera):
+    """The path past a wall and a board before it, the board as another camera sees it: two depths, hence two layers."""
+    poses = []
+    for index, camera in enumerate(path()):
+        image, depth = look((WALL,), camera)
+        board, board_depth = look((WALL, BOARD), board_camera(index, camera))
+        seen = board_depth < 3.5
+        image[seen], depth[seen] = board[seen], board_depth[seen]
+        poses.append((camera, quantise(image), depth))
+    return poses
+
+
+def scores(poses, names=METRICS):
+    return score_path([PathPose(*pose) for pose in poses], metrics=names)
+
+
+def test_regions_of_a_true_path_agree():
+    """The room rendered exactly: within 0.15 degrees and 0.15 of a step, a tenth of a pixel on the map."""
+    assert 0 < exact().rotation < 0.15**2
+    assert 0 < exact().translation < 0.15**2
+    assert exact().measured >= 0.5
+    assert np.nanmedian(exact().bend_px) < 0.15
+
+
+def test_a_board_that_moves_unlike_the_wall_has_the_variance_of_two_numbers():
+    """Steps 1.2 times the wall's differ by 0.1 of a step from the mean; turns by 0.5 degrees a pose by 0.25."""
+
+    def turned(index, camera):
+        turn = np.eye(4)
+        turn[:3, :3] = rotation_by(np.radians([0, 0, 0.5 * index]))
+        return replace(camera, world_to_camera=turn @ camera.world_to_camera)
+
+    longer = spatial_consistency(composed(lambda index, camera: path(1.2 * 0.9)[index]))
+    turning = spatial_consistency(composed(turned))
+
+    assert longer.translation == pytest.approx(0.1**2, rel=0.2)
+    assert longer.rotation < 0.2**2
+    assert turning.rotation == pytest.approx((0.25 * turning.stride) ** 2, rel=0.2)
+    assert turning.translation < 0.05**2
+
+
+def test_a_bent_quarter_raises_it_by_how_much_it_bends_and_is_on_the_map():
+    """A quarter that takes steps shorter by a quarter, by half, and stands still: more each time, and marked."""
+    measured = [exact(), *(spatial_consistency(bent(quarters)) for quarters in (1, 2, 4))]
+
+    for one in ("rotation", "translation"):
+        assert np.all(np.diff([getattr(each, one) for each in measured]) > 0)
+        assert getattr(measured[3], one) > 3 * getattr(exact(), one)
+    for each in measured[1:]:
+        assert np.nanmedian(each.bend_px[QUARTER_WINDOWS]) > 3 * np.nanmedian(each.bend_px[~QUARTER_WINDOWS])
+
+
+def test_what_is_wrong_everywhere_alike_does_not_bend():
+    """Cameras noted with steps too long and turned agree as before; pictures that come late bend less than a bend."""
+    true = [room()[4 * index] for index in range(VIEWS)]
+    late = [(camera, room()[4 * index + 1][1], depth) for index, (camera, _, depth) in enumerate(true[:-1])]
+    wrong = []
+    for camera, image, depth in true:
+        world_to_camera = camera.world_to_camera.copy()
+        world_to_camera[:3, 3] *= 1.1
+        world_to_camera[:3] = rotation_by(np.array([0.02, 0.01, 0.0])) @ world_to_camera[:3]
+        wrong.append((replace(camera, world_to_camera=world_to_camera), image, depth))
+
+    assert spatial_consistency(wrong).rotation < 1.5 * exact().rotation
+    assert spatial_consistency(wrong).translation < 1.5 * exact().translation
+    assert spatial_consistency(late).rotation < spatial_consistency(bent(1)).rotation
+    assert spatial_consistency(late).translation < spatial_consistency(bent(1)).translation
+
+
+def test_what_moves_has_no_vote_where_its_depth_is_unknown():
+    """A quarter that stands still, with depth 0: what is left is the true path."""
+    poses = [(camera, image, depth.copy()) for camera, image, depth in bent(4)]
+    for _, _, depth in poses:
+        depth[QUARTER] = 0
+    static = spatial_consistency(poses)
+
+    assert static.rotation < 1.5 * exact().rotation < spatial_consistency(bent(4)).rotation
+    assert np.isnan(static.bend_px[QUARTER_WINDOWS]).all()
+
+
+def test_what_cannot_be_compared_has_a_reason_and_no_value():
+    """Never 0: a frozen picture, no texture, one layer of depth, no parallax, no depth, one pose."""
+    camera, image, depth = bent()[0]
+    wall = [(each, *look((WALL,), each)) for each in path()]
+    cases = {
+        "stand still": [(each, image, its_depth) for each, _, its_depth in bent()],
+        "found again": [(each, np.full_like(image, 128), its_depth) for each, _, its_depth in bent()],
+        "1 of 1 layers": [(each, quantise(its_image), its_depth) for each, its_image, its_depth in wall],
+        "parallax": [(camera, image, depth)] * VIEWS,
+        "no depth": [(each, its_image, None) for each, its_image, _ in bent()],
+        "no known depth": [(each, its_image, np.zeros_like(depth)) for each, its_image, _ in bent()],
+        "at least 2": bent()[:1],
+    }
+    for word, poses in cases.items():
+        found = scores(poses)
+        assert not {name for name, _, _ in found.values} & set(NAMES), word
+        for name in NAMES:
+            assert word in found.not_computed[name]
+
+
+def test_it_is_measured_only_where_it_is_named():
+    """A path's score has its values, one for each step too, where a protocol names it, and no word of it otherwise."""
+    unasked, asked = scores(bent(), ()), scores(bent(), METRICS[:1])
+    whole = {name: value for name, pose, value in asked.values if pose is None}
+
+    assert not set(NAMES) & {*unasked.not_computed, *(name for name, _, _ in unasked.values)}
+    assert [whole[name] for name in NAMES] == [exact().rotation, exact().translation, exact().measured]
+    assert [(pose, value) for name, pose, value in asked.values if name == "SGC_rotation" and pose is not None] == [
+        (pose, rotation) for pose, rotation, _ in exact().steps
+    ]
+
+
+def test_cameras_that_only_turn_have_no_translation():
+    """The rotations of their regions are compared; of translations it says why there are none."""
+    poses = []
+    for index, camera in enumerate(path()):
+        world_to_camera = np.eye(4)
+        world_to_camera[:3, :3] = rotation_by(np.array([0.0, 0.02 * index, 0.0]))
+        turned = replace(camera, world_to_camera=world_to_camera)
+        image, depth = look((WALL, BOARD), turned)
+        poses.append((turned, quantise(image), depth))
+    found = scores(poses)
+
+    assert next(value for name, pose, value in found.values if name == "SGC_rotation" and pose is None) < 0.1**2
+    assert "only turn" in found.not_computed["SGC_translation"]
+
+
+def test_bits_do_not_depend_on_threads():
+    """Equal numbers and maps by one thread and by four."""
+    before, found = cv2.getNumThreads(), []
+    try:
+        for threads in (1, 4):
+            cv2.setNumThreads(threads)
+            found.append(spatial_consistency(bent(1)))
+    finally:
+        cv2.setNumThreads(before)
+
+    assert found[0].steps == found[1].steps
+    assert np.array_equal(found[0].bend_px, found[1].bend_px, equal_nan=True)
+
+
+def test_a_depth_that_does_not_fit_is_refused():
+    """A depth of another size names its pose and both sizes."""
+    poses = [(camera, image, depth[1:]) for camera, image, depth in bent()]
+    with refused(MetricError, "pose 0000", "240 x 320", "239"):
+        spatial_consistency(poses)
