@@ -36,6 +36,7 @@ from result_tables import (
     k_table,
     report_table,
     results_table,
+    stream_table,
     sweep_table,
     views_table,
 )
@@ -121,6 +122,8 @@ TABLES = (
     Table(BENCH, "noise", "rooms_noise", lambda: sweep_table(OUT / "rooms_noise", ABLATION_METRICS)),
     Table(BENCH, "switches", "rooms_switches", lambda: sweep_table(OUT / "rooms_switches", BASELINE_METRICS)),
     Table(BENCH, "over_k", "rooms_k", lambda: k_table(OUT / "rooms_k", BASELINE_METRICS)),
+    Table(BENCH, "stream", "stream", lambda: stream_table(OUT / "stream")),
+    Table(BENCH, "stream_real", "stream_real", lambda: stream_table(OUT / "stream_real")),
     Table(BENCH, "offline", "offline", lambda: report_table(OFFLINE_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS)),
     Table(MEASURED, "offline_price", "offline", lambda: report_table(OFFLINE_RUN, ("price",), PRICE_METRICS)),
     Table(BENCH, "refinement", "refinement", refinement_table),

@@ -18,6 +18,7 @@ from ggvs_eval.statistics.intervals import Interval, intervals
 DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "Flicker": 2, "SDT": 3, "SDV": 3}
 DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
 
+ON_THE_SCREEN = ("PSNR_stream", "SSIM_stream", "LPIPS_stream", "TCC_stream", "STED_stream")
 FIDELITY = ("PSNR", "SSIM", "LPIPS", "L1")
 README_METHODS = ("no-blending", "distance-based", "interpolation", "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", "ours")
 
@@ -139,6 +140,25 @@ def k_table(sweep: Path, metrics: Sequence[str]) -> str:
     return "\n".join(rows)
 
 
+def stream_table(sweep: Path) -> str:
+    """What is on the screen, how soon and how often, as Markdown: a row per K and method of a sweep with a stream."""
+    heads = [*ON_THE_SCREEN, "PSNR", "pictures/s", "latency, ms", "shown", "dropped"]
+    rows = [f"| method | K | {' | '.join(heads)} |", "| --- | ---: |" + " ---: |" * len(heads)]
+    for run in map(RunFolder, _runs_of(sweep)):
+        k, times = run.protocol().synthesis.k, read_json(run.stream_record)["methods"]
+        scores, names = _by_label(Results.read(run.root).summary().droplevel("dataset")), read_json(run.root / "methods.json")
+        for label in names["labels"]:
+            values = [_rounded(metric, scores.loc[label, metric]) for metric in (*ON_THE_SCREEN, "PSNR")]
+            told = [times[label].get(key) for key in ("per_second", "latency_ms", "shown", "dropped")]
+            cells = [*values, *("–" if value is None else f"{value:.0f}" for value in told)]
+            rows.append(f"| {names['names'].get(label, label)} | {k} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def _rounded(metric: str, value: float) -> str:
+    return "–" if value != value else f"{value:.{DECIMALS[metric.removesuffix('_stream')]}f}"
+
+
 def budget_rows(run: Path) -> str:
     """Tabulate where the squared error of the first method shown lies, view by view, as Markdown."""
     table = budget_table(read_run(run))
@@ -231,8 +251,12 @@ def _seconds(runs: Sequence[Path], label: str) -> float:
 
 def _named(table: pd.DataFrame, run: Path) -> pd.DataFrame:
     names = read_json(RunFolder(run).root / "methods.json")["names"]
-    index = ["+".join(filter(None, label)) for label in table.index]
-    return table.set_axis([names.get(label, label) for label in index], axis=0)
+    return _by_label(table).rename(index=names)
+
+
+def _by_label(table: pd.DataFrame) -> pd.DataFrame:
+    """Rows by a method and its variant, by its label."""
+    return table.set_axis(["+".join(filter(None, label)) for label in table.index], axis=0)
 
 
 def _markdown(table: pd.DataFrame) -> str:

@@ -80,16 +80,19 @@ def _panel(runs: Sequence[MeasuredRun], metric: str, fps: float) -> RatePanel | 
     if note is None:
         return None
     marks: dict[str, list[Mark]] = {}
+    names: dict[str, str] = {}
     for run in runs:
         for label, mark in _marks(run, metric, several=len(runs) > 1):
-            marks.setdefault(re.sub(r"\+scale=[^+]*", "", label), []).append(mark)
+            family = re.sub(r"\+scale=[^+]*", "", label)
+            marks.setdefault(family, []).append(mark)
+            names.setdefault(family, re.sub(r", scale=[^,]*", "", run.name(label)))
     every = [mark for of_family in marks.values() for mark in of_family]
     if not every:
         return None
-    families = []
-    for number, (label, of_family) in enumerate(marks.items()):
-        name = next((run.name(label) for run in runs if label in run.names), label)
-        families.append(Family(name, number, tuple(sorted(of_family, key=lambda mark: mark.per_second))))
+    families = [
+        Family(names[label], number, tuple(sorted(of_family, key=lambda mark: mark.per_second)))
+        for number, (label, of_family) in enumerate(marks.items())
+    ]
     rates = [fps, *(mark.per_second for mark in every)]
     values = [value for mark in every for value in (mark.seen, mark.waited)]
     bounds = (math.log10(min(rates)) - 0.08, math.log10(max(rates)) + 0.08, *with_margin(min(values), max(values)))

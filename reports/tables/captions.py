@@ -28,6 +28,8 @@ def main_captions(
         means = "Over the whole camera path, at one instant"
     else:
         frames, views = counted(protocol.frames.count, "frame"), counted(len(protocol.views.test), "view")
+        if key == "stream":
+            frames = _instants(protocol)
         means = f"Mean over {frames}, then {views}, then scenes"
     sources = _sources(runs, names)
     partial = results.provenance.get("partial", {})
@@ -37,6 +39,14 @@ def main_captions(
     lacking = [*_fewer_frames(whole, metrics, protocol), *_fewer_views(whole, metrics, names)]
     shared = [INTERCHANGE] if sources and may_interchange(protocol) else []
     return [f"{'; '.join(filter(None, (means, sources)))}.", *shared, *lacking, *marks, *_versions(results)]
+
+
+def _instants(protocol: Protocol) -> str:
+    """Those at which a screen is scored."""
+    stream, count = protocol.stream, protocol.frames.count
+    if stream is None or not stream.warm_up:
+        return "the instants from a method's first picture on"
+    return f"the last {counted(count - stream.warm_up, 'instant')} of {count}"
 
 
 def _sources(runs: Sequence[MeasuredRun], names: Mapping[str, str]) -> str:

@@ -10,6 +10,7 @@ from ggvs_eval.protocol import Stream
 from ggvs_eval.reports.figures.stream_figure import draw_rates, rate_panels
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.tables.captions import main_captions
 from ggvs_eval.reports.tables.on_screen import stream_table
 from ggvs_eval.results import PROVENANCE_FILE
 from ggvs_eval.run_folder import RunFolder, write_json
@@ -71,6 +72,32 @@ def test_the_figure_joins_the_sizes_of_a_method(run, tmp_path):
     ]
     assert [text for _, text in panels[0].rate_ticks()] == ["20", "50"]
     assert draw_rates(panels, tmp_path / "stream.png").stat().st_size > 5000
+
+
+def test_a_method_at_a_fraction_of_its_size_alone_has_its_name(run):
+    """The family is called as the method is, without the size, and not by its label."""
+    read = read_run(run)
+    record = {"methods": {"ours+scale=0.5": RECORD["methods"]["no-blending"]}}
+    write_json(RunFolder(run).stream_record, record)
+    named = replace(read, names={**read.names, "ours+scale=0.5": "OURS, scale=0.5"})
+    try:
+        panels = rate_panels([named])
+    finally:
+        write_json(RunFolder(run).stream_record, RECORD)
+
+    assert [family.name for family in panels[0].families] == ["OURS"]
+
+
+@pytest.mark.parametrize(("warm_up", "instants"), [(0, "a method's first picture on"), (1, "the last 1 instant of 2")])
+def test_the_caption_counts_the_instants_that_are_scored(run, warm_up, instants):
+    """A mean over the screen is of fewer instants than the clip has frames."""
+    read = read_run(run)
+    count = read.protocol.frames.count
+    streamed = replace(read, protocol=replace(read.protocol, stream=Stream(fps=30.0, warm_up=(count - 1) * warm_up)))
+
+    caption = main_captions("stream", [streamed], read.results, read.names, ["PSNR_stream"])[0]
+
+    assert instants.replace("of 2", f"of {count}") in caption
 
 
 def test_it_is_on_the_page_and_in_the_files(run, tmp_path):
