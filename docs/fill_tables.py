@@ -124,6 +124,7 @@ TABLES = (
     Table(BENCH, "over_k", "rooms_k", lambda: k_table(OUT / "rooms_k", BASELINE_METRICS)),
     Table(BENCH, "stream", "stream", lambda: stream_table(OUT / "stream")),
     Table(BENCH, "stream_real", "stream_real", lambda: stream_table(OUT / "stream_real")),
+    Table(BENCH, "drift", "long_room", lambda: report_table(OUT / "long", ("drift",))),
     Table(BENCH, "offline", "offline", lambda: report_table(OFFLINE_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS)),
     Table(MEASURED, "offline_price", "offline", lambda: report_table(OFFLINE_RUN, ("price",), PRICE_METRICS)),
     Table(BENCH, "refinement", "refinement", refinement_table),

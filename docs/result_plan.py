@@ -28,6 +28,7 @@ VIDEO_PROTOCOL = "benchmarks/real_video.toml"
 DEMO_CAPTURE = "out/demo-capture"
 ROOMS = tuple(f"out/rooms/{seed}" for seed in range(3))
 ON_A_VIDEO = ("no-blending", "distance-based", "enerf", "ours", "ours-geometric", "ours+no-temporal")
+ON_A_LONG_VIDEO = ("ours", "distance-based", "ours+no-temporal")
 FITTED = ("ours", "3dgs-per-instant")
 ON_A_REAL_FRAME = ("no-blending", "distance-based", "interpolation", "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", "ours")
 ON_A_SMALL_FRAME = (*ON_A_REAL_FRAME[:-1], "mvsplat", "mvsnerf", "ours", "ours-geometric")
@@ -157,6 +158,18 @@ MEASUREMENTS = {
         _sweep("rooms_baselines", "baselines", ROOMS, 120, "rooms_short"),
         _stream("stream", DEMO_CAPTURE, 20, "benchmarks/room_stream.toml"),
         _stream("stream_real", f"{{data}}/{DOME}", 60, "benchmarks/real_stream.toml", (DOME,)),
+        Measurement(
+            "long_room",
+            (
+                "ggvs-eval demo out/long-room --seed 101 --width 320 --height 240 --n-frames 300 --cameras-per-row 3 "
+                "--supersampling 1 --path-poses 0 --depth-stride 0",
+                "ggvs-eval run out/long --capture out/long-room --protocol benchmarks/long_room.toml --matcher live "
+                f"--methods {' '.join(ON_A_LONG_VIDEO)}",
+            ),
+            25,
+            ON_A_LONG_VIDEO,
+            str(ROOT / "benchmarks/long_room.toml"),
+        ),
         _sweep("offline", "offline", (DEMO_CAPTURE,), 480, "offline"),
         Measurement(
             "offline_unseen",
