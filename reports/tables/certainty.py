@@ -37,6 +37,18 @@ class Certainty:
         return self.standing.ties
 
     @property
+    def is_short(self) -> bool:
+        """Whether the clip is too short to name a winner over some method."""
+        return self.standing is not None and bool(self.standing.short)
+
+    @property
+    def marked(self) -> frozenset[str] | None:
+        """`told`; but all where the clip is too short, so that none is marked: a row far behind is no tie because of that."""
+        if self.standing is not None and self.is_short:
+            return self.standing.best | self.standing.comparisons.keys()
+        return self.told
+
+    @property
     def undecided(self) -> str:
         """Reason why no method is named as the best; empty where one is, or ties are."""
         if self.standing is None:
@@ -119,12 +131,14 @@ def certainty_captions(
         captions.append(
             f"Bold in {', '.join(by_digits)}: best to the printed digits, nothing could be compared, so nobody is the winner."
         )
-    if undifferentiated:
-        captions.append(f"Nothing is bold in {', '.join(undifferentiated)}: no method can be told from the best.")
+    equal = [metric for metric in undifferentiated if metric not in certain or not certain[metric].is_short]
+    if equal:
+        captions.append(f"Nothing is bold in {', '.join(equal)}: no method can be told from the best.")
     said: dict[str, list[str]] = defaultdict(list)  # sentence with a gap -> what fills it
     for metric, certainty in certain.items():
         if certainty.undecided and metric not in by_digits:
-            said[f"No winner in {{}}: {certainty.undecided}."].append(metric)
+            unmarked = ", so nothing is bold" if certainty.is_short else ""
+            said[f"No winner in {{}}{unmarked}: {certainty.undecided}."].append(metric)
     for metric, certainty in certain.items():
         if certainty.refusal:
             said[f"No interval for {{}}: {certainty.refusal}."].append(metric)

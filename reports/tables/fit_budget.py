@@ -41,13 +41,16 @@ def _equal_quality(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], p
     targets = {f"as {run.name(label)}, {psnr_db[label]:.2f} dB": psnr_db[label] for label in rivals}
     targets |= {f"{STATED_DB:g} dB": STATED_DB}
     families: dict[str, list[tuple[float, float]]] = {}
+    names: dict[str, str] = {}
     for label in (each for each in fits if each in psnr_db):  # in the order of the run, not of a set
-        families.setdefault(re.sub(r"\+steps=\d+", "", label), []).append((fit_seconds(fits[label]), psnr_db[label]))
+        family = re.sub(r"\+steps=\d+", "", label)
+        families.setdefault(family, []).append((fit_seconds(fits[label]), psnr_db[label]))
+        names.setdefault(family, re.sub(r", [\d,]+ steps|\+steps=\d+", "", run.name(label)))
     if not families or not rivals:
         return None
     columns = tuple(Column(name, "s", False, "Seconds of one fold's fit.") for name in targets)
     rows = [
-        Row(run.name(family), tuple(_crossing(sorted(points), target) for target in targets.values()))
+        Row(names[family], tuple(_crossing(sorted(points), target) for target in targets.values()))
         for family, points in families.items()
     ]
     caption = f"Seconds of fitting until a method's PSNR on held-out views is that of a method that needs no fit. {POINTS}"

@@ -90,7 +90,7 @@ def _published(key: str, dataset: str, metrics: Sequence[str], runs: Sequence[Me
 
 def _told_rows(certainty: Certainty, labels: Sequence[str]) -> frozenset[int] | None:
     """Places of the best and its ties among the rows."""
-    told = certainty.told
+    told = certainty.marked
     return None if told is None else frozenset(at for at, label in enumerate(labels) if label in told)
 
 

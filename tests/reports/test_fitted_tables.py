@@ -102,6 +102,17 @@ def test_families_stand_in_the_order_of_the_run(tmp_path):
     assert [row.name.partition("+")[0] for row in table.rows] == families
 
 
+def test_a_family_is_called_by_the_name_that_is_shown(tmp_path):
+    """Of one fit of some steps alone, the name without the steps; never the label."""
+    names = (("ours", "Ours"), ("3dgs-per-instant+steps=300", "3DGS per Instant, 300 steps"))
+    shape = RunShape(labels=tuple(label for label, _ in names), names=names, metrics=("PSNR",), poses=0)
+    root = write_run(tmp_path / "run", shape)
+    write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours"]})
+    measured = read_run(make_fitted(root, shape.labels[1:]))
+    table = next(table for table in budget_tables(measured) if table.key == "equal_quality")
+    assert [row.name for row in table.rows] == ["3DGS per Instant"]
+
+
 def test_the_winner_changes_only_where_a_longer_fit_is_certainly_better(tmp_path):
     """Under no budget ours; a fit that is 3 dB behind or no better by more than chance is left out; one 3 dB ahead has a line."""
     labels = ("ours", "4dgs+steps=100", "4dgs+steps=200", "4dgs+steps=900")

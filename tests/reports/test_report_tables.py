@@ -367,6 +367,22 @@ def test_ties_are_bold_together(tmp_path):
     assert len({cells[NAMES[label]].text for label in LABELS}) == 3
 
 
+def test_where_a_clip_is_too_short_nothing_is_bold(tmp_path):
+    """A method far behind, whose errors last too long to be told apart, is not bold beside the best: nobody is, with the reason."""
+    root = write_run(tmp_path / "run", RunShape(frames=Frames(0, 12), metrics=("PSNR",), poses=0))
+    found = Results.read(root)
+    frame, behind = found.table["frame"], found.table["method"] == "no-blending"
+    values = 30 + 0.3 * np.sin(frame) - behind * np.linspace(1, 15, 12)[frame]
+    Results(found.table.assign(value=values), found.provenance).write(root)
+    run = read_run(root)
+    (table,) = main_tables([run], run.results)
+
+    assert table.undecided["PSNR"].startswith("clip too short")
+    assert not any(row.cells[0].best for row in table.rows)
+    assert any(sentence.startswith("No winner in PSNR, so nothing is bold: clip too short") for sentence in table.notes)
+    assert not any("can be told from the best" in sentence for sentence in table.notes)
+
+
 def test_what_has_no_interval_says_why(tmp_path):
     """With one frame the best is bold to the printed digits, no cell has bounds, and caption, page and CSV say why."""
     shape = RunShape(frames=Frames(0, 1), metrics=("PSNR", "SSIM"), poses=0)
