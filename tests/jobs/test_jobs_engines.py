@@ -209,9 +209,8 @@ def test_workers_that_cannot_start_are_not_out_of_memory(engine, dask_or_skip, t
     script = tmp_path / "script.py"
     script.write_text(UNGUARDED.format(engine=engine.engine))
     ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300)
-    last = ended.stderr.strip().splitlines()[-1]
+    last = [line for line in ended.stderr.splitlines() if "cannot start" in line][-1]  # Python may warn of semaphores after it
     assert ended.returncode == 1
-    assert "cannot start" in last
     assert "memory" not in last
     assert '`if __name__ == "__main__":`' in last
     if engine.engine == "processes":
