@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.methods.registry import find_method, usual_methods
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, digest_weights
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.run.render import method_code
-from ggvs_eval.pipelines.run.score_code import metric_code
+from ggvs_eval.pipelines.run.score_code import metric_code, path_code
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import read_json
 from ggvs_eval.sweep import load_sweep
@@ -96,6 +96,13 @@ def _sweep(name: str, sweep: str, captures: tuple[str, ...], minutes: int, proto
     return Measurement(name, (*films, command), minutes, protocol=protocol, sweep=sweep)
 
 
+def _of_dome(name: str, methods: tuple[str, ...], minutes: int) -> Measurement:
+    """The real video under ``benchmarks/NAME.toml``."""
+    protocol = f"benchmarks/{name}.toml"
+    command = f"ggvs-eval run out/{name} --capture {{data}}/{DOME} --protocol {protocol} --methods {' '.join(methods)}"
+    return Measurement(name, (command,), minutes, methods, str(ROOT / protocol), captures=(DOME,))
+
+
 def _stream(name: str, capture: str, minutes: int, protocol: str, captures: tuple[str, ...] = ()) -> Measurement:
     """The sweep of what is on the screen, one job at a time, as its seconds count."""
     film = (f"ggvs-eval demo {capture}",) * (capture == DEMO_CAPTURE)
@@ -156,6 +163,8 @@ MEASUREMENTS = {
         _sweep("rooms_switches", "switches", ROOMS, 25, "rooms_short"),
         _sweep("rooms_k", "k", ROOMS, 30, "rooms_short"),
         _sweep("rooms_baselines", "baselines", ROOMS, 120, "rooms_short"),
+        _of_dome("real_fits", ("4dgs", "3dgs-per-instant+steps=300", "ours", "ours-geometric"), 50),
+        _of_dome("real_path", ("ours", "ours-geometric", "distance-based", "no-blending"), 10),
         _stream("stream", DEMO_CAPTURE, 20, "benchmarks/room_stream.toml"),
         _stream("stream_real", f"{{data}}/{DOME}", 60, "benchmarks/real_stream.toml", (DOME,)),
         Measurement(
@@ -250,7 +259,10 @@ def _of_protocol(name: str) -> tuple[str, ...]:
     if not name:
         return ()
     protocol = load_protocol(name)
-    codes = [metric_code(METRICS[metric]) for metric in protocol.measurement.metrics if METRICS[metric].kind != "path"]
+    names = protocol.measurement.metrics
+    codes = [metric_code(METRICS[metric]) for metric in names if METRICS[metric].kind != "path"]
+    along_path = [metric for metric in names if METRICS[metric].kind == "path"] if protocol.path.poses else []
+    codes += [path_code(along_path)] if along_path else []
     return protocol.sha256, str(DepthOptions().describe()["code"]), *codes
 
 
