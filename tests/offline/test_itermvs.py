@@ -140,7 +140,7 @@ def test_what_is_no_checkpoint_is_refused(network, tmp_path, monkeypatch):
         DepthRunOptions("sgbm+itermvs").options()
     for matcher, message in (
         ("sgmb", "no stereo matcher 'sgmb'"),
-        ("live", "wanted sgbm, sweep or raft before .itermvs, got live"),
+        ("live", "wanted sgbm, sweep or raft before the ., got live"),
     ):
         with pytest.raises(DepthError, match=message):
             DepthRunOptions(f"{matcher}+itermvs").options()
@@ -195,10 +195,20 @@ def test_partners_of_the_network_need_no_rectification(weights):
     assert np.array_equal(found.depth, found.guess)
 
 
+def test_the_network_is_not_asked_for_a_few_gaps(weights):
+    """Where the pairs know nearly everything, their gaps are filled from the background, and the network costs nothing."""
+    camera, others = look_from(0, 0, "camera"), [look_from(x, 0, f"at{x}") for x in (-0.2, 0.2)]
+    pictures = [see_plane(each) for each in (camera, *others)]
+    known = DepthEstimator(camera, others, DepthOptions()).estimate(pictures[0], pictures[1:])
+    found = DepthEstimator(camera, others, DepthOptions(filler=IterMvs(weights, ""))).estimate(pictures[0], pictures[1:])
+    assert found.guess is None
+    assert np.array_equal(found.depth, known.depth)
+
+
 def test_a_prepared_rig_keeps_the_guess(weights, tmp_path):
     """Stored depth as it was found holds the guess for the check; checked depth does not."""
     capture = write_capture(tmp_path / "capture", 1)
-    options = DepthRunOptions(f"sgbm+itermvs:{weights}").options()
+    options = replace(DepthRunOptions(f"sgbm+itermvs:{weights}").options(), filler_share=0.0)
     job = plan_depth(capture, [capture.camera("cam01")], 2, options)["cam01"]["cam00"]
     store = DepthStore(tmp_path / "depth")
     prepare_depth(capture, [job], range(1), store, options, workers=1)

@@ -1,5 +1,7 @@
 """RAFT-Stereo as a matcher: what it starts from, its check, its sizes, its warm start - with networks whose answer is known."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -8,15 +10,16 @@ from safetensors.torch import save_file
 
 from ggvs_eval import kernels
 from ggvs_eval.files.images import quantise
-from ggvs_eval.pipelines.offline.depth.depth_choice import find_matcher
-from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, weights_digest
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, find_matcher
+from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, shipped_weights, weights_digest
 from ggvs_eval.pipelines.offline.stereo.raft_start import fill_from_background, start_from_disparity, start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.training.stereo.stereo_task import VALIDATION_SEED
 from ggvs_eval.raft_config import COMPACT
 from ggvs_eval.synthetic.stereo.pairs import stereo_sample
 from helpers.seeded_networks import seeded_state
-from helpers.stereo_scenes import random_texture
+from helpers.stereo_scenes import look_from, random_texture, see_plane
 
 pytestmark = pytest.mark.slow
 OTHER_PAIRS = range(VALIDATION_SEED + 1024, VALIDATION_SEED + 1048, 4)  # six of one scene that nothing else uses
@@ -72,8 +75,8 @@ def test_what_the_right_image_denies_is_rejected(standing):
 def test_the_range_is_kept(standing):
     """Disparities outside [d_min, d_max] are rejected."""
     right, left = shifted_pair(14)
-    found, _ = matcher(standing, from_matching=False).match(left, right, 2, 40)
-    assert (found == 0).all()  # the network stands at zero
+    found, _ = matcher(standing).match(left, right, 2, 20, np.full(left.shape[:2], 30, np.float32))
+    assert (found == 0).all()  # the network stands where the frame before was
 
 
 def test_a_warm_start_is_where_it_begins(standing):
@@ -120,6 +123,51 @@ def test_the_shipped_network_improves_on_what_it_starts_from():
         errors.append([np.abs(each - pair.disparity).mean() for each in (found, enlarged)])
     network, matching = np.mean(errors, axis=0)
     assert network < 0.9 * matching
+
+
+def test_a_dense_matcher_keeps_what_is_not_confirmed(standing):
+    """It says what the network says wherever that lies within the search range, all of it as sure."""
+    right, left = shifted_pair(14)
+    left[40:80, 60:100] = 255 - left[40:80, 60:100]  # the other image does not show this
+    assert not matcher(standing).match(left, right, 2, 40)[0][45:75, 65:95].all()
+    dense, confidence = matcher(standing, dense=True).match(left, right, 2, 40)
+    whole = matcher(standing).disparity(left, right, 2, 40)
+    assert np.array_equal(dense, np.where((whole >= 2) & (whole <= 40), whole, 0))
+    assert (dense > 0).mean() > 0.95
+    assert np.array_equal(confidence, dense > 0)
+
+
+@pytest.mark.parametrize("before", [None, 64.0])
+def test_wide_pairs_are_moved_together(tmp_path, before):
+    """What the smallest disparity leaves is matched as if it were a narrow pair, and columns without a match are told by 0."""
+    shapes = {name: tuple(tensor.shape) for name, tensor in RaftStereo(COMPACT).state_dict().items()}
+    save_file(seeded_state(shapes), tmp_path / "any.safetensors")
+    network = matcher(tmp_path / "any.safetensors", warm_iterations=5)
+    right, left = shifted_pair(64)
+    previous = [None if before is None else np.full((120, 200 - cut), before - cut, np.float32) for cut in (0, 48)]
+    wide = network.disparity(left, right, 48, 80, previous[0])
+    narrow = network.disparity(left[:, 48:], right[:, :-48], 0, 32, previous[1])
+    assert np.array_equal(wide[:, 48:], narrow + 48)
+    assert not wide[:, :48].any()
+
+
+def test_the_shipped_network_fills_a_rig(tmp_path):
+    """`sgbm+raft` takes the network's depth where the pairs do not confirm any; a weights file's name may hold a plus."""
+    camera, others = look_from(0, 0, "camera"), [look_from(x, 0, f"at{x}") for x in (-0.2, 0.2)]
+    options = replace(DepthRunOptions("sgbm+raft").options(), filler_share=0.0)
+    assert options.filler == replace(find_matcher("raft"), dense=True)
+    picture = see_plane(camera)
+    picture[60:90, 60:100] = 255 - picture[60:90, 60:100]
+    found = DepthEstimator(camera, others, options).estimate(picture, [see_plane(each) for each in others])
+    guessed = found.confidence == np.float32(options.filled_confidence)
+    assert guessed[70:80, 70:90].any()
+    assert np.array_equal(found.depth[guessed], found.guess[guessed])
+    assert (found.guess > 0).all()
+    named = tmp_path / "a+raft.safetensors"
+    named.write_bytes(shipped_weights().read_bytes())
+    assert DepthRunOptions(f"raft:{named}").options().filler is None
+    assert DepthRunOptions(f"sgbm+raft:{named}").options().filler.weights == named
+    assert DepthRunOptions("sgbm+raft").is_learned
 
 
 def test_the_start_is_the_match_in_cells():

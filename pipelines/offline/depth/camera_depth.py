@@ -26,7 +26,11 @@ from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
 STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews what has changed by what stands here
-ITERMVS = "ggvs_eval.pipelines.offline.itermvs.estimator"  # needs torch
+ESTIMATORS = {  # the module of each matcher's, and of any other's that of pairs
+    PlaneSweep: PlaneSweepEstimator.__module__,
+    LiveMatcher: LiveEstimator.__module__,
+    IterMvs: "ggvs_eval.pipelines.offline.itermvs.estimator",  # needs torch
+}
 
 
 @dataclass(frozen=True)
@@ -59,9 +63,10 @@ class DepthOptions:
 
     Attributes:
         matcher: the stereo algorithm: of pairs, or of all partners at once.
-        filler: the network whose depth takes the place of what is not found, or not confirmed; None for the background's.
+        filler: the network whose depth takes the place of what is not found, or not confirmed, of all partners at once or of the
+            pairs; None for the background's.
         filler_share: ... in maps of which at least this share is unknown: the few gaps of narrow rigs are shadows of nearer
-            surfaces, where the background is right.
+            surfaces, where the background is right. It is not asked where less than half of it is unknown before the check.
         partners: how many cameras each one is matched with at most.
         error_px: of pairs: estimates of two partners agree when disparity errors of this size explain their difference.
         flying: a pixel flies when fewer than three neighbours lie within this share of its depth.
@@ -74,7 +79,7 @@ class DepthOptions:
     """
 
     matcher: StereoMatcher | PlaneSweep | IterMvs = field(default_factory=SgbmMatcher)
-    filler: IterMvs | None = None
+    filler: IterMvs | StereoMatcher | None = None
     filler_share: float = 0.2
     partners: int = 4
     error_px: float = 0.5
@@ -105,15 +110,15 @@ class DepthOptions:
 
     def _code(self) -> str:
         """Hash of the code that finds depth by this matcher, and by no other."""
-        estimators = {PlaneSweep: PlaneSweepEstimator, LiveMatcher: LiveEstimator}
-        estimator = estimators.get(type(self.matcher), PairwiseEstimator)
-        modules = {part.__module__ for part in (fill_background, estimator, type(self.matcher))}
-        modules |= {ITERMVS} if isinstance(self.matcher, IterMvs) or self.filler else set()
+        modules = {fill_background.__module__}
+        for each in (self.matcher, self.filler) if self.filler else (self.matcher,):
+            estimator = ESTIMATORS.get(type(each), PairwiseEstimator.__module__)
+            modules |= {estimator, type(each).__module__}
         return code_identity(__name__, STREAM, *modules, unfollowed=(__name__,))
 
     def choose_partners(self, camera: Camera, candidates: Sequence[Camera], excluded: Collection[str] = ()) -> list[Camera]:
         """The cameras that a camera is matched with, see `pairing.choose_partners`."""
-        pairs, views = self.partners, self.filler.partners if self.filler else 0
+        pairs, views = self.partners, self.filler.partners if isinstance(self.filler, IterMvs) else 0
         if isinstance(self.matcher, IterMvs):
             pairs, views = 0, self.matcher.partners
         return choose_partners(camera, candidates, pairs, excluded, views)
@@ -145,10 +150,11 @@ class DepthEstimator:
         self.partners = tuple(partners)
         self.options = options
         if pairs is None:
-            pairs = partners if options.filler is None else pairs_of(camera, partners, options.partners)
+            pairs = pairs_of(camera, partners, options.partners) if isinstance(options.filler, IterMvs) else partners
         self.pairs = tuple(pairs)
-        self._raw = _estimator(camera, self.pairs, options) if pairs else None
-        self._filler = None if options.filler is None else _itermvs(camera, partners, options.filler)
+        self._raw = _estimator(camera, self.pairs, options.matcher, options) if pairs else None
+        asked = self.partners if isinstance(options.filler, IterMvs) else self.pairs
+        self._guess = None if options.filler is None else (asked, _estimator(camera, asked, options.filler, options))
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Depth at one instant.
@@ -162,17 +168,20 @@ class DepthEstimator:
         """
         self._check(image, partner_images)
         raw = DepthMap(*np.zeros((2, *image.shape[:2]), np.float32))
+        seen = dict(zip((partner.name for partner in self.partners), partner_images, strict=True))
         if self._raw is not None:
-            seen = dict(zip((partner.name for partner in self.partners), partner_images, strict=True))
             raw = self._raw.estimate(image, [seen[pair.name] for pair in self.pairs])
-        if self._filler is not None:
-            raw = replace(raw, guess=self._filler.estimate(image, partner_images).depth)
+        if self._guess is not None and (raw.depth == 0).mean() >= self.options.filler_share / 2:
+            asked, estimator = self._guess
+            found = estimator.estimate(image, [seen[each.name] for each in asked])
+            raw = replace(raw, guess=fill_background(found.depth, found.confidence, self.options.filled_confidence)[0])
         return finish(raw, self.options)
 
     def forget(self) -> None:
         """Begin a new sequence."""
-        if self._raw is not None:
-            self._raw.forget()
+        for each in (self._raw, self._guess and self._guess[1]):
+            if each is not None:
+                each.forget()
 
     def _check(self, image: Image8, partner_images: Sequence[Image8]) -> None:
         if len(partner_images) != len(self.partners):
@@ -181,21 +190,18 @@ class DepthEstimator:
             as_image8(each, camera, DepthError)
 
 
-def _estimator(camera: Camera, partners: Sequence[Camera], options: DepthOptions) -> Estimator:
-    matcher = options.matcher
+def _estimator(
+    camera: Camera, partners: Sequence[Camera], matcher: StereoMatcher | PlaneSweep | IterMvs, options: DepthOptions
+) -> Estimator:
     if isinstance(matcher, IterMvs):
-        return _itermvs(camera, partners, matcher)
+        from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvsEstimator
+
+        return IterMvsEstimator(camera, partners, matcher)
     if isinstance(matcher, PlaneSweep):
         return PlaneSweepEstimator(camera, partners, matcher)
     if isinstance(matcher, LiveMatcher):
         return LiveEstimator(camera, partners, matcher, options.error_px)
     return PairwiseEstimator(camera, partners, matcher, options.error_px, options.time.warm)
-
-
-def _itermvs(camera: Camera, partners: Sequence[Camera], options: IterMvs) -> Estimator:
-    from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvsEstimator
-
-    return IterMvsEstimator(camera, partners, options)
 
 
 def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:

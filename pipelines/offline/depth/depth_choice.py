@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -26,11 +27,13 @@ MATCHERS = {
     "raft:CHECKPOINT": "RAFT-Stereo with a checkpoint of its authors, e.g. raft:raftstereo-middlebury.pth",
     "itermvs:CHECKPOINT": "IterMVS, all partners at once, with a checkpoint of its authors; by default that of the cache folder",
     "sgbm+itermvs:CHECKPOINT": "semi-global matching where other cameras confirm it, IterMVS elsewhere; so does raft+itermvs",
+    "sgbm+raft": "semi-global matching where other cameras confirm it, RAFT-Stereo elsewhere, also as sgbm+raft:CHECKPOINT",
 }
 PUBLISHED_ITERATIONS = 32  # what the authors' networks are made for
 KEYFRAME_EVERY = 16  # instants, where instants depend on each other
 DEVICE = "device"  # in a record of depth
-ITERMVS = "itermvs"
+ITERMVS, RAFT = "itermvs", "raft"
+FILLER = re.compile(rf"\+(?=(?:{ITERMVS}|{RAFT})(?::|$))")  # stands before a filler's name
 
 
 def default_matcher() -> str:
@@ -47,7 +50,7 @@ def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep |
     kind, _, checkpoint = name.partition(":")
     if kind == ITERMVS:
         return _itermvs(checkpoint, device)
-    if kind == "raft":
+    if kind == RAFT:
         return _raft(checkpoint, device)
     if name == "sgbm":
         return SgbmMatcher()
@@ -58,7 +61,12 @@ def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep |
     raise DepthError(f"no stereo matcher {name!r}; there are {', '.join(MATCHERS)}{did_you_mean(name, MATCHERS)}")
 
 
-def _raft(checkpoint: str, device: str) -> StereoMatcher:
+def _filler(name: str, device: str) -> IterMvs | StereoMatcher:
+    kind, _, checkpoint = name.partition(":")
+    return _itermvs(checkpoint, device) if kind == ITERMVS else _raft(checkpoint, device, dense=True)
+
+
+def _raft(checkpoint: str, device: str, *, dense: bool = False) -> StereoMatcher:
     from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
         DeviceRaftMatcher,
         RaftMatcher,
@@ -70,7 +78,7 @@ def _raft(checkpoint: str, device: str) -> StereoMatcher:
     path = Path(checkpoint) if checkpoint else shipped_weights()
     digest = weights_digest(path)
     load_network(path)  # what is wrong with it is said before hours of work
-    make = RaftMatcher if device == "cpu" else partial(DeviceRaftMatcher, device=device)
+    make = partial(RaftMatcher if device == "cpu" else partial(DeviceRaftMatcher, device=device), dense=dense)
     if checkpoint:
         return make(path, digest, iterations=PUBLISHED_ITERATIONS, from_matching=False)
     return make(path, digest)
@@ -92,7 +100,8 @@ class DepthRunOptions:
 
     Attributes:
         matcher: sgbm, live (images of at most 928 pixels, for play and view), sweep, raft (compact, ships with the package),
-            raft:CHECKPOINT or itermvs:CHECKPOINT; sgbm+itermvs:CHECKPOINT takes the network where sgbm is not confirmed.
+            raft:CHECKPOINT or itermvs:CHECKPOINT; sgbm+itermvs:CHECKPOINT or sgbm+raft takes the network where sgbm is not
+            confirmed.
         stereo_weights: a checkpoint of RAFT-Stereo's authors, e.g. raftstereo-middlebury.pth; the same as raft:CHECKPOINT.
         sensor: take the depth that a sensor measured where the capture has it (RGB-D), filtered, instead of stereo.
         registration: estimated: align sensor depth with its colour where the images of a sequence show that it is clearly off;
@@ -109,20 +118,18 @@ class DepthRunOptions:
     @property
     def is_learned(self) -> bool:
         """True if a network finds depth, which may compute on a GPU."""
-        return self.stereo_weights is not None or any(name in self.matcher.partition(":")[0] for name in ("raft", ITERMVS))
+        return self.stereo_weights is not None or any(name in self.matcher.partition(":")[0] for name in (RAFT, ITERMVS))
 
     def options(self, device: str = "cpu") -> DepthOptions:
         """All parameters of the depth estimation."""
-        if self.stereo_weights is not None and self.matcher not in (FREE_MATCHER, default_matcher(), LIVE_MATCHER, "raft"):
+        if self.stereo_weights is not None and self.matcher not in (FREE_MATCHER, default_matcher(), LIVE_MATCHER, RAFT):
             raise DepthError(f"--stereo-weights are for the matcher raft, got the matcher {self.matcher}")
-        name = self.matcher if self.stereo_weights is None else f"raft:{self.stereo_weights}"
-        name, wants_filler, checkpoint = name.partition(f"+{ITERMVS}")
+        name = self.matcher if self.stereo_weights is None else f"{RAFT}:{self.stereo_weights}"
+        name, *fillers = FILLER.split(name, maxsplit=1)
         matcher = find_matcher(name, device)
-        if wants_filler and isinstance(matcher, LiveMatcher | IterMvs):
-            raise DepthError(
-                f"matcher {self.matcher}: wanted sgbm, sweep or raft before +{ITERMVS}, got {name}; take one of them"
-            )
-        filler = _itermvs(checkpoint.removeprefix(":"), device) if wants_filler else None
+        if fillers and isinstance(matcher, LiveMatcher | IterMvs):
+            raise DepthError(f"matcher {self.matcher}: wanted sgbm, sweep or raft before the +, got {name}; take one of them")
+        filler = _filler(fillers[0], device) if fillers else None
         time = TimeOptions(KEYFRAME_EVERY, warm=True, reuse=True) if self.reuse_static else TimeOptions()
         sensor = SensorDepthOptions(registration=self.registration) if self.sensor else None
         return DepthOptions(matcher=matcher, filler=filler, time=time, sensor=sensor)

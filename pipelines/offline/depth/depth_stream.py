@@ -1,6 +1,7 @@
 """Depth of one camera over consecutive instants: keyframes anew, between them only changed pixels."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -97,7 +98,8 @@ class DepthStream:
     def _window_estimator(self, window: tuple[int, int, int, int]) -> DepthEstimator:
         if window not in self._windows:
             self._windows = dict(list(self._windows.items())[-3:])  # each holds the maps of its pairs
-            self._windows[window] = DepthEstimator(self.camera.cropped(*window), self.partners, self.options, self._whole.pairs)
+            asked = replace(self.options, filler_share=0.0)  # the whole map's share of gaps decides, not the window's
+            self._windows[window] = DepthEstimator(self.camera.cropped(*window), self.partners, asked, self._whole.pairs)
         estimator = self._windows[window]
         estimator.forget()
         return estimator
