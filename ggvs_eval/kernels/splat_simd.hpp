@@ -125,9 +125,13 @@ GGVS_INLINE void write_block(const SplatPicture& picture, const Sums<kChannels>&
 template <int kTested, int kKept>
 GGVS_INLINE void share_out(const TileList& from, int first_bit, int bits, TileList (&to)[4]) {
     I part[4];
-    int count[4] = {0, 0, 0, 0};
+    int32_t* end[3][4];  // of the words of each list; kept here, as the compiler cannot know that lists do not hold their own places
 #pragma GCC unroll 4
-    for (int n = 0; n < 4; ++n) part[n] = all(int32_t(((1u << bits) - 1) << (first_bit + n * bits)));
+    for (int n = 0; n < 4; ++n) {
+        part[n] = all(int32_t(((1u << bits) - 1) << (first_bit + n * bits)));
+#pragma GCC unroll 3
+        for (int word = 0; word < kKept; ++word) end[word][n] = to[n].words[word];
+    }
     for (int first = 0; first < from.count; first += kWidth) {
         I words[3];
 #pragma GCC unroll 3
@@ -136,16 +140,16 @@ GGVS_INLINE void share_out(const TileList& from, int first_bit, int bits, TileLi
 #pragma GCC unroll 4
         for (int n = 0; n < 4; ++n) {
             const M touched = share_bits(words[kTested], part[n]);
+            const int count = count_of(touched);
 #pragma GCC unroll 3
-            for (int word = 0; word < kKept; ++word) pack(touched, words[word], to[n].words[word] + count[n]);
-            count[n] += count_of(touched);
+            for (int word = 0; word < kKept; ++word) pack(touched, words[word], end[word][n]), end[word][n] += count;
         }
     }
 #pragma GCC unroll 4
     for (int n = 0; n < 4; ++n) {
 #pragma GCC unroll 3
-        for (int word = 1; word < kKept; ++word) store(to[n].words[word] + count[n], all(int32_t(0)));
-        to[n].count = count[n];
+        for (int word = 1; word < kKept; ++word) store(end[word][n], all(int32_t(0)));
+        to[n].count = int(end[0][n] - to[n].words[0]);
     }
 }
 

@@ -7,7 +7,7 @@ import numpy as np
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.kernels import get_threads
+from ggvs_eval.kernels import get_threads, side_by_side
 from ggvs_eval.pipelines.online.stillness import LEAST_NOISE, cells, falling, light, mean_square, pooled
 
 DRAGGED = (0.3, 0.8)  # energy that a mean of past images errs by, times that of the noise of one: none and all of it harms
@@ -90,8 +90,12 @@ def agreement(new: Map, mean: Map, last: Map, count: Map) -> Map:
         the grain of a texture looks like noise here, and is for the sources to see.
     """
     everywhere = np.ones_like(count)
-    changes = [new - other for other in (mean, last)]
-    dragged, doubled = pooled(np.dstack([mean_square(change - light(change, everywhere)) for change in changes]))
+
+    def energy(change: Map) -> Map:
+        return mean_square(change - light(change, everywhere))
+
+    energies = side_by_side(lambda: energy(new - mean), lambda: energy(new - last))
+    dragged, doubled = pooled(np.dstack(energies))
     excess = 2 * dragged / np.maximum(doubled, np.float32(2 * LEAST_NOISE**2)) - (1 + 1 / count)
     return falling(excess, *DRAGGED)
 
