@@ -122,8 +122,9 @@ GGVS_INLINE void write_block(const SplatPicture& picture, const Sums<kChannels>&
 
 // Lists of what may touch each of four parts of the tile, whose rows or columns are so many bits of a word each. What is behind the
 // end of a list touches nothing. All four at once: each list is short, and its end no processor foresees.
-template <int kTested, int kKept>
-GGVS_INLINE void share_out(const TileList& from, int first_bit, int bits, TileList (&to)[4]) {
+// `words_of`: all three words of those from a place on.
+template <int kTested, int kKept, class WordsOf>
+GGVS_INLINE void share_out(int all_of_them, const WordsOf& words_of, int first_bit, int bits, TileList (&to)[4]) {
     I part[4];
     int32_t* end[3][4];  // of the words of each list; kept here, as the compiler cannot know that lists do not hold their own places
 #pragma GCC unroll 4
@@ -132,11 +133,11 @@ GGVS_INLINE void share_out(const TileList& from, int first_bit, int bits, TileLi
 #pragma GCC unroll 3
         for (int word = 0; word < kKept; ++word) end[word][n] = to[n].words[word];
     }
-    for (int first = 0; first < from.count; first += kWidth) {
+    for (int first = 0; first < all_of_them; first += kWidth) {
         I words[3];
 #pragma GCC unroll 3
         for (int word = 0; word < 3; ++word)
-            if (word < kKept || word == kTested) words[word] = load(from.words[word] + first);
+            if (word < kKept || word == kTested) words[word] = words_of(word, first);
 #pragma GCC unroll 4
         for (int n = 0; n < 4; ++n) {
             const M touched = share_bits(words[kTested], part[n]);
@@ -151,6 +152,12 @@ GGVS_INLINE void share_out(const TileList& from, int first_bit, int bits, TileLi
         for (int word = 1; word < kKept; ++word) store(end[word][n], all(int32_t(0)));
         to[n].count = int(end[0][n] - to[n].words[0]);
     }
+}
+
+template <int kTested, int kKept>
+GGVS_INLINE void share_out(const TileList& from, int first_bit, int bits, TileList (&to)[4]) {
+    const auto words_of = [&](int word, int first) { return load(from.words[word] + first); };
+    share_out<kTested, kKept>(from.count, words_of, first_bit, bits, to);
 }
 
 // Four lists' pixels one below the other, from (x, y) of the tile on.
@@ -171,7 +178,12 @@ GGVS_INLINE void blend_blocks(SplatTile& tile, const SplatPicture& picture, cons
 // cell's Gaussians stay in the nearest cache.
 template <int kChannels>
 static void tile_of(SplatTile& tile, const SplatPicture& picture) {
-    share_out<kColumns, 3>(tile.all, 0, 4, tile.strips);
+    const auto words_of = [&](int word, int first) {
+        const I numbers = load(tile.sorted + first);
+        const int32_t* words = word == kRows ? tile.rows_of : tile.columns_of;
+        return word == kGaussians ? numbers : gather_bytes((const uint8_t*)words, numbers << 2);
+    };
+    share_out<kColumns, 3>(tile.nothing, words_of, 0, 4, tile.strips);
     for (int left = 0; left < kTile && tile.left + left < picture.width; left += 16) {
         share_out<kRows, 3>(tile.strips[left / 16], 0, 8, tile.cells);
         for (int top = 0; top < kTile && tile.top + top < picture.height; top += 16) {
