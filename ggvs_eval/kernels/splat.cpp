@@ -108,9 +108,9 @@ void fill_band(Band& band, const SplatSource& source, const Projector& projector
     for (const Run& run : runs) band.runs[next[run.tile]++] = run;
 }
 
-// A tile's Gaussians front to back, and behind them room for two vectors: a stable least-significant-digit radix sort by the bits of their depths,
-// which sort like positive floats themselves. Two digits are enough for most tiles. Each is counted in the order that the one before
-// made: neighbours in the source have much the same depth, and would wait for each other's counter.
+// A tile's Gaussians front to back, and behind them room for two vectors: a stable least-significant-digit radix sort by the bits of
+// their depths, which sort like positive floats themselves. Two digits are enough for most tiles. Each is counted in the order that
+// the one before made: neighbours in the source have much the same depth, and would wait for each other's counter.
 int32_t* sorted_by_depth(Workspace& work, size_t count) {
     constexpr int kMostBits = 12;
     const int32_t* depths = work.depths.of(count);

@@ -121,19 +121,19 @@ GGVS_INLINE void write_block(const SplatPicture& picture, const Sums<kChannels>&
 }
 
 // Lists of what may touch each of four parts of the tile, whose rows or columns are so many bits of a word each. What is behind the
-// end of a list touches nothing. All four at once: each list is short, and its end no processor foresees.
-// `words_of`: all three words of those from a place on.
+// end of a list touches nothing. All four at once: each list is short, and its end no processor foresees. `words_of` reads a word of
+// those that are shared out, `given` of them, from a place on.
 template <int kTested, int kKept, class WordsOf>
-GGVS_INLINE void share_out(int all_of_them, const WordsOf& words_of, int first_bit, int bits, TileList (&to)[4]) {
+GGVS_INLINE void share_out(int given, const WordsOf& words_of, int first_bit, int bits, TileList (&to)[4]) {
     I part[4];
-    int32_t* end[3][4];  // of the words of each list; kept here, as the compiler cannot know that lists do not hold their own places
+    int32_t* end[3][4];  // of the words of each list
 #pragma GCC unroll 4
     for (int n = 0; n < 4; ++n) {
         part[n] = all(int32_t(((1u << bits) - 1) << (first_bit + n * bits)));
 #pragma GCC unroll 3
         for (int word = 0; word < kKept; ++word) end[word][n] = to[n].words[word];
     }
-    for (int first = 0; first < all_of_them; first += kWidth) {
+    for (int first = 0; first < given; first += kWidth) {
         I words[3];
 #pragma GCC unroll 3
         for (int word = 0; word < 3; ++word)
