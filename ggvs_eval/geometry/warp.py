@@ -80,7 +80,7 @@ def warp(
         as_image(image, source, "image", RenderError),
         as_image(source_depth, source, "source depth", RenderError),
     )
-    return Warp(*_core.warp(*views, tolerance, bicubic, get_threads()))
+    return Warp(*_core.warp(*views, tolerance, bicubic, get_threads(), SIMD_LEVELS.index(get_simd_level())))
 
 
 def warp_change(target: Camera, target_depth: Map, source: SourceView, before: Image8, tolerance: float) -> Warp:
@@ -116,7 +116,7 @@ def warp_change(target: Camera, target_depth: Map, source: SourceView, before: I
         (_image8(source), _image8(replace(source, image=before))),
         as_image(source.depth, source.camera, "source depth", RenderError),
     )
-    return Warp(*_core.warp(*views, tolerance, False, get_threads()))
+    return Warp(*_core.warp(*views, tolerance, False, get_threads(), SIMD_LEVELS.index(get_simd_level())))
 
 
 def look_up(

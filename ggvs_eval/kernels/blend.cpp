@@ -32,6 +32,16 @@ void add_view(const WeightedView& view, int64_t first, int64_t last, float* sum,
     }
 }
 
+// Raises `largest` to a view's feature where it covers the pixels; with the stride known the compiler reads several at once.
+template <int kStride>
+void raise_to(const CoveredFeature& view, int64_t first, int64_t last, float least_alpha, float* largest) {
+    const int stride = kStride ? kStride : view.stride;
+    for (int64_t n = first; n < last; ++n) {
+        const float feature = view.alpha[n] >= least_alpha ? view.feature[n * stride] : kNone;
+        largest[n] = feature > largest[n] ? feature : largest[n];
+    }
+}
+
 }  // namespace
 
 void weighted_mean(const std::vector<WeightedView>& views, int64_t pixels, float* out, int threads) {
@@ -53,12 +63,8 @@ void largest_feature(const std::vector<CoveredFeature>& views, int64_t pixels, f
                      int threads) {
     for_chunks(pixels, threads, [&](int64_t first, int64_t last) {
         std::fill(out + first, out + last, kNone);
-        for (const CoveredFeature& view : views) {
-            for (int64_t n = first; n < last; ++n) {
-                const float feature = view.alpha[n] >= least_alpha ? view.feature[n * view.stride] : kNone;
-                out[n] = feature > out[n] ? feature : out[n];
-            }
-        }
+        for (const CoveredFeature& view : views)
+            (view.stride == 4 ? raise_to<4> : raise_to<0>)(view, first, last, least_alpha, out);
         for (int64_t n = first; n < last; ++n) out[n] = out[n] == kNone ? otherwise : out[n];
     });
 }

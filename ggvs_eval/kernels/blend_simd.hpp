@@ -90,6 +90,15 @@ GGVS_INLINE I tap(const Taps& taps, int n, int size) {
 
 GGVS_INLINE F byte_of(I raw, int n) { return to_float((raw >> (8 * n)) & all(int32_t(255))); }
 
+// Pixels of an image (height, width, 3), one byte per channel from the lowest on. Four bytes are read at a time; the last pixel has
+// three, so they are read one byte earlier and shifted.
+GGVS_INLINE I colour_bytes(const uint8_t* image, const Pinhole& camera, I pixel) {
+    const I last = all(int32_t(3 * (int64_t(camera.width) * camera.height - 1))), byte = pixel * all(int32_t(3));
+    const M at_end = less(to_float(last - byte), all(1.0f));
+    const I raw = gather_bytes(image, select(at_end, byte - all(int32_t(1)), byte));
+    return select(at_end, raw >> 8, raw);
+}
+
 // Adds a colour times its share.
 GGVS_INLINE void add(Colour& sum, F share, const Colour& colour) {
     sum.red = multiply_add(share, colour.red, sum.red);
@@ -99,18 +108,13 @@ GGVS_INLINE void add(Colour& sum, F share, const Colour& colour) {
 
 // Sixteen pixels one by one: any of them may be repeated by the border.
 GGVS_INLINE Colour colour_near_border(const LookUpView& view, const Taps& x, const Taps& y) {
-    // Four bytes are read at a time; the last pixel has three, so they are read one byte earlier and shifted.
-    const I last = all(int32_t(3 * (int64_t(view.camera.width) * view.camera.height - 1)));
     const F zero = all(0.0f);
     Colour sum{zero, zero, zero};
     for (int row = 0; row < 4; ++row) {
         const I first = tap(y, row, view.camera.height) * all(int32_t(view.camera.width));
         Colour line{zero, zero, zero};
         for (int column = 0; column < 4; ++column) {
-            I byte = (first + tap(x, column, view.camera.width)) * all(int32_t(3));
-            M at_end = less(to_float(last - byte), all(1.0f));
-            I raw = gather_bytes(view.image, select(at_end, byte - all(int32_t(1)), byte));
-            raw = select(at_end, raw >> 8, raw);
+            const I raw = colour_bytes(view.image, view.camera, first + tap(x, column, view.camera.width));
             add(line, x.share[column], {byte_of(raw, 0), byte_of(raw, 1), byte_of(raw, 2)});
         }
         add(sum, y.share[row], line);

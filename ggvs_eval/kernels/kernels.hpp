@@ -12,6 +12,7 @@
 #include "splat.hpp"
 #include "tsdf.hpp"
 #include "unet.hpp"
+#include "warp.hpp"
 
 namespace ggvs {
 
@@ -26,6 +27,7 @@ struct Kernels {
     void (*reach_of_shells)(const Pinhole& target, const PixelMap& to_target, float near, float far, Shells&);
     void (*march_column)(const March&, const MarchColumn&, float* depth, float* weight);
     void (*look_up_row)(const LookUp&, int y, float* out);
+    void (*warp_row)(const Warping&, int y, float* colours, float* visibilities);
     void (*register_row)(const Registration&, int view, int y, const RegisteredMaps& out);
     void (*overview_row)(const Views&, const OverviewMaps& out, int y);
     void (*compose_row)(const ComposedRow&);

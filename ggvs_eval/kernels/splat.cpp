@@ -18,7 +18,7 @@
 namespace ggvs {
 namespace {
 
-constexpr int kBandRows = 8, kListsOfTile = 1 + 4 * 4;
+constexpr int kBandRows = 8, kListsOfTile = 4 * 4;
 
 // Those of 16 pixels side by side in a row that one tile gets.
 struct Run {
@@ -108,18 +108,19 @@ void fill_band(Band& band, const SplatSource& source, const Projector& projector
     for (const Run& run : runs) band.runs[next[run.tile]++] = run;
 }
 
-// Fills the list of a tile's Gaussians front to back: a stable least-significant-digit radix sort by the bits of their depths,
-// which sort like positive floats themselves. Two digits are enough for most tiles. Each is counted in the order that the one before
-// made: neighbours in the source have much the same depth, and would wait for each other's counter.
-void sort_by_depth(Workspace& work, size_t count, TileList& sorted) {
+// A tile's Gaussians front to back, and behind them room for two vectors: a stable least-significant-digit radix sort by the bits of
+// their depths, which sort like positive floats themselves. Two digits are enough for most tiles. Each is counted in the order that
+// the one before made: neighbours in the source have much the same depth, and would wait for each other's counter.
+int32_t* sorted_by_depth(Workspace& work, size_t count) {
     constexpr int kMostBits = 12;
-    const int32_t *depths = work.depths.of(count), *rows = work.rows.of(count), *columns = work.columns.of(count);
+    const int32_t* depths = work.depths.of(count);
     const int32_t least = work.depth_range.least;
     int differing = 1;  // bits
     while (count > 0 && (work.depth_range.most - least) >> differing > 0) ++differing;
     const int digits = (differing + kMostBits - 1) / kMostBits, bits = (differing + digits - 1) / digits;
-    int32_t *from = work.numbers.of(2 * count), *to = from + count;
-    std::iota(from, to, 0);
+    const size_t room = count + 2 * kLanes;
+    int32_t *from = work.numbers.of(2 * room), *to = from + room;
+    std::iota(from, from + count, 0);
     for (int shift = 0; shift < digits * bits; shift += bits, std::swap(from, to)) {
         const auto digit = [&](int32_t gaussian) { return uint32_t(depths[gaussian] - least) >> shift & ((1u << bits) - 1); };
         uint32_t places[1 << kMostBits], sum = 0;
@@ -128,11 +129,7 @@ void sort_by_depth(Workspace& work, size_t count, TileList& sorted) {
         for (int value = 0; value < 1 << bits; ++value) sum += std::exchange(places[value], sum);
         for (size_t n = 0; n < count; ++n) to[places[digit(from[n])]++] = from[n];
     }
-    for (size_t n = 0; n < count; ++n) {
-        sorted.words[kGaussians][n] = from[n];
-        sorted.words[kRows][n] = rows[from[n]], sorted.words[kColumns][n] = columns[from[n]];
-    }
-    sorted.count = int(count);
+    return from;
 }
 
 // All that happens in one tile.
@@ -168,22 +165,23 @@ struct TileJob {
                                  top, {list + begin, columns + begin, rows + begin, depths + begin, &work.depth_range});
         }
         list[count] = {0.0f, 0.0f, 2.0f, 0.0f, 0.0f, 0.0f, {}};  // far outside of the unit circle
+        columns[count] = rows[count] = 0;
         return count;
     }
 
     void run(int tile, Workspace& work) const {
         const int left = tile % grid.across * kTile, top = tile / grid.across * kTile;
         const size_t count = collect(tile, left, top, work), room = count + 2 * kLanes;
-        SplatTile parts{work.list.of(count), int32_t(count), left, top, {}, {}, {}, {}, {}};
+        int32_t* const sorted = sorted_by_depth(work, count);
+        std::fill_n(sorted + count, kLanes, int32_t(count));
+        SplatTile parts{work.list.of(count), work.rows.of(count), work.columns.of(count), sorted, int32_t(count), left, top, {}, {},
+                        {}, {}};
         int32_t* words = work.words.of(size_t(kListsOfTile) * 3 * room);
         const auto make_room = [&](TileList& list) {
             for (int32_t*& word : list.words) word = words, words += room;
         };
-        make_room(parts.all);
         for (auto* lists : {&parts.strips, &parts.cells, &parts.columns, &parts.blocks})
             for (TileList& list : *lists) make_room(list);
-        sort_by_depth(work, count, parts.all);
-        std::fill_n(parts.all.words[kColumns] + count, kLanes, 0);
         kernels.splat_tile(parts, channels, {target.camera.width, target.camera.height, normalised, out});
     }
 };

@@ -76,9 +76,10 @@ struct TileList {
 
 struct SplatTile {
     const Ellipse* ellipses;
-    int32_t nothing;  // of the ellipses, touches no pixel
-    int left, top;    // in the picture
-    TileList all;
+    const int32_t *rows_of, *columns_of;  // the ellipses
+    const int32_t* sorted;          // numbers of the ellipses front to back, with room for whole vectors
+    int32_t nothing;                // comes behind the ellipses and touches no pixel: their number
+    int left, top;                  // in the picture
     TileList strips[4], cells[4], columns[4], blocks[4];  // room for the lists of smaller and smaller parts
 };
 

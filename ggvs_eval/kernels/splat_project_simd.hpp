@@ -117,13 +117,8 @@ GGVS_INLINE F read(const float* map, const Pixels& pixels) {
 
 // Colours, one byte per channel from the lowest on.
 GGVS_INLINE I read_bytes(const SplatSource& source, const Pixels& pixels) {
-    if (pixels.first >= 0) return load_byte_triples(source.colours + 3 * pixels.first);
-    // Four bytes are read at a time; the last pixel has three, so they are read one byte earlier and shifted.
-    const I last = all(int32_t(3 * (int64_t(source.camera.width) * source.camera.height - 1)));
-    I byte = pixels.index * all(int32_t(3));
-    M at_end = less(to_float(last - byte), all(1.0f));
-    I raw = gather_bytes(source.colours, select(at_end, byte - all(int32_t(1)), byte));
-    return select(at_end, raw >> 8, raw);
+    return pixels.first < 0 ? colour_bytes(source.colours, source.camera, pixels.index)
+                            : load_byte_triples(source.colours + 3 * pixels.first);
 }
 
 // x / 255 with the bits of the division for each whole x from 0 to 255: by its inverse in two parts.

@@ -121,32 +121,43 @@ GGVS_INLINE void write_block(const SplatPicture& picture, const Sums<kChannels>&
 }
 
 // Lists of what may touch each of four parts of the tile, whose rows or columns are so many bits of a word each. What is behind the
-// end of a list touches nothing. All four at once: each list is short, and its end no processor foresees.
-template <int kTested, int kKept>
-GGVS_INLINE void share_out(const TileList& from, int first_bit, int bits, TileList (&to)[4]) {
+// end of a list touches nothing. All four at once: each list is short, and its end no processor foresees. `words_of` reads a word of
+// those that are shared out, `given` of them, from a place on.
+template <int kTested, int kKept, class WordsOf>
+GGVS_INLINE void share_out(int given, const WordsOf& words_of, int first_bit, int bits, TileList (&to)[4]) {
     I part[4];
-    int count[4] = {0, 0, 0, 0};
+    int32_t* end[3][4];  // of the words of each list
 #pragma GCC unroll 4
-    for (int n = 0; n < 4; ++n) part[n] = all(int32_t(((1u << bits) - 1) << (first_bit + n * bits)));
-    for (int first = 0; first < from.count; first += kWidth) {
+    for (int n = 0; n < 4; ++n) {
+        part[n] = all(int32_t(((1u << bits) - 1) << (first_bit + n * bits)));
+#pragma GCC unroll 3
+        for (int word = 0; word < kKept; ++word) end[word][n] = to[n].words[word];
+    }
+    for (int first = 0; first < given; first += kWidth) {
         I words[3];
 #pragma GCC unroll 3
         for (int word = 0; word < 3; ++word)
-            if (word < kKept || word == kTested) words[word] = load(from.words[word] + first);
+            if (word < kKept || word == kTested) words[word] = words_of(word, first);
 #pragma GCC unroll 4
         for (int n = 0; n < 4; ++n) {
             const M touched = share_bits(words[kTested], part[n]);
+            const int count = count_of(touched);
 #pragma GCC unroll 3
-            for (int word = 0; word < kKept; ++word) pack(touched, words[word], to[n].words[word] + count[n]);
-            count[n] += count_of(touched);
+            for (int word = 0; word < kKept; ++word) pack(touched, words[word], end[word][n]), end[word][n] += count;
         }
     }
 #pragma GCC unroll 4
     for (int n = 0; n < 4; ++n) {
 #pragma GCC unroll 3
-        for (int word = 1; word < kKept; ++word) store(to[n].words[word] + count[n], all(int32_t(0)));
-        to[n].count = count[n];
+        for (int word = 1; word < kKept; ++word) store(end[word][n], all(int32_t(0)));
+        to[n].count = int(end[0][n] - to[n].words[0]);
     }
+}
+
+template <int kTested, int kKept>
+GGVS_INLINE void share_out(const TileList& from, int first_bit, int bits, TileList (&to)[4]) {
+    const auto words_of = [&](int word, int first) { return load(from.words[word] + first); };
+    share_out<kTested, kKept>(from.count, words_of, first_bit, bits, to);
 }
 
 // Four lists' pixels one below the other, from (x, y) of the tile on.
@@ -167,7 +178,12 @@ GGVS_INLINE void blend_blocks(SplatTile& tile, const SplatPicture& picture, cons
 // cell's Gaussians stay in the nearest cache.
 template <int kChannels>
 static void tile_of(SplatTile& tile, const SplatPicture& picture) {
-    share_out<kColumns, 3>(tile.all, 0, 4, tile.strips);
+    const auto words_of = [&](int word, int first) {
+        const I numbers = load(tile.sorted + first);
+        const int32_t* words = word == kRows ? tile.rows_of : tile.columns_of;
+        return word == kGaussians ? numbers : gather_bytes((const uint8_t*)words, numbers << 2);
+    };
+    share_out<kColumns, 3>(tile.nothing, words_of, 0, 4, tile.strips);
     for (int left = 0; left < kTile && tile.left + left < picture.width; left += 16) {
         share_out<kRows, 3>(tile.strips[left / 16], 0, 8, tile.cells);
         for (int top = 0; top < kTile && tile.top + top < picture.height; top += 16) {

@@ -210,8 +210,9 @@ def sampled(image: Map, x: Map, y: Map) -> Map:
     left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
     right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
     across, down = (x - left)[:, None], (y - top)[:, None]
-    upper = image[top, left] + across * (image[top, right] - image[top, left])
-    lower = image[bottom, left] + across * (image[bottom, right] - image[bottom, left])
+    pixels, rows, columns = image.reshape(-1, 3), (top * width, bottom * width), (left, right)
+    (first, second), (third, fourth) = ([pixels.take(row + column, axis=0) for column in columns] for row in rows)
+    upper, lower = first + across * (second - first), third + across * (fourth - third)
     return np.asarray(upper + down * (lower - upper), np.float32)
 
 

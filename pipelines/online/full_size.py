@@ -13,7 +13,7 @@ from ggvs_eval.arrays import Map
 from ggvs_eval.geometry.per_pixel import view_weights
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.geometry.warp import registration_arguments
-from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads, side_by_side
 from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, in_order, maps_of
 from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, SURE
 from ggvs_eval.pipelines.online.blending import BlendingInputs
@@ -167,9 +167,11 @@ def statistics_of(picture: Composed) -> NDArray[np.float64]:
     Args:
         picture: what the network's outputs compose.
     """
-    spread = np.clip(np.float32(COLOUR_GAIN) * picture.spread[::ROW_STEP_PX], -1, 1)
-    means = [*_log_means(spread), *_log_means(_detail(picture.picture))]
-    return np.round(STATISTICS_GAIN * (np.array(means) - TYPICAL) * STATISTICS_GRID) / STATISTICS_GRID
+    spread, detail = side_by_side(
+        lambda: _log_means(np.clip(np.float32(COLOUR_GAIN) * picture.spread[::ROW_STEP_PX], -1, 1)),
+        lambda: _log_means(_detail(picture.picture)),
+    )
+    return np.round(STATISTICS_GAIN * (np.array([*spread, *detail]) - TYPICAL) * STATISTICS_GRID) / STATISTICS_GRID
 
 
 def _detail(picture: Map) -> Map:

@@ -15,7 +15,7 @@ from ggvs_eval.geometry.per_pixel import largest_feature
 from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat, splat, splat_points
 from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch, fusion_weights, ray_march
 from ggvs_eval.kernels import side_by_side
-from ggvs_eval.method import Instant, Rendering
+from ggvs_eval.method import Instant, Rendering, SourceView
 from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.depth_filter import Change, TemporalDepthFilter
 from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation
@@ -142,7 +142,11 @@ class GeometryGuided:
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant and remember its fused depth for the next."""
         marks = [perf_counter()]
-        views, changes = zip(*(self._filter.step(instant.index, source) for source in instant.sources), strict=True)
+        half = (len(instant.sources) + 1) // 2
+        first, second = side_by_side(
+            partial(self._filtered, instant, slice(0, half)), partial(self._filtered, instant, slice(half, None))
+        )
+        views, changes = zip(*first, *second, strict=True)
         filtered = replace(instant, sources=views)
         # Gains are looked up by a single thread; the weights need no colours.
         filtered, weights = side_by_side(partial(self._compensated, filtered), partial(self._weights, filtered))
@@ -157,6 +161,10 @@ class GeometryGuided:
         if depth is None:
             del seconds["tsdf"]
         return Rendering(image, depth, seconds, diagnostics)
+
+    def _filtered(self, instant: Instant, part: slice) -> list[tuple[SourceView, Change | None]]:
+        """Filter the depth of some of the sources: large maps made of small ones are made by a single thread."""
+        return [self._filter.step(instant.index, source) for source in instant.sources[part]]
 
     def _compensated(self, filtered: Instant) -> Instant:
         """The instant with its sources brought to one colour, if that is wanted."""
@@ -175,10 +183,12 @@ class GeometryGuided:
         index, target = filtered.index, filtered.target
         surface = np.zeros((target.height, target.width), np.float32) if depth is None else depth
         inputs = BlendingInputs(filtered, splats, surface, self._tau(filtered))
-        still, blended = side_by_side(
-            partial(self._stillness, filtered, splats, depth, changes), partial(self.blender.blend, inputs)
-        )
-        diagnostics = diagnostics_maps(depth, splats, still)
+
+        def judged() -> tuple[Map, dict[str, Map]]:
+            still = self._stillness(filtered, splats, depth, changes)
+            return still, diagnostics_maps(depth, splats, still)
+
+        (still, diagnostics), blended = side_by_side(judged, partial(self.blender.blend, inputs))
         if blended.weights is not None:
             diagnostics["weights"] = blended.weights
         image = self._compensation.finish(blended.image, target) if chosen.compensated else blended.image

@@ -7,7 +7,7 @@ import numpy as np
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.kernels import get_threads
+from ggvs_eval.kernels import get_threads, side_by_side
 from ggvs_eval.pipelines.online.stillness import LEAST_NOISE, cells, falling, light, mean_square, pooled
 
 DRAGGED = (0.3, 0.8)  # energy that a mean of past images errs by, times that of the noise of one: none and all of it harms
@@ -66,9 +66,11 @@ class RecurrentOutput:
         before, age, new = self._shown, np.ones_like(still), cells(image)
         if before is not None and before.index == index - 1 and before.target.shows_the_same_rays(target):
             most = np.float32((1 + self._limit) / (1 - self._limit))  # instants that a mean of such weights is worth
-            still = still * agreement(new, cells(before.image), before.new, np.minimum(before.age, most))
+            past = cells(before.image)
+            still = still * agreement(new, past, before.new, np.minimum(before.age, most))
             age += still * before.age
-            image = mixed(image, before.image, still * np.minimum(1 - 1 / age, np.float32(self._limit)))
+            weight = still * np.minimum(1 - 1 / age, np.float32(self._limit))
+            image = mixed(image, before.image, weight, past - new)
         self._shown = _Shown(index, target, image, new, age)
         return image
 
@@ -88,19 +90,24 @@ def agreement(new: Map, mean: Map, last: Map, count: Map) -> Map:
         the grain of a texture looks like noise here, and is for the sources to see.
     """
     everywhere = np.ones_like(count)
-    changes = [new - other for other in (mean, last)]
-    dragged, doubled = pooled(np.dstack([mean_square(change - light(change, everywhere)) for change in changes]))
+
+    def energy(change: Map) -> Map:
+        return mean_square(change - light(change, everywhere))
+
+    energies = side_by_side(lambda: energy(new - mean), lambda: energy(new - last))
+    dragged, doubled = pooled(np.dstack(energies))
     excess = 2 * dragged / np.maximum(doubled, np.float32(2 * LEAST_NOISE**2)) - (1 + 1 / count)
     return falling(excess, *DRAGGED)
 
 
-def mixed(image: Map, past: Map, weight: Map) -> Map:
+def mixed(image: Map, past: Map, weight: Map, change: Map) -> Map:
     """The past mixed into an image where it has weight, but for what changed over wide areas.
 
     Args:
         image: (H, W, 3), float32.
         past: (H, W, 3), float32.
         weight: of the past, one per cell, in [0, 1].
+        change: from the image to the past, at each cell, (h, w, 3).
 
     Reading:
         Light that changes slowly is not seen as motion and would lag behind. The mean difference over about 32 pixels, of what
@@ -108,7 +115,7 @@ def mixed(image: Map, past: Map, weight: Map) -> Map:
     """
     from ggvs_eval.kernels import _core
 
-    change = light(cells(past) - cells(image), weight)
+    change = light(change, weight)
     maps = np.stack([weight, *(weight * change[..., channel] for channel in range(3))])
     now, before = (np.ascontiguousarray(each, np.float32) for each in (image, past))
     return _core.recur(now, before, maps, get_threads())

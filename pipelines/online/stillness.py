@@ -132,7 +132,7 @@ def cells(image: Map, size: tuple[int, int] | None = None) -> Map:
     """
     size = size or tuple(-(-side // REDUCTION) for side in image.shape[:2])
     rows, columns = (middles(side, count) for side, count in zip(image.shape[:2], size, strict=True))
-    return np.asarray(image[rows[:, None], columns])
+    return image[rows].take(columns, axis=1)
 
 
 def middle_rays(camera: Camera) -> Camera:
@@ -152,7 +152,7 @@ def light(change: Map, weight: Map) -> Map:
     """Mean of a change of colour per cell, (h, w, 3), over areas as wide as light, by weights (h, w)."""
     block = LIGHT_PX // REDUCTION
     small = (-(-weight.shape[1] // block), -(-weight.shape[0] // block))
-    parts = np.concatenate([change * weight[..., None], weight[..., None]], axis=-1)
+    parts = cv2.merge([*(change[..., channel] * weight for channel in range(3)), weight])
     sums = cv2.GaussianBlur(cv2.resize(parts, small, interpolation=cv2.INTER_AREA), (0, 0), 1)
     mean = sums[..., :3] / (sums[..., 3:] + np.float32(1e-3))
     return np.asarray(cv2.resize(mean, weight.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
@@ -160,7 +160,8 @@ def light(change: Map, weight: Map) -> Map:
 
 def mean_square(change: Map) -> Map:
     """Energy of a change of colour, (h, w, 3), per channel."""
-    return np.asarray((change**2).sum(axis=-1) / np.float32(3), np.float32)
+    red, green, blue = np.moveaxis(change * change, -1, 0)  # numpy sums so short an axis five times as slowly
+    return np.asarray((red + green + blue) / np.float32(3), np.float32)
 
 
 def pooled(maps: Map) -> Map:

@@ -5,6 +5,8 @@ from hypothesis import strategies as st
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry import warp
+from ggvs_eval.geometry.warp import warp_change
+from ggvs_eval.method import SourceView
 from helpers.geometry_scenes import TAU, moved, random_camera, random_depth, seeds, sizes
 from helpers.refusals import refused
 from helpers.twins.warp import warp_twin
@@ -22,6 +24,21 @@ def test_agrees_with_its_twin(seed, target_size, source_size, bicubic):
     flips = 2 * max(0.005, 1 / ours.visibility.size)
     assert (np.abs(ours.colour - theirs.colour).max(axis=-1) > 1e-4).mean() <= flips
     assert (np.abs(ours.visibility - theirs.visibility) > 2e-3).mean() <= flips
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds, sizes, sizes)
+def test_a_change_is_warped_as_the_image_of_its_differences(seed, target_size, source_size):
+    """Two 8-bit images give the bits that their difference over 255 gives, up to the last pixel, which no byte follows."""
+    random = np.random.default_rng(seed)
+    target, source = random_camera(random, *target_size), random_camera(random, source_size[0] + 1, source_size[1])
+    now, before = random.integers(0, 256, (2, source.height, source.width, 3)).astype(np.uint8)
+    depth, own = random_depth(random, target), random_depth(random, source)
+    difference = (now.astype(np.float32) - before) / np.float32(255)
+    found = warp_change(target, depth, SourceView(source, now, own, own), before, TAU)
+    expected = warp(target, depth, source, difference, own, TAU)
+    np.testing.assert_array_equal(found.colour, expected.colour)
+    np.testing.assert_array_equal(found.visibility, expected.visibility)
 
 
 @pytest.mark.parametrize("bicubic", [False, True])

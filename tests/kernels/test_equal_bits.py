@@ -14,6 +14,8 @@ from ggvs_eval import kernels
 from ggvs_eval.geometry import fusion_weights, look_up, ray_march, splat, warp
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.per_pixel import largest_feature, weighted_mean
+from ggvs_eval.geometry.warp import warp_change
+from ggvs_eval.method import SourceView
 from ggvs_eval.metrics.image.ssim import ssim_per_channel
 from ggvs_eval.pipelines.online.blending import push_pull
 from ggvs_eval.pipelines.online.depth_filter import filter_depth
@@ -61,11 +63,14 @@ def marching(random: np.random.Generator) -> Computation:
 def warping(random: np.random.Generator) -> Computation:
     target, source = random_camera(random, 90, 70), random_camera(random, 80, 60)
     image = random.random((60, 80, 3), dtype=np.float32)
-    inputs = (target, random_depth(random, target), source, image, random_depth(random, source), TAU)
+    depths = random_depth(random, target), random_depth(random, source)
+    now, before = random.integers(0, 256, (2, 60, 80, 3)).astype(np.uint8)
+    view = SourceView(source, now, depths[1], depths[1])
 
     def compute() -> tuple[np.ndarray, ...]:
-        result = warp(*inputs)
-        return result.colour, result.visibility
+        bilinear, bicubic = (warp(target, depths[0], source, image, depths[1], TAU, bicubic=way) for way in (False, True))
+        changed = warp_change(target, depths[0], view, before, TAU)
+        return bilinear.colour, bilinear.visibility, bicubic.colour, changed.colour, changed.visibility
 
     return compute
 
