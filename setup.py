@@ -21,7 +21,7 @@ DEFORMATION = (
     "memory",
 )
 STEREO = (
-    *("stereo", "plane_sweep", "sgm", "weighted_median", "edge_enlarge"),
+    *("stereo", "plane_sweep", "sgm", "block_match", "subpixel", "weighted_median", "edge_enlarge"),
     *("stereo_levels", "stereo_baseline", "stereo_avx2", "stereo_avx512"),
 )
 FEATURES = ("feature_bindings", "feature_maps", "feature_levels", "feature_baseline", "feature_avx2", "feature_avx512", "memory")

@@ -28,6 +28,21 @@ def sweep_planes(
 def aggregate(
     costs: Bytes, guide: Bytes, small_step: int, large_steps: Bytes, threads: int, level: int
 ) -> tuple[Image, Image]: ...
+def match_blocks(
+    left: Bytes, right: Bytes, count: int, radius: int, small_step: int, large_step: int, threads: int, level: int
+) -> NDArray[np.int16]: ...
+def sample_matches(right: Bytes, disparity: Image) -> Image: ...
+def refine_matches(
+    left: Bytes,
+    right: Bytes,
+    slope: Image,
+    disparity: Image,
+    gain: float,
+    window: int,
+    iterations: int,
+    largest_step: float,
+    noise: float,
+) -> Image: ...
 def weighted_median(
     surface: Image, guide: Bytes, planes: int, radius: int, colour_scale: float, tolerance: float, threads: int
 ) -> Image: ...

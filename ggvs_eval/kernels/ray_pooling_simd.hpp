@@ -48,6 +48,9 @@ GGVS_INLINE RayLook look_of(F* memory, int view) {
     return {at, hidden, colour, colour + 3, colour + 7, colour + 8, colour + 9};
 }
 
+// Whether the view sees any of the samples: what it says of the others has no weight.
+GGVS_INLINE bool sees_any(const RayLook& look) { return any(less(all(0.0f), look.mask[0])); }
+
 // Linear between pixels, 0 beyond the border: `channels` values of each lane at (x, y), whole numbers at pixel centres.
 GGVS_INLINE void look_up_lanes(const float* image, int height, int width, int channels, F x, F y, F* out) {
     alignas(64) float xs[kWidth], ys[kWidth], shown[kWidth * kRayFeatures];
@@ -141,6 +144,7 @@ GGVS_INLINE void understand(const RayLayers& layers, F* memory, int views, F* sc
     F *pooled = scratch, *shared = pooled + 2 * kRaySeen, *first = shared + kMostRayWidth, *second = first + kMostRayWidth;
     for (int k = 0; k < views; ++k) {
         RayLook look = look_of(memory, k);
+        if (!sees_any(look)) continue;
         elu_layer(layers.direction[0], look.direction, first);
         elu_layer(layers.direction[1], first, second);
         for (int c = 0; c < kRaySeen; ++c) look.features[c] = look.features[c] + second[c];
@@ -151,6 +155,11 @@ GGVS_INLINE void understand(const RayLayers& layers, F* memory, int views, F* sc
     layer_sums<true>(layers.base_shared, pooled, shared);
     for (int k = 0; k < views; ++k) {
         RayLook look = look_of(memory, k);
+        if (!sees_any(look)) {
+            for (int c = 0; c < kRayFeatures; ++c) look.hidden[c] = all(0.0f);
+            look.visible[0] = all(0.0f);
+            continue;
+        }
         for (int o = 0; o < kMostRayWidth; ++o) first[o] = shared[o];
         layer_sums<false>(layers.base_own, look.features, first);
         for (int o = 0; o < kMostRayWidth; ++o) first[o] = elu(first[o]);
@@ -173,6 +182,9 @@ GGVS_INLINE void mix_colours(const RayLayers& layers, F* memory, int views, F* s
     F highest = all(-3.0e38f), sum = all(0.0f);
     for (int k = 0; k < views; ++k) {
         RayLook look = look_of(memory, k);
+        look.weight[0] = all(-1e9f);
+        highest = max(highest, look.weight[0]);
+        if (!sees_any(look)) continue;
         for (int c = 0; c < kRayFeatures; ++c) input[c] = look.hidden[c];
         input[kRayFeatures] = look.visible[0];
         for (int c = 0; c < 4; ++c) input[kRayFeatures + 1 + c] = look.direction[c];

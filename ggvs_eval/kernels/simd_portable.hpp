@@ -83,6 +83,34 @@ GGVS_INLINE M half_of_patch(I) { return no_lanes(); }
 GGVS_INLINE F look(const Patch&, I, M) { return all(0.0f); }
 GGVS_INLINE uint32_t least_halves(I) { return 0; }
 GGVS_INLINE bool halves_below(I, I) { return false; }
+// Eight 16-bit numbers.
+using H = int16_t __attribute__((vector_size(16)));
+// The smallest one, none below 0, in every lane.
+GGVS_INLINE H least_everywhere(H x) {
+    H half{x[4], x[5], x[6], x[7], x[4], x[5], x[6], x[7]};
+    x = x < half ? x : half;
+    half = H{x[2], x[3], x[2], x[3], x[2], x[3], x[2], x[3]};
+    x = x < half ? x : half;
+    return H{} + (x[0] < x[1] ? x[0] : x[1]);
+}
+// Of lanes n and n + 8, where there are so many, the larger one, of these eight the smallest one; numbers below 0 come last.
+GGVS_INLINE int least_of_larger(H x) {
+    uint16_t least = uint16_t(x[0]);
+    for (int n = 1; n < 8; ++n) least = uint16_t(x[n]) < least ? uint16_t(x[n]) : least;
+    return least;
+}
+// What lies one lane before b, and one behind a, where b follows a.
+GGVS_INLINE H between(H, H) { return H{}; }
+#if defined(__clang__)
+GGVS_INLINE H lanes_before(H a, H, H b) { return __builtin_shufflevector(a, b, 7, 8, 9, 10, 11, 12, 13, 14); }
+GGVS_INLINE H lanes_after(H a, H, H b) { return __builtin_shufflevector(a, b, 1, 2, 3, 4, 5, 6, 7, 8); }
+#else
+GGVS_INLINE H lanes_before(H a, H, H b) { return __builtin_shuffle(a, b, H{7, 8, 9, 10, 11, 12, 13, 14}); }
+GGVS_INLINE H lanes_after(H a, H, H b) { return __builtin_shuffle(a, b, H{1, 2, 3, 4, 5, 6, 7, 8}); }
+#endif
+// Bytes a - b, at least 0.
+using B = uint8_t __attribute__((vector_size(16)));
+GGVS_INLINE B excess(B a, B b) { return (a > b ? a : b) - b; }
 // Every four lanes side by side, the next four `row` floats further.
 GGVS_INLINE void store_rows(float* p, int, F x) { store(p, x); }
 // Four values of every lane side by side, those of the next lane `stride` floats further, of the next four lanes `row` floats.

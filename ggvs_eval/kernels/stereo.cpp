@@ -11,10 +11,12 @@
 #include <vector>
 
 #include "array_arguments.hpp"
+#include "block_match.hpp"
 #include "edge_enlarge.hpp"
 #include "plane_sweep.hpp"
 #include "sgm.hpp"
 #include "sources.hpp"
+#include "subpixel.hpp"
 #include "weighted_median.hpp"
 
 namespace py = pybind11;
@@ -123,6 +125,70 @@ py::tuple aggregate(const py::array& costs, const py::array& guide, int small_st
     return py::make_tuple(surface, margin);
 }
 
+py::array_t<int16_t> match_blocks(const py::array& left, const py::array& right, int count, int radius, int small_step,
+                                  int large_step, int threads, int level) {
+    const auto size = shape_of(left, "left", 2);
+    check_size(size[0], size[1], "left: wanted 1 x 1 to 65535 x 65535 pixels");
+    require(count >= ggvs::kDisparityStep && count % ggvs::kDisparityStep == 0 && count < size[1],
+            "count: wanted a multiple of 16 that is less than the width");
+    require(radius >= 0 && radius <= kMaxSide && small_step >= 0 && small_step <= large_step, "steps: wanted the larger one second");
+    const int64_t block = (2 * int64_t(radius) + 1) * (2 * int64_t(radius) + 1);
+    require(3 * (block * ggvs::kLargestDifference + large_step) < ggvs::kLargestTotal, "block, steps: wanted three paths that cost less than 32767 together");
+    const ggvs::BlockTask task{data_of<uint8_t>(left, "left", size),
+                               data_of<uint8_t>(right, "right", size),
+                               int(size[0]),
+                               int(size[1]),
+                               count,
+                               radius,
+                               small_step,
+                               large_step};
+    py::array_t<int16_t> disparity({size[0], size[1]});
+    int16_t* out = disparity.mutable_data();
+    {
+        py::gil_scoped_release released;
+        ggvs::match_blocks(task, out, threads, level);
+    }
+    return disparity;
+}
+
+// All of a task but what its callers add.
+ggvs::SubpixelTask read_matches(const py::array& left, const py::array& right, const py::array& disparity) {
+    const auto size = shape_of(left, "left", 2);
+    check_size(size[0], size[1], "left: wanted 1 x 1 to 65535 x 65535 pixels");
+    ggvs::SubpixelTask task{};
+    task.left = data_of<uint8_t>(left, "left", size), task.right = data_of<uint8_t>(right, "right", size);
+    task.disparity = data_of<float>(disparity, "disparity", size);
+    task.height = int(size[0]), task.width = int(size[1]);
+    return task;
+}
+
+py::array_t<float> sample_matches(const py::array& right, const py::array& disparity) {
+    const ggvs::SubpixelTask task = read_matches(right, right, disparity);
+    py::array_t<float> matched({task.height, task.width});
+    float* out = matched.mutable_data();
+    {
+        py::gil_scoped_release released;
+        ggvs::sample_matches(task, out);
+    }
+    return matched;
+}
+
+py::array_t<float> refine_matches(const py::array& left, const py::array& right, const py::array& slope,
+                                  const py::array& disparity, float gain, int window, int iterations, float largest_step,
+                                  float noise) {
+    ggvs::SubpixelTask task = read_matches(left, right, disparity);
+    task.slope = data_of<float>(slope, "slope", {task.height, task.width});
+    require(window >= 1 && window <= kMaxSide && noise > 0, "window: wanted 1 to 65535 pixels, and noise above 0");
+    task.gain = gain, task.window = window, task.largest_step = largest_step, task.noise = noise;
+    py::array_t<float> refined({task.height, task.width});
+    float* out = refined.mutable_data();
+    {
+        py::gil_scoped_release released;
+        ggvs::refine_matches(task, iterations, out);
+    }
+    return refined;
+}
+
 py::array_t<float> weighted_median(const py::array& surface, const py::array& guide, int planes, int radius, float colour_scale,
                                    float tolerance, int threads) {
     const auto size = shape_of(surface, "surface", 2);
@@ -181,6 +247,11 @@ PYBIND11_MODULE(_stereo, module) {
                "ranges"_a, "threads"_a, "level"_a, "Costs of planes of constant depth, (H, W, planes) uint8.");
     module.def("aggregate", &aggregate, "costs"_a, "guide"_a, "small_step"_a, "large_steps"_a, "threads"_a, "level"_a,
                "Semi-global matching: the surface in planes and its margin, (H, W) each.");
+    module.def("match_blocks", &match_blocks, "left"_a, "right"_a, "count"_a, "radius"_a, "small_step"_a, "large_step"_a,
+               "threads"_a, "level"_a, "Semi-global block matching: disparity in sixteenths of a pixel, (H, W) int16.");
+    module.def("sample_matches", &sample_matches, "right"_a, "disparity"_a, "Grey values at the matches of pixels, (H, W).");
+    module.def("refine_matches", &refine_matches, "left"_a, "right"_a, "slope"_a, "disparity"_a, "gain"_a, "window"_a,
+               "iterations"_a, "largest_step"_a, "noise"_a, "Disparity by least squares on the images, (H, W).");
     module.def("weighted_median", &weighted_median, "surface"_a, "guide"_a, "planes"_a, "radius"_a, "colour_scale"_a,
                "tolerance"_a, "threads"_a, "A surface with its edges moved to those of the guide, (H, W).");
     module.def("enlarge_to_edges", &enlarge_to_edges, "depth"_a, "confidence"_a, "small_image"_a, "image"_a, "smooth"_a,

@@ -9,11 +9,13 @@
 #include "sweep_warp_simd.hpp"
 #include "sweep_tile_simd.hpp"
 #include "sgm_simd.hpp"
+#include "block_match_simd.hpp"
 #include "simd_end.hpp"
 
 namespace ggvs {
 
-const StereoKernels kAvx2Stereo = {avx2::sweep_tile, avx2::aggregate_row};
+const StereoKernels kAvx2Stereo = {avx2::sweep_tile, avx2::aggregate_row, avx2::block_differences,
+                                    avx2::block_forward, avx2::block_backward};
 
 }  // namespace ggvs
 #endif

@@ -9,11 +9,13 @@
 #include "sweep_warp_simd.hpp"
 #include "sweep_tile_simd.hpp"
 #include "sgm_simd.hpp"
+#include "block_match_simd.hpp"
 #include "simd_end.hpp"
 
 namespace ggvs {
 
-const StereoKernels kAvx512Stereo = {avx512::sweep_tile, avx512::aggregate_row};
+const StereoKernels kAvx512Stereo = {avx512::sweep_tile, avx512::aggregate_row, avx512::block_differences,
+                                    avx512::block_forward, avx512::block_backward};
 
 }  // namespace ggvs
 #endif

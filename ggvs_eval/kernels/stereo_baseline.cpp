@@ -6,9 +6,11 @@
 #include "sweep_warp_simd.hpp"
 #include "sweep_tile_simd.hpp"
 #include "sgm_simd.hpp"
+#include "block_match_simd.hpp"
 
 namespace ggvs {
 
-const StereoKernels kBaselineStereo = {baseline::sweep_tile, baseline::aggregate_row};
+const StereoKernels kBaselineStereo = {baseline::sweep_tile, baseline::aggregate_row, baseline::block_differences,
+                                    baseline::block_forward, baseline::block_backward};
 
 }  // namespace ggvs

@@ -2,6 +2,7 @@
 
 from itertools import product
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +12,7 @@ from ggvs_eval import kernels
 from ggvs_eval.kernels import _stereo
 from helpers.refusals import refused
 from helpers.twins.plane_sweep import sweep_twin
+from helpers.twins.refinement import look_up, refine_twin
 from helpers.twins.sgm import aggregate_twin, median_twin
 
 LEVEL = kernels.SIMD_LEVELS.index(kernels.get_simd_level())
@@ -107,6 +109,51 @@ def test_matching_agrees_with_its_twin(seed, height, width, planes):
         assert np.array_equal(ours, theirs)
 
 
+def grey_pair(seed, height, width, shift=5):
+    """A picture and itself moved to the left, with noise; coarse grey values, so that costs are often equal."""
+    random = np.random.default_rng(seed)
+    picture = cv2.GaussianBlur(random.integers(0, 256, (height, width + shift)).astype(np.uint8), (0, 0), random.uniform(0.5, 3))
+    step = np.uint8(random.choice([1, 4, 16]))
+    left, right = (picture[:, first : first + width] // step * step for first in (0, shift))
+    return np.ascontiguousarray(left), np.maximum(right, random.integers(0, 9, right.shape).astype(np.uint8))
+
+
+def opencv_blocks(left, right, count, radius, small, large):
+    """Disparity by OpenCV, which takes its median behind."""
+    matcher = cv2.StereoSGBM.create(0, count, 2 * radius + 1, small, large, disp12MaxDiff=-1, mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    return matcher.compute(left, right)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seeds, st.integers(24, 70), st.integers(4, 90), st.integers(1, 6), st.integers(1, 3), st.integers(1, 8))
+def test_blocks_are_matched_as_by_opencv(seed, height, columns, sixteens, radius, small):
+    """Any size but a tiny one, where OpenCV's stripes shift, gives OpenCV's disparities, to the bit, even of equal costs."""
+    count, area = 16 * sixteens, (2 * radius + 1) ** 2
+    steps = small * area, (small + 24) * area
+    left, right = grey_pair(seed, height, count + columns)
+    ours = _stereo.match_blocks(left, right, count, radius, *steps, 2, LEVEL)
+    assert np.array_equal(cv2.medianBlur(ours, 3), opencv_blocks(left, right, count, radius, *steps))
+
+
+@settings(deadline=None, max_examples=25)
+@given(seeds, st.integers(1, 30), st.integers(1, 60), st.integers(1, 8), st.integers(0, 3))
+def test_refinement_agrees_with_its_twin(seed, height, width, window, iterations):
+    """Any size of image and window gives what cv2.remap and cv2.blur give, to the bit where cv2 fuses multiply-adds as we do."""
+    random = np.random.default_rng(seed)
+    left, right = random.integers(0, 256, (2, height, width)).astype(np.uint8)
+    disparity = np.maximum(random.uniform(-5, 20, (height, width)), 0).astype(np.float32)
+    slope = cv2.Sobel(right, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
+    ours = _stereo.refine_matches(left, right, slope, disparity, 0.9, window, iterations, 0.5, 4.0)
+    theirs = refine_twin(left, right, disparity, 0.9, window, iterations)
+    rows, columns = np.indices(disparity.shape, dtype=np.float32)
+    matched = look_up(right.astype(np.float32), columns - disparity, rows)
+    if "FMA3" in cv2.getCPUFeaturesLine() and cv2.checkHardwareSupport(cv2.CPU_FMA3):
+        assert np.array_equal(ours, theirs)
+        assert np.array_equal(_stereo.sample_matches(right, disparity), matched)
+    assert np.allclose(_stereo.sample_matches(right, disparity), matched, atol=1e-3)
+    assert np.allclose(ours, theirs, atol=1e-2)
+
+
 @settings(deadline=None, max_examples=10)
 @given(seeds, st.integers(1, 12), st.integers(1, 12), st.integers(0, 4))
 def test_median_agrees_with_its_twin(seed, height, width, radius):
@@ -142,7 +189,8 @@ def test_bits_depend_on_neither_threads_nor_instruction_set():
             costs = sweep(reference, guide, partners, threads=threads, level=level)
             surface, margin = _stereo.aggregate(costs, guide[..., 0].copy(), 8, np.full(256, 70, np.uint8), threads, level)
             median = _stereo.weighted_median(surface, guide, 32, 5, 7.0, 5.0, threads)
-            results.add(tuple(array.tobytes() for array in (costs, surface, margin, median)))
+            blocks = _stereo.match_blocks(*grey_pair(7, 50, 150), 48, 1, 72, 288, threads, level)
+            results.add(tuple(array.tobytes() for array in (costs, surface, margin, median, blocks)))
         assert len(results) == 1
 
 
@@ -193,6 +241,11 @@ def test_wrong_arrays_are_refused():
         _stereo.aggregate(costs, grey[:-1], small, large, 1, LEVEL)
     with refused(TypeError, "large_steps", "uint8 (256,)"):
         _stereo.aggregate(costs, grey, small, large[:-1], 1, LEVEL)
+    left, right = grey_pair(0, 20, 50)
+    with refused(TypeError, "right", "uint8 (20, 50)"):
+        _stereo.match_blocks(left, right[1:].copy(), 32, 1, 72, 288, 1, LEVEL)
+    with refused(TypeError, "disparity", "float32 (20, 50)"):
+        _stereo.refine_matches(left, right, np.zeros((20, 50), np.float32), np.zeros((20, 49), np.float32), 1, 7, 2, 0.5, 4)
 
 
 def test_wrong_values_are_refused():
@@ -222,3 +275,24 @@ def test_wrong_values_are_refused():
         _stereo.aggregate(costs, grey, 9, np.full(256, 120, np.uint8), 1, LEVEL)
     with pytest.raises(ValueError, match="median: wanted"):
         _stereo.weighted_median(reference, guide, 32, -1, 7.0, 5.0, 1)
+    left, right = grey_pair(0, 20, 50)
+    for count in (0, 20, 64, -16):
+        with refused(ValueError, "count", "multiple of 16", "less than the width"):
+            _stereo.match_blocks(left, right, count, 1, 72, 288, 1, LEVEL)
+    for radius, small, large in ((-1, 8, 32), (1, 288, 72), (1, -1, 72)):
+        with refused(ValueError, "wanted"):
+            _stereo.match_blocks(left, right, 32, radius, small, large, 1, LEVEL)
+    with refused(ValueError, "block, steps", "32767"):
+        _stereo.match_blocks(left, right, 32, 7, 72, 9000, 1, LEVEL)
+    with refused(ValueError, "window"):
+        _stereo.refine_matches(left, right, np.zeros((20, 50), np.float32), np.zeros((20, 50), np.float32), 1, 0, 2, 0.5, 4)
+
+
+def test_disparities_that_are_no_numbers_stay_within_the_image():
+    """NaN and infinities among the disparities: no crash, and grey values of the row's ends."""
+    left, right = grey_pair(0, 3, 8)
+    disparity = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 1, 2, 3], np.float32) * np.ones((3, 1), np.float32)
+    matched = _stereo.sample_matches(right, disparity)
+    assert np.array_equal(matched[:, 1], right[:, 0])
+    assert np.array_equal(matched[:, 2], right[:, -1])
+    assert _stereo.refine_matches(left, right, np.ones((3, 8), np.float32), disparity, 1, 7, 2, 0.5, 4).shape == (3, 8)

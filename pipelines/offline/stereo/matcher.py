@@ -4,7 +4,6 @@ Semi-global matching interpolates its costs between whole pixels and so prefers 
 largest error in depth. Least squares on the images (one-dimensional Lucas-Kanade) take it away.
 """
 
-from collections.abc import Callable
 from typing import Protocol
 
 import cv2
@@ -46,41 +45,16 @@ def refine_disparity(left: Image8, right: Image8, disparity: Map, window: int, i
     Returns:
         Refined disparity, (H, W), at most half a pixel per iteration from what was given.
     """
-    reference, other = left.astype(np.float32), right.astype(np.float32)
-    slope = cv2.Sobel(other, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
-    grid: Map = np.indices(disparity.shape, dtype=np.float32)
-    rows, columns = grid[0], grid[1]
+    from ggvs_eval.kernels import _stereo
+
     valid = disparity > 0
     if not valid.any():
         return disparity
-    places, weight = columns - disparity, valid.astype(np.float32)
-    matched = _sample(other, places, rows)
-    gain = reference[valid].std() / max(matched[valid].std(), np.float32(1))
-    share = np.maximum(cv2.blur(weight, (window, window)), np.float32(1e-6))
-
-    def mean(values: Map) -> Map:
-        return cv2.blur(values * weight, (window, window)) / share
-
-    refined = disparity
-    for iteration in range(iterations):
-        if iteration:
-            places = columns - refined
-            matched = _sample(other, places, rows)
-        step = _solve(reference - gain * matched, gain * _sample(slope, places, rows), mean)
-        refined = np.where(valid, refined + np.clip(step, -LARGEST_STEP_PX, LARGEST_STEP_PX), np.float32(0))
-    return np.maximum(refined, 0)
-
-
-def _solve(difference: Map, slope: Map, mean: Callable[[Map], Map]) -> Map:
-    """The step that explains the difference but for a constant per window, (H, W); `mean` is over windows."""
-    mean_slope, mean_difference = mean(slope), mean(difference)
-    covariance = mean(slope * difference) - mean_slope * mean_difference
-    variance: Map = np.maximum(mean(slope * slope) - mean_slope * mean_slope, np.float32(0))
-    return -covariance / (variance + np.float32(NOISE_SLOPE))
-
-
-def _sample(image: Map, columns: Map, rows: Map) -> Map:
-    return cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    left, right, disparity = np.ascontiguousarray(left), np.ascontiguousarray(right), np.ascontiguousarray(disparity)
+    matched = _stereo.sample_matches(right, disparity)
+    gain = float(left[valid].astype(np.float32).std() / max(matched[valid].std(), np.float32(1)))
+    slope = np.asarray(cv2.Sobel(right, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8), np.float32)
+    return _stereo.refine_matches(left, right, slope, disparity, gain, window, iterations, LARGEST_STEP_PX, NOISE_SLOPE)
 
 
 class StereoMatcher(Protocol):

@@ -1,4 +1,4 @@
-"""OpenCV's semi-global matching over an image pyramid, checked left against right."""
+"""Semi-global matching, as OpenCV does it, over an image pyramid, checked left against right."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,10 +8,13 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_disparity
 
 Side = Literal["left", "right"]
-SUBPIXEL = 16  # OpenCV counts disparity in sixteenths of a pixel
+SUBPIXEL = 16  # the kernel counts disparity in sixteenths of a pixel
+UNMATCHED = -16  # no disparity, in these
+SPECKLE_RANGE = 2 * SUBPIXEL  # neighbours that differ by less are one patch
 
 
 @dataclass(frozen=True)
@@ -102,26 +105,21 @@ class SgbmMatcher:
 
     def _disparity(self, left: Image8, right: Image8, d_min: int, d_max: int) -> Map:
         """Disparity of the left image in pixels, 0 = none found."""
-        count = -(-(d_max - d_min + 1) // 16) * 16  # OpenCV wants a multiple of 16
+        from ggvs_eval.kernels import _stereo
+
+        count = -(-(d_max - d_min + 1) // 16) * 16  # the kernel wants a multiple of 16
         area = self.block**2
-        sgbm = cv2.StereoSGBM.create(
-            minDisparity=0,
-            numDisparities=count,
-            blockSize=self.block,
-            P1=self.p1 * area,
-            P2=self.p2 * area,
-            disp12MaxDiff=-1,
-            uniquenessRatio=0,
-            speckleWindowSize=self.speckle_px,
-            speckleRange=2,
-            mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
-        )
         shifted = left[:, d_min:], right[:, : right.shape[1] - d_min]  # disparity d_min becomes 0
-        # OpenCV leaves the first `count` columns unmatched.
-        padded = [cv2.copyMakeBorder(image, 0, 0, count, 0, cv2.BORDER_REPLICATE) for image in shifted]
-        sixteenths = sgbm.compute(*padded)[:, count:]
-        disparity = np.where(sixteenths >= 0, sixteenths.astype(np.float32) / SUBPIXEL + d_min, np.float32(0))
-        return np.pad(disparity, ((0, 0), (d_min, 0)))
+        # The kernel leaves the first `count` columns unmatched.
+        first, second = (np.pad(image, ((0, 0), (count, 0)), "edge") for image in shifted)
+        steps, level = (self.p1 * area, self.p2 * area), SIMD_LEVELS.index(get_simd_level())
+        matched = _stereo.match_blocks(first, second, count, self.block // 2, *steps, get_threads(), level)
+        sixteenths = cv2.medianBlur(matched[:, count - 1 :], 3)  # of the unmatched ones one takes part
+        cv2.filterSpeckles(sixteenths, UNMATCHED, self.speckle_px, SPECKLE_RANGE)
+        sixteenths = sixteenths[:, 1:]
+        disparity = np.zeros(left.shape, np.float32)
+        np.copyto(disparity[:, d_min:], sixteenths / np.float32(SUBPIXEL) + np.float32(d_min), where=sixteenths >= 0)
+        return disparity
 
 
 def _enlarge(coarse: Map, size: tuple[int, int]) -> Map:
