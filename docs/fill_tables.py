@@ -117,6 +117,7 @@ TABLES = (
     Table(BENCH, "real_frame_coverage_views", "real_frame_coverage", lambda: views_table(OUT / "real_frame_coverage")),
     Table(RESULTS, "real_video", "real_video", lambda: sweep_table(OUT / "real_video", VIDEO_METRICS)),
     Table(BENCH, "real_video_views", "real_video", lambda: views_table(OUT / "real_video" / "dome")),
+    Table(BENCH, "real_video_itermvs", "real_video_itermvs", lambda: results_table(OUT / "real_video_itermvs")),
     Table(RESULTS, "speed", "bench", speed_table),
     Table(MEASURED, "ablations", "rooms_ablations", lambda: sweep_table(OUT / "rooms_ablations", ABLATION_METRICS)),
     Table(BENCH, "noise", "rooms_noise", lambda: sweep_table(OUT / "rooms_noise", ABLATION_METRICS)),

@@ -30,6 +30,8 @@ ROOMS = tuple(f"out/rooms/{seed}" for seed in range(3))
 ON_A_VIDEO = ("no-blending", "distance-based", "enerf", "ours", "ours-geometric", "ours+no-temporal")
 ON_A_LONG_VIDEO = ("ours", "distance-based", "ours+no-temporal")
 FITTED = ("ours", "3dgs-per-instant")
+FILLED = ("ours", "ours-geometric")
+ITERMVS_FILE = "itermvs_blendedmvs_000015.ckpt"
 ON_A_REAL_FRAME = ("no-blending", "distance-based", "interpolation", "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", "ours")
 ON_A_SMALL_FRAME = (*ON_A_REAL_FRAME[:-1], "mvsplat", "mvsnerf", "ours", "ours-geometric")
 
@@ -222,6 +224,17 @@ MEASUREMENTS = {
             ),
             70,
             ON_A_VIDEO,
+            str(ROOT / VIDEO_PROTOCOL),
+            captures=(DOME,),
+        ),
+        Measurement(
+            "real_video_itermvs",
+            (
+                f"ggvs-eval run out/real_video_itermvs --capture {{data}}/{DOME} --protocol {VIDEO_PROTOCOL} "
+                f"--matcher sgbm+itermvs:{{weights}}/{ITERMVS_FILE} --methods {' '.join(FILLED)}",
+            ),
+            75,
+            FILLED,
             str(ROOT / VIDEO_PROTOCOL),
             captures=(DOME,),
         ),
