@@ -116,25 +116,6 @@ GGVS_INLINE uint32_t least_halves(I halves) {
     four = _mm_min_epu16(four, _mm_shuffle_epi32(four, 0x4e));
     return uint32_t(_mm_cvtsi128_si32(_mm_min_epu16(four, _mm_shuffle_epi32(four, 0xb1))));
 }
-// Sixteen 16-bit numbers.
-using H = int16_t __attribute__((vector_size(32)));
-// The smallest one, none below 0, in every lane.
-GGVS_INLINE H least_everywhere(H x) {
-    const __m128i eight = _mm_min_epu16(_mm256_castsi256_si128((__m256i)x), _mm256_extracti128_si256((__m256i)x, 1));
-    return (H)_mm256_broadcastw_epi16(_mm_minpos_epu16(eight));
-}
-// Of lanes n and n + 8 the larger one, of these eight the smallest one; numbers below 0 come last.
-GGVS_INLINE int least_of_larger(H x) {
-    const __m128i eight = _mm_max_epi16(_mm256_castsi256_si128((__m256i)x), _mm256_extracti128_si256((__m256i)x, 1));
-    return _mm_extract_epi16(_mm_minpos_epu16(eight), 0);
-}
-// The last lanes of a and the first ones of b; and what lies one lane before b, and one behind a.
-GGVS_INLINE H between(H a, H b) { return (H)_mm256_permute2x128_si256((__m256i)a, (__m256i)b, 0x21); }
-GGVS_INLINE H lanes_before(H, H middle, H b) { return (H)_mm256_alignr_epi8((__m256i)b, (__m256i)middle, 14); }
-GGVS_INLINE H lanes_after(H a, H middle, H) { return (H)_mm256_alignr_epi8((__m256i)middle, (__m256i)a, 2); }
-// Bytes a - b, at least 0.
-using B = uint8_t __attribute__((vector_size(32)));
-GGVS_INLINE B excess(B a, B b) { return (B)_mm256_subs_epu8((__m256i)a, (__m256i)b); }
 // Whether both 16-bit numbers of all lanes are below those of `limits`.
 GGVS_INLINE bool halves_below(I halves, I limits) {
     const __m256i beyond = _mm256_subs_epu16((__m256i)limits, (__m256i)halves);
@@ -207,3 +188,5 @@ GGVS_INLINE I load_byte_triples(const uint8_t* p) {
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) { return (I)_mm256_i32gather_epi32((const int*)p, (__m256i)at, 1); }
 
 }  // namespace ggvs::GGVS_LEVEL
+
+#include "simd_halves.hpp"

@@ -77,7 +77,7 @@ STALE: dict[str, set[str]] = {
     "kernels/_core": SPLATTED | {"ibrnet"} | REGIONS | STEADY | PATHS,
     "kernels/_ssim": WITH_SSIM,
     "kernels/_iv_psnr": with_parts("IV_PSNR", "PSNR_YCbCr"),
-    "kernels/_stereo": ALL_DEPTH,
+    "kernels/_stereo": STEREO,
     **{f"baselines/ibrnet/{name}.py": {"ibrnet"} for name in IBRNET},
     "baselines/enerf/volumes.py": {"enerf"},
     "baselines/fixed_blending.py": {"no-blending", "distance-based"},

@@ -20,9 +20,10 @@ from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstima
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.colour_fill import fill_by_colour
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
-from ggvs_eval.pipelines.offline.stereo.fusion import PairwiseEstimator, drop_flying_pixels, fill_background, smooth_surfaces
+from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.live import LiveEstimator, LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
+from ggvs_eval.pipelines.offline.stereo.pairwise import PairwiseEstimator
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
 STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews what has changed by what stands here

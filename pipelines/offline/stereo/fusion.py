@@ -1,15 +1,9 @@
-"""One depth map out of several partners' opinions: taken pair by pair, then consensus, flying pixels, smoothing, filling."""
-
-from collections.abc import Sequence
+"""One depth map out of several partners' opinions: consensus, flying pixels, smoothing, filling."""
 
 import cv2
 import numpy as np
 
-from ggvs_eval.arrays import Image8, Map
-from ggvs_eval.camera import Camera
-from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.geometry.rectification import RectifiedPair, depth_from_disparity, rectify
-from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
+from ggvs_eval.arrays import Map
 
 FUSED_ROWS = 16  # at a time: what they need stays in the processor's cache
 
@@ -106,45 +100,3 @@ def _farther_neighbour(depth: Map) -> Map:
     left = np.maximum.accumulate(np.where(depth > 0, columns, 0), axis=1)
     right = np.minimum.accumulate(np.where(depth > 0, columns, depth.shape[1] - 1)[:, ::-1], axis=1)[:, ::-1]
     return np.maximum(np.take_along_axis(depth, left, axis=1), np.take_along_axis(depth, right, axis=1))
-
-
-class PairwiseEstimator:
-    """Depth of one camera by a stereo matcher; everything that does not depend on the images is prepared once.
-
-    Args:
-        error_px: estimates of two partners agree when disparity errors of this size explain their difference.
-        warm: tell the matcher of each pair what it found at the call before; the calls must then be consecutive instants.
-    """
-
-    def __init__(
-        self, camera: Camera, partners: Sequence[Camera], matcher: StereoMatcher, error_px: float, warm: bool = False
-    ) -> None:
-        self.matcher = matcher
-        self.error_px = error_px
-        self.warm = warm
-        self._pairs = [rectify(camera, partner) for partner in partners]
-        self._previous: list[Map | None] = [None] * len(self._pairs)
-
-    def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
-        """Depth at one instant, invalid where no partner has an opinion.
-
-        Returns:
-            Depth, (H, W), and confidence: the share of partners that agree, weighted by their left-right agreement.
-        """
-        estimates = [self._match(index, image, other) for index, other in enumerate(partner_images)]
-        depths, confidences, disparities = (np.stack(maps) for maps in zip(*estimates, strict=True))  # (N, H, W) each
-        return DepthMap(*fuse(depths, confidences, disparities, self.error_px))
-
-    def forget(self) -> None:
-        """Begin a new sequence: the next call starts cold."""
-        self._previous = [None] * len(self._pairs)
-
-    def _match(self, index: int, image: Image8, partner_image: Image8) -> tuple[Map, Map, Map]:
-        """One partner's depth, confidence and disparity at the camera's pixels, (H, W) each."""
-        pair: RectifiedPair = self._pairs[index]
-        left, right = pair.warp_left(image), pair.warp_right(partner_image)
-        disparity, confidence = self.matcher.match(left, right, pair.d_min, pair.d_max, self._previous[index])
-        if self.warm:
-            self._previous[index] = disparity
-        disparity = np.where(pair.sees(disparity), disparity, np.float32(0))
-        return depth_from_disparity(pair, disparity, confidence)
