@@ -98,11 +98,11 @@ def _sweep(name: str, sweep: str, captures: tuple[str, ...], minutes: int, proto
     return Measurement(name, (*films, command), minutes, protocol=protocol, sweep=sweep)
 
 
-def _of_dome(name: str, methods: tuple[str, ...], minutes: int) -> Measurement:
-    """The real video under ``benchmarks/NAME.toml``."""
-    protocol = f"benchmarks/{name}.toml"
-    command = f"ggvs-eval run out/{name} --capture {{data}}/{DOME} --protocol {protocol} --methods {' '.join(methods)}"
-    return Measurement(name, (command,), minutes, methods, str(ROOT / protocol), captures=(DOME,))
+def _of_dome(name: str, methods: tuple[str, ...], minutes: int, protocol: str = "", more: str = "") -> Measurement:
+    """The real video under ``benchmarks/PROTOCOL.toml``, by default one of the measurement's own name."""
+    file = f"benchmarks/{protocol or name}.toml"
+    command = f"ggvs-eval run out/{name} --capture {{data}}/{DOME} --protocol {file} --methods {' '.join(methods)} {more}"
+    return Measurement(name, (command.strip(),), minutes, methods, str(ROOT / file), captures=(DOME,))
 
 
 def _stream(name: str, capture: str, minutes: int, protocol: str, captures: tuple[str, ...] = ()) -> Measurement:
@@ -227,17 +227,7 @@ MEASUREMENTS = {
             str(ROOT / VIDEO_PROTOCOL),
             captures=(DOME,),
         ),
-        Measurement(
-            "real_video_itermvs",
-            (
-                f"ggvs-eval run out/real_video_itermvs --capture {{data}}/{DOME} --protocol {VIDEO_PROTOCOL} "
-                f"--matcher sgbm+itermvs:{{weights}}/{ITERMVS_FILE} --methods {' '.join(FILLED)}",
-            ),
-            75,
-            FILLED,
-            str(ROOT / VIDEO_PROTOCOL),
-            captures=(DOME,),
-        ),
+        _of_dome("real_video_itermvs", FILLED, 75, "real_video", f"--matcher sgbm+itermvs:{{weights}}/{ITERMVS_FILE}"),
         Measurement("author_clips", (), 40, sources=("benchmarks/author_clips.py",)),  # of a folder of clips that nobody ships
         Measurement(
             "rooms_noise",
