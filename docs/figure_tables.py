@@ -32,6 +32,8 @@ DEPTH_ROWS = {  # shown: name of the figure without its matcher
     "– with a sharpness (`depth_Sharpness`, %) of": "depth.demo.static.sharpness_percent",
     "seconds per depth map of 1345x1008": "depth.seconds",
 }
+SAME_VIEWS = "## Validation on the views of all cards"
+DEVICE_PARTS = ("exposure", "registration", "splat", "network and composition")
 SPEED_ROWS = {  # shown: first part of the figures' names
     "1352x1014, K = 4, network": "online_step",
     "1352x1014, K = 4, geometric weights": "online_geometric_step",
@@ -42,7 +44,6 @@ STAGES = {"filter": "_filter", "splat": "_splat", "TSDF": "_tsdf", "blend": "_bl
 REFINEMENT_FIGURES = {"reprojection": ".2f", "contradiction": ".2f", "PSNR": ".2f", "SSIM": ".3f"}
 BESIDE_ADDITIONS = {"compensated": ("PSNR_cc",), "recurrent_limit": ("PSNR", "flicker")}
 DOMAIN_METRICS = {"PSNR": ".2f", "LPIPS": ".3f"}
-CARD_METRICS = {"psnr_db": ".2f", "ssim": ".4f"}
 WEIGHTS = ROOT / "pipelines" / "weights"
 
 Figures = dict[str, dict[str, Any]]
@@ -108,14 +109,25 @@ def refinement_table() -> str:
 
 
 def device_table() -> str:
-    """Tabulate the times that ``benchmarks.bench_device --device cuda --json out/device.json`` wrote: ms per frame on both."""
+    """Tabulate what ``make bench-device BENCH_OPTIONS="--json out/device.json"`` wrote: the step, learned depth, scoring."""
     measured = _read(OUT / "device.json")
-    rows = [f"{measured['machine']}:", "", "| ms per frame | CPU | GPU | times as fast |", "| --- | ---: | ---: | ---: |"]
-    for figure in measured["figures"]:
-        here, there = (f"{1e3 * figure[place]['whole']:.0f}" if place in figure else "" for place in ("cpu", "device"))
-        ratio = f"{figure['ratio']:.3g}" if "ratio" in figure else ""
-        rows.append(f"| {figure['label']}, {figure['width']}x{figure['height']} | {here} | {there} | {ratio} |")
-    return "\n".join(rows)
+    sizes, found = list(measured["figures"]), list(measured["figures"].values())
+    depths = [measured["depth"][size] for size in sorted(measured["depth"], key=lambda size: int(size.partition("x")[0]))]
+    parts = [each["times"]["parts_ms"] for each in found]
+    scoring = measured["scoring"]["frame_ms"]
+    rows: dict[str, list[float]] = {
+        "step without transfers, median": [each["times"]["p50_ms"] for each in found],
+        "– 95th percentile": [each["times"]["p95_ms"] for each in found],
+        "– in which kernels compute": [each["times"]["busy_ms"] for each in found],
+        **{f"– {part}": [each[part] for each in parts] for part in DEVICE_PARTS},
+        "up and down": [each["upload"] + each["download"] for each in parts],
+        "learned depth (larger: 1345x1008): network, both directions": [each["network_ms"] for each in depths],
+        "– a map from four partners": [each["map_ms"] for each in depths],
+    }
+    lines = [f"{measured['machine']}:", "", f"| ms | {' | '.join(sizes)} |", "| --- |" + " ---: |" * len(sizes)]
+    lines += [f"| {name} | {' | '.join(f'{value:.1f}' for value in values)} |" for name, values in rows.items()]
+    lines.append(f"| scoring a frame, all metrics (LPIPS) | | {scoring['all eight']:.1f} ({scoring['LPIPS']:.1f}) |")
+    return "\n".join(lines)
 
 
 def figures_table(file: Path, names: str = "") -> str:
@@ -161,28 +173,27 @@ def learned_sentence() -> str:
     """Minutes and pixels that each network learned for: one sentence, the same on every page."""
     first, *others, ours = _cards()
     title, minutes, pixels = first
-    told = [f"{title} for {minutes} minutes of one core on {pixels} million pixels of target views"]
+    told = [f"{title} for {minutes} core-minutes on {pixels} million pixels"]
     told += [f"{title} for {minutes} on {pixels}" for title, minutes, pixels in others]
+    on_gpu = {f"{minutes} minutes" for name in TRAINED_BASELINES if (minutes := _gpu_minutes(name))}
+    besides = f" (and {' or '.join(sorted(on_gpu))} on a shared GPU)" if on_gpu else ""
     return (
-        f"The baselines' networks are compact and were trained here: {', '.join(told)}; ours for {ours[1]} on {ours[2]}. "
-        "A row says nothing of what their authors reach."
+        f"The baselines are compact and were trained here{besides}: {', '.join(told)}; "
+        f"ours for {ours[1]} on {ours[2]}. A row says nothing of what their authors reach."
     )
 
 
 def learned_table() -> str:
-    """What the cards of the weights say: the costs of that sentence, and the last validation."""
-    rows = [
-        "| network | minutes of one core | million pixels | PSNR in dB | SSIM | validated on |",
-        "| --- |" + " ---: |" * 4 + " --- |",
-    ]
+    """What the cards of the weights say: the costs of that sentence, and the first and the last validation on the same views."""
+    rows = ["| network | million pixels | PSNR before (dB) | PSNR (dB) | SSIM |", "| --- |" + " ---: |" * 4]
     names = [*TRAINED_BASELINES, "blend"]
-    for name, (title, minutes, pixels) in zip(names, _cards(), strict=True):
-        validation = (WEIGHTS / f"{name}.md").read_text(encoding="utf-8").partition("## Validation")[2]
-        views = sum(map(int, re.findall(r"(\d+) (?:whole )?views", validation)))
-        head, *_, last = (row.strip("| ").split(" | ") for row in re.findall(r"^\|.*$", validation, re.MULTILINE))
-        values = {metric: float(value) for metric, value in zip(head, last, strict=True)}
-        psnr, ssim = (f"{values[metric]:{form}}" if metric in values else "" for metric, form in CARD_METRICS.items())
-        rows.append(f"| {title} | {minutes} | {pixels} | {psnr} | {ssim} | {views} views |")
+    for name, (title, _, pixels) in zip(names, _cards(), strict=True):
+        validation = (WEIGHTS / f"{name}.md").read_text(encoding="utf-8").partition(SAME_VIEWS)[2]
+        head, _, *lines = (row.strip("| ").split(" | ") for row in re.findall(r"^\|.*$", validation, re.MULTILINE))
+        validated = [dict(zip(head, map(float, line), strict=True)) for line in lines]
+        before = f"{validated[0]['psnr_db']:.2f}" if len(validated) > 1 else ""
+        ssim = f"{validated[-1]['ssim']:.4f}" if "ssim" in head else ""
+        rows.append(f"| {title} | {pixels} | {before} | {validated[-1]['psnr_db']:.2f} | {ssim} |")
     return "\n".join(rows)
 
 
@@ -190,6 +201,13 @@ def _cards() -> list[tuple[str, str, str]]:
     """Title, minutes of one core and millions of pixels of each baseline that is trained here, and of ours, by their cards."""
     titles = {name: baseline.title for name, baseline in TRAINED_BASELINES.items()} | {"blend": "Ours"}
     return [(title, *_costs((WEIGHTS / f"{name}.md").read_text(encoding="utf-8"))) for name, title in titles.items()]
+
+
+def _gpu_minutes(name: str) -> str:
+    """Minutes that a baseline learned on a GPU, by its card; empty where it did not."""
+    card = (WEIGHTS / f"{name}.md").read_text(encoding="utf-8")
+    found = re.search(r"^- Minutes of a GPU besides: (\d+)", card, re.MULTILINE)
+    return found[1] if found else ""
 
 
 def _costs(card: str) -> tuple[str, str]:

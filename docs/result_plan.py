@@ -160,8 +160,16 @@ MEASUREMENTS = {
             sources=("benchmarks/refinement_validation.py",),
         ),
         Measurement("additions", ("python -m benchmarks.additions",), 40, ("ours",), sources=("benchmarks/additions.py",)),
+        Measurement(
+            "depth",
+            ("python -m benchmarks.depth_validation --data {data} --matchers sgbm,sweep,raft", "python -m benchmarks depth"),
+            25,
+            sources=("benchmarks/depth_validation/evaluate_matcher.py", "benchmarks/bench_depth.py"),
+            captures=(FLAME_STEAK,),
+        ),
+        Measurement("speed", ("python -m benchmarks online",), 3, ("ours",), sources=("benchmarks/bench_online.py",)),
         Measurement("bench", ("python -m benchmarks",), 25, ("ours",), sources=("benchmarks/__main__.py",)),
-        _sweep("rooms_ablations", "ablations", ROOMS, 90, "rooms"),
+        _sweep("rooms_ablations", "ablations_short", ROOMS, 60, "rooms"),
         _sweep("rooms_switches", "switches", ROOMS, 25, "rooms_short"),
         _sweep("rooms_k", "k", ROOMS, 30, "rooms_short"),
         _sweep("rooms_baselines", "baselines", ROOMS, 120, "rooms_short"),
@@ -215,7 +223,7 @@ MEASUREMENTS = {
             sources=("benchmarks/ceiling_accuracy.py",),
         ),
         Measurement("intervals", ("python -m benchmarks.interval_coverage",), 20, sources=("benchmarks/interval_coverage.py",)),
-        Measurement("device", (), 10, ("ours",), sources=("benchmarks/bench_device.py",)),  # by hand, where there is a GPU
+        Measurement("device", (), 10, ("ours",), sources=("benchmarks/bench_device_step.py",)),  # by hand, where there is a GPU
         Measurement(
             "real_video",
             (

@@ -144,5 +144,5 @@ def test_the_sentence_of_minutes_is_that_of_the_cards():
         assert found[2].strip() == sentence
     assert "unknown" not in sentence
     card = (ROOT / "pipelines" / "weights" / "enerf.md").read_text("utf-8")
-    minutes = re.search(r"(\d+) minutes of one core$", card, re.MULTILINE)[1]
+    minutes = re.search(r"Minutes of one core in all: (\d+)$", card, re.MULTILINE)[1]
     assert f"ENeRF for {minutes} on" in sentence

@@ -59,9 +59,10 @@ def _baseline(name: str) -> Callable[..., None]:
         training: Training = USUAL_LOOP,
         data: Data = USUAL_DATA,
         configuration: Configuration = TrainingRequest.configuration,
+        crop: tuple[int, int] | None = None,
         start_from: Path | None = None,
     ) -> None:
-        _train(name, out, _request(training, data, configuration=configuration, start_from=start_from))
+        _train(name, out, _request(training, data, configuration=configuration, crop=crop or (), start_from=start_from))
 
     train_baseline.__doc__ = f"""Train the baseline {name} on the rooms, captures, targets and sources of the blending network.
 
@@ -70,6 +71,7 @@ def _baseline(name: str) -> Callable[..., None]:
         training: how the network is trained.
         data: the views that the network learns from.
         configuration: compact, which an hour of one core trains, or full, as the authors publish it.
+        crop: width and height of the crops that it learns from, pixels; a GPU can afford larger ones than those of the recipe.
         start_from: weights to begin with where the folder holds no state, such as those that ship.
     """
     return train_baseline

@@ -1,7 +1,7 @@
 """The training of a learned baseline: its recipe on samples of this package, scored as evaluations are."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -31,17 +31,26 @@ STATISTICS_VIEWS = 48  # that running statistics are computed over
 
 
 def baseline_task(
-    name: str, cache: Path, data: DataOptions, configuration: str = "compact", seed: int = 0, is_trained: bool = False
+    name: str,
+    cache: Path,
+    data: DataOptions,
+    configuration: str = "compact",
+    seed: int = 0,
+    is_trained: bool = False,
+    crop: tuple[int, int] | tuple[()] = (),
 ) -> "BaselineTask":
     """The training of a baseline on the views that the blending network learns from.
 
     Args:
         name: one of `TRAINED_BASELINES`.
         is_trained: begins with weights that have learned already, and changes them less.
+        crop: width and height of the target's crops, pixels; the recipe's where empty.
     """
     baseline = TRAINED_BASELINES[name]
     samples = sample_pools(cache, data, InstantKind(baseline.takes_depth))
     recipe = baseline.make_recipe(configuration, seed)
+    if crop:
+        recipe = replace(recipe, crop_width=crop[0], crop_height=crop[1])
     return BaselineTask(*samples, baseline, recipe, recipe.batch_size, FINE_TUNING if is_trained else LEARNING, is_trained)
 
 

@@ -15,7 +15,7 @@ Configuration = Literal["compact", "full"]
 LEARNED = ("steps", "seed")
 VIEWED = ("views", "rooms", "targets", "domains", "captures", "hold_back")
 OF_BLEND = (*LEARNED, "guidance", "size", *VIEWED, "start_from")
-OF_BASELINES = (*LEARNED, "configuration", *VIEWED, "start_from")
+OF_BASELINES = (*LEARNED, "configuration", "crop", *VIEWED, "start_from")
 HOW = ("device", "precision", "workers", "compile_network")  # change nothing that is learned but by rounding
 
 
@@ -28,11 +28,13 @@ class TrainingRequest(TrainingOptions, DataOptions):
         guidance: blend: what it sees of the fused depth: views registered by it, its channels as the paper prints them, none
             of it (ablation), or no depth at all (naive).
         configuration: baselines: compact, which an hour of one core trains, or full, as the authors publish it.
+        crop: baselines: width and height of the target's crops, pixels; empty takes those of the recipe, for an hour of one core.
     """
 
     size: Size = "standard"
     guidance: Guidance = "registered"
     configuration: Configuration = "compact"
+    crop: tuple[int, int] | tuple[()] = ()
 
     def words(self, what: str) -> list[str]:
         """The options that ask for the training of a network, how it is computed included, as `ggvs-eval` takes them."""

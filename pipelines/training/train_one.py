@@ -46,7 +46,7 @@ def planned_task(what: str, cache: Path, request: TrainingRequest) -> Task:
         return StereoTask(seed=request.seed, schedule=Schedule() if request.start_from is None else stereo_task.FINE_TUNING)
     is_trained = request.start_from is not None
     if what != "blend":
-        baseline = baseline_task(what, cache, request, request.configuration, request.seed, is_trained)
+        baseline = baseline_task(what, cache, request, request.configuration, request.seed, is_trained, request.crop)
         prepare_samples(baseline.training, baseline.validation, default_workers())
         return baseline
     config, device = BlendNetworkOptions(request.views, request.guidance, WIDTHS[request.size]), sample_device(request)

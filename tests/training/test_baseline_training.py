@@ -254,6 +254,16 @@ def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
         alone.validate(network)
 
 
+def test_crops_are_as_large_as_is_asked(tmp_path):
+    """Those of the recipe where nothing is; larger ones than the samples are refused."""
+    rooms = DataOptions(rooms=1, targets=1, domains=(PLAIN,))
+    usual = baseline_task("fwd", tmp_path, rooms).recipe
+    assert (usual.crop_width, usual.crop_height) == (192, 160)
+    assert baseline_task("fwd", tmp_path, rooms, crop=(384, 288)).step_pixels == 384 * 288
+    with refused(TrainingError, "490 x 288"):
+        baseline_task("fwd", tmp_path, rooms, crop=(490, 288))
+
+
 def test_a_configuration_that_is_not_taught_is_refused(cache):
     """The full GPS-Gaussian finds depth itself, which nothing here would teach it."""
     with refused(TrainingError, "stereo network"):

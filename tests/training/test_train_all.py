@@ -110,6 +110,8 @@ def test_each_network_has_its_command(tmp_path):
     assert "--guidance naive" in " ".join(trainings[2].arguments)
     assert "walk" in request.card_words("fwd")
     assert replace(request, captures=(tmp_path / "walk",)).card_words("fwd").count("walk") == 1
+    assert "--crop" not in request.card_words("fwd")
+    assert " ".join(replace(request, crop=(384, 288)).card_words("fwd")).count("--crop 384 288") == 1
 
 
 def test_how_many_run_at_once(monkeypatch):
