@@ -114,7 +114,7 @@ def _print(size: tuple[int, int], figure: dict[str, Any], divisor: int) -> None:
 
 
 def _write(file: Path | None, record: dict[str, Any]) -> None:
-    """Keep what is measured so far: a part that fails later must not take it along, a GPU is lent for minutes."""
+    """Keep what is measured so far: a part that fails later must not take it along, a GPU may be had for minutes only."""
     if file is not None:
         file.write_text(json.dumps(record, indent=1))
 
