@@ -1,5 +1,6 @@
 """`make results`: every table of the pages has a measurement, carries the code it came from, and is remade when that changes."""
 
+import json
 import re
 import sys
 
@@ -132,6 +133,32 @@ def test_every_table_of_the_pages_is_made_by_a_measurement():
         assert table.measurement == fill_tables.CARDS or table.measurement in result_plan.MEASUREMENTS
         assert re.fullmatch(r"\w*", table.identity)
     assert len({each.identity for each in result_plan.MEASUREMENTS.values()}) == len(result_plan.MEASUREMENTS)
+
+
+def test_the_gpu_table_is_what_the_benchmark_wrote(tmp_path, monkeypatch):
+    """A column per size, both transfers in one row, learned depth of the smaller size first, scoring of the larger one alone."""
+    times = {"parts_ms": dict.fromkeys(figure_tables.DEVICE_PARTS, 5.0) | {"upload": 1.0, "download": 2.5}}
+    sizes = {"480x360": (10.0, 12.0, 4.0), "1352x1014": (20.0, 24.0, 8.0)}
+    record = {
+        "machine": "cuda: some GPU",
+        "figures": {
+            size: {"times": times | dict(zip(("p50_ms", "p95_ms", "busy_ms"), values, strict=True))}
+            for size, values in sizes.items()
+        },
+        "depth": {"1345x1008": {"network_ms": 9.0, "map_ms": 90.0}, "480x360": {"network_ms": 3.0, "map_ms": 30.0}},
+        "scoring": {"frame_ms": {"all eight": 100.0, "LPIPS": 70.0}},
+    }
+    monkeypatch.setattr(figure_tables, "OUT", tmp_path)
+    (tmp_path / "device.json").write_text(json.dumps(record))
+    table = figure_tables.device_table()
+    for row in (
+        "| ms | 480x360 | 1352x1014 |",
+        "median | 10.0 | 20.0 |",
+        "| up and down | 3.5 | 3.5 |",
+        "partners | 30.0 | 90.0 |",
+        "| | 100.0 (70.0) |",
+    ):
+        assert row in table
 
 
 def test_the_sentence_of_minutes_is_that_of_the_cards():

@@ -71,7 +71,8 @@ def _baseline(name: str) -> Callable[..., None]:
         training: how the network is trained.
         data: the views that the network learns from.
         configuration: compact, which an hour of one core trains, or full, as the authors publish it.
-        crop: width and height of the crops that it learns from, pixels; a GPU can afford larger ones than those of the recipe.
+        crop: width and height of the crops that it learns from, multiples of 8 pixels; a GPU can afford larger ones than the
+            recipe's.
         start_from: weights to begin with where the folder holds no state, such as those that ship.
     """
     return train_baseline

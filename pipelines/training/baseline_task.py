@@ -28,6 +28,7 @@ from ggvs_eval.training.normalisation import freeze_statistics, recompute_statis
 from ggvs_eval.training.task import Schedule
 
 STATISTICS_VIEWS = 48  # that running statistics are computed over
+LEAST_CROP_PX, CROP_MULTIPLE = 32, 8  # windows of SSIM and of attention fit in, coarse levels of volumes have whole pixels
 
 
 def baseline_task(
@@ -50,6 +51,11 @@ def baseline_task(
     samples = sample_pools(cache, data, InstantKind(baseline.takes_depth))
     recipe = baseline.make_recipe(configuration, seed)
     if crop:
+        if min(crop) < LEAST_CROP_PX or any(side % CROP_MULTIPLE for side in crop):
+            raise TrainingError(
+                f"{name}: wanted crops whose sides are multiples of {CROP_MULTIPLE} and at least {LEAST_CROP_PX} pixels, got "
+                f"{crop[0]} x {crop[1]}; correct --crop"
+            )
         recipe = replace(recipe, crop_width=crop[0], crop_height=crop[1])
     return BaselineTask(*samples, baseline, recipe, recipe.batch_size, FINE_TUNING if is_trained else LEARNING, is_trained)
 

@@ -13,7 +13,7 @@ from ggvs_eval.files.weights_file import configuration_of
 from ggvs_eval.pipelines.methods import baselines
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
-from ggvs_eval.pipelines.training.baseline_task import BaselineTask, baseline_task
+from ggvs_eval.pipelines.training.baseline_task import LEAST_CROP_PX, BaselineTask, baseline_task
 from ggvs_eval.pipelines.training.samples.data_options import DataOptions
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, domain_validation_plan
 from ggvs_eval.pipelines.training.samples.sample_kinds import InstantKind
@@ -260,8 +260,19 @@ def test_crops_are_as_large_as_is_asked(tmp_path):
     usual = baseline_task("fwd", tmp_path, rooms).recipe
     assert (usual.crop_width, usual.crop_height) == (192, 160)
     assert baseline_task("fwd", tmp_path, rooms, crop=(384, 288)).step_pixels == 384 * 288
-    with refused(TrainingError, "490 x 288"):
-        baseline_task("fwd", tmp_path, rooms, crop=(490, 288))
+    for size, named in (((488, 288), "488 x 288"), ((50, 40), "50 x 40"), ((24, 40), "24 x 40"), ((-8, 0), "--crop")):
+        with refused(TrainingError, named):
+            baseline_task("fwd", tmp_path, rooms, crop=size)
+
+
+@pytest.mark.parametrize("what", TRAINED_BASELINES)
+def test_the_least_crop_teaches_every_baseline(what, cache):
+    """Of the smallest sides that are allowed, which no coarse level divides without rest but the coarsest."""
+    task = small_task(what, cache)
+    recipe = replace(task.recipe, crop_width=40, crop_height=LEAST_CROP_PX)
+    loss, _ = replace(task, recipe=recipe).loss(task.network(), ONE_CROP)
+    assert loss.requires_grad
+    assert torch.isfinite(loss)
 
 
 def test_a_configuration_that_is_not_taught_is_refused(cache):

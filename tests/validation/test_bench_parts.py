@@ -1,0 +1,30 @@
+"""`python -m benchmarks PART ...`: parts beside what was measured before, and a word that is none."""
+
+import pytest
+
+from benchmarks import __main__ as bench
+from ggvs_eval.run_folder import read_json, write_json
+
+
+def figure(value):
+    """One entry of the file."""
+    return {"value": value, "unit": "ms", "target": None, "higher_is_better": False, "command": "none"}
+
+
+def test_a_part_is_measured_beside_the_others(tmp_path, monkeypatch, capsys):
+    """Its figures are written anew, those of other parts stay, nothing else is measured."""
+    file = tmp_path / "bench.json"
+    write_json(file, {"step": figure(2.0), "decode": figure(3.0)})
+    monkeypatch.setattr(bench, "PARTS", {"online": lambda: {"step": figure(1.0)}, "decoding": lambda: 1 / 0})
+    bench.main(["online", "--json", str(file)])
+    assert {name: each["value"] for name, each in read_json(file).items()} == {"step": 1.0, "decode": 3.0}
+    assert capsys.readouterr().out == "step: 1 ms\n"
+
+
+def test_a_part_that_is_none_is_told(capsys):
+    """With the names of those that are, before anything is measured."""
+    with pytest.raises(SystemExit):
+        bench.main(["onlin"])
+    told = capsys.readouterr().err
+    for part in ("onlin;", "online"):
+        assert part in told
