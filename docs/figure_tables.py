@@ -33,6 +33,7 @@ DEPTH_ROWS = {  # shown: name of the figure without its matcher
     "seconds per depth map of 1345x1008": "depth.seconds",
 }
 SAME_VIEWS = "## Validation on the views of all cards"
+AS_MANY_PIXELS = "## With as many pixels as each baseline"
 DEVICE_PARTS = ("exposure", "registration", "splat", "network and composition")
 SPEED_ROWS = {  # shown: first part of the figures' names
     "1352x1014, K = 4, network": "online_step",
@@ -184,17 +185,27 @@ def learned_sentence() -> str:
 
 
 def learned_table() -> str:
-    """What the cards of the weights say: the costs of that sentence, and the first and the last validation on the same views."""
-    rows = ["| network | million pixels | PSNR before (dB) | PSNR (dB) | SSIM |", "| --- |" + " ---: |" * 4]
+    """What the cards of the weights say: pixels, the first and the last validation on the same views, and ours with as many."""
+    rows = [
+        "| network | million pixels | PSNR before (dB) | PSNR (dB) | SSIM | ours with as many pixels (dB) |",
+        "| --- |" + " ---: |" * 5,
+    ]
+    with_as_many = {f"{row['million pixels']:.0f}": f"{row['psnr_db']:.2f}" for row in _table_of_card("blend", AS_MANY_PIXELS)}
     names = [*TRAINED_BASELINES, "blend"]
     for name, (title, _, pixels) in zip(names, _cards(), strict=True):
-        validation = (WEIGHTS / f"{name}.md").read_text(encoding="utf-8").partition(SAME_VIEWS)[2]
-        head, _, *lines = (row.strip("| ").split(" | ") for row in re.findall(r"^\|.*$", validation, re.MULTILINE))
-        validated = [dict(zip(head, map(float, line), strict=True)) for line in lines]
+        validated = _table_of_card(name, SAME_VIEWS)
         before = f"{validated[0]['psnr_db']:.2f}" if len(validated) > 1 else ""
-        ssim = f"{validated[-1]['ssim']:.4f}" if "ssim" in head else ""
-        rows.append(f"| {title} | {pixels} | {before} | {validated[-1]['psnr_db']:.2f} | {ssim} |")
+        ssim = f"{validated[-1]['ssim']:.4f}" if "ssim" in validated[-1] else ""
+        ours = with_as_many[pixels] if name in TRAINED_BASELINES else ""
+        rows.append(f"| {title} | {pixels} | {before} | {validated[-1]['psnr_db']:.2f} | {ssim} | {ours} |")
     return "\n".join(rows)
+
+
+def _table_of_card(name: str, heading: str) -> list[dict[str, float]]:
+    """Rows of the table under a heading of the card of some weights."""
+    section = (WEIGHTS / f"{name}.md").read_text(encoding="utf-8").partition(heading)[2].partition("\n## ")[0]
+    head, _, *lines = (row.strip("| ").split(" | ") for row in re.findall(r"^\|.*$", section, re.MULTILINE))
+    return [dict(zip(head, map(float, line), strict=True)) for line in lines]
 
 
 def _cards() -> list[tuple[str, str, str]]:
