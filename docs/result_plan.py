@@ -230,7 +230,7 @@ MEASUREMENTS = {
                 f"ggvs-eval run out/real_video/dome --capture {{data}}/{DOME} --protocol {VIDEO_PROTOCOL} "
                 f"--methods {' '.join(ON_A_VIDEO)}",
             ),
-            70,
+            30,
             ON_A_VIDEO,
             str(ROOT / VIDEO_PROTOCOL),
             captures=(DOME,),
