@@ -212,17 +212,17 @@ def tables_by_measurement() -> dict[str, list[Table]]:
 
 
 def _fill(table: Table) -> None:
-    made_from = "" if table.measurement == CARDS else MEASUREMENTS[table.measurement].made_from[:SHORT]
+    made_from = CARDS if table.measurement == CARDS else MEASUREMENTS[table.measurement].made_from[:SHORT]
     try:
-        if not made_from and table.measurement != CARDS:
+        if not made_from:
             raise ResultsError(f"{table.measurement} was not made here, or nobody noted by which code")
         text = table.make()
     except (OSError, ResultsError) as error:
         print(f"{table.page.name}: {table.name} is left as it is: {error}")
         return
-    end = f"<!-- /{table.name}: {made_from} -->" if made_from else f"<!-- /{table.name} -->"
     page = table.page.read_text(encoding="utf-8")
     _ = table.identity  # which says so where there is no place for it
+    end = f"<!-- /{table.name}: {made_from} -->"
     table.page.write_text(table.place.sub(lambda match: f"{match[1]}{text}\n{end}", page), encoding="utf-8")
 
 

@@ -161,15 +161,21 @@ def test_the_gpu_table_is_what_the_benchmark_wrote(tmp_path, monkeypatch):
         assert row in table
 
 
-def test_the_sentence_of_minutes_is_that_of_the_cards():
-    """Every page that says how long networks learned says what the cards of the weights say, in the same words."""
-    sentence = figure_tables.learned_sentence()
-    told = [table for table in fill_tables.TABLES if table.name == "learned"]
-    assert len(told) == 3
+def test_what_the_cards_say_is_on_the_pages():
+    """How long networks learned and how well is on every page in the words and figures of the cards, and the marker says so."""
+    told = [table for table in fill_tables.TABLES if table.measurement == fill_tables.CARDS]
+    assert sorted(table.name for table in told) == ["learned", "learned", "learned", "learned_table"]
     for table in told:
-        found = table.place.search(table.page.read_text("utf-8"))
-        assert found[2].strip() == sentence
+        assert table.place.search(table.page.read_text("utf-8"))[2].strip() == table.make()
+        assert table.identity == fill_tables.CARDS
+    sentence = figure_tables.learned_sentence()
     assert "unknown" not in sentence
     card = (ROOT / "pipelines" / "weights" / "enerf.md").read_text("utf-8")
     minutes = re.search(r"Minutes of one core in all: (\d+)$", card, re.MULTILINE)[1]
     assert f"ENeRF for {minutes} on" in sentence
+    pixels = re.search(r"^- Pixels of target views: (\d+) million", card, re.MULTILINE)[1]
+    ours = figure_tables._table_of_card("blend", figure_tables.AS_MANY_PIXELS)
+    with_as_many = next(row["psnr_db"] for row in ours if row["million pixels"] == float(pixels))
+    row = next(row for row in figure_tables.learned_table().splitlines() if row.startswith("| ENeRF |"))
+    assert row.split(" | ")[1] == pixels
+    assert row.endswith(f" | {with_as_many:.2f} |")
