@@ -19,6 +19,7 @@ if (ROOT / "docs").is_dir():
     import fill_tables
     import make_results
     import result_plan
+    import result_tables
     from result_plan import Measurement
 
 
@@ -179,3 +180,22 @@ def test_what_the_cards_say_is_on_the_pages():
     row = next(row for row in figure_tables.learned_table().splitlines() if row.startswith("| ENeRF |"))
     assert row.split(" | ")[1] == pixels
     assert row.endswith(f" | {with_as_many:.2f} |")
+
+
+def test_the_readme_shows_the_run_that_the_other_pages_show():
+    """Its means are those of docs/results.md, and its row of one view is that of the table of views."""
+
+    def rows(page, name):
+        table = next(table for table in fill_tables.TABLES if (table.page, table.name) == (page, name))
+        head, _, *lines = [
+            line.strip("| ").split(" | ") for line in table.place.search(page.read_text("utf-8"))[2].splitlines() if line
+        ]
+        return {line[0]: dict(zip(head, line, strict=True)) for line in lines}
+
+    shown = rows(fill_tables.README, "real_frame")
+    means, views = rows(fill_tables.RESULTS, "real_frame"), rows(fill_tables.BENCH, "real_frame_views")
+    in_one_view = shown.pop("Ours, cam00")
+    assert in_one_view["PSNR"] == views["Ours"]["cam00"]
+    assert len(shown) == len(result_tables.README_METHODS)
+    for name, row in shown.items():
+        assert row["PSNR"] == means[name]["PSNR"].partition(" ")[0]
