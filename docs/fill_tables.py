@@ -104,6 +104,7 @@ TABLES = (
     Table(README, "real_frame", "real_frame", lambda: fidelity_table(OUT / "real_frame")),
     Table(PEERS, "learned", CARDS, learned_sentence),
     Table(PEERS, "learned_table", CARDS, learned_table),
+    Table(PEERS, "demo_instant", "demo_instant", lambda: results_table(OUT / "demo_instant")),
     Table(RESULTS, "demo", "demo", lambda: results_table(OUT / "demo")),
     Table(RESULTS, "ceilings", "demo", lambda: ceilings_table(OUT / "demo")),
     Table(RESULTS, "depth", "depth", depth_table),

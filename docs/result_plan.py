@@ -26,6 +26,7 @@ SHORT = 12  # digits of an identity that a page shows
 FLAME_STEAK, HOLOLENS, DOME = "n3v_flame_steak", "hololens_rgbd", "panoptic_basketball"
 VIDEO_PROTOCOL = "benchmarks/real_video.toml"
 DEMO_CAPTURE = "out/demo-capture"
+FILM_DEMO = f"ggvs-eval demo {DEMO_CAPTURE} --depth-stride 0"  # as the main job makes it, which may have been there first
 ROOMS = tuple(f"out/rooms/{seed}" for seed in range(3))
 ON_A_VIDEO = ("no-blending", "distance-based", "enerf", "ours", "ours-geometric", "ours+no-temporal")
 ON_A_LONG_VIDEO = ("ours", "distance-based", "ours+no-temporal")
@@ -33,6 +34,7 @@ FITTED = ("ours", "3dgs-per-instant")
 FILLED = ("ours", "ours-geometric")
 ITERMVS_FILE = "itermvs_blendedmvs_000015.ckpt"
 ON_A_REAL_FRAME = ("no-blending", "distance-based", "interpolation", "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", "ours")
+ON_AN_INSTANT = ("no-blending", "distance-based", "ibrnet", "enerf", "mvsnerf", "ours")
 ON_A_SMALL_FRAME = (*ON_A_REAL_FRAME[:-1], "mvsplat", "mvsnerf", "ours", "ours-geometric")
 
 
@@ -93,7 +95,7 @@ def _run(name: str, capture: str, methods: tuple[str, ...], minutes: int, protoc
 def _sweep(name: str, sweep: str, captures: tuple[str, ...], minutes: int, protocol: str) -> Measurement:
     """A packaged sweep; rooms are filmed first where they are not there."""
     films = [f"ggvs-eval demo {room} --seed {room[-1]} --n-frames 30" for room in captures if room in ROOMS]
-    films += [f"ggvs-eval demo {DEMO_CAPTURE}"] * (DEMO_CAPTURE in captures)
+    films += [FILM_DEMO] * (DEMO_CAPTURE in captures)
     command = f"ggvs-eval sweep {sweep} out/{name} --capture {' '.join(captures)} --protocol {protocol}"
     return Measurement(name, (*films, command), minutes, protocol=protocol, sweep=sweep)
 
@@ -107,7 +109,7 @@ def _of_dome(name: str, methods: tuple[str, ...], minutes: int, protocol: str = 
 
 def _stream(name: str, capture: str, minutes: int, protocol: str, captures: tuple[str, ...] = ()) -> Measurement:
     """The sweep of what is on the screen, one job at a time, as its seconds count."""
-    film = (f"ggvs-eval demo {capture}",) * (capture == DEMO_CAPTURE)
+    film = (FILM_DEMO,) * (capture == DEMO_CAPTURE)
     command = f"ggvs-eval sweep stream out/{name} --capture {capture} --protocol {protocol} --jobs 1"
     return Measurement(name, (*film, command), minutes, protocol=str(ROOT / protocol), sweep="stream", captures=captures)
 
@@ -120,6 +122,17 @@ MEASUREMENTS = {
         Measurement("demo", ("ggvs-eval run out/demo",), 15, usual_methods(), "demo"),
         _run("real_frame", _STEAK, (*ON_A_REAL_FRAME, "ours-geometric"), 75),
         _run("real_frame_small", _STEAK, ON_A_SMALL_FRAME, 35, more="--weights mvsnerf={weights}/mvsnerf-v0.tar"),
+        Measurement(
+            "demo_instant",
+            (
+                FILM_DEMO,
+                f"ggvs-eval run out/demo_instant --capture {DEMO_CAPTURE} --protocol benchmarks/demo_instant.toml --methods "
+                f"{' '.join(ON_AN_INSTANT)} --weights mvsnerf={{weights}}/mvsnerf-v0.tar",
+            ),
+            12,
+            ON_AN_INSTANT,
+            str(ROOT / "benchmarks/demo_instant.toml"),
+        ),
         _run("real_frame_coverage", _STEAK, ("no-blending", "distance-based", "ours", "ours-geometric"), 12),
         _run("real_frame_folds", _STEAK, FITTED, 45, "real_frame"),
         _run("real_frame_held", _STEAK, usual_methods()[:5], 60, more="--hold-frames 16 --sensor-noise 1.5"),

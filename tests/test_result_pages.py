@@ -2,10 +2,12 @@
 
 import json
 import re
+import subprocess
 import sys
 
 import pytest
 
+from ggvs_eval.synthetic.demo import SHIPPED, write_demo
 from helpers.places import ROOT
 
 pytestmark = [
@@ -199,3 +201,17 @@ def test_the_readme_shows_the_run_that_the_other_pages_show():
     assert len(shown) == len(result_tables.README_METHODS)
     for name, row in shown.items():
         assert row["PSNR"] == means[name]["PSNR"].partition(" ")[0]
+
+
+def test_the_demo_of_the_plan_is_that_of_the_main_job(tmp_path):
+    """Where `make reports` has been, what measures on its capture finds it and goes on."""
+    films = {
+        command
+        for measurement in result_plan.MEASUREMENTS.values()
+        for command in measurement.commands
+        if command.startswith(f"ggvs-eval demo {result_plan.DEMO_CAPTURE}")
+    }
+    assert films
+    write_demo(tmp_path / result_plan.DEMO_CAPTURE, SHIPPED)
+    for film in films:
+        subprocess.run([sys.executable, "-m", "ggvs_eval", *film.split()[1:]], cwd=tmp_path, check=True)
