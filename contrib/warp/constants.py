@@ -137,10 +137,11 @@ class StepConstants:
         """
         target, cameras = instant.target, tuple(source.camera for source in sources)
         values = self._values
-        if before is not None and (before.index != instant.index - 1 or not options.temporal):
+        follows = before is not None and before.index == instant.index - 1
+        if not (follows and options.temporal):
             before = None
         moved = before is None or not before.target.shows_the_same_rays(target)
-        values["flags"][:] = before is not None, not moved, before is not None
+        values["flags"][:] = before is not None, not moved, follows
         values["previous"][:] = [_place(camera, before) for camera in cameras]
         values["rows"][:] = rows
         past = target if before is None else before.target

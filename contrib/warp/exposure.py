@@ -18,6 +18,8 @@ BLOCK = 512
 _REDUCTION = wp.constant(compensation.REDUCTION)
 _DARK, _BRIGHT = wp.constant(wp.float32(compensation.DARK)), wp.constant(wp.float32(compensation.BRIGHT))
 _FEWEST = wp.constant(wp.float64(compensation.FEWEST))
+_LIKE = wp.constant(wp.float32(compensation.LIKE))
+_ODD, _COMMON = wp.constant(wp.float64(compensation.ODD)), wp.constant(wp.float64(compensation.COMMON))
 _LIMIT = wp.constant(wp.float64(compensation.LARGEST_LOG_GAIN))
 _PRIOR = wp.constant(wp.float64(compensation.PRIOR))
 _ROUNDS = wp.constant(lens_falloff.ROUNDS)
@@ -32,7 +34,7 @@ class ExposureState:
 
     Attributes:
         lens: instants that the slope of the fall-off is the mean of, and the slope, (2,), float64.
-        ratios: of pairs of cameras, how often their ratio was measured, and its mean logarithm, (R, 4), float64.
+        ratios: of pairs of cameras, how often their ratio was measured, its mean logarithm, and its weight, (R, 5), float64.
     """
 
     lens: Tensor
@@ -41,10 +43,17 @@ class ExposureState:
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """Gain of each source and channel, (K, 3), and brightness of the sources and the target by row and column, (K + 1, 2, n)."""
+    """What the sources' colours tell.
+
+    Attributes:
+        gains: of each source and channel, (K, 3).
+        factors: brightness of the sources and the target by row and column, (K + 1, 2, n).
+        odd: 1 of a source whose colours are like no other's, black for an instant, though others agree, (K,), int32.
+    """
 
     gains: Tensor
     factors: Tensor
+    odd: Tensor
 
 
 @wp.func
@@ -89,7 +98,10 @@ def look_up(
     looks: wp.array3d[wp.float32],
     flags: wp.array2d[wp.int32],
 ):
-    """Of a lattice point of one view, its log ratio to another view and the span; flags: 0 no point, 1 unseen there, 2 counts."""
+    """Of a lattice point of one view, its log ratio to another view and the span.
+
+    Flags: 0 no point, 1 unseen there, 2 counts, 3 out of the other's linear range, 4 so, but hardly another colour.
+    """
     q, n = wp.tid()
     pair = q // 2
     place = (q % 2) * points + n
@@ -143,6 +155,8 @@ def look_up(
     lower += fx * (pixel_of(pictures, other, bottom, right) - lower)
     there = upper + fy * (lower - upper)
     if not is_linear(there):
+        off = wp.vec3f(wp.abs(colour[0] - there[0]), wp.abs(colour[1] - there[1]), wp.abs(colour[2] - there[2]))
+        flags[pair, place] = wp.where(wp.max(wp.max(off[0], off[1]), off[2]) <= _DARK, 4, 3)
         return
     flags[pair, place] = 2
     sign = 1.0 - 2.0 * wp.float32(q % 2)
@@ -314,12 +328,14 @@ def common_slope(
     variance = spread / (total + _SLOPE_PRIOR) / wp.max(alike - wp.float64(1.0), wp.float64(0.5))
     doubt = _LEAST * _LEAST + wp.float64(4.0) * variance
     now = wp.float64(0.0)
-    if shared >= 2 and mean * mean > doubt:
+    if mean * mean > doubt:
         now = mean * (wp.float64(1.0) - doubt / (mean * mean)) / lens[0]
     known = wp.float64(flags[GAINS])
-    count = wp.min(known * before[0] + wp.float64(1.0), lens[1])
-    after[0] = count
-    after[1] = known * before[1] + (now - known * before[1]) / count
+    after[0] = known * before[0]
+    after[1] = known * before[1]
+    if shared >= 2:  # fewer say nothing
+        after[0] = wp.min(known * before[0] + wp.float64(1.0), lens[1])
+        after[1] = known * before[1] + (now - known * before[1]) / after[0]
 
 
 @wp.kernel
@@ -330,20 +346,54 @@ def ratio_medians(
     slope: wp.array[wp.float64],
     out: wp.array2d[wp.float64],
 ):
-    """Median log ratio of each pair and channel; a block each."""
-    pair, channel, lane = wp.tid()
-    median = block_median(looks, flags, pair, channel, wp.float32(slope[1]), wp.int32(pairs[pair, 2]), lane)
+    """Median log ratio of each pair and channel, less the fall-off and, from the fourth on, as it is; a block each."""
+    pair, n, lane = wp.tid()
+    fall_off = wp.where(n < 3, wp.float32(slope[1]), 0.0)
+    median = block_median(looks, flags, pair, n % 3, fall_off, wp.int32(pairs[pair, 2]), lane)
     if lane == 0:
-        out[pair, channel] = median
+        out[pair, n] = median
 
 
 @wp.kernel
-def carry_ratios(before: wp.array2d[wp.float64], flags: wp.array[wp.int32], after: wp.array2d[wp.float64]):
-    """Memory of all pairs, those that are no sources now too; nothing after a gap."""
+def compare_colours(
+    looks: wp.array3d[wp.float32], flags: wp.array2d[wp.int32], medians: wp.array2d[wp.float64], out: wp.array[wp.float64]
+):
+    """Share of the looks of each pair whose colours are alike, -1 where it shares too little; a block each."""
+    pair, lane = wp.tid()
+    seen = wp.int32(0)
+    alike = wp.int32(0)
+    for i in range(lane, flags.shape[1], wp.block_dim()):
+        flag = flags[pair, i]
+        if flag >= 2:
+            seen += 1
+        if flag == 4:
+            alike += 1
+        if flag == 2:
+            apart = wp.float32(0.0)
+            for c in range(3):
+                apart = wp.max(apart, wp.abs(looks[pair, c, i] - wp.float32(medians[pair, 3 + c])))
+            if apart < _LIKE:
+                alike += 1
+    all_seen = wp.tile_sum(wp.tile(seen))
+    all_alike = wp.tile_sum(wp.tile(alike))
+    if lane == 0:
+        likeness = wp.float64(-1.0)
+        if wp.float64(all_seen[0]) >= _FEWEST:
+            likeness = wp.float64(all_alike[0]) / wp.float64(all_seen[0])
+        out[pair] = likeness
+
+
+@wp.kernel
+def carry_ratios(
+    before: wp.array2d[wp.float64], flags: wp.array[wp.int32], lens: wp.array[wp.float64], after: wp.array2d[wp.float64]
+):
+    """Memory of all pairs, those that are no sources now too, whose weight fades; nothing after a gap."""
     p, i = wp.tid()
     value = wp.float64(0.0)
     if flags[GAINS] != 0 and p < before.shape[0]:
         value = before[p, i]
+        if i == 4:
+            value = value * (wp.float64(1.0) - wp.float64(1.0) / lens[1])
     after[p, i] = value
 
 
@@ -351,6 +401,7 @@ def carry_ratios(before: wp.array2d[wp.float64], flags: wp.array[wp.int32], afte
 def gains_of(
     ratios: wp.array2d[wp.float64],
     pairs: wp.array2d[wp.float64],
+    likeness: wp.array[wp.float64],
     members: wp.array2d[wp.int32],
     signs: wp.array[wp.float64],
     gauge: wp.array[wp.float64],
@@ -360,8 +411,9 @@ def gains_of(
     system: wp.array2d[wp.float64],
     right: wp.array2d[wp.float64],
     gains: wp.array2d[wp.float32],
+    odd: wp.array[wp.int32],
 ):
-    """Mean ratios of the pairs of now, and the gains by least squares over them (Cholesky); one thread."""
+    """Mean ratios of the pairs of now, gains by least squares over them (Cholesky), and sources like no other; one thread."""
     wp.tid()
     views = gains.shape[0]
     for i in range(views):
@@ -376,11 +428,12 @@ def gains_of(
         shared = pairs[p, 2] >= _FEWEST
         row = rows[p]
         count = table[row, 0]
-        w = wp.float64(0.0)
+        w = table[row, 4]
         if shared:
             count = wp.min(count + wp.float64(1.0), lens[1])
             w = pairs[p, 2] / wp.max(pairs[p, 3], wp.float64(1.0))
         table[row, 0] = count
+        table[row, 4] = w
         for c in range(3):
             mean = table[row, 1 + c]
             if shared:
@@ -418,6 +471,15 @@ def gains_of(
             mean += gauge[i] * right[i, c]
         for i in range(views):
             gains[i, c] = wp.float32(wp.exp(-wp.clamp(right[i, c] - mean, -_LIMIT, _LIMIT)))
+    closest = wp.float64(0.0)
+    for p in range(likeness.shape[0]):
+        closest = wp.max(closest, likeness[p])
+    for i in range(views):
+        own = wp.float64(-1.0)
+        for p in range(likeness.shape[0]):
+            if members[p, 0] == i or members[p, 1] == i:
+                own = wp.max(own, likeness[p])
+        odd[i] = wp.where(own >= wp.float64(0.0) and own < _ODD and closest > _COMMON, 1, 0)
 
 
 @wp.kernel
@@ -449,6 +511,16 @@ def shade_views(
     for c in range(3):
         level = wp.float32(images[k, y, x, c]) * (factors[k, 1, x] * gains[k, c] * factors[k, 0, y])
         out[k, y, x, c] = wp.uint8(wp.int32(wp.min(wp.max(level, 0.0), 255.0) + 0.5))
+
+
+@wp.kernel
+def keep_depths(depths: wp.array3d[wp.float32], odd: wp.array[wp.int32], out: wp.array3d[wp.float32]):
+    """Depths of the sources that are not left out, 0 of the others."""
+    k, y, x = wp.tid()
+    value = depths[k, y, x]
+    if odd[k] != 0:
+        value = wp.float32(0.0)
+    out[k, y, x] = value
 
 
 @wp.kernel
@@ -486,21 +558,30 @@ def estimate_exposure(
     of_pairs = torch.empty((pairs, 4), dtype=torch.float64, device=device)
     launch(pair_slopes, [pairs], looks, flags, c.lens, of_pairs, block=BLOCK)
     launch(common_slope, 1, of_pairs, c.lens, c.flags, before.lens, out.lens)
-    ratios = torch.empty((pairs, 3), dtype=torch.float64, device=device)
-    launch(ratio_medians, [pairs, 3], looks, flags, of_pairs, out.lens, ratios, block=BLOCK)
-    launch(carry_ratios, out.ratios.shape, before.ratios, c.flags, out.ratios)
-    gains = torch.empty((views, 3), device=device)
+    ratios, likeness = (torch.empty(size, dtype=torch.float64, device=device) for size in ((pairs, 6), (pairs,)))
+    launch(ratio_medians, [pairs, 6], looks, flags, of_pairs, out.lens, ratios, block=BLOCK)
+    launch(compare_colours, [pairs], looks, flags, ratios, likeness, block=BLOCK)
+    launch(carry_ratios, out.ratios.shape, before.ratios, c.flags, c.lens, out.ratios)
+    gains, odd = torch.empty((views, 3), device=device), torch.empty(views, dtype=torch.int32, device=device)
     system, right = (torch.empty((views, n), dtype=torch.float64, device=device) for n in (views, 3))
-    launch(gains_of, 1, ratios, of_pairs, members, c.signs, c.gauge, c.lens, c.rows, out.ratios, system, right, gains)
+    seen = (ratios, of_pairs, likeness, members, c.signs, c.gauge, c.lens, c.rows)
+    launch(gains_of, 1, *seen, out.ratios, system, right, gains, odd)
     factors = torch.empty((views + 1, 2, max(*t.sizes.largest, *t.sizes.whole)), device=device)
     launch(brightness, factors.shape, c.pinholes, c.lens, out.lens, factors)
-    return Exposure(gains, factors)
+    return Exposure(gains, factors, odd)
 
 
 def compensate(images: Tensor, exposure: Exposure) -> Tensor:
     """Images times their gains and without fall-off, (K, H, W, 3), uint8, as `flattened`."""
     out = torch.empty_like(images)
     launch(shade_views, images.shape[:3], images, exposure.gains, exposure.factors, out)
+    return out
+
+
+def leave_out(depths: Tensor, exposure: Exposure) -> Tensor:
+    """Depths of the sources, (K, H, W), 0 of those whose colours are like no other's: what has no depth shows nothing."""
+    out = torch.empty_like(depths)
+    launch(keep_depths, depths.shape, depths, exposure.odd, out)
     return out
 
 

@@ -254,12 +254,15 @@ def register_pixels(
     visibilities[k, y, x] = visibility
 
 
-def settle_depth(fused: Tensor, images: Tensor, splats: DeviceSplats, c: StepConstants, t: Tables) -> Tensor:
-    """Fused depth, (H, W), replaced where most views and the colours of all speak for a splat's, as `settle_depth`."""
+def settle_depth(
+    fused: Tensor, images: Tensor, splats: DeviceSplats, c: StepConstants, t: Tables, odd: Tensor | None = None
+) -> Tensor:
+    """Fused depth, (H, W), replaced where most views and the colours of all but odd ones speak for a splat's."""
     if min(min(size) for size in t.sizes.views) < 2:  # colours cannot be interpolated
         return fused
     settled = torch.empty_like(fused)
-    seen = (fused, images, c.to_views, t.view_sizes, splats.alphas, splats.depths, c.weights, c.numbers)
+    sizes = t.view_sizes if odd is None else t.view_sizes * (1 - odd)[:, None]  # in no picture of size 0 is anything seen
+    seen = (fused, images, c.to_views, sizes, splats.alphas, splats.depths, c.weights, c.numbers)
     launch(settle_rays, fused.shape, *seen, LEAST_ALPHA, LEAST_SHARE, RATIO, settled)
     return settled
 

@@ -80,7 +80,7 @@ class State:
             (zeros(height, width), zeros(height, width)),
             Output(zeros(3, height, width), zeros(3, h, w), zeros(h, w)),
             (zeros(3, height, width), zeros(height, width)),
-            ExposureState(zeros(2, dtype=torch.float64), zeros(rows, 4, dtype=torch.float64)),
+            ExposureState(zeros(2, dtype=torch.float64), zeros(rows, 5, dtype=torch.float64)),
         )
 
 
@@ -377,26 +377,29 @@ class DeviceGuided:
         mark("masks and filter")
         history = before.images, before.depths
         masks, changes = filter_views(out.images, program.depths, history, c, t, options, out.depths)
-        images, found = out.images, None
+        images, depths, found = out.images, out.depths, None
+        splatted = depths if options.splatted_depth == "filtered" else program.depths
         if options.compensated:
             mark("exposure")
-            found = exposures.estimate_exposure(images, out.depths, before.exposure, c, t, out.exposure)
+            found = exposures.estimate_exposure(images, depths, before.exposure, c, t, out.exposure)
             images = exposures.compensate(images, found)
+            depths, splatted = (exposures.leave_out(each, found) for each in (depths, splatted))
         mark("fusion weights")
-        weights = weigh_depths(out.depths, c, t)
+        weights = weigh_depths(depths, c, t)
         mark("splat")
-        splatted = out.depths if options.splatted_depth == "filtered" else program.depths
         splats = splat_views(images, splatted, masks, c, t, self._per_gaussian)
         mark("occupancy and march")
         gain = trust_past(splats.features, splats.alphas, c, options)
         limits = options.min_step, options.eta
-        march(out.depths, weights, before.march, gain, c, t, limits, out.march)
+        march(depths, weights, before.march, gain, c, t, limits, out.march)
         mark("contested depth")
-        surface = settle_depth(out.march[0], images, splats, c, t) if options.settled else out.march[0]
+        surface = out.march[0]
+        if options.settled:
+            surface = settle_depth(surface, images, splats, c, t, found.odd if found else None)
         mark("stillness")
-        cells = rate_stillness(surface, splats, (out.images, before.images), out.depths, changes, c, t, options)
+        cells = rate_stillness(surface, splats, (out.images, before.images), depths, changes, c, t, options)
         mark("registration")
-        maps = DeviceMaps(*register_views(surface, images, out.depths, splats, c, t), splats, surface)
+        maps = DeviceMaps(*register_views(surface, images, depths, splats, c, t), splats, surface)
         mark("network and composition")
         picture, shares = blend_views(self._network, maps, self._registered, c, t)
         if found is not None:

@@ -338,12 +338,13 @@ def compare_past(
     columns: wp.array2d[wp.int32],
     fresh: wp.array3d[wp.float32],
     out: wp.array4d[wp.float32],
+    known: wp.array2d[wp.float32],
 ):
-    """The new image at each cell, and its changes to the mean of the past and to the last, (2, 4, h, w); 0 without a past."""
+    """The new image at each cell, its change to the mean of the past and to the last, (2, 4, h, w), and where there is a past."""
     y, x = wp.tid()
     row = rows[0, y]
     column = columns[0, x]
-    counts = flags[SHOWN] != 0 and is_finite(past, row, column) and is_finite(last, y, x)
+    counts = flags[SHOWN] != 0 and is_finite(past, row, column) and is_finite(last, y, x) and is_finite(image, row, column)
     for c in range(3):
         value = image[c, row, column]
         fresh[c, y, x] = value
@@ -354,6 +355,7 @@ def compare_past(
             out[1, c, y, x] = value - last[c, y, x]
     out[0, 3, y, x] = 1.0
     out[1, 3, y, x] = 1.0
+    known[y, x] = wp.where(counts, 1.0, 0.0)
 
 
 @wp.kernel
@@ -373,7 +375,7 @@ def weigh_past(
     changes: wp.array4d[wp.float32],
     still: wp.array2d[wp.float32],
     before: wp.array2d[wp.float32],
-    flags: wp.array[wp.int32],
+    known: wp.array2d[wp.float32],
     most: wp.float32,
     limit: wp.float32,
     age: wp.array2d[wp.float32],
@@ -383,7 +385,7 @@ def weigh_past(
     y, x = wp.tid()
     older = wp.float32(1.0)
     weight = wp.float32(0.0)
-    if flags[SHOWN] != 0:
+    if known[y, x] > 0.0:
         count = wp.min(before[y, x], most)
         excess = 2.0 * pooled[0, y, x] / wp.max(pooled[1, y, x], 2.0 * _LEAST_NOISE * _LEAST_NOISE) - (1.0 + 1.0 / count)
         sure = still[y, x] * falling(excess, _DRAGGED0, _DRAGGED1)
@@ -428,12 +430,12 @@ def recur(image: Tensor, still: Tensor, before: Output, limit: float, c: StepCon
     """The output of an instant, (3, H, W), see `RecurrentOutput.step`."""
     device, (w, h) = image.device, t.sizes.cells
     rows, columns = (t.middles((t.sizes.whole[axis],), (t.sizes.cells[axis],)) for axis in (1, 0))
-    changes, energy = torch.empty((2, 4, h, w), device=device), torch.empty((2, h, w), device=device)
-    launch(compare_past, (h, w), image, before.picture, before.new, c.flags, rows, columns, out.new, changes)
+    changes, energy, known = (torch.empty(size, device=device) for size in ((2, 4, h, w), (2, h, w), (h, w)))
+    launch(compare_past, (h, w), image, before.picture, before.new, c.flags, rows, columns, out.new, changes, known)
     launch(dragged_energy, (2, h, w), changes, t.wide(changes), energy)
     weighted, by = torch.empty((4, h, w), device=device), torch.empty((4, h, w), device=device)
     limits = (1 + limit) / (1 - limit), limit  # of instants that a mean of such weights is worth, and of the weight
-    launch(weigh_past, (h, w), t.pooled(energy), changes, still, before.age, c.flags, *limits, out.age, weighted)
+    launch(weigh_past, (h, w), t.pooled(energy), changes, still, before.age, known, *limits, out.age, weighted)
     launch(weigh_light, (h, w), weighted, t.wide(weighted), by)
     launch(mix_past, image.shape[1:], image, before.picture, by, out.picture)
 
