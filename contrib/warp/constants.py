@@ -163,7 +163,7 @@ class StepConstants:
         values["numbers"][:] = target.near, end, tau, SLABS / (last - first), target.far, SAME_SURFACE_TAU * tau, noise
         ours, theirs = _pinhole(target), np.stack([_pinhole(camera) for camera in (*cameras, past)])
         values["pinholes"][:-1], values["pinholes"][-1] = theirs[:-1], ours
-        values["small_target"][:] = _resized(ours, self._sizes.whole, self._sizes.network)
+        values["small_target"][:] = ours / self._sizes.scale  # of a size that the scale divides, by repetition
         there, back = _rigid([target] * len(theirs), [*cameras, past]), _rigid([*cameras, past], [target] * len(theirs))
         values["to_views"][:] = pixel_maps(there, ours, theirs)
         values["from_views"][:] = pixel_maps(back, theirs, ours)

@@ -91,7 +91,7 @@ def mix_views(
         masks[k, y, x] = share
         old = history[p, y, x]
         if new > 0.0:
-            if old > 0.0 and wp.abs(new - old) <= tolerance * wp.max(new, 1e-9):
+            if old > 0.0 and wp.abs(new - old) <= tolerance * new:
                 result = share * new + (1.0 - share) * old
         elif share < 1.0:
             result = old

@@ -191,6 +191,7 @@ def kernels_of(kind: Any) -> SimpleNamespace:
         weights: wp.array2d[wp.float32],
         bias: wp.array[wp.float32],
         start: wp.array[wp.float32],
+        order: wp.array[wp.int32],
         most: wp.int32,
         top: wp.int32,
         left: wp.int32,
@@ -208,8 +209,9 @@ def kernels_of(kind: Any) -> SimpleNamespace:
                 for c in range(weights.shape[1]):
                     total += weights[o, c] * normal(wp.float32(raw[row, column, c]), stats, gains, c)
                 if o < views:
-                    total += wp.log(wp.max(start[o], _LEAST_WEIGHT))
-                    largest = wp.max(largest, total)
+                    if order[o] >= 0:
+                        total += wp.log(wp.max(start[order[o]], _LEAST_WEIGHT))
+                        largest = wp.max(largest, total)
                     out[y, x, o] = total
                 else:
                     at = o - most + views
@@ -218,7 +220,9 @@ def kernels_of(kind: Any) -> SimpleNamespace:
                     out[y, x, at] = total
         whole = wp.float32(0.0)
         for o in range(views):
-            share = wp.exp(out[y, x, o] - largest)
+            share = wp.float32(0.0)
+            if order[o] >= 0:
+                share = wp.exp(out[y, x, o] - largest)
             whole += share
             out[y, x, o] = share
         for o in range(views):
@@ -406,8 +410,17 @@ class DeviceNetwork:
             taps, bias = _matrix(self._refiner.taps)
             self._taps = taps.view(-1), bias
 
-    def small(self, channels: Tensor, weights: Tensor) -> Tensor:
-        """Input channels, (inputs, h, w), and geometric weights, (K,), to `small_outputs`, (h, w, K + 4 + F)."""
+    def small(self, channels: Tensor, weights: Tensor, order: Tensor) -> Tensor:
+        """Evaluate the U-Net.
+
+        Args:
+            channels: of its input, (inputs, h, w).
+            weights: geometric ones of the views, (K,).
+            order: the view at each of the network's places, -1 for none, (K,), int32.
+
+        Returns:
+            `small_outputs`, (h, w, K + 4 + F), by the network's places.
+        """
         height, width = channels.shape[1:]
         (left, right), (top, bottom) = margins(width), margins(height)
         padded = self._padded(height + top + bottom, width + left + right, self._layers[0].shape[1])
@@ -426,7 +439,7 @@ class DeviceNetwork:
             below = self._block(padded, layers)
         most, outputs = self.config.views, self._last[0].shape[0]
         out = torch.empty((height, width, outputs - most + len(weights)), device=self._device)
-        launch(self._kernels.small_outputs, (height, width), *below, *self._last, weights, most, top, left, out)
+        launch(self._kernels.small_outputs, (height, width), *below, *self._last, weights, order, most, top, left, out)
         return out
 
     def refined(self, image: Tensor, spread: Tensor, seen: Tensor, logarithm: Tensor, depth: Tensor, small: Tensor) -> Tensor:

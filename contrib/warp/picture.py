@@ -121,6 +121,7 @@ def network_channels(
     centres: wp.array2d[wp.float32],
     distances: wp.array[wp.float32],
     axes: wp.array[wp.float32],
+    places: wp.array[wp.int32],
     most: wp.int32,
     registered: wp.bool,
     out: wp.array3d[wp.float32],
@@ -139,9 +140,11 @@ def network_channels(
     left = wp.max(x - 1, 0)
     right = wp.min(x + 1, width - 1)
     far = numbers[FAR]
-    point = surface_point(fused, pinhole, far, y, x)
-    along_column = surface_point(fused, pinhole, far, lower, x) - surface_point(fused, pinhole, far, upper, x)
-    along_row = surface_point(fused, pinhole, far, y, right) - surface_point(fused, pinhole, far, y, left)
+    # A power of two rounds nothing, and brings lengths near 1. Its bits are those of an exponent.
+    per = wp.cast((254 - (wp.cast(length, wp.int32) >> 23)) << 23, wp.float32)
+    point = per * surface_point(fused, pinhole, far, y, x)
+    along_column = per * surface_point(fused, pinhole, far, lower, x) - per * surface_point(fused, pinhole, far, upper, x)
+    along_row = per * surface_point(fused, pinhole, far, y, right) - per * surface_point(fused, pinhole, far, y, left)
     normal = unit(wp.cross(along_column, along_row))
     away = wp.dot(normal, point)
     facing = wp.float32(0.0)
@@ -154,33 +157,58 @@ def network_channels(
     back = unit(-point)
     out[5 * most, y, x] = inverse(fused[y, x], length)
     for k in range(views):
-        direction = unit(wp.vec3f(centres[k, 0], centres[k, 1], centres[k, 2]) - point)
-        for c in range(3):
-            out[3 * k + c, y, x] = maps[k, c, y, x]
-        out[3 * most + k, y, x] = inverse(depths[k, y, x], length)
-        out[4 * most + k, y, x] = maps[k, 5, y, x]
-        out[5 * most + 1 + k, y, x] = wp.dot(direction, normal) * facing
-        out[6 * most + 1 + k, y, x] = wp.dot(direction, back)
-        out[7 * most + 1 + k, y, x] = distances[k] / length
-        out[8 * most + 1 + k, y, x] = axes[k]
-        if registered:
-            out[9 * most + 1 + k, y, x] = maps[k, 4, y, x]
+        n = places[k]
+        if n >= 0:
+            direction = unit(per * wp.vec3f(centres[k, 0], centres[k, 1], centres[k, 2]) - point)
+            for c in range(3):
+                out[3 * n + c, y, x] = maps[k, c, y, x]
+            out[3 * most + n, y, x] = inverse(depths[k, y, x], length)
+            out[4 * most + n, y, x] = maps[k, 5, y, x]
+            out[5 * most + 1 + n, y, x] = wp.dot(direction, normal) * facing
+            out[6 * most + 1 + n, y, x] = wp.dot(direction, back)
+            out[7 * most + 1 + n, y, x] = distances[k] / length
+            out[8 * most + 1 + n, y, x] = axes[k]
+            if registered:
+                out[9 * most + 1 + n, y, x] = maps[k, 4, y, x]
 
 
 @wp.kernel
-def share_out(small: wp.array3d[wp.float32], maps: wp.array4d[wp.float32], out: wp.array3d[wp.float32]):
+def give_places(coverage: wp.array[wp.float32], places: wp.array[wp.int32], order: wp.array[wp.int32]):
+    """Places of the views at the network, and the view of each; one that covers no pixel has none, unless none does."""
+    wp.tid()
+    views = coverage.shape[0]
+    largest = wp.float32(0.0)
+    for k in range(views):
+        largest = wp.max(largest, coverage[k])
+        order[k] = -1
+    taken = wp.int32(0)
+    for k in range(views):
+        places[k] = -1
+        if coverage[k] >= _COVERED or largest < _COVERED:
+            places[k] = taken
+            order[taken] = k
+            taken += 1
+
+
+@wp.kernel
+def share_out(
+    small: wp.array3d[wp.float32], maps: wp.array4d[wp.float32], places: wp.array[wp.int32], out: wp.array3d[wp.float32]
+):
     """Share of each view in the picture, see `view_shares` of the network blender."""
     y, x = wp.tid()
     views = maps.shape[0]
     total = wp.float32(0.0)
     visible = wp.float32(0.0)
     for k in range(views):
-        total += small[y, x, k] * maps[k, 3, y, x]
-        visible += maps[k, 4, y, x]
+        if places[k] >= 0:
+            total += small[y, x, places[k]] * maps[k, 3, y, x]
+            visible += maps[k, 4, y, x]
     unseen = wp.clamp(1.0 - wp.min(visible, 1.0), _SURE, 1.0 - _SURE)
     behind = 1.0 / (1.0 + wp.exp(-small[y, x, views]) * (1.0 - unseen) / unseen)
     for k in range(views):
-        out[k, y, x] = small[y, x, k] * maps[k, 3, y, x] * ((1.0 - behind) / wp.max(total, _LEAST_WEIGHT))
+        out[k, y, x] = 0.0
+        if places[k] >= 0:
+            out[k, y, x] = small[y, x, places[k]] * maps[k, 3, y, x] * ((1.0 - behind) / wp.max(total, _LEAST_WEIGHT))
 
 
 @wp.kernel
@@ -249,6 +277,7 @@ def mean_of_views(
     coverage: wp.array3d[wp.float32],
     alphas: wp.array3d[wp.float32],
     weights: wp.array[wp.float32],
+    places: wp.array[wp.int32],
     out: wp.array3d[wp.float32],
     covered: wp.array2d[wp.float32],
 ):
@@ -258,7 +287,7 @@ def mean_of_views(
     sums = wp.vec3f()
     covers = wp.float32(0.0)
     for k in range(coverage.shape[0]):
-        w = weights[k] * coverage[k, y, x]
+        w = wp.where(places[k] >= 0, weights[k], 0.0) * coverage[k, y, x]
         total += w
         sums += w * wp.vec3f(colours[k, 0, y, x], colours[k, 1, y, x], colours[k, 2, y, x])
         if alphas[k, y, x] > _COVERED:
@@ -276,6 +305,7 @@ def compose(
     background: wp.array3d[wp.float32],
     depth: wp.array2d[wp.float32],
     small: wp.array3d[wp.float32],
+    places: wp.array[wp.int32],
     scale: wp.int32,
     image: wp.array3d[wp.float32],
     spread: wp.array2d[wp.float32],
@@ -303,29 +333,33 @@ def compose(
     shown = wp.float32(0.0)
     sums = wp.vec3f()
     for k in range(views):
-        w = a * small[y0, x0, k] + b * small[y0, x1, k] + c * small[y1, x0, k] + d * small[y1, x1, k]
-        w *= coverage[k, y, x]
-        total += w
-        shown += coverage[k, y, x]
-        visible += visibilities[k, y, x]
-        sums += w * wp.vec3f(colours[k, 0, y, x], colours[k, 1, y, x], colours[k, 2, y, x])
+        n = places[k]
+        if n >= 0:
+            w = a * small[y0, x0, n] + b * small[y0, x1, n] + c * small[y1, x0, n] + d * small[y1, x1, n]
+            w *= coverage[k, y, x]
+            total += w
+            shown += coverage[k, y, x]
+            visible += visibilities[k, y, x]
+            sums += w * wp.vec3f(colours[k, 0, y, x], colours[k, 1, y, x], colours[k, 2, y, x])
     bounded = wp.max(total, _LEAST_WEIGHT)
     unseen = wp.clamp(1.0 - wp.min(visible, 1.0), _SURE, 1.0 - _SURE)
     sure = a * small[y0, x0, views] + b * small[y0, x1, views] + c * small[y1, x0, views] + d * small[y1, x1, views]
     behind = 1.0 / (1.0 + wp.exp(-(sure + wp.log(unseen / (1.0 - unseen)))))
     here = wp.vec3f()
-    for n in range(3):
-        s = views + 1 + n
+    for i in range(3):
+        s = views + 1 + i
         change = a * small[y0, x0, s] + b * small[y0, x1, s] + c * small[y1, x0, s] + d * small[y1, x1, s]
-        other = wp.clamp(background[n, y, x] + change, 0.0, 1.0)
-        front = sums[n] / bounded
-        here[n] = front + behind * (other - front)
-        image[n, y, x] = here[n]
+        other = wp.clamp(background[i, y, x] + change, 0.0, 1.0)
+        front = sums[i] / bounded
+        here[i] = front + behind * (other - front)
+        image[i, y, x] = here[i]
     squares = wp.float32(0.0)
     for k in range(views):
-        w = a * small[y0, x0, k] + b * small[y0, x1, k] + c * small[y1, x0, k] + d * small[y1, x1, k]
-        off = wp.vec3f(colours[k, 0, y, x], colours[k, 1, y, x], colours[k, 2, y, x]) - here
-        squares += w * coverage[k, y, x] * (wp.dot(off, off) / 3.0)
+        n = places[k]
+        if n >= 0:
+            w = a * small[y0, x0, n] + b * small[y0, x1, n] + c * small[y1, x0, n] + d * small[y1, x1, n]
+            off = wp.vec3f(colours[k, 0, y, x], colours[k, 1, y, x], colours[k, 2, y, x]) - here
+            squares += w * coverage[k, y, x] * (wp.dot(off, off) / 3.0)
     spread[y, x] = _COLOUR_GAIN * wp.sqrt(squares / bounded)
     seen[y, x] = shown
     value = wp.float32(0.0)
@@ -362,18 +396,19 @@ def reduced_maps(maps: DeviceMaps, t: Tables) -> tuple[Tensor, Tensor]:
     return means, picked
 
 
-def input_channels(means: Tensor, depths: Tensor, registered: bool, most: int, c: StepConstants) -> Tensor:
+def input_channels(means: Tensor, depths: Tensor, places: Tensor, registered: bool, most: int, c: StepConstants) -> Tensor:
     """Input channels of the network, (channels, h, w), see `input_channels` of the compiled path.
 
     Args:
         means, depths: by `reduced_maps`.
+        places: of the views at the network, (K,), int32, see `give_places`.
         registered: with group 9, ``registered`` guidance; else ``channels``.
         most: how many views the network is made for.
     """
     fused = depths[-1]
     channels = channel_count(most, "registered" if registered else "channels")
     out = torch.zeros((channels, *fused.shape), device=fused.device)
-    seen = (means, depths, c.small_target, c.numbers, masked_median(fused, fused > 0), c.centres, c.distances, c.axes)
+    seen = (means, depths, c.small_target, c.numbers, masked_median(fused, fused > 0), c.centres, c.distances, c.axes, places)
     launch(network_channels, fused.shape, *seen, most, registered, out)
     return out
 
@@ -382,12 +417,23 @@ def blend_views(network: DeviceNetwork, maps: DeviceMaps, registered: bool, c: S
     """Blend the views by the network: the picture (3, H, W) in [0, 1], and the share of each view, (K, h, w)."""
     size, device = maps.fused.shape, maps.fused.device
     means, depths = reduced_maps(maps, t)
-    small = network.small(input_channels(means, depths, registered, network.config.views, c), c.weights)
+    places, order = (torch.empty(len(means), dtype=torch.int32, device=device) for _ in range(2))
+    launch(give_places, 1, maps.splats.alphas.amax(dim=(1, 2)), places, order)
+    small = network.small(input_channels(means, depths, places, registered, network.config.views, c), c.weights, order)
     mean, image = (torch.empty((3, *size), device=device) for _ in range(2))
     covered, spread, seen, logarithm = (torch.empty(size, device=device) for _ in range(4))
-    launch(mean_of_views, size, maps.colours, maps.coverage, maps.splats.alphas, c.weights, mean, covered)
-    stacks = (maps.colours, maps.coverage, maps.visibilities, fill_holes(mean, covered, t), maps.fused, small, t.sizes.scale)
+    launch(mean_of_views, size, maps.colours, maps.coverage, maps.splats.alphas, c.weights, places, mean, covered)
+    stacks = (
+        maps.colours,
+        maps.coverage,
+        maps.visibilities,
+        fill_holes(mean, covered, t),
+        maps.fused,
+        small,
+        places,
+        t.sizes.scale,
+    )
     launch(compose, size, *stacks, image, spread, seen, logarithm)
     shares = torch.empty_like(depths[:-1])
-    launch(share_out, shares.shape[1:], small, means, shares)
+    launch(share_out, shares.shape[1:], small, means, places, shares)
     return network.refined(image, spread, seen, logarithm, maps.fused, small), shares
