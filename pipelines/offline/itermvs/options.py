@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from ggvs_eval.metrics.image.fetch_lpips import cache_folder
 
@@ -21,6 +22,7 @@ class IterMvs:
         weights_sha256: of its content; other weights, other depth.
         partners: how many cameras a camera is matched with at most; they need no common rectification.
         iterations: of the recurrent unit; the authors take four.
+        precision: of convolutions; features, projections and the recurrent state are float32 in any case.
     """
 
     weights: Path
@@ -28,6 +30,7 @@ class IterMvs:
     partners: int = 6
     iterations: int = 4
     device: str = "cpu"
+    precision: Literal["float32", "float16"] = "float32"
 
     @property
     def name(self) -> str:
