@@ -40,7 +40,8 @@ def load_network(
     """
     network = IterMvsNetwork()
     load_strict(read_tensors(path, CHECKPOINT_KEY, of=NETWORK), network, path, NETWORK)
-    return network.eval().to(device, memory_format=layout)
+    network.to(memory_format=layout)  # type: ignore[call-overload]  # not in torch's overloads
+    return network.eval().to(device)
 
 
 class IterMvsRig:
@@ -58,7 +59,7 @@ class IterMvsRig:
 
     def __init__(self, options: IterMvs) -> None:
         self._options, self._device = options, torch.device(options.device)
-        self._batches: OrderedDict[tuple[int | Pictures, ...], _Batch] = OrderedDict()
+        self._batches: OrderedDict[tuple[object, ...], _Batch] = OrderedDict()
 
     def estimate(
         self, cameras: Sequence[Camera], matched: Sequence[Matched], images: Sequence[Image8]
