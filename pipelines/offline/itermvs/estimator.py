@@ -2,7 +2,7 @@
 
 import gc
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -26,6 +26,7 @@ CHECKPOINT_KEY = "model"
 MOST_RECORDINGS = 4  # kept; a target that moves along a rig alternates between a few numbers of pictures
 Matched = Sequence[int]  # index of a camera, then of its partners
 Pictures = tuple[int, int, int]  # number, width and height of those of one size
+Finish = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 @lru_cache(maxsize=2)
@@ -51,14 +52,18 @@ class IterMvsRig:
     a CUDA graph, one for each number of maps, partners and pictures and each size: other cameras, partners and depth ranges
     need no other recording. The CPU runs the same code on the same buffers.
 
+    Args:
+        finish: makes the maps, depth and confidence (K, H, W), of those found and of `projections_between` their cameras; it is
+            recorded too.
+
     Reading:
         The network counts whole pixels: the middle of the first one is at 0, and feature j of a level lies on pixel j * 2^level.
-        Images are stretched to sides that are multiples of 32, each camera's to its own. Where these sizes differ within a rig,
-        each map is a batch of its own.
+        Images are stretched to sides that are multiples of 32, each camera's to its own. Where sizes differ within a rig, each
+        map is a batch of its own.
     """
 
-    def __init__(self, options: IterMvs) -> None:
-        self._options, self._device = options, torch.device(options.device)
+    def __init__(self, options: IterMvs, finish: Finish | None = None) -> None:
+        self._options, self._finish, self._device = options, finish, torch.device(options.device)
         self._batches: OrderedDict[tuple[object, ...], _Batch] = OrderedDict()
 
     def estimate(
@@ -75,26 +80,28 @@ class IterMvsRig:
             Depth, world units, and confidence in [0, 1] of each map, float32 tensors (H, W) on the device; the caller's own.
         """
         stretched = [_stretched(camera) for camera in cameras]
-        alike = len({each.size for each in stretched}) == 1
+        alike = len({camera.size for camera in cameras}) == 1
         if not alike and len(matched) > 1:
             return [each for one in matched for each in self.estimate(cameras, [one], images)]
         groups = [list(range(len(cameras)))] if alike else [[index] for index in matched[0]]
         partners = max(map(len, matched)) - 1
         with rendering_on(self._device):
-            batch = self._batch(len(matched), partners, [(len(each), *stretched[each[0]].size) for each in groups])
+            sizes = [(len(each), *stretched[each[0]].size) for each in groups]
+            batch = self._batch(len(matched), partners, cameras[matched[0][0]].size, sizes)
             members = [tuple(each) for each in matched] if alike else [(0,) * (1 + partners)]
-            batch.match([[stretched[index] for index in each] for each in matched], members)
+            batch.match(
+                [[stretched[index] for index in each] for each in matched], members, [cameras[own] for own, *_ in matched]
+            )
             batch.show([[images[index] for index in each] for each in groups])
-            found = zip(*batch.run(), strict=True)
-            return [_at_size(*maps, cameras[own].size) for maps, (own, *_) in zip(found, matched, strict=True)]
+            return [(depth.clone(), confidence.clone()) for depth, confidence in zip(*batch.run(), strict=True)]
 
-    def _batch(self, maps: int, partners: int, pictures: Sequence[Pictures]) -> "_Batch":
+    def _batch(self, maps: int, partners: int, size: tuple[int, int], pictures: Sequence[Pictures]) -> "_Batch":
         """The buffers of these numbers; those that were not used for longest are given up."""
-        key = (maps, partners, *pictures)
+        key = (maps, partners, size, *pictures)
         if key not in self._batches:
             if len(self._batches) >= MOST_RECORDINGS:
                 self._batches.popitem(last=False)
-            self._batches[key] = _Batch(self._options, self._device, maps, partners, pictures)
+            self._batches[key] = _Batch(self._options, self._finish, maps, partners, size, pictures)
         self._batches.move_to_end(key)
         return self._batches[key]
 
@@ -103,18 +110,32 @@ class _Batch:
     """Static buffers of a batch of K maps from M partners each, and what a GPU has recorded on them.
 
     Args:
+        finish: see `IterMvsRig`.
+        size: width and height of the maps.
         pictures: those of each size, see `IterMvsNetwork.forward`.
     """
 
-    def __init__(self, options: IterMvs, device: torch.device, maps: int, partners: int, pictures: Sequence[Pictures]) -> None:
-        self._half, self._iterations, self._device = options.precision == "float16", options.iterations, device
-        self._network = load_network(options.weights, device, torch.channels_last if self._half else torch.contiguous_format)
+    def __init__(
+        self,
+        options: IterMvs,
+        finish: Finish | None,
+        maps: int,
+        partners: int,
+        size: tuple[int, int],
+        pictures: Sequence[Pictures],
+    ) -> None:
+        self._half, self._iterations, self._finish = options.precision == "float16", options.iterations, finish
+        self._device = device = torch.device(options.device)
+        layout = torch.channels_last if self._half else torch.contiguous_format
+        self._network, self._size = load_network(options.weights, device, layout), size
+        self._nearest = [_nearest(*sides, device) for sides in zip(pictures[0][1:], size, strict=True)]
         self._pictures = [torch.zeros((p, high, wide, 3), dtype=torch.uint8, device=device) for p, wide, high in pictures]
         self._views = MatchedViews(
             torch.zeros((maps, 1 + partners), dtype=torch.int64, device=device),
             torch.zeros((maps, partners, 13), device=device),
             torch.ones((maps, 3), device=device),
         )
+        self._between = torch.zeros((maps, maps, 12), device=device)
         self._host, self._uploaded = self._pictures, None
         if device.type == "cuda":
             self._host = [torch.empty(each.shape, dtype=each.dtype, device="cpu", pin_memory=True) for each in self._pictures]
@@ -123,21 +144,25 @@ class _Batch:
         self._outcome: tuple[Tensor, Tensor] | None = None
         self._matched: object = None
 
-    def match(self, matched: Sequence[Sequence[Camera]], members: Sequence[tuple[int, ...]]) -> None:
+    def match(self, matched: Sequence[Sequence[Camera]], members: Sequence[tuple[int, ...]], own: Sequence[Camera]) -> None:
         """Take these cameras and their partners, at the size of their pictures; what is there already is not uploaded again.
 
         Args:
             members: index of each picture in its buffer.
+            own: the cameras at the size of the maps.
         """
         if self._matched == (matched, members):
             return
         self._matched = matched, members
         views, projections = self._views, np.zeros(self._views.projections.shape, np.float32)
-        for k, (own, *others) in enumerate(matched):
-            projections[k, : len(others)] = [_projection(own, other) for other in others]
+        for k, (camera, *others) in enumerate(matched):
+            numbers = [_projection(camera, other, _whole_pixels(camera), _whole_pixels(other)) for other in others]
+            projections[k, : len(others)] = [[*each, 1] for each in numbers]
         padded = [each + each[:1] * (views.members.shape[1] - len(each)) for each in members]
-        ranges = [(1 / own.far, 1 / own.near - 1 / own.far, NEAREST_SHARE * own.near) for own, *_ in matched]
-        for there, values in ((views.members, padded), (views.projections, projections), (views.ranges, ranges)):
+        ranges = [(1 / each.far, 1 / each.near - 1 / each.far, NEAREST_SHARE * each.near) for each in own]
+        between = projections_between(own) if self._finish is not None else np.zeros(self._between.shape)
+        buffers = views.members, views.projections, views.ranges, self._between
+        for there, values in zip(buffers, (padded, projections, ranges, between), strict=True):
             there.copy_(torch.as_tensor(np.asarray(values), dtype=there.dtype, device="cpu"))
 
     def show(self, images: Sequence[Sequence[Image8]]) -> None:
@@ -163,8 +188,12 @@ class _Batch:
     def _compute(self) -> tuple[Tensor, Tensor]:
         """All that is recorded: it reads the buffers, and neither uploads nor waits."""
         with torch.autocast(self._device.type, torch.float16, enabled=self._half, cache_enabled=False):
-            found: tuple[Tensor, Tensor] = self._network(self._pictures, self._views, self._iterations)
-        return found
+            depth, confidence = self._network(self._pictures, self._views, self._iterations)
+        if self._size != (depth.shape[2], depth.shape[1]):  # depths of two surfaces are not mixed, confidences are
+            columns, rows = self._nearest
+            depth = depth.index_select(1, rows).index_select(2, columns)
+            confidence = functional.interpolate(confidence[:, None], size=self._size[::-1], mode="bilinear")[:, 0]
+        return (depth, confidence) if self._finish is None else self._finish(depth, confidence, self._between)
 
     def _record(self) -> tuple[torch.cuda.CUDAGraph, tuple[Tensor, Tensor]]:
         """Record the batch, behind two runs in which libraries choose their ways and allocate."""
@@ -208,25 +237,21 @@ def _stretched(camera: Camera) -> Camera:
     return camera.resized(width, height)
 
 
-def _projection(camera: Camera, partner: Camera) -> Array:
-    """A row of `MatchedViews.projections`, (13,)."""
-    motion, own, other = rigid_between(camera, partner), _whole_pixels(camera), _whole_pixels(partner)
-    return np.concatenate([(other @ motion[:3, :3] @ np.linalg.inv(own)).ravel(), other @ motion[:3, 3], [1.0]])
+def projections_between(cameras: Sequence[Camera]) -> Array:
+    """What takes pixels of each camera, (u, v, 1) times their depth, to each other one: matrix and offset, (K, K, 12)."""
+    return np.array([[_projection(first, second, first.K, second.K) for second in cameras] for first in cameras])
+
+
+def _projection(first: Camera, second: Camera, first_matrix: Array, second_matrix: Array) -> Array:
+    """Matrix and offset from pixels of one camera to another's, by camera matrices in whatever pixels, (12,)."""
+    motion = rigid_between(first, second)
+    matrix = second_matrix @ motion[:3, :3] @ np.linalg.inv(first_matrix)
+    return np.concatenate([matrix.ravel(), second_matrix @ motion[:3, 3]])
 
 
 def _whole_pixels(camera: Camera) -> Array:
     """The camera matrix where the first pixel's middle is at 0."""
     return camera.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-
-
-def _at_size(depth: Tensor, confidence: Tensor, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Copies of a map at a camera's size: depths of two surfaces are not mixed, confidences are."""
-    height, width = depth.shape
-    if size == (width, height):
-        return depth.clone(), confidence.clone()
-    columns, rows = (_nearest(there, here, depth.device) for there, here in zip((width, height), size, strict=True))
-    smooth = functional.interpolate(confidence[None, None], size=size[::-1], mode="bilinear")
-    return depth.index_select(0, rows).index_select(1, columns), smooth[0, 0]
 
 
 @lru_cache(maxsize=64)
