@@ -17,6 +17,7 @@ from ggvs_eval.pipelines.offline.itermvs.estimator import MOST_RECORDINGS, IterM
 from ggvs_eval.pipelines.offline.itermvs.network import IterMvsNetwork, MatchedViews
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs, cached_weights
 from helpers.hostile import Hostile
+from helpers.itermvs_weights import write_checkpoint
 from helpers.places import DATA_FOLDER, SHARED
 from helpers.recordable import forbidden_operations
 from helpers.seeded_baselines import seed_weights, turned_rig
@@ -35,10 +36,7 @@ def network():
 @pytest.fixture(scope="module")
 def weights(network, tmp_path_factory):
     """A checkpoint as the authors write it."""
-    path = tmp_path_factory.mktemp("itermvs") / "model.ckpt"
-    state = {f"module.{name}": tensor for name, tensor in network.state_dict().items()}
-    torch.save({"epoch": 15, "model": state, "optimizer": {"state": {}}}, path)
-    return path
+    return write_checkpoint(tmp_path_factory.mktemp("itermvs") / "model.ckpt", network)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Depth maps of several cameras finished and held against each other on a device, as `finish` and `check_depth` do on the CPU.
+"""Finish and cross-check of the depth of several cameras on a device, as `finish` and `check_depth` do on the CPU.
 
 Maps are stacks (K, H, W), 0 where depth is unknown. Whatever they hold, the same operations are launched, nothing is uploaded and
 the host reads nothing, so that a GPU records them behind the network that found the depth. Sums differ from the CPU's in the last
@@ -21,7 +21,7 @@ Maps = tuple[Tensor, Tensor]  # depth and confidence
 
 
 def finisher(options: DepthOptions) -> Finish:
-    """Post-processing of a stack by these options; maps are held against each other where they want that, and K > 1."""
+    """Post-processing of a stack by these options; maps are checked against each other if they include consistency and K > 1."""
     return partial(finish_maps, options=options)
 
 
@@ -90,7 +90,7 @@ def _farther_neighbour(depth: Tensor) -> Tensor:
 
 
 def check_consistency(depth: Tensor, confidence: Tensor, between: Tensor, options: ConsistencyOptions) -> Maps:
-    """Hold each map of a stack against all others, see `consistency.check_consistency`."""
+    """Check each map of a stack against all others, see `consistency.check_consistency`."""
     depth = torch.where(confidence >= options.least_confidence, depth, 0.0)
     others = [_Others(depth, confidence, between, shift, options) for shift in range(1, len(depth))]
     verdict = _evaluate(others, depth, confidence, options)

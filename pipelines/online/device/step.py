@@ -56,6 +56,7 @@ class DeviceGuided:
 
     Attributes:
         details: seconds of every part of the last step, finer than the stages of its `Rendering`.
+        takes_device_depth: the depth of a source may be a tensor on the device.
 
     Reading:
         Pictures are those of the compiled path but for rounding. Filter, weights, march, contested depth and registration give
@@ -64,6 +65,8 @@ class DeviceGuided:
         contested depth, of what is remembered. Three instants of two views of the demo room at 480 x 360, K = 4: no pixel off by
         a level (0.25 of one at most), 0.005 % of the depths off by more than 0.1 mm.
     """
+
+    takes_device_depth = True
 
     def __init__(
         self,

@@ -51,7 +51,9 @@ def upload(sources: Sequence[SourceView], device: torch.device) -> DeviceViews:
     )
     for k, source in enumerate(sources):
         views.layer(images, k).copy_(torch.from_numpy(np.ascontiguousarray(source.image)), non_blocking=True)
-        views.layer(depths, k).copy_(torch.from_numpy(np.ascontiguousarray(source.depth, np.float32)), non_blocking=True)
+        depth = source.depth  # an array, or where it was computed
+        there = depth if isinstance(depth, Tensor) else torch.from_numpy(np.ascontiguousarray(depth, np.float32))
+        views.layer(depths, k).copy_(there, non_blocking=True)
     return views
 
 
