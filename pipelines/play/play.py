@@ -12,6 +12,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import write_video
+from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER
 from ggvs_eval.pipelines.play.plausibility import LEAST_SEEN, SEEN_FROM_DEG, seen_share
 from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
@@ -63,11 +64,10 @@ def record(playback: Playback, out: Path, method: str = DEFAULT_METHOD, device: 
         out: MP4 file to write; it appears when it is whole.
     """
     require_writable(out)
-    synthesizer = OnlineSynthesizer(
-        playback.capture.cameras, playback.k, playback.capture.units_per_metre, method, device, playback.sources
-    )
+    capture, live = playback.capture, playback.live or LIVE_MATCHER
+    synthesizer = OnlineSynthesizer(capture.cameras, playback.k, capture.units_per_metre, method, device, playback.sources, live)
     timing = Timing()
-    write_video(out, _views(playback, synthesizer, timing), playback.capture.fps or FPS_OF_STILLS)
+    write_video(out, _views(playback, synthesizer, timing), capture.fps or FPS_OF_STILLS)
     return timing
 
 
@@ -94,9 +94,13 @@ def _views(playback: Playback, synthesizer: OnlineSynthesizer, timing: Timing) -
     for instant, pose in track(steps, "playing"):
         timing.seen.append(seen_share(pose, playback.capture.cameras))
         begun = perf_counter()
-        names = [camera.name for camera in synthesizer.sources(pose)]
+        depths = None
+        if playback.live is None:
+            names = [camera.name for camera in synthesizer.sources(pose)]
+            depths = {name: playback.store.read(playback.depth_keys[name], instant) for name in names}
+        else:
+            names = synthesizer.needed(pose)
         images = {name: playback.capture.frame(name, instant) for name in names}
-        depths = {name: playback.store.read(playback.depth_keys[name], instant) for name in names}
         read = perf_counter()
         rendering = synthesizer.step(images, depths, pose)
         done = perf_counter()

@@ -16,6 +16,7 @@ from ggvs_eval.files.digest import digest_values
 from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth, without_unmatched
+from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.run.frame_cache import cache_frames
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 
@@ -103,6 +104,7 @@ class Playback:
         instants: frame number of the capture at each step.
         depth_keys: camera -> key of its depth.
         sources: which cameras are source views.
+        live: how depth is found for each picture, by a network on a GPU; None where the store has it.
     """
 
     capture: Capture
@@ -112,6 +114,7 @@ class Playback:
     store: DepthStore
     depth_keys: Mapping[str, str]
     sources: SourceChoice = "nearest"
+    live: DepthOptions | None = None
 
 
 def make_playback(
@@ -142,6 +145,8 @@ def playback_of_capture(
 ) -> Playback:
     """Play a capture: decode the frames and compute the depth that its targets need, into a cache.
 
+    Depth by IterMVS on a GPU is not computed here, but for each picture as it is shown.
+
     Args:
         capture: what is played; of one instant, the camera moves while time stands still.
         cache: folder for frames and depth; what is there, and belongs to these frames, is kept.
@@ -169,6 +174,8 @@ def playback_of_capture(
     store = DepthStore(cache / _digest(capture) / "depth")
     blocks = list(blocks_of(needed, 2 * max(map(len, needed.values()))))
     capture = cache_frames(capture, _frames_by_camera(blocks, jobs, alone), store.root.with_name("frames"), workers)
+    if isinstance(depth.matcher, IterMvs) and depth.matcher.device != "cpu":
+        return Playback(capture, poses, instants, k, store, {}, sources, alone)
     for block, names in blocks:
         prepare_depth(capture, [jobs[name] for name in sorted(names)], block, store, alone, workers)
     return Playback(capture, poses, instants, k, store, {name: job.key for name, job in jobs.items()}, sources)

@@ -1,8 +1,9 @@
-"""Live synthesis: images and depth of a rig go in, the view of a virtual camera comes out, instant by instant."""
+"""Live synthesis: images of a rig go in, with depth or without, the view of a virtual camera comes out, instant by instant."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import get_args
+from dataclasses import replace
+from typing import Any, get_args
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from ggvs_eval.geometry.source_views import ChosenSource, SourceChoice, choose_s
 from ggvs_eval.method import Instant, LookaheadMethod, Method, Rendering, SourceView
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER, DepthRunOptions
+from ggvs_eval.pipelines.offline.depth.rig_depth import DeviceDepth, RigDepth
 from ggvs_eval.pipelines.play.plausibility import Doubts
 
 DEFAULT_METHOD = "ours"
@@ -32,6 +36,8 @@ class OnlineSynthesizer:
         method: a label of `ggvs_eval.pipelines.methods.registry.METHODS`, or what makes a fresh method.
         device: where the networks of a method compute that is given by its label, see `compute_device`.
         sources: which cameras a step takes: the K ``nearest``, or those that see most of the target's view (``coverage``).
+        depth: how a step that is given no depth finds it: the name of a matcher, see `depth_choice.MATCHERS`, or its options.
+            ``itermvs:CHECKPOINT`` finds that of all sources in one batch on the device, and leaves it there.
 
     Raises:
         DeviceError: no such device here.
@@ -59,6 +65,7 @@ class OnlineSynthesizer:
         method: str | Callable[[], Method] = DEFAULT_METHOD,
         device: str = "cpu",
         sources: SourceChoice = "nearest",
+        depth: str | DepthOptions = LIVE_MATCHER,
     ) -> None:
         twice = [name for name, count in Counter(camera.name for camera in cameras).items() if count > 1]
         if twice:
@@ -72,6 +79,8 @@ class OnlineSynthesizer:
         self._make = online_method(method, device)
         self._choice: SourceChoice = sources
         self._doubts = Doubts(self.cameras)
+        self._depth, self._device = depth, checked_device(device)
+        self._rig_depth: RigDepth | None = None
         self.k = k
         self.restart()
 
@@ -99,8 +108,17 @@ class OnlineSynthesizer:
         """
         return [each.camera for each in choose_sources(target, self.cameras, self.k, self._choice)]
 
+    def needed(self, target: Camera) -> list[str]:
+        """Names of the cameras whose images a step without depth takes: the sources, and those they are matched with.
+
+        Raises:
+            CameraError: see `sources`.
+            DepthError: a source that no other camera can be matched with.
+        """
+        return self._finder().needed([camera.name for camera in self.sources(target)])
+
     def step(
-        self, images_by_camera: Mapping[str, Image8], depths_by_camera: Mapping[str, Map | DepthMap], target: Camera
+        self, images_by_camera: Mapping[str, Image8], depths_by_camera: Mapping[str, Map | DepthMap] | None, target: Camera
     ) -> Rendering:
         """Synthesise the next instant. Arrays may be overwritten afterwards.
 
@@ -108,9 +126,10 @@ class OnlineSynthesizer:
         is not in pixels, a target far off the rig.
 
         Args:
-            images_by_camera: what each camera saw, RGB uint8 (H, W, 3), at least of the cameras of `sources`.
+            images_by_camera: what each camera saw, RGB uint8 (H, W, 3), at least of the cameras of `sources`, of `needed` without
+                depth.
             depths_by_camera: depth of the same cameras, (H, W), world units, 0 = unknown; a `DepthMap` knows its confidence, that
-                of a bare array is 1.
+                of a bare array is 1. None: it is estimated, in the stage ``depth`` of the rendering's seconds.
             target: the virtual camera, of any size; it may stand elsewhere at each step.
 
         Raises:
@@ -121,16 +140,35 @@ class OnlineSynthesizer:
         chosen = choose_sources(target, self.cameras, self.k, self._choice)
         names = [each.camera.name for each in chosen]
         _check_names(images_by_camera, names, target, "an image")
-        _check_names(depths_by_camera, names, target, "depth")
-        views = tuple(
-            _source_view(each, images_by_camera[name], depths_by_camera[name]) for name, each in zip(names, chosen, strict=True)
-        )
+        depths, seconds = (depths_by_camera, {}) if depths_by_camera is not None else self._found_depth(names, images_by_camera)
+        _check_names(depths, names, target, "depth")
+        views = tuple(_source_view(each, images_by_camera[name], depths[name]) for name, each in zip(names, chosen, strict=True))
         self._doubts.look_at_target(target)
         for view in views:
-            self._doubts.look_at_depth(view.camera, view.depth)
+            if isinstance(view.depth, np.ndarray):
+                self._doubts.look_at_depth(view.camera, view.depth)
         rendering = self._method.step(Instant(self._index, target, views, self.units_per_metre))
         self._index += 1
-        return rendering
+        return replace(rendering, seconds={**seconds, **rendering.seconds}) if seconds else rendering
+
+    def _finder(self) -> RigDepth:
+        """Return what finds depth, made when it is first asked for."""
+        if self._rig_depth is None:
+            options = self._depth if isinstance(self._depth, DepthOptions) else DepthRunOptions(self._depth).options(self._device)
+            self._rig_depth = RigDepth(self.cameras, options)
+        return self._rig_depth
+
+    def _found_depth(
+        self, names: Sequence[str], images: Mapping[str, Image8]
+    ) -> tuple[Mapping[str, DepthMap | DeviceDepth], dict[str, float]]:
+        """Depth of some cameras, on the device where the method takes it there, and the seconds that it took."""
+        finder = self._finder()
+        begun_s = finder.clock_s()
+        found = finder.estimate(names, images)
+        seconds = {"depth": finder.clock_s() - begun_s}
+        if getattr(self._method, "takes_device_depth", False):
+            return found, seconds
+        return {name: each.download() if isinstance(each, DeviceDepth) else each for name, each in found.items()}, seconds
 
 
 def online_method(method: str | Callable[[], Method], device: str = "cpu") -> Callable[[], Method]:
@@ -151,11 +189,14 @@ def _check_names(given: Mapping[str, object], names: Sequence[str], target: Came
         )
 
 
-def _source_view(source: ChosenSource, image: Image8, source_depth: Map | DepthMap) -> SourceView:
+def _source_view(source: ChosenSource, image: Image8, source_depth: Map | DepthMap | DeviceDepth) -> SourceView:
     """A copy of what a camera gives, since methods remember it and cameras write into the same memory again."""
     camera = source.camera
     shape = (camera.height, camera.width)
     image = as_image8(image, camera, RenderError)
+    if isinstance(source_depth, DeviceDepth):
+        there: tuple[Any, Any] = source_depth.depth, source_depth.confidence
+        return SourceView(camera, image.copy(), *there, source.share)
     depth = _checked_depth(camera, source_depth.depth if isinstance(source_depth, DepthMap) else source_depth)
     confidence = source_depth.confidence if isinstance(source_depth, DepthMap) else (depth > 0).astype(np.float32)
     if confidence.shape != shape:

@@ -8,7 +8,7 @@ import numpy as np
 from ggvs_eval.errors import RenderError
 from ggvs_eval.metrics.time.on_screen import Screen, on_screen
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER
+from ggvs_eval.pipelines.offline.depth.depth_choice import finds_live
 from ggvs_eval.pipelines.run.coverage import Coverage
 from ggvs_eval.protocol import Protocol, Stream
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
@@ -109,4 +109,4 @@ def _depth_note(run: RunFolder, stream: Stream) -> str:
 
 
 def _is_live(run: RunFolder) -> bool:
-    return run.depth_record.is_file() and read_json(run.depth_record).get("matcher") == LIVE_MATCHER
+    return run.depth_record.is_file() and finds_live(read_json(run.depth_record))

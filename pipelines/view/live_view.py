@@ -14,6 +14,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.method import Rendering
+from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER
 from ggvs_eval.pipelines.play.plausibility import LEAST_SEEN, seen_share
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.diagnostics import diagnostics_picture
@@ -117,8 +118,10 @@ class LiveView:
             seconds[label] = {**rendering.seconds, "step": perf_counter() - begun}
         sources = self._running[request.methods[0]].synthesizer.sources(target)
         names = tuple(camera.name for camera in sources)
-        depths = [self.stock.read(name, request.instant)[1].depth for name in names]
-        known = float(np.mean([(depth > 0).mean() for depth in depths]))
+        known = 1.0  # by a network that is sure of nothing, but has an opinion everywhere
+        if self.stock.live is None:
+            depths = [self.stock.read(name, request.instant)[1].depth for name in names]
+            known = float(np.mean([(depth > 0).mean() for depth in depths]))
         return Picture(divided(images, request.divider), seconds, names, seen_share(target, self.stock.cameras), known)
 
     def restart(self) -> None:
@@ -127,13 +130,15 @@ class LiveView:
 
     def _step(self, label: str, request: ViewRequest, target: Camera) -> Rendering:
         if label not in self._running:
-            self._running[label] = _Running(
-                OnlineSynthesizer(self.stock.cameras, request.k, self.units_per_metre, label, self.device, self.sources)
-            )
+            made_by = (label, self.device, self.sources, self.stock.live or LIVE_MATCHER)
+            self._running[label] = _Running(OnlineSynthesizer(self.stock.cameras, request.k, self.units_per_metre, *made_by))
         running = self._running[label]
         if running.instant is not None and request.instant not in (running.instant, running.instant + 1):
             running.synthesizer.restart()
         running.synthesizer.k, running.instant = request.k, request.instant
+        if self.stock.live is not None:
+            images = {name: self.stock.image(name, request.instant) for name in running.synthesizer.needed(target)}
+            return running.synthesizer.step(images, None, target)
         frames = {camera.name: self.stock.read(camera.name, request.instant) for camera in running.synthesizer.sources(target)}
         images = {name: image for name, (image, _) in frames.items()}
         depths = {name: depth for name, (_, depth) in frames.items()}

@@ -13,13 +13,18 @@ from ggvs_eval.errors import DepthError, WeightsError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth, finish
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth
-from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvsEstimator, load_network
-from ggvs_eval.pipelines.offline.itermvs.network import IterMvsNetwork
+from ggvs_eval.pipelines.offline.itermvs.estimator import MOST_RECORDINGS, IterMvsEstimator, IterMvsRig, load_network
+from ggvs_eval.pipelines.offline.itermvs.network import IterMvsNetwork, MatchedViews
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs, cached_weights
 from helpers.hostile import Hostile
-from helpers.places import DATA_FOLDER
+from helpers.itermvs_weights import write_checkpoint
+from helpers.places import DATA_FOLDER, SHARED
+from helpers.recordable import forbidden_operations
 from helpers.seeded_baselines import seed_weights, turned_rig
 from helpers.stereo_scenes import look_from, plane_depth, see_plane, write_capture
+
+PUBLISHED_FILE = SHARED / "weights" / "itermvs_blendedmvs_000015.ckpt"
+MATCHED = [(0, 1, 2, 3), (2, 0, 1), (3, 2, 1, 0)]  # cameras of a rig of four and their partners
 
 
 @pytest.fixture(scope="module")
@@ -31,10 +36,7 @@ def network():
 @pytest.fixture(scope="module")
 def weights(network, tmp_path_factory):
     """A checkpoint as the authors write it."""
-    path = tmp_path_factory.mktemp("itermvs") / "model.ckpt"
-    state = {f"module.{name}": tensor for name, tensor in network.state_dict().items()}
-    torch.save({"epoch": 15, "model": state, "optimizer": {"state": {}}}, path)
-    return path
+    return write_checkpoint(tmp_path_factory.mktemp("itermvs") / "model.ckpt", network)
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +49,38 @@ def rig_and_images():
     """The rig of the golden outputs, depth range 2 to 8."""
     sources = turned_rig(3).sources
     return [replace(each.camera, near=2.0, far=8.0) for each in sources], [each.image for each in sources]
+
+
+def rig_of_four(width=96, height=64):
+    """Four cameras with ranges of their own, and what they see."""
+    sources = turned_rig(4, width, height).sources
+    return [replace(each.camera, near=2.0 + 0.1 * k, far=8.0 + k) for k, each in enumerate(sources)], [s.image for s in sources]
+
+
+def as_arrays(maps):
+    """Depth and confidence of each map as copies."""
+    return [tuple(each.numpy().copy() for each in both) for both in maps]
+
+
+def alone(weights, cameras, images, matched=MATCHED):
+    """Each map of a rig by an estimator of its own."""
+    chosen = [([cameras[index] for index in each], [images[index] for index in each]) for each in matched]
+    return [(found.depth, found.confidence) for found in (estimate(weights, *each) for each in chosen)]
+
+
+def assert_same_bits(maps, others):
+    assert len(maps) == len(others)
+    for there, here in zip(maps, others, strict=True):
+        for one, other in zip(there, here, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def assert_alike(maps, others):
+    """Within rounding: libraries may cut convolutions of several images otherwise than those of one."""
+    for there, here in zip(maps, others, strict=True):
+        for one, other in zip(there, here, strict=True):
+            assert one.shape == other.shape
+            assert np.mean(np.abs(one - other) <= 1e-5 * np.maximum(other, 0.1)) > 0.999
 
 
 def estimate(weights, cameras, images):
@@ -87,6 +121,94 @@ def test_depth_is_the_authors(weights, golden):
     np.testing.assert_allclose(found.depth[::2, ::2], golden["depth"], rtol=1e-4)
     np.testing.assert_allclose(found.confidence[::2, ::2], golden["confidence"], atol=1e-4)
     assert golden["depth"].std() > 0.3
+
+
+def test_a_batch_finds_what_its_maps_find_one_by_one(weights):
+    """Three maps of three and two partners; then other pictures, cameras and partners on the same buffers, with equal bits."""
+    rig, (cameras, images) = IterMvsRig(IterMvs(weights, "")), rig_of_four()
+    first = as_arrays(rig.estimate(cameras, MATCHED, images))
+    assert_alike(first, alone(weights, cameras, images))
+    assert len({depth.tobytes() for depth, _ in first}) == len(MATCHED)
+    (batch,) = rig._batches.values()
+    buffers = [each.data_ptr() for each in (*batch._pictures, *vars(batch._views).values())]
+    moved, dimmed = [replace(each, near=1.5 * each.near) for each in cameras[::-1]], [each // 2 for each in images[::-1]]
+    other = [(1, 0), (0, 3, 2, 1), (2, 3)]
+    second = as_arrays(rig.estimate(moved, other, dimmed))
+    assert_alike(second, alone(weights, moved, dimmed, other))
+    assert_same_bits(second, as_arrays(IterMvsRig(IterMvs(weights, "")).estimate(moved, other, dimmed)))
+    assert_same_bits(as_arrays(rig.estimate(cameras, MATCHED, images)), first)
+    assert list(rig._batches.values()) == [batch]
+    assert [each.data_ptr() for each in (*batch._pictures, *vars(batch._views).values())] == buffers
+
+
+def test_maps_are_the_callers_own(weights):
+    """Depth of an instant outlives the next one, at the network's size and at another."""
+    for size in ((96, 64), (90, 57)):
+        rig, (cameras, images) = IterMvsRig(IterMvs(weights, "")), rig_of_four(*size)
+        found = rig.estimate(cameras, MATCHED, images)
+        before = as_arrays(found)
+        rig.estimate(cameras, MATCHED, [255 - each for each in images])
+        assert_same_bits(as_arrays(found), before)
+        assert {each.shape for both in before for each in both} == {size[::-1]}
+
+
+def test_cameras_of_several_sizes_are_batches_of_their_own(weights):
+    """Each map as an estimator of its own finds it, at its camera's size."""
+    cameras, images = rig_of_four()
+    cameras[1] = cameras[1].cropped(0, 0, 40, 33)
+    images[1] = np.ascontiguousarray(images[1][:33, :40])
+    matched = [(1, 0, 2), (0, 1, 2)]
+    found = as_arrays(IterMvsRig(IterMvs(weights, "")).estimate(cameras, matched, images))
+    assert_same_bits(found, alone(weights, cameras, images, matched))
+    assert [depth.shape for depth, _ in found] == [(33, 40), (64, 96)]
+
+
+def test_the_oldest_buffers_are_given_up(weights):
+    """Numbers of maps and partners that come again find theirs, up to a limit."""
+    rig, (cameras, images) = IterMvsRig(IterMvs(weights, "", iterations=1)), rig_of_four()
+    counts = [[(0, 1)] * maps for maps in range(1, MOST_RECORDINGS + 2)]
+    for matched in (*counts, counts[1]):
+        rig.estimate(cameras, matched, images)
+    assert [key[0] for key in rig._batches] == [3, 4, 5, 2]
+
+
+def test_a_pass_can_be_recorded(network):
+    """No number is uploaded, nor read by the host: on a device without memory the host could do neither."""
+    there = IterMvsNetwork().eval().to("meta")
+    views = MatchedViews(torch.zeros(3, 4, dtype=torch.int64), torch.zeros(3, 3, 13), torch.zeros(3, 3))
+    views = MatchedViews(**{name: each.to("meta") for name, each in vars(views).items()})
+    pictures = [torch.zeros(5, 64, 96, 3, dtype=torch.uint8, device="meta")]
+    with forbidden_operations() as forbidden:
+        depth, confidence = there(pictures, views)
+    assert depth.shape == confidence.shape == (3, 64, 96)
+    assert not forbidden
+
+
+def test_half_precision_is_close(weights):
+    """Convolutions in half precision move the median depth by less than 1e-3 of itself; weights of noise amplify the rest."""
+    cameras, images = rig_of_four()
+    whole, half = (
+        IterMvsRig(IterMvs(weights, "", precision=precision)).estimate(cameras, MATCHED, images)
+        for precision in ("float32", "float16")
+    )
+    off = [((h - w).abs() / w).numpy() for (w, _), (h, _) in zip(whole, half, strict=True)]
+    assert all(h.dtype == torch.float32 for both in half for h in both)
+    assert 0 < np.median(off) < 1e-3
+
+
+@pytest.mark.skipif(not PUBLISHED_FILE.is_file(), reason="no ../shared/weights beside this checkout")
+def test_the_published_weights_find_the_plane():
+    """By the authors' weights the median error on a slanted plane is below 2 %, in a batch, alone and in half precision."""
+    cameras = [look_from(x, y, f"at{x},{y}") for x, y in ((0, 0), (1.2, 0), (-1.2, 0), (0, 1.2))]
+    images = [see_plane(each) for each in cameras]
+    whole, half = (
+        as_arrays(IterMvsRig(IterMvs(PUBLISHED_FILE, "", precision=precision)).estimate(cameras, MATCHED, images))
+        for precision in ("float32", "float16")
+    )
+    assert_alike(whole, alone(PUBLISHED_FILE, cameras, images))
+    for (depth, _), (rounded, _), (own, *_) in zip(whole, half, MATCHED, strict=True):
+        assert np.median(np.abs(depth / plane_depth(cameras[own]) - 1)) < 0.02
+        assert np.mean(np.abs(rounded / depth - 1) < 0.01) > 0.95
 
 
 def test_units_and_sizes_do_not_matter(weights):

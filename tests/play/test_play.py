@@ -18,6 +18,7 @@ from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from helpers.command_line import refusal
+from helpers.itermvs_weights import write_checkpoint
 from helpers.refusals import refused
 from helpers.stereo_scenes import HEIGHT, WIDTH, plane_depth, see_plane, write_capture
 
@@ -141,6 +142,22 @@ def test_the_video_is_what_the_synthesizer_gives(nearing_plane, tmp_path):
         assert np.abs(depths[names[0]] / (plane_depth(nearing_plane.camera(names[0])) - 0.2 * t) - 1).mean() < 0.1
         expected = quantise(live.step(images, depths, playback.poses[t]).image)
         assert np.abs(image.astype(float) - expected).mean() < 4
+
+
+def test_depth_of_a_network_on_a_device_is_found_as_pictures_are_shown(nearing_plane, tmp_path):
+    """Nothing is stored before; each frame is a step of OnlineSynthesizer without depth. ``cpu:0`` goes the GPU's way."""
+    matcher = DepthRunOptions(f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}")
+    options = PlayOptions(k=2, frames=2, width=120)
+    playback = playback_of_capture(nearing_plane, options, matcher.options("cpu:0"), tmp_path / "cache")
+    timing = record(playback, tmp_path / "out.mp4", "distance-based", "cpu:0")
+    assert not list((tmp_path / "cache").rglob("*.npz"))
+    assert list(timing.rows[0])[:2] == ["read", "depth"]
+    live = OnlineSynthesizer(playback.capture.cameras, 2, method="distance-based", depth=playback.live)
+    for t, image in enumerate(VideoFrames(tmp_path / "out.mp4").frames(0, 2)):
+        images = {name: nearing_plane.frame(name, t) for name in live.needed(playback.poses[t])}
+        expected = quantise(live.step(images, None, playback.poses[t]).image)
+        assert np.abs(image.astype(float) - expected).mean() < 4
+    assert playback_of_capture(nearing_plane, options, matcher.options(), tmp_path / "cache").live is None
 
 
 def test_a_run_is_played_without_new_depth(nearing_plane, tmp_path):

@@ -6,14 +6,19 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+import torch
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, GgvsError, RenderError
 from ggvs_eval.files.images import quantise, read_image
+from ggvs_eval.method import Rendering
 from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.depth.rig_depth import RigDepth
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
+from helpers.itermvs_weights import write_checkpoint
 from helpers.photographs import psnr_db
 from helpers.places import ROOT
 from helpers.refusals import refused
@@ -44,6 +49,50 @@ def test_steps_are_the_steps_of_the_method(label):
     for t, square_x in enumerate((0.0, 0.1, 0.2)):
         expected = method.step(instant(t, target, live.sources(target), square_x))
         np.testing.assert_array_equal(live.step(*seen(square_x), target).image, expected.image)
+
+
+def test_depth_that_is_not_given_is_found():
+    """The picture is that of the depth which the matcher finds, its time a stage of its own; `live` unless another is named."""
+    target, (images, _) = camera_at(0.05, name="virtual"), seen()
+    for options in ({}, {"depth": "sgbm"}):
+        live = synthesizer(**options)
+        needed = live.needed(target)
+        assert {camera.name for camera in live.sources(target)} <= set(needed)
+        rendering = live.step({name: images[name] for name in needed}, None, target)
+        assert next(iter(rendering.seconds)) == "depth"
+        assert rendering.seconds["depth"] > 0
+        finder = RigDepth(RIG, DepthRunOptions(options.get("depth", "live")).options())
+        depths = finder.estimate([camera.name for camera in live.sources(target)], images)
+        np.testing.assert_array_equal(rendering.image, synthesizer().step(images, depths, target).image)
+
+
+class Kept:
+    """A method that keeps what it was shown."""
+
+    def __init__(self, takes_device_depth):
+        self.takes_device_depth, self.shown = takes_device_depth, []
+
+    def step(self, instant):
+        self.shown.append(instant)
+        return Rendering(np.zeros((4, 4, 3), np.float32))
+
+
+def test_depth_stays_on_the_device_for_a_method_that_takes_it_there(tmp_path):
+    """IterMVS' depth as tensors, of the same numbers as the arrays that any other method is given."""
+    checkpoint, (images, _), shown = write_checkpoint(tmp_path / "model.ckpt"), seen(), {}
+    for takes in (True, False):
+        method = Kept(takes)
+        live = OnlineSynthesizer(RIG, 2, UNITS_PER_METRE, lambda method=method: method, "cpu:0", depth=f"itermvs:{checkpoint}")
+        for _ in range(2):
+            live.step(images, None, camera_at(0.05, name="virtual"))
+        shown[takes] = method.shown
+    there, here = (shown[takes][1].sources for takes in (True, False))
+    assert all(isinstance(view.depth, torch.Tensor) and isinstance(view.confidence, torch.Tensor) for view in there)
+    assert all(isinstance(view.depth, np.ndarray) and isinstance(view.confidence, np.ndarray) for view in here)
+    for one, other in zip(there, here, strict=True):
+        np.testing.assert_array_equal(one.depth.numpy(), other.depth)
+        np.testing.assert_array_equal(one.image, other.image)
+        assert (one.camera.name, one.share) == (other.camera.name, other.share)
 
 
 def test_sources_follow_the_target():

@@ -1,10 +1,12 @@
 """A whole run with a stream: live depth is timed once and counted, offline depth takes no time, and a sweep sets the stream."""
 
 from dataclasses import replace
+from statistics import median
 
 import pytest
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
@@ -12,6 +14,7 @@ from ggvs_eval.protocol import Stream
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.sweep import Sweep, SweepRow, load_sweep
+from helpers.itermvs_weights import write_checkpoint
 from helpers.small_runs import small_protocol, write_small_capture
 
 pytestmark = pytest.mark.slow
@@ -26,10 +29,11 @@ def capture(tmp_path_factory) -> Capture:
     return write_small_capture(tmp_path_factory.mktemp("capture") / "room", 3)
 
 
-def evaluated(root, capture: Capture, matcher: str) -> RunFolder:
+def evaluated(root, capture: Capture, matcher: str, device: str = "cpu") -> RunFolder:
     """The run, measured."""
     protocol = small_protocol(3, 0, ("PSNR", "TCC")).streamed(STREAM)
-    measure(plan_run(RunRequest(root, capture, protocol, LABELS, DepthRunOptions(matcher))), 1)
+    networks = NetworkOptions(device=device)
+    measure(plan_run(RunRequest(root, capture, protocol, LABELS, DepthRunOptions(matcher), networks=networks)), 1)
     return RunFolder(root)
 
 
@@ -50,6 +54,18 @@ def test_live_depth_counts_and_is_timed_once(capture, tmp_path):
     summary = Results.read(run.root).summary().droplevel("dataset")
     assert summary["PSNR_stream"].notna().all()
     assert (summary["PSNR_stream"] < summary["PSNR"]).all()  # a frame late
+
+
+def test_depth_of_a_network_counts_on_a_device_alone(capture, tmp_path):
+    """A GPU finds it as frames arrive; the CPU has computed it before. ``cpu:0`` goes the GPU's way."""
+    matcher = f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}"
+    there, here = (evaluated(tmp_path / name, capture, matcher, device) for name, device in (("there", "cpu:0"), ("here", "cpu")))
+
+    stages = read_json(there.stream_record)["methods"][LABELS[0]]["stages_ms"]
+    seconds = read_json(there.live_depth_record)["seconds"]
+    assert stages["depth"] == 1000 * median(seconds)
+    assert not here.live_depth_record.exists()
+    assert "depth" not in read_json(here.stream_record)["methods"][LABELS[0]]["stages_ms"]
 
 
 def test_depth_that_was_computed_before_takes_no_time(capture, tmp_path):

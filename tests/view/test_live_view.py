@@ -14,13 +14,14 @@ from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.view import listener as listener_module
-from ggvs_eval.pipelines.view.frame_stock import FrameStock
+from ggvs_eval.pipelines.view.frame_stock import FrameStock, fitted
 from ggvs_eval.pipelines.view.listener import require_viser
 from ggvs_eval.pipelines.view.live_view import LAYERS, LiveView, ViewRequest
 from ggvs_eval.pipelines.view.recording import Recording
 from ggvs_eval.pipelines.view.scene import cloud, gazed_depth, middle_camera, up_direction
 from ggvs_eval.pipelines.view.session import status_text
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views, load_protocol
+from helpers.itermvs_weights import write_checkpoint
 from helpers.refusals import refused
 from helpers.stereo_scenes import HEIGHT, PLANE, WIDTH, plane_depth, write_capture
 
@@ -60,6 +61,24 @@ def test_every_camera_has_depth_at_every_instant(playback, stock):
             assert known.mean() > 0.5
             exact = plane_depth(camera, PLANE - [0, 0, STEP * instant])
             assert np.median(np.abs(found.depth / exact - 1)[known]) < 0.02
+
+
+def test_live_depth_is_found_at_the_size_that_is_shown(tmp_path):
+    """A view without stored depth: the picture of OnlineSynthesizer without depth, and depth of a camera when it is asked for."""
+    matcher = DepthRunOptions(f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}").options("cpu:0")
+    playback = playback_of_capture(write_capture(tmp_path, 1), PlayOptions(k=2), matcher, tmp_path / "cache", anywhere=True)
+    small = FrameStock(playback, WIDTH * HEIGHT // 4)
+    request = request_of(playback, methods=("distance-based",))
+    picture = LiveView(small, 1.0, WIDTH * HEIGHT // 4, "cpu:0").picture(request)
+    assert next(iter(picture.seconds["distance-based"])) == "depth"
+    synthesizer = OnlineSynthesizer(small.cameras, 2, method="distance-based", depth=playback.live)
+    target = fitted(request.pose, WIDTH * HEIGHT // 4)
+    images = {name: small.image(name, 0) for name in synthesizer.needed(target)}
+    np.testing.assert_array_equal(picture.image, quantise(synthesizer.step(images, None, target).image))
+    found = small.read("cam00", 0)[1]
+    assert found.depth.shape == (HEIGHT // 2, WIDTH // 2)
+    assert (found.depth > 0).all()
+    assert not list((tmp_path / "cache").rglob("*.npz"))
 
 
 def test_small_frames_keep_shape_and_surfaces(playback, stock):

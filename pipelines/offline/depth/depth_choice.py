@@ -3,6 +3,7 @@
 import hashlib
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -39,6 +40,12 @@ FILLER = re.compile(rf"\+(?=(?:{ITERMVS}|{RAFT})(?::|$))")  # stands before a fi
 def default_matcher() -> str:
     """The matcher of those who name none: with IterMVS where its weights lie in the cache folder."""
     return f"{FREE_MATCHER}+{ITERMVS}" if os.path.isfile(cached_weights()) else FREE_MATCHER  # a foreign folder has none
+
+
+def finds_live(record: Mapping[str, Any]) -> bool:
+    """True if a record of depth names a matcher that keeps up with cameras: `live`, or IterMVS alone on a GPU."""
+    matcher = record.get("matcher", "")
+    return matcher == LIVE_MATCHER or (matcher.partition(":")[0] == ITERMVS and DEVICE in record)
 
 
 def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep | IterMvs:

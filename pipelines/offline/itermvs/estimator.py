@@ -1,6 +1,8 @@
-"""Depth of a camera by IterMVS: its weights, sizes and cameras as the network counts them."""
+"""Depth of cameras by IterMVS, several at once: weights, sizes and cameras as the network counts them, and its recording."""
 
-from collections.abc import Sequence
+import gc
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -8,6 +10,7 @@ import cv2
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
@@ -15,59 +18,235 @@ from ggvs_eval.compute_device import rendering_on
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 from ggvs_eval.geometry.pinhole import rigid_between
-from ggvs_eval.pipelines.offline.itermvs.network import SIZE_MULTIPLE, IterMvsNetwork
+from ggvs_eval.pipelines.offline.itermvs.network import NEAREST_SHARE, SIZE_MULTIPLE, IterMvsNetwork, MatchedViews
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 
 NETWORK = "IterMVS"  # in messages
 CHECKPOINT_KEY = "model"
+MOST_RECORDINGS = 4  # kept; a target that moves along a rig alternates between a few numbers of pictures
+Matched = Sequence[int]  # index of a camera, then of its partners
+Pictures = tuple[int, int, int]  # number, width and height of those of one size
+Finish = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
-@lru_cache(maxsize=1)
-def load_network(path: Path, device: torch.device | str = "cpu") -> IterMvsNetwork:
+@lru_cache(maxsize=2)
+def load_network(
+    path: Path, device: torch.device | str = "cpu", layout: torch.memory_format = torch.contiguous_format
+) -> IterMvsNetwork:
     """The network of a weights file, in evaluation mode, on a device.
 
     Args:
         path: a ``.ckpt`` of the authors, or safetensors with the same names under ``model.``.
+        layout: of the weights, which convolutions follow.
     """
     network = IterMvsNetwork()
     load_strict(read_tensors(path, CHECKPOINT_KEY, of=NETWORK), network, path, NETWORK)
+    network.to(memory_format=layout)  # type: ignore[call-overload]  # not in torch's overloads
     return network.eval().to(device)
 
 
-class IterMvsEstimator:
-    """Depth of one camera by IterMVS; everything that does not depend on the images is prepared once.
+class IterMvsRig:
+    """Depth of several cameras of a rig at once, on the device.
+
+    Features of a picture are computed once for all maps of an instant, and the maps are one batch. A GPU records the batch in
+    a CUDA graph, one for each number of maps, partners and pictures and each size: other cameras, partners and depth ranges
+    need no other recording. The CPU runs the same code on the same buffers.
+
+    Args:
+        finish: makes the maps, depth and confidence (K, H, W), of those found and of `projections_between` their cameras; it is
+            recorded too.
 
     Reading:
         The network counts whole pixels: the middle of the first one is at 0, and feature j of a level lies on pixel j * 2^level.
-        Images are stretched to sides that are multiples of 32, each camera's to its own.
+        Images are stretched to sides that are multiples of 32, each camera's to its own. Where sizes differ within a rig, each
+        map is a batch of its own.
     """
 
+    def __init__(self, options: IterMvs, finish: Finish | None = None) -> None:
+        self._options, self._finish, self._device = options, finish, torch.device(options.device)
+        self._batches: OrderedDict[tuple[object, ...], _Batch] = OrderedDict()
+
+    def estimate(
+        self, cameras: Sequence[Camera], matched: Sequence[Matched], images: Sequence[Image8]
+    ) -> list[tuple[Tensor, Tensor]]:
+        """Depth everywhere at one instant, and the network's own confidence.
+
+        Args:
+            cameras: of all pictures.
+            matched: of each map wanted, the indices of its camera and of at least one partner.
+            images: what the cameras saw, RGB, (H, W, 3).
+
+        Returns:
+            Depth, world units, and confidence in [0, 1] of each map, float32 tensors (H, W) on the device; the caller's own.
+        """
+        stretched = [_stretched(camera) for camera in cameras]
+        alike = len({camera.size for camera in cameras}) == 1
+        if not alike and len(matched) > 1:
+            return [each for one in matched for each in self.estimate(cameras, [one], images)]
+        groups = [list(range(len(cameras)))] if alike else [[index] for index in matched[0]]
+        partners = max(map(len, matched)) - 1
+        with rendering_on(self._device):
+            sizes = [(len(each), *stretched[each[0]].size) for each in groups]
+            batch = self._batch(len(matched), partners, cameras[matched[0][0]].size, sizes)
+            members = [tuple(each) for each in matched] if alike else [(0,) * (1 + partners)]
+            batch.match(
+                [[stretched[index] for index in each] for each in matched], members, [cameras[own] for own, *_ in matched]
+            )
+            batch.show([[images[index] for index in each] for each in groups])
+            return [(depth.clone(), confidence.clone()) for depth, confidence in zip(*batch.run(), strict=True)]
+
+    def _batch(self, maps: int, partners: int, size: tuple[int, int], pictures: Sequence[Pictures]) -> "_Batch":
+        """The buffers of these numbers; those that were not used for longest are given up."""
+        key = (maps, partners, size, *pictures)
+        if key not in self._batches:
+            if len(self._batches) >= MOST_RECORDINGS:
+                self._batches.popitem(last=False)
+            self._batches[key] = _Batch(self._options, self._finish, maps, partners, size, pictures)
+        self._batches.move_to_end(key)
+        return self._batches[key]
+
+
+class _Batch:
+    """Static buffers of a batch of K maps from M partners each, and what a GPU has recorded on them.
+
+    Args:
+        finish: see `IterMvsRig`.
+        size: width and height of the maps.
+        pictures: those of each size, see `IterMvsNetwork.forward`.
+    """
+
+    def __init__(
+        self,
+        options: IterMvs,
+        finish: Finish | None,
+        maps: int,
+        partners: int,
+        size: tuple[int, int],
+        pictures: Sequence[Pictures],
+    ) -> None:
+        self._half, self._iterations, self._finish = options.precision == "float16", options.iterations, finish
+        self._device = device = torch.device(options.device)
+        layout = torch.channels_last if self._half else torch.contiguous_format
+        self._network, self._size = load_network(options.weights, device, layout), size
+        self._nearest = [_nearest(*sides, device) for sides in zip(pictures[0][1:], size, strict=True)]
+        self._pictures = [torch.zeros((p, high, wide, 3), dtype=torch.uint8, device=device) for p, wide, high in pictures]
+        self._views = MatchedViews(
+            torch.zeros((maps, 1 + partners), dtype=torch.int64, device=device),
+            torch.zeros((maps, partners, 13), device=device),
+            torch.ones((maps, 3), device=device),
+        )
+        self._between = torch.zeros((maps, maps, 12), device=device)
+        self._host, self._uploaded = self._pictures, None
+        if device.type == "cuda":
+            self._host = [torch.empty(each.shape, dtype=each.dtype, device="cpu", pin_memory=True) for each in self._pictures]
+            self._uploaded = torch.cuda.Event()
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._outcome: tuple[Tensor, Tensor] | None = None
+        self._matched: object = None
+
+    def match(self, matched: Sequence[Sequence[Camera]], members: Sequence[tuple[int, ...]], own: Sequence[Camera]) -> None:
+        """Take these cameras and their partners, at the size of their pictures; what is there already is not uploaded again.
+
+        Args:
+            members: index of each picture in its buffer.
+            own: the cameras at the size of the maps.
+        """
+        if self._matched == (matched, members):
+            return
+        self._matched = matched, members
+        views, projections = self._views, np.zeros(self._views.projections.shape, np.float32)
+        for k, (camera, *others) in enumerate(matched):
+            numbers = [_projection(camera, other, _whole_pixels(camera), _whole_pixels(other)) for other in others]
+            projections[k, : len(others)] = [[*each, 1] for each in numbers]
+        padded = [each + each[:1] * (views.members.shape[1] - len(each)) for each in members]
+        ranges = [(1 / each.far, 1 / each.near - 1 / each.far, NEAREST_SHARE * each.near) for each in own]
+        between = projections_between(own) if self._finish is not None else np.zeros(self._between.shape)
+        buffers = views.members, views.projections, views.ranges, self._between
+        for there, values in zip(buffers, (padded, projections, ranges, between), strict=True):
+            there.copy_(torch.as_tensor(np.asarray(values), dtype=there.dtype, device="cpu"))
+
+    def show(self, images: Sequence[Sequence[Image8]]) -> None:
+        """Take these pictures, of any size; the host waits for the upload of the instant before, and not for this one."""
+        if self._uploaded is not None:
+            self._uploaded.synchronize()
+        for host, there, group in zip(self._host, self._pictures, images, strict=True):
+            for slot, image in zip(host.numpy(), group, strict=True):
+                cv2.resize(image, slot.shape[1::-1], dst=slot, interpolation=cv2.INTER_LINEAR)
+            there.copy_(host, non_blocking=True)
+        if self._uploaded is not None:
+            self._uploaded.record()
+
+    def run(self) -> tuple[Tensor, Tensor]:
+        """Depth and confidence, (K, H, W); a later run overwrites them."""
+        if self._uploaded is None:
+            return self._compute()
+        if self._graph is None or self._outcome is None:
+            self._graph, self._outcome = self._record()
+        self._graph.replay()
+        return self._outcome
+
+    def _compute(self) -> tuple[Tensor, Tensor]:
+        """All that is recorded: it reads the buffers, and neither uploads nor waits."""
+        with torch.autocast(self._device.type, torch.float16, enabled=self._half, cache_enabled=False):
+            depth, confidence = self._network(self._pictures, self._views, self._iterations)
+        if self._size != (depth.shape[2], depth.shape[1]):  # depths of two surfaces are not mixed, confidences are
+            columns, rows = self._nearest
+            depth = depth.index_select(1, rows).index_select(2, columns)
+            confidence = functional.interpolate(confidence[:, None], size=self._size[::-1], mode="bilinear")[:, 0]
+        return (depth, confidence) if self._finish is None else self._finish(depth, confidence, self._between)
+
+    def _record(self) -> tuple[torch.cuda.CUDAGraph, tuple[Tensor, Tensor]]:
+        """Record the batch, behind two runs in which libraries choose their ways and allocate."""
+        stream, graph = torch.cuda.Stream(self._device), torch.cuda.CUDAGraph()
+        stream.wait_stream(torch.cuda.current_stream(self._device))
+        with torch.cuda.stream(stream):
+            for _ in range(2):
+                self._compute()
+        torch.cuda.synchronize(self._device)
+        gc.collect()
+        collects = gc.isenabled()
+        gc.disable()  # what a collection frees, a stream for one, must not be freed while recording
+        try:
+            with torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local"):
+                outcome = self._compute()
+        finally:
+            if collects:
+                gc.enable()
+        return graph, outcome
+
+
+class IterMvsEstimator:
+    """Depth of one camera as `IterMvsRig` finds it for many."""
+
     def __init__(self, camera: Camera, partners: Sequence[Camera], options: IterMvs) -> None:
-        self._camera, self._options, self._device = camera, options, torch.device(options.device)
-        self._cameras = [_stretched(each) for each in (camera, *partners)]
-        own, *others = self._cameras
-        between = [(other, rigid_between(own, other)) for other in others]
-        self._matrices = [_whole_pixels(o) @ motion[:3, :3] @ np.linalg.inv(_whole_pixels(own)) for o, motion in between]
-        self._offsets = [_whole_pixels(other) @ motion[:3, 3] for other, motion in between]
+        self._cameras, self._rig = (camera, *partners), IterMvsRig(options)
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Depth at one instant, everywhere, and the network's own confidence, (H, W)."""
-        with rendering_on(self._device):
-            network = load_network(self._options.weights, self._device)
-            images = [_tensor(each, c) for each, c in zip((image, *partner_images), self._cameras, strict=True)]
-            motion = [[torch.as_tensor(each, dtype=torch.float32) for each in of] for of in (self._matrices, self._offsets)]
-            found = network(images, *motion, self._camera.near, self._camera.far, self._options.iterations)
-            depth, confidence = (each.cpu().numpy() for each in found)
-        nearest = cv2.resize(depth, self._camera.size, interpolation=cv2.INTER_NEAREST_EXACT)
-        return DepthMap(nearest, cv2.resize(confidence, self._camera.size, interpolation=cv2.INTER_LINEAR))
+        found = self._rig.estimate(self._cameras, [range(len(self._cameras))], (image, *partner_images))
+        return DepthMap(*(each.cpu().numpy() for each in found[0]))
 
     def forget(self) -> None:
         """Begin a new sequence; every instant is computed from nothing anyway."""
 
 
+@lru_cache(maxsize=256)
 def _stretched(camera: Camera) -> Camera:
+    """The camera at the nearest size that the network takes; the same object for the same camera."""
     width, height = (max(round(side / SIZE_MULTIPLE), 1) * SIZE_MULTIPLE for side in camera.size)
     return camera.resized(width, height)
+
+
+def projections_between(cameras: Sequence[Camera]) -> Array:
+    """What takes pixels of each camera, (u, v, 1) times their depth, to each other one: matrix and offset, (K, K, 12)."""
+    return np.array([[_projection(first, second, first.K, second.K) for second in cameras] for first in cameras])
+
+
+def _projection(first: Camera, second: Camera, first_matrix: Array, second_matrix: Array) -> Array:
+    """Matrix and offset from pixels of one camera to another's, by camera matrices in whatever pixels, (12,)."""
+    motion = rigid_between(first, second)
+    matrix = second_matrix @ motion[:3, :3] @ np.linalg.inv(first_matrix)
+    return np.concatenate([matrix.ravel(), second_matrix @ motion[:3, 3]])
 
 
 def _whole_pixels(camera: Camera) -> Array:
@@ -75,6 +254,9 @@ def _whole_pixels(camera: Camera) -> Array:
     return camera.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 
 
-def _tensor(image: Image8, camera: Camera) -> Tensor:
-    resized = cv2.resize(image, camera.size, interpolation=cv2.INTER_LINEAR)
-    return torch.as_tensor(resized).permute(2, 0, 1)[None].float() / 127.5 - 1
+@lru_cache(maxsize=64)
+def _nearest(size: int, wanted: int, device: torch.device) -> Tensor:
+    """Index of the nearest of some pixels in a line for each of those wanted, (wanted,)."""
+    line = np.arange(size, dtype=np.float32)[None]
+    nearest = cv2.resize(line, (wanted, 1), interpolation=cv2.INTER_NEAREST_EXACT)[0]
+    return torch.as_tensor(nearest.astype(np.int64), device=device)

@@ -3,9 +3,12 @@
 A recurrent state per pixel encodes the distribution of its inverse depth. Each iteration correlates the camera's features with
 the partners' at a few depths around the present one, at three sizes, and updates the state by what it finds. Names of modules are
 those of the published checkpoints.
+
+K cameras are one batch: B is K, or K N where the N hypotheses of a pixel are computed as images of their own. A forward pass
+allocates and launches the same whatever the numbers are, and never waits for the device: it can be recorded in a CUDA graph.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -21,22 +24,43 @@ BINS, BIN_RADIUS = 256, 4  # of the distribution over inverse depth; its mean is
 OFFSETS = ((-2, -2 / 3, 2 / 3, 2), (-8, -8 / 3, 8 / 3, 8), (-32, 32))  # hypotheses around the present depth, bins, per level
 NEAREST_SHARE = 1e-2  # of the near depth: what lies nearer to a partner, or behind it, it does not see
 
-Features = Sequence[Tensor]  # (1, C, H / s, W / s) at s = 2, 4, 8
-Normalise = Callable[[int], nn.Module]
+Features = Sequence[Tensor]  # (B, C, H / s, W / s) at s = 2, 4, 8
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedViews:
+    """K cameras, M partners each, and their depth ranges, as tensors on the device.
+
+    Attributes:
+        members: index of the picture of each camera, then of its partners, (K, 1 + M), int64.
+        projections: (K, M, 13). 9 numbers of a matrix that takes a pixel of the camera (u, v, 1), times its depth, to the
+            partner's homogeneous pixels, 3 of an offset that is added, and 1, or 0 where there is no such partner. Pixels are
+            whole: the middle of the first one is at 0.
+        ranges: inverse depth at far, its growth from there to near, and the least depth at which a partner sees, (K, 3).
+    """
+
+    members: Tensor
+    projections: Tensor
+    ranges: Tensor
 
 
 @dataclass(frozen=True, eq=False)
 class Partner:
-    """A partner, as the camera's pixels meet it.
-
-    Attributes:
-        matrix: (3, 3), a pixel of the camera (u, v, 1), times its depth, to the partner's homogeneous pixels, ...
-        offset: ... but for this, (3,). Both count whole pixels: the first one's middle is at 0.
-    """
+    """One partner of each camera: features (K, C, H / s, W / s), rows of `MatchedViews.projections`, (K, 13)."""
 
     features: Features
-    matrix: Tensor
-    offset: Tensor
+    projection: Tensor
+
+    @property
+    def counted(self) -> Tensor:
+        """1, or 0 where there is no such partner, (K, 1, 1, 1)."""
+        return self.projection[:, 12].view(-1, 1, 1, 1)
+
+    def rays(self, size: Sequence[int], spacing: int) -> Tensor:
+        """Homogeneous pixels at depth 1, without the offset, of one pixel of the camera every `spacing`, (K, 3, *size)."""
+        v, u = (torch.arange(side, device=self.projection.device, dtype=torch.float32) * spacing for side in size)
+        matrix = self.projection[:, :9].view(-1, 3, 3, 1, 1)
+        return matrix[:, :, 0] * u + matrix[:, :, 1] * v[:, None] + matrix[:, :, 2]
 
 
 class Convolution(nn.Module):
@@ -86,13 +110,14 @@ class FeatureNetwork(nn.Module):
         self.inner3 = nn.Conv2d(eighth, eighth, 1)  # lies in the checkpoints, and is never used
 
     def forward(self, image: Tensor) -> Features:
-        """Features at half, a quarter and an eighth of the size; `image` is (1, 3, H, W), RGB in [-1, 1]."""
+        """Features at half, a quarter and an eighth of the size, float32; `image` is (B, 3, H, W), RGB in [-1, 1]."""
         half = self.layer1(self.conv1(image))
         quarter = self.layer2(half)
         eighth = self.layer3(quarter)
         of_quarter = _enlarged(eighth) + self.inner2(quarter)
         of_half = _enlarged(of_quarter) + self.inner1(half)
-        return self.output1(of_half), self.output2(of_quarter), self.output3(eighth)
+        outputs = self.output1(of_half), self.output2(of_quarter), self.output3(eighth)
+        return [each.float().contiguous() for each in outputs]
 
 
 class ViewWeight(nn.Module):
@@ -103,9 +128,9 @@ class ViewWeight(nn.Module):
         self.conv = nn.Sequential(Convolution(GROUPS, 16), nn.Conv2d(16, 1, 1))
 
     def forward(self, correlation: Tensor) -> Tensor:
-        """(N, G, H, W) to (1, 1, H, W)."""
-        score: Tensor = self.conv(correlation)
-        return score.softmax(dim=0).amax(dim=0, keepdim=True)
+        """(K, N, G, H, W) to (K, 1, H, W)."""
+        score: Tensor = self.conv(correlation.flatten(0, 1)).float().reshape(correlation[:, :, 0].shape)
+        return score.softmax(dim=1).amax(dim=1, keepdim=True)
 
 
 class CorrelationNetwork(nn.Module):
@@ -121,12 +146,12 @@ class CorrelationNetwork(nn.Module):
         self.conv5 = nn.Conv2d(8, 1, 3, padding=1)
 
     def forward(self, correlation: Tensor) -> Tensor:
-        """(N, G, H, W), sides multiples of 4, to the score of each hypothesis, (1, N, H, W)."""
-        whole = self.conv0(correlation)
+        """(K, N, G, H, W), sides multiples of 4, to the score of each hypothesis, (K, N, H, W)."""
+        whole = self.conv0(correlation.flatten(0, 1))
         half = self.conv1(whole)
         half = half + self.conv3(self.conv2(half))
         score: Tensor = self.conv5(whole + self.conv4(half))
-        return score.transpose(0, 1)
+        return score.float().reshape(correlation[:, :, 0].shape)
 
 
 class Evaluation(nn.Module):
@@ -138,39 +163,41 @@ class Evaluation(nn.Module):
         self.corr_conv1 = nn.ModuleList(CorrelationNetwork() for _ in OFFSETS)
 
     def first(
-        self, reference: Features, partners: Sequence[Partner], depths: Tensor, nearest: float
+        self, reference: Features, partners: Sequence[Partner], depths: Tensor, nearest: Tensor
     ) -> tuple[Tensor, list[Tensor]]:
         """Scores at an eighth of the size, and how far to trust each partner, at a quarter.
 
         Args:
             partners: at least one.
-            depths: hypotheses, (N, H / 8, W / 8).
+            depths: hypotheses, (K, N, H / 8, W / 8).
+            nearest: see `MatchedViews.ranges`, (K, 1, 1, 1).
 
         Returns:
-            (1, N, H / 8, W / 8), and of each partner (1, 1, H / 4, W / 4).
+            (K, N, H / 8, W / 8), and of each partner (K, 1, H / 4, W / 4).
         """
-        correlations = [_correlate(reference[2], partner, 2, 8, depths, nearest) for partner in partners]
-        weights = [self.pixel_view_weight(correlation) for correlation in correlations]
+        size = depths.shape[2:]
+        correlations = [_correlate(reference[2], each, 2, each.rays(size, 8), depths, nearest) for each in partners]
+        weights = [self.pixel_view_weight(c) * each.counted for c, each in zip(correlations, partners, strict=True)]
         return self.corr_conv1[2](_weighted(correlations, weights)), [_enlarged(weight) for weight in weights]
 
     def around(
         self,
         at_quarter: Features,
-        partners: Sequence[Partner],
+        partners: Sequence[tuple[Partner, Tensor]],
         weights: Sequence[Tensor],
         depths: Sequence[Tensor],
-        nearest: float,
+        nearest: Tensor,
     ) -> Tensor:
-        """Scores at a quarter of the size of hypotheses at three levels, (1, N1 + N2 + N3, H / 4, W / 4).
+        """Scores at a quarter of the size of hypotheses at three levels, (K, N1 + N2 + N3, H / 4, W / 4).
 
         Args:
-            at_quarter: features of the camera of the three levels, all at a quarter of the size.
-            partners: at least one.
-            depths: of each level, (N, H / 4, W / 4).
+            at_quarter: features of the cameras of the three levels, all at a quarter of the size.
+            partners: at least one, with their rays at that size.
+            depths: of each level, (K, N, H / 4, W / 4).
         """
         scores = []
         for level, (reference, hypotheses) in enumerate(zip(at_quarter, depths, strict=True)):
-            correlations = [_correlate(reference, partner, level, 4, hypotheses, nearest) for partner in partners]
+            correlations = [_correlate(reference, partner, level, rays, hypotheses, nearest) for partner, rays in partners]
             scores.append(self.corr_conv1[level](_weighted(correlations, weights)))
         return torch.cat(scores, dim=1)
 
@@ -186,8 +213,8 @@ class RecurrentUnit(nn.Module):
     def forward(self, hidden: Tensor, features: Tensor) -> Tensor:
         """The next state, as large as the one before."""
         both = torch.cat([hidden, features], dim=1)
-        update, reset = torch.sigmoid(self.convz(both)), torch.sigmoid(self.convr(both))
-        proposed = torch.tanh(self.convq(torch.cat([reset * hidden, features], dim=1)))
+        update, reset = torch.sigmoid(self.convz(both).float()), torch.sigmoid(self.convr(both).float())
+        proposed = torch.tanh(self.convq(torch.cat([reset * hidden, features], dim=1)).float())
         return (1 - update) * hidden + update * proposed
 
 
@@ -207,11 +234,11 @@ class Update(nn.Module):
 
     def begin(self, scores: Tensor) -> Tensor:
         """The first state, at twice the size of the scores."""
-        return torch.tanh(_enlarged(self.hidden_init_head(scores)))
+        return torch.tanh(_enlarged(self.hidden_init_head(scores).float()))
 
     def place(self, hidden: Tensor) -> Tensor:
-        """Inverse depth as a share of the range from far to near, (1, 1, H, W): the mean of the distribution around its mode."""
-        probability = self.depth_head(hidden).softmax(dim=1)
+        """Inverse depth as a share of the range from far to near, (K, 1, H, W): the mean of the distribution around its mode."""
+        probability = self.depth_head(hidden).float().softmax(dim=1)
         window = torch.arange(-BIN_RADIUS, BIN_RADIUS + 1, device=hidden.device).view(1, -1, 1, 1)
         bins = (probability.argmax(dim=1, keepdim=True) + window).clamp(0, BINS - 1)
         shares = probability.gather(1, bins)
@@ -219,12 +246,14 @@ class Update(nn.Module):
         return mean / (BINS - 1)
 
     def confidence(self, hidden: Tensor) -> Tensor:
-        """In [0, 1], (1, 1, H, W)."""
-        return torch.sigmoid(self.confidence_head(hidden))
+        """In [0, 1], (K, 1, H, W)."""
+        return torch.sigmoid(self.confidence_head(hidden).float())
 
 
 class Estimator(nn.Module):
     """The iterations, from features to depth."""
+
+    offsets: Tensor
 
     def __init__(self) -> None:
         super().__init__()
@@ -233,39 +262,45 @@ class Estimator(nn.Module):
         self.upsample = nn.Sequential(
             nn.Conv2d(WIDTHS[2], 64, 3, padding=1, bias=False), nn.ReLU(), nn.Conv2d(64, 9 * 16, 1, bias=False)
         )
+        offsets = torch.tensor([share / BINS for level in OFFSETS for share in level]).view(1, -1, 1, 1)
+        self.register_buffer("offsets", offsets, persistent=False)  # the checkpoints do not have them
 
-    def forward(
-        self, reference: Features, partners: Sequence[Partner], near: float, far: float, iterations: int
-    ) -> tuple[Tensor, Tensor]:
-        """Depth and confidence, (H, W); see `IterMvsNetwork.forward`."""
-        nearest = NEAREST_SHARE * near
+    def forward(self, slots: Sequence[Features], views: MatchedViews, iterations: int) -> tuple[Tensor, Tensor]:
+        """Depth and confidence, (K, H, W).
+
+        Args:
+            slots: features of the cameras, then of each partner, of K pictures each.
+        """
+        reference, *others = slots
+        partners = [Partner(each, views.projections[:, m]) for m, each in enumerate(others)]
+        inverse_far, growth, nearest = (each.view(-1, 1, 1, 1) for each in views.ranges.unbind(1))
 
         def depth_at(place: Tensor) -> Tensor:
-            return 1 / (1 / far + place * (1 / near - 1 / far))
+            return 1 / (inverse_far + place * growth)
 
-        rows, columns = reference[2].shape[2:]
-        first = torch.linspace(0, 1, FIRST_DEPTHS, device=reference[2].device).view(-1, 1, 1).expand(-1, rows, columns)
+        half, quarter, eighth = reference
+        first = torch.linspace(0, 1, FIRST_DEPTHS, device=half.device).view(1, -1, 1, 1)
+        first = first.expand(len(half), -1, *eighth.shape[2:])
         scores, weights = self.evaluation.first(reference, partners, depth_at(first), nearest)
         hidden = self.update.begin(scores)
         place = self.update.place(hidden)
-        half, quarter, eighth = reference
         at_quarter = functional.interpolate(half, scale_factor=0.5, mode="bilinear"), quarter, _enlarged(eighth)
-        offsets = [torch.tensor(each, device=half.device).view(-1, 1, 1) / BINS for each in OFFSETS]
+        with_rays = [(partner, partner.rays(quarter.shape[2:], 4)) for partner in partners]
         for _ in range(iterations):
-            depths = [depth_at((place[0] + offset).clamp(0, 1)) for offset in offsets]
-            scores = self.evaluation.around(at_quarter, partners, weights, depths, nearest)
+            depths = depth_at((place + self.offsets).clamp(0, 1)).split([len(each) for each in OFFSETS], dim=1)
+            scores = self.evaluation.around(at_quarter, with_rays, weights, depths, nearest)
             hidden = self.update.gru(hidden, torch.cat([place, scores], dim=1))
             place = self.update.place(hidden)
         confidence = functional.interpolate(self.update.confidence(hidden), scale_factor=4, mode="bilinear")
-        return depth_at(self._full_size(place, quarter))[0, 0], confidence[0, 0]
+        return depth_at(self._full_size(place, quarter))[:, 0], confidence[:, 0]
 
     def _full_size(self, place: Tensor, features: Tensor) -> Tensor:
         """Four times the size: each pixel a convex combination of the nine places around it."""
         rows, columns = place.shape[2:]
-        shares = self.upsample(features).view(9, 4, 4, rows, columns).softmax(dim=0)
-        around = functional.unfold(functional.pad(place, (1, 1, 1, 1), mode="replicate"), 3).view(9, 1, 1, rows, columns)
-        fine = (shares * around).sum(dim=0)  # (4, 4, H / 4, W / 4): rows and columns within a place
-        return fine.permute(2, 0, 3, 1).reshape(1, 1, 4 * rows, 4 * columns)
+        shares = self.upsample(features).float().contiguous().view(-1, 9, 4, 4, rows, columns).softmax(dim=1)
+        around = functional.unfold(functional.pad(place, (1, 1, 1, 1), mode="replicate"), 3).view(-1, 9, 1, 1, rows, columns)
+        fine = (shares * around).sum(dim=1)  # (K, 4, 4, H / 4, W / 4): rows and columns within a place
+        return fine.permute(0, 3, 1, 4, 2).reshape(-1, 1, 4 * rows, 4 * columns)
 
 
 class IterMvsNetwork(nn.Module):
@@ -276,61 +311,56 @@ class IterMvsNetwork(nn.Module):
         self.feature_net = FeatureNetwork()
         self.iter_mvs = Estimator()
 
-    def forward(
-        self,
-        images: Sequence[Tensor],
-        matrices: Sequence[Tensor],
-        offsets: Sequence[Tensor],
-        near: float,
-        far: float,
-        iterations: int = 4,
-    ) -> tuple[Tensor, Tensor]:
-        """Depth of the first image's camera.
+    def forward(self, pictures: Sequence[Tensor], views: MatchedViews, iterations: int = 4) -> tuple[Tensor, Tensor]:
+        """Depth of K cameras.
 
         Args:
-            images: of the camera and its partners, (1, 3, H, W) each, RGB in [-1, 1], sides multiples of 32.
-            matrices: of each partner, see `Partner`.
+            pictures: all of one size in one tensor, which `views.members` index; or, of sizes of their own, one tensor of the
+                cameras' and one of each partner's. (P, H, W, 3), RGB uint8, sides multiples of 32. Features of each are
+                computed once.
+            views: the cameras and at least one partner of each.
             iterations: of the recurrent unit; the authors take four.
 
         Returns:
-            Depth and confidence in [0, 1] at the camera's size, (H, W).
+            Depth and confidence in [0, 1] at the cameras' size, (K, H, W).
         """
-        reference, *others = [self.feature_net(image) for image in images]
-        partners = [Partner(*each) for each in zip(others, matrices, offsets, strict=True)]
-        depth, confidence = self.iter_mvs(reference, partners, near, far, iterations)
+        features = [self.feature_net(each.permute(0, 3, 1, 2).float() / 127.5 - 1) for each in pictures]
+        slots = [
+            [level.index_select(0, members) for level in features[slot if len(features) > 1 else 0]]
+            for slot, members in enumerate(views.members.unbind(1))
+        ]
+        depth, confidence = self.iter_mvs(slots, views, iterations)
         return depth, confidence
 
 
-def _correlate(reference: Tensor, partner: Partner, level: int, spacing: int, depths: Tensor, nearest: float) -> Tensor:
-    """Correlation of the camera's features with a partner's at each hypothesis, by groups of channels, (N, G, H, W).
+def _correlate(reference: Tensor, partner: Partner, level: int, rays: Tensor, depths: Tensor, nearest: Tensor) -> Tensor:
+    """Correlation of the cameras' features with a partner's at each hypothesis, by groups of channels, (K, N, G, H, W).
 
     Args:
-        reference: (1, C, H, W), one every `spacing` pixels.
+        reference: (K, C, H, W).
         partner: whose features of the `level` are looked up, zero outside of them.
         level: 0, 1, 2: half, quarter, eighth.
-        spacing: pixels of the full image from one point to the next.
-        depths: (N, H, W).
+        rays: of the points of the reference, (K, 3, H, W), see `Partner.rays`.
+        depths: (K, N, H, W).
     """
-    features = partner.features[level]
-    n, height, width = depths.shape
-    v, u = torch.meshgrid(
-        *(torch.arange(size, device=depths.device, dtype=torch.float32) * spacing for size in (height, width)), indexing="ij"
-    )
-    rays = torch.einsum("ij,jhw->ihw", partner.matrix, torch.stack([u, v, torch.ones_like(u)]))
-    x, y, z = rays[:, None] * depths + partner.offset.view(3, 1, 1, 1)  # (N, H, W) each
-    seen = z > nearest
-    extent = torch.tensor([features.shape[3] - 1, features.shape[2] - 1], device=depths.device) * 2.0**level  # half pixels
-    grid = torch.stack([x, y], dim=-1) / torch.where(seen, z, torch.ones_like(z))[..., None] / extent - 1
-    grid = torch.where(seen[..., None], grid, torch.full_like(grid, 2.0))  # outside
-    looked_up = functional.grid_sample(features, grid.view(1, n * height, width, 2), align_corners=True)
-    grouped = looked_up.view(GROUPS, -1, n, height, width) * reference.view(GROUPS, -1, 1, height, width)
-    return grouped.mean(dim=1).transpose(0, 1)
+    features, (count, n, height, width) = partner.features[level], depths.shape
+    offset = partner.projection[:, 9:12].view(-1, 3, 1, 1, 1)
+    x, y, z = (rays[:, axis, None] * depths + offset[:, axis] for axis in range(3))  # (K, N, H, W) each
+    hidden = z <= nearest
+    z = z.masked_fill(hidden, 1.0)
+    extents = [(side - 1) * 2.0**level for side in (features.shape[3], features.shape[2])]  # half pixels
+    places = [(each / z / extent - 1).masked_fill(hidden, 2.0) for each, extent in zip((x, y), extents, strict=True)]
+    grid = torch.stack(places, dim=-1).view(count, n * height, width, 2)
+    looked_up = functional.grid_sample(features, grid, align_corners=True)
+    grouped = looked_up.view(count, GROUPS, -1, n, height, width) * reference.view(count, GROUPS, -1, 1, height, width)
+    return grouped.mean(dim=2).transpose(1, 2)
 
 
 def _weighted(correlations: Sequence[Tensor], weights: Sequence[Tensor]) -> Tensor:
-    """Mean over partners, (N, G, H, W)."""
-    total: Tensor = sum((c * w for c, w in zip(correlations, weights, strict=True)), torch.zeros_like(correlations[0]))
-    return total / (sum(weights, torch.zeros_like(weights[0])) + 1e-5)
+    """Mean over partners, (K, N, G, H, W)."""
+    pairs = zip(correlations, weights, strict=True)
+    total: Tensor = sum((c * w[:, :, None] for c, w in pairs), torch.zeros_like(correlations[0]))
+    return total / (sum(weights, torch.zeros_like(weights[0])) + 1e-5)[:, :, None]
 
 
 def _stage(width_in: int, width: int) -> nn.Sequential:

@@ -1,0 +1,208 @@
+"""Finish and cross-check of the depth of several cameras on a device, as `finish` and `check_depth` do on the CPU.
+
+Maps are stacks (K, H, W), 0 where depth is unknown. Whatever they hold, the same operations are launched, nothing is uploaded and
+the host reads nothing, so that a GPU records them behind the network that found the depth. Sums differ from the CPU's in the last
+bits; of pixels that a comparison decides a few are decided otherwise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.consistency import UNCHECKED, ConsistencyOptions
+from ggvs_eval.pipelines.offline.itermvs.estimator import Finish
+
+Maps = tuple[Tensor, Tensor]  # depth and confidence
+
+
+def finisher(options: DepthOptions) -> Finish:
+    """Post-processing of a stack by these options; maps are checked against each other if they include consistency and K > 1."""
+    return partial(finish_maps, options=options)
+
+
+def finish_maps(depth: Tensor, confidence: Tensor, between: Tensor, *, options: DepthOptions) -> Maps:
+    """Drop flying pixels, smooth surfaces, remove what the other maps contradict, and fill the rest from the background.
+
+    Args:
+        depth: as found, (K, H, W).
+        between: see `projections_between`.
+    """
+    depth = smooth_surfaces(drop_flying_pixels(depth, options.flying), options.smooth, options.smooth_radius_px)
+    confidence = torch.where(depth > 0, confidence, 0.0)
+    depth, confidence = fill_background(depth, confidence, options.filled_confidence)
+    if options.consistency is None or len(depth) == 1:
+        return depth, confidence
+    return fill_background(*check_consistency(depth, confidence, between, options.consistency), options.filled_confidence)
+
+
+def drop_flying_pixels(depth: Tensor, share: float) -> Tensor:
+    """See `fusion.drop_flying_pixels`."""
+    height, width = depth.shape[1:]
+    padded, allowed = functional.pad(depth, (1, 1, 1, 1)), share * depth
+    near = [
+        ((padded[:, row : row + height, column : column + width] - depth).abs() < allowed).to(torch.uint8)
+        for row in range(3)
+        for column in range(3)
+    ]
+    return torch.where(sum(near, torch.zeros_like(near[0])) >= 4, depth, 0.0)  # itself and three others
+
+
+def smooth_surfaces(depth: Tensor, share: float, radius_px: int) -> Tensor:
+    """See `fusion.smooth_surfaces`; OpenCV reads the weights of a difference from a table, here they are computed."""
+    height, width = depth.shape[1:]
+    logarithm = depth.clamp(min=1e-6).log()
+    padded = functional.pad(logarithm, (radius_px,) * 4, mode="reflect")
+    total, weights = torch.zeros_like(depth), torch.zeros_like(depth)
+    for row in range(-radius_px, radius_px + 1):
+        for column in range(-radius_px, radius_px + 1):
+            square = row**2 + column**2
+            if square <= radius_px**2:
+                top, left = radius_px + row, radius_px + column
+                off = padded[:, top : top + height, left : left + width] - logarithm
+                weight = (off.square() * (-0.5 / share**2) - square / (2 * (0.75 * radius_px) ** 2)).exp()
+                total.addcmul_(weight, off)
+                weights += weight
+    return torch.where(depth > 0, (logarithm + total / weights).exp(), 0.0)
+
+
+def fill_background(depth: Tensor, confidence: Tensor, filled_confidence: float) -> Maps:
+    """See `fusion.fill_background`."""
+    if filled_confidence <= 0:
+        return depth, confidence
+    filled = torch.where(depth > 0, depth, _farther_neighbour(depth))
+    columns = _farther_neighbour(filled.transpose(1, 2).contiguous()).transpose(1, 2)
+    filled = torch.where(filled > 0, filled, columns)
+    return filled, torch.where((depth == 0) & (filled > 0), filled_confidence, confidence)
+
+
+def _farther_neighbour(depth: Tensor) -> Tensor:
+    """The larger of the nearest known depths on the same row to the left and to the right; 0 on empty rows."""
+    width = depth.shape[2]
+    columns = torch.arange(width, device=depth.device).expand(depth.shape)
+    left = torch.where(depth > 0, columns, 0).cummax(dim=2).values
+    right = (width - 1) - torch.where(depth > 0, (width - 1) - columns, 0).flip(2).cummax(dim=2).values.flip(2)
+    return torch.maximum(depth.gather(2, left), depth.gather(2, right))
+
+
+def check_consistency(depth: Tensor, confidence: Tensor, between: Tensor, options: ConsistencyOptions) -> Maps:
+    """Check each map of a stack against all others, see `consistency.check_consistency`."""
+    depth = torch.where(confidence >= options.least_confidence, depth, 0.0)
+    others = [_Others(depth, confidence, between, shift, options) for shift in range(1, len(depth))]
+    verdict = _evaluate(others, depth, confidence, options)
+    agreed = (verdict.support + verdict.conflict).clamp(max=options.min_support)
+    kept = (depth > 0) & (verdict.support >= agreed) & (verdict.conflict <= verdict.support)
+    result, sure = torch.where(kept, verdict.depth, 0.0), torch.where(kept, verdict.confidence, 0.0)
+    if options.fill_support <= 0:
+        return result, sure
+    nearest, unknown = torch.full_like(depth, torch.inf), result == 0
+    for each in others:
+        layer = torch.where(unknown, each.project(), torch.inf)
+        seen = layer.isfinite()
+        verdict = _evaluate(others, torch.where(seen, layer, 0.0), torch.zeros_like(depth), options)
+        better = seen & (verdict.support >= min(options.fill_support, len(others))) & (verdict.conflict == 0)
+        better &= verdict.depth < nearest
+        nearest, sure = torch.where(better, verdict.depth, nearest), torch.where(better, verdict.confidence, sure)
+    return torch.where(nearest.isfinite(), nearest, result), sure
+
+
+@dataclass(frozen=True, eq=False)
+class _Verdict:
+    """Verdict of the others on a point of each pixel, (K, H, W) each, see `consistency._Verdict`."""
+
+    support: Tensor
+    conflict: Tensor
+    depth: Tensor
+    confidence: Tensor
+
+
+def _evaluate(others: Sequence["_Others"], depth: Tensor, confidence: Tensor, options: ConsistencyOptions) -> _Verdict:
+    """Ask the others about points at this depth, where it is known."""
+    support, conflict = (torch.zeros_like(depth) for _ in range(2))
+    total, weighted = confidence, confidence * depth
+    for each in others:
+        supports, conflicts, theirs, trust = each.ask(depth)
+        support, conflict = support + supports, conflict + conflicts
+        trust = torch.where(supports, trust, 0.0)
+        total, weighted = total + trust, weighted + trust * theirs
+    averaged = (support > 0) & (total > 0) & options.average
+    mean = torch.where(averaged, weighted / torch.where(averaged, total, 1.0), depth)
+    evaluated = support + conflict
+    sure = torch.where(evaluated > 0, total / (1 + evaluated), float(UNCHECKED) * confidence)
+    return _Verdict(support, conflict, mean, sure)
+
+
+class _Others:
+    """Of each camera another one's map: that which comes `shift` later in the stack."""
+
+    def __init__(self, depth: Tensor, confidence: Tensor, between: Tensor, shift: int, options: ConsistencyOptions) -> None:
+        self._options, (self._height, self._width) = options, depth.shape[1:]
+        self._depth, self._confidence = depth.roll(-shift, 0), confidence.roll(-shift, 0)
+        # Of camera k: from its pixels to those of the other, and back; views of the same numbers.
+        self._there = between.roll(-shift, 1).diagonal().T
+        self._back = between.transpose(0, 1).roll(-shift, 1).diagonal().T
+        self._v, self._u = (torch.arange(side, device=depth.device, dtype=torch.float32) + 0.5 for side in depth.shape[1:])
+        self._v = self._v[:, None]
+
+    def ask(self, depth: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """See `consistency._OtherView.ask`; nothing is supported or contradicted where depth is unknown."""
+        options = self._options
+        u, v, expected, slope = _move(self._there, self._u, self._v, depth)
+        inside = (depth > 0) & self._inside(u, v, expected)
+        u, v = torch.where(inside, u, 0.0), torch.where(inside, v, 0.0)
+        found = self._look_up(u, v, expected)
+        evaluated = inside & (found > 0)
+        back_u, back_v, _, _ = _move(self._back, u, v, found)
+        gap = (found - expected).abs()
+        near = (back_u - self._u).square() + (back_v - self._v).square() <= options.error_px**2
+        near |= gap <= options.wide_share * expected
+        supports = evaluated & near & (gap <= options.error_share * expected)
+        conflicts = evaluated & ~supports & (found > expected)
+        theirs = torch.where(supports, depth + (found - expected) / slope, depth)
+        return supports, conflicts, theirs, self._at(self._confidence, u.long(), v.long())
+
+    def project(self) -> Tensor:
+        """The others' depth in the cameras' pixels, the nearest where points meet; inf elsewhere."""
+        u, v, depth, _ = _move(self._back, self._u, self._v, self._depth)
+        inside = (self._depth > 0) & self._inside(u, v, depth)
+        outside = self._height * self._width  # a cell that is not looked at
+        pixel = torch.where(
+            inside, torch.where(inside, v, 0.0).long() * self._width + torch.where(inside, u, 0.0).long(), outside
+        )
+        layer = torch.full((len(depth), outside + 1), torch.inf, device=depth.device)
+        layer.scatter_reduce_(1, pixel.flatten(1), depth.flatten(1), "amin")
+        return layer[:, :-1].view(depth.shape)
+
+    def _inside(self, u: Tensor, v: Tensor, depth: Tensor) -> Tensor:
+        return (depth > 0) & (u >= 0) & (u < self._width) & (v >= 0) & (v < self._height)
+
+    def _at(self, maps: Tensor, column: Tensor, row: Tensor) -> Tensor:
+        return maps.flatten(1).gather(1, (row * self._width + column).flatten(1)).view(maps.shape)
+
+    def _look_up(self, u: Tensor, v: Tensor, expected: Tensor) -> Tensor:
+        """See `consistency._OtherView._look_up`."""
+        x, y = (u - 0.5).clamp(0, self._width - 1), (v - 0.5).clamp(0, self._height - 1)
+        left, top = x.long(), y.long()
+        x, y = x - left, y - top  # now shares
+        right, bottom = (left + 1).clamp(max=self._width - 1), (top + 1).clamp(max=self._height - 1)
+        taps = [self._at(self._depth, column, row) for row in (top, bottom) for column in (left, right)]
+        upper, lower = taps[0] + x * (taps[1] - taps[0]), taps[2] + x * (taps[3] - taps[2])
+        closest = taps[0]
+        for tap in taps[1:]:
+            closest = torch.where((tap - expected).abs() < (closest - expected).abs(), tap, closest)
+        low, high = torch.minimum(taps[0], taps[1]), torch.maximum(taps[0], taps[1])
+        for tap in taps[2:]:
+            low, high = torch.minimum(low, tap), torch.maximum(high, tap)
+        return torch.where(high - low > self._options.error_share * expected, closest, upper + y * (lower - upper))
+
+
+def _move(numbers: Tensor, u: Tensor, v: Tensor, depth: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Image coordinates and depth in other cameras, and by how much that depth grows with this one; numbers are (K, 12)."""
+    matrix, offset = numbers[:, :9].view(-1, 3, 3, 1, 1).unbind(1), numbers[:, 9:].view(-1, 3, 1, 1).unbind(1)
+    rays = [row[:, 0] * u + row[:, 1] * v + row[:, 2] for row in matrix]
+    x, y, z = (depth * ray + each for ray, each in zip(rays, offset, strict=True))
+    return x / z, y / z, z, rays[2]
