@@ -211,8 +211,9 @@ def block_median(
     high = wp.uint32(0)
     low_rank = wp.max(count - 1, 0) // 2
     high_rank = count // 2
-    for n in range(16):
-        shift = wp.uint32(30 - 2 * n)
+    shift = wp.uint32(32)
+    while shift > wp.uint32(0):  # a loop that is not unrolled, or registers would not do for a block
+        shift -= wp.uint32(2)
         low_below = wp.int64(0)
         high_below = wp.int64(0)
         for i in range(lane, flags.shape[1], wp.block_dim()):
@@ -262,7 +263,8 @@ def pair_slopes(
     evidence = wp.float64(0.0)
     mean_x = wp.float64(0.0)
     mean_y = wp.float64(0.0)
-    for r in range(_ROUNDS):
+    r = wp.int32(0)
+    while r < _ROUNDS:
         s0 = wp.float64(0.0)
         sx = wp.float64(0.0)
         sy = wp.float64(0.0)
@@ -305,6 +307,7 @@ def pair_slopes(
         slope = txy[0] / wp.max(evidence, wp.float64(1e-12))
         mean_x = new_x
         mean_y = new_y
+        r += 1
     if lane == 0:
         out[pair, 0] = slope
         out[pair, 1] = evidence
