@@ -6,7 +6,7 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
 READY := .venv/.ready
-FOLDERS := pipelines baselines metrics reports
+FOLDERS := pipelines baselines metrics reports contrib
 OUT ?= out/demo
 
 # The evaluation: of DATA=<capture> under PROTOCOL=<name or file>, or of the demo capture.

@@ -11,7 +11,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("ggvs_eval", "baselines", "metrics", "pipelines", "reports")
+FOLDERS = ("ggvs_eval", "baselines", "contrib", "metrics", "pipelines", "reports")
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.arrays import Map
+from ggvs_eval.arrays import Map, Mask
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_file, sweep_files, write_text
@@ -40,6 +40,20 @@ class DepthMap:
     depth: Map
     confidence: Map
     guess: Map | None = None
+
+    def clean(self) -> "DepthMap":
+        """The same where depth `is_known`; elsewhere depth, guess and confidence are 0."""
+        known, nothing = is_known(self.depth), np.float32(0)
+        guess = None if self.guess is None else np.where(is_known(self.guess), self.guess, nothing)
+        stray = ~known & ((self.depth != 0) | (self.confidence != 0))
+        if guess is None and not stray.any():
+            return self
+        return DepthMap(np.where(known, self.depth, nothing), np.where(known, self.confidence, nothing), guess)
+
+
+def is_known(depth: Map) -> Mask:
+    """Mask the depth that is positive and finite; whatever else stands in a map is unknown."""
+    return (depth > 0) & (depth < np.inf)
 
 
 def describe_depth(
@@ -123,7 +137,8 @@ class DepthStore:
         return key
 
     def write(self, key: str, frame: int, depth_map: DepthMap) -> None:
-        """Store one instant; confidence is rounded to 8 bit."""
+        """Store one instant, see `DepthMap.clean`; confidence is rounded to 8 bit."""
+        depth_map = depth_map.clean()
         confidence = np.rint(depth_map.confidence * CONFIDENCE_STEPS).astype(np.uint8)
         with atomic_file(self.path(key, frame)) as temporary, temporary.open("wb") as file:
             arrays: dict[str, NDArray[Any]] = {"depth": depth_map.depth.astype(np.float32, copy=False), "confidence": confidence}

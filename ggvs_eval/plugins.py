@@ -124,6 +124,15 @@ def use_file(path: Path) -> None:
     _offered.cache_clear()
 
 
+def module_of(reference: str) -> str | None:
+    """Module of ``module:name``; None where it is not installed, as a part of `contrib` that was taken away."""
+    module = reference.partition(":")[0]
+    try:
+        return module if importlib.util.find_spec(module) else None
+    except ModuleNotFoundError:  # a package above it is not there
+        return None
+
+
 def imported(reference: str) -> Any:
     """The object of ``module:name``, with modules of the working folder."""
     module, _, name = reference.partition(":")

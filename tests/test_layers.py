@@ -73,7 +73,7 @@ def modules() -> dict[str, Path]:
     assert spec is not None
     assert spec.origin is not None
     folders = {"": Path(spec.origin).resolve().parent}
-    for name in ("pipelines", "baselines", "metrics", "reports"):
+    for name in ("pipelines", "baselines", "contrib", "metrics", "reports"):
         inner = importlib.util.find_spec(f"ggvs_eval.{name}")
         assert inner is not None
         assert inner.origin is not None

@@ -5,14 +5,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.errors import GgvsError
+from ggvs_eval.errors import GgvsError, RenderError
 from ggvs_eval.kernels.portable import product, transformed
 
+MOST_PIXELS = 65535  # a side of an image, see kernels/camera_arguments.hpp
 Pinhole = tuple[float, float, float, float, int, int]
 
 
 def pinhole(camera: Camera) -> Pinhole:
-    """(fx, fy, cx, cy, width, height) of a camera."""
+    """(fx, fy, cx, cy, width, height) of a camera.
+
+    Raises:
+        RenderError: more pixels a side than the kernels count.
+    """
+    if max(camera.size) > MOST_PIXELS:
+        raise RenderError(
+            f"camera {camera.name}: wanted at most {MOST_PIXELS} pixels a side, got {camera.width} x {camera.height}; "
+            "make it smaller (Camera.resized)"
+        )
     K = camera.K
     return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), camera.width, camera.height
 

@@ -6,6 +6,7 @@ below turns it on its side; a matcher does not mind. (cv2.stereoRectify knows ho
 roles and turned images for the rest, and either crops a converging rig or shrinks it to fit.)
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -19,7 +20,6 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.kernels.portable import length, product, transformed, unit
 
 MIN_RAY_Z = 0.1  # of a rectified ray; smaller ones would need a canvas more than ten focal lengths wide
-TRIED_SCALE = 4
 SAME_SURFACE_PX = 0.75  # neighbouring disparities that differ by less are one surface
 Values = TypeVar("Values", Map, NDArray[np.uint8])
 
@@ -113,6 +113,23 @@ def rectify(reference: Camera, partner: Camera) -> RectifiedPair:
     )
 
 
+def rectify_each(reference: Camera, partners: Sequence[Camera]) -> dict[int, RectifiedPair]:
+    """Rectify a camera with the partners that it can be rectified with, by their numbers.
+
+    Raises:
+        DepthError: with none.
+    """
+    pairs, refusal = {}, DepthError(f"camera {reference.name}: wanted a partner to match with, got none")
+    for number, partner in enumerate(partners):
+        try:
+            pairs[number] = rectify(reference, partner)
+        except DepthError as error:
+            refusal = error
+    if not pairs:
+        raise refusal
+    return pairs
+
+
 def nearest_disparity(reference: Camera, partner: Camera) -> float:
     """Disparity of the nearest point over the width that both cameras see, in microseconds: images end at their corners.
 
@@ -126,13 +143,9 @@ def nearest_disparity(reference: Camera, partner: Camera) -> float:
 
 
 def can_rectify(reference: Camera, partner: Camera, nearest: float = np.inf) -> bool:
-    """Tell whether a pair can be rectified, and its `nearest_disparity` is below `nearest`.
-
-    Tried on small images, which differ from the large ones by less than a pixel of theirs.
-    """
-    small = [each.resized(each.width // TRIED_SCALE or 1, each.height // TRIED_SCALE or 1) for each in (reference, partner)]
+    """Tell whether `rectify` takes a pair, and its `nearest_disparity` is below `nearest`."""
     try:
-        return nearest_disparity(*small) < nearest
+        return nearest_disparity(reference, partner) < nearest
     except DepthError:
         return False
 

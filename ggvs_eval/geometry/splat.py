@@ -182,7 +182,7 @@ def float_features(image: Array32 | Image8, extra: Map | None = None) -> Array32
 
 def _project(camera: Camera, depth: NDArray[np.float32], target: Camera, near: float) -> Projected:
     """The pixel of the target that each visible point falls into, its depth there, and the pixel it comes from; flat, (N,)."""
-    pixels = np.flatnonzero(depth)
+    pixels = np.flatnonzero(depth > 0)
     z = depth.reshape(-1)[pixels].astype(np.float64)
     across = (pixels % camera.width + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     down = (pixels // camera.width + 0.5 - camera.K[1, 2]) / camera.K[1, 1]

@@ -27,7 +27,13 @@ from ggvs_eval.files.digest import digest_values
 from ggvs_eval.plugins import plugin_digest
 
 PACKAGE = ggvs_eval.__name__
-ROOMS_APART = ("baselines", "metrics", "pipelines", "reports")  # a checkout keeps them beside the package, see setup.cfg
+ROOMS_APART = (
+    "baselines",
+    "contrib",
+    "metrics",
+    "pipelines",
+    "reports",
+)  # beside it in a checkout, see setup.cfg
 BUILT_FROM = re.compile(rb"ggvs-eval sources ([0-9a-f]{64})")  # ggvs_eval/kernels/sources.hpp
 
 # Where and when work is done moves no result, nor does what is said meanwhile; nor do threads and instruction set, so that asking

@@ -12,7 +12,7 @@ namespace py = pybind11;
 using namespace py::literals;
 using ggvs::data_of, ggvs::describe, ggvs::empty, ggvs::shape_of;
 
-constexpr int kMostChannels = 4096, kMostPixels = 65535;
+constexpr int kMostChannels = 4096, kMostPixels = 65535, kMostCompared = 1 << 30;
 
 bool are_channels(py::ssize_t count, int step) { return count >= step && count % step == 0 && count <= kMostChannels; }
 
@@ -39,6 +39,8 @@ py::list feature_maps(const py::array& frame, const py::sequence& layers, int th
         const py::tuple layer = py::cast<py::tuple>(item);
         if (height < 1 || width < 1) throw py::type_error("frame: wanted a pixel a side at every layer, got " + describe(frame));
         const int after = int(shape_of(py::cast<py::array>(layer[1]), "bias", 1)[0]);
+        if (!are_channels(after, ggvs::kPanel))
+            throw py::type_error("bias: wanted a multiple of 32 channels, got " + describe(py::cast<py::array>(layer[1])));
         job.layers.push_back({before, after, data_of<float>(layer[0], "weights", {ggvs::packed_size(after, before)}),
                               data_of<float>(layer[1], "bias", {after})});
         job.taps.push_back(nullptr);
@@ -64,8 +66,8 @@ py::list feature_maps(const py::array& frame, const py::sequence& layers, int th
 
 py::array_t<float> compare_features(const py::array& ours, const py::array& theirs, const py::array& weights, int threads, int level) {
     const auto shape = shape_of(theirs, "theirs", 3);
-    if (shape[0] * shape[1] > INT32_MAX || shape[2] % 16 || shape[2] > kMostChannels)
-        throw py::type_error("theirs: wanted less than 2^31 pixels and a multiple of 16 channels, got " + describe(theirs));
+    if (shape[0] > kMostPixels || shape[1] > kMostPixels || shape[0] * shape[1] > kMostCompared || !are_channels(shape[2], 16))
+        throw py::type_error("theirs: wanted 2^30 pixels at most and a multiple of 16 channels, got " + describe(theirs));
     py::array_t<float> out({shape[0], shape[1]});
     const ggvs::ComparedPixels all{data_of<float>(ours, "ours", shape), data_of<float>(theirs, "theirs", shape),
                                    data_of<float>(weights, "weights", {shape[2]}), int(shape[0] * shape[1]), int(shape[2]),

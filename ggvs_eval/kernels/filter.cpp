@@ -74,7 +74,7 @@ void mix_depth(const DepthPair& pair, float* out, int threads) {
         const float tolerance = pair.tolerance;
         for (int64_t n = chunk * kChunk; n < std::min((chunk + 1) * kChunk, pair.count); ++n) {
             const float depth = pair.depth[n], history = pair.history[n], mask = pair.mask[n];
-            const bool same = std::fabs(depth - history) <= tolerance * std::max(depth, 1e-9f);
+            const bool same = std::fabs(depth - history) <= tolerance * depth;
             const float mean = mask * depth + (1.0f - mask) * history;
             const float known = (same & (history > 0.0f)) ? mean : depth;
             const float kept = (depth <= 0.0f) & (mask < 1.0f) ? history : 0.0f;

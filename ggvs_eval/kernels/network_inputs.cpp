@@ -11,7 +11,7 @@ namespace ggvs {
 namespace {
 
 constexpr int kBandRows = 8;
-constexpr float kLeastLength = 1e-12f;
+constexpr float kLeastLength = 1e-12f;  // of the job's unit
 
 // Three lines of a row: a field of vectors.
 struct Vectors {
@@ -25,7 +25,7 @@ struct Vectors {
 class Row {
 public:
     explicit Row(const NetworkInputs& job)
-        : job_(job), above_(job.width + 2), here_(job.width + 2), below_(job.width + 2), normals_(job.width), back_(job.width) {}
+        : job_(job), per_(std::ldexp(1.0f, -std::ilogb(job.unit))), above_(job.width + 2), here_(job.width + 2), below_(job.width + 2), normals_(job.width), back_(job.width) {}
 
     void run(int y, float* out) {
         y_ = y, next_ = out + int64_t(y) * job_.width;
@@ -40,12 +40,13 @@ public:
 private:
     int64_t at(int k, int y) const { return (int64_t(k) * job_.height + y) * job_.width; }
 
-    // The surface's points of row y in the target's frame, the first and the last repeated.
+    // The surface's points of row y in the target's frame, the first and the last repeated, in units near the job's: a power of
+    // two, which rounds nothing.
     void fill_points(int y, Vectors& points) const {
         const float *depth = job_.fused + at(0, y), down = job_.down[y];
         float *x = points.lines[0].data() + 1, *rows = points.lines[1].data() + 1, *z = points.lines[2].data() + 1;
         for (int n = 0; n < job_.width; ++n) {
-            z[n] = depth[n] > 0.0f ? depth[n] : job_.far;
+            z[n] = (depth[n] > 0.0f ? depth[n] : job_.far) * per_;
             x[n] = z[n] * job_.across[n];
             rows[n] = z[n] * down;
         }
@@ -90,7 +91,7 @@ private:
         const float *px = here_.lines[0].data() + 1, *py = here_.lines[1].data() + 1, *pz = here_.lines[2].data() + 1;
         const float *nx = normals_.lines[0].data(), *ny = normals_.lines[1].data(), *nz = normals_.lines[2].data();
         const float *bx = back_.lines[0].data(), *by = back_.lines[1].data(), *bz = back_.lines[2].data();
-        const float cx = centre[0], cy = centre[1], cz = centre[2];
+        const float cx = centre[0] * per_, cy = centre[1] * per_, cz = centre[2] * per_;
         for (int n = 0; n < job_.width; ++n) {
             const float dx = cx - px[n], dy = cy - py[n], dz = cz - pz[n];
             const float length = std::max(std::sqrt(dx * dx + dy * dy + dz * dz), kLeastLength);
@@ -151,6 +152,7 @@ private:
     }
 
     const NetworkInputs& job_;
+    const float per_;
     Vectors above_, here_, below_, normals_, back_;
     int y_ = 0;
     float* next_ = nullptr;

@@ -11,12 +11,18 @@ namespace {
 
 constexpr int kBandRows = 16, kMaps = 4;
 
+// What the past adds: nothing where it is not finite, so that it is forgotten at once (0 x NaN is NaN).
+inline float step_back(float now, float past) {
+    const float step = past - now;
+    return step - step == 0.0f ? step : 0.0f;
+}
+
 void mix_row(const float* now, const float* past, const float* maps, int width, float* out) {
     const float *weight = maps, *red = maps + width, *green = red + width, *blue = green + width;
     for (int x = 0; x < width; ++x, now += 3, past += 3, out += 3) {
-        out[0] = now[0] + weight[x] * (past[0] - now[0]) - red[x];
-        out[1] = now[1] + weight[x] * (past[1] - now[1]) - green[x];
-        out[2] = now[2] + weight[x] * (past[2] - now[2]) - blue[x];
+        out[0] = now[0] + weight[x] * step_back(now[0], past[0]) - red[x];
+        out[1] = now[1] + weight[x] * step_back(now[1], past[1]) - green[x];
+        out[2] = now[2] + weight[x] * step_back(now[2], past[2]) - blue[x];
     }
 }
 

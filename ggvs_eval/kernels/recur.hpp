@@ -11,7 +11,7 @@ struct Recurrence {
     const float* cells;       // (4, down, across): weight of the past, and red, green and blue of what is taken off the mix
 };
 
-// now + weight (past - now) - light, with weight and light enlarged bilinearly to the size of the pictures.
+// now + weight (past - now) - light, a past that is not finite counting as now, with weight and light enlarged bilinearly to the size of the pictures.
 void recur(const Recurrence& job, float* out, int threads);
 
 }  // namespace ggvs

@@ -77,6 +77,7 @@ private:
         const float span = rules_.covered_alpha - rules_.least_alpha;
         const float weight = std::min(std::max((rules_.covered_alpha - alpha) / span, 0.0f), 1.0f);
         for (int c = 0; c < 3; ++c) {
+            if (!std::isfinite(past[c])) past[c] = now[c];
             if (*depth <= 0.0f) past[c] += rules_.renewal * (now[c] - past[c]);
             now[c] += weight * (past[c] - now[c]);
         }

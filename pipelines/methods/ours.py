@@ -2,10 +2,13 @@
 
 from functools import partial
 from importlib.util import find_spec
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
+from ggvs_eval.built_in import DEVICE_STEPS
 from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
+from ggvs_eval.plugins import module_of
 
 if TYPE_CHECKING:
     from ggvs_eval.pipelines.online.blend_maps import Guidance
@@ -13,7 +16,7 @@ if TYPE_CHECKING:
 ONLINE = "ggvs_eval.pipelines.online"
 GEOMETRIC = (f"{ONLINE}.geometry_guided", f"{ONLINE}.blending")
 LEARNED = (f"{ONLINE}.geometry_guided", f"{ONLINE}.network_blender")
-ON_DEVICE = (f"{ONLINE}.device.step",)
+ON_DEVICE = tuple(filter(None, map(module_of, DEVICE_STEPS.values())))
 OFFLINE = (f"{ONLINE}.whole_sequence",)
 
 # What the paper does not have, as the table of differences says it.
@@ -47,11 +50,10 @@ def _learned(options: Any = None, guidance: "Guidance" = "registered", device: s
 
     The one place that chooses: on a GPU with Warp (``ggvs-eval[gpu]``) every stage computes there, without it the network alone.
     """
-    if device != "cpu" and find_spec("warp"):
-        from ggvs_eval.pipelines.online.device.step import DeviceGuided, covers
-
-        if covers(options, guidance):
-            return DeviceGuided(options, guidance, device)
+    if device != "cpu" and find_spec("warp") and ON_DEVICE:
+        on_device = resolve_name(DEVICE_STEPS["warp"])
+        if on_device.covers(options, guidance):
+            return on_device(options, guidance, device)
     from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
     from ggvs_eval.pipelines.online.network_blender import NetworkBlender
 

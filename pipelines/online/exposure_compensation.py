@@ -23,6 +23,8 @@ PRIOR = 1e-3  # weight of "no gain" beside the share of the look-ups that two so
 LARGEST_LOG_GAIN = 0.5
 GAUGE_POWER = 2  # of the views' weights, by which their gains are averaged into the target's
 MEMORY = 10  # instants that a ratio is the mean of, at most
+LIKE = 0.2  # colours of a surface are alike where their log ratio is as near to the pair's, or they are DARK levels apart
+ODD, COMMON = 0.2, 0.5  # share of alike looks below which a source is left out, if another pair has more than the second
 
 
 class ExposureCompensation:
@@ -31,7 +33,8 @@ class ExposureCompensation:
     A lattice of pixels of each source is looked up in every other source that sees the same surface. The median ratio of two
     sources' colours tells their gains apart; least squares over all pairs gives every source's. How the ratio changes with the
     angles from the two axes tells the fall-off of the lens that all share, see `LensFallOff`. State: the mean ratio of each pair
-    of cameras that were sources together, and the mean fall-off, since the last gap in time.
+    of cameras that were sources together, whose weight fades while they share too little, and the mean fall-off, since the last
+    gap in time.
 
     Args:
         memory: instants that a ratio is the mean of, at most; 1 for none but the present one.
@@ -47,16 +50,22 @@ class ExposureCompensation:
 
     def __init__(self, memory: int = MEMORY) -> None:
         self._memory = memory
-        self._ratios: dict[tuple[str, str], tuple[int, Array]] = {}
+        self._ratios: dict[tuple[str, str], tuple[int, Array, float]] = {}  # instants, mean, weight
+        self._odd: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._falloff = LensFallOff(memory)
         self._index: int | None = None
         self.slope, self._corner = 0.0, 1.0
 
     def step(self, instant: Instant, tolerance: float) -> Instant:
-        """The instant with its source images multiplied by `gains` and without fall-off; they stay in 8 bit."""
+        """The instant with its source images multiplied by `gains` and without fall-off; they stay in 8 bit.
+
+        A source whose colours are like no other's, black for an instant, is left out where others agree.
+        """
         gains = self.gains(instant, tolerance)
         sources = [
-            replace(source, image=self._compensated(source, gain)) for source, gain in zip(instant.sources, gains, strict=True)
+            replace(source, image=self._compensated(source, gain))
+            for source, gain, odd in zip(instant.sources, gains, self._odd, strict=True)
+            if not odd
         ]
         return replace(instant, sources=tuple(sources))
 
@@ -75,6 +84,8 @@ class ExposureCompensation:
             self._ratios.clear()  # stale history is worse than none
             self._falloff.forget()
         self._index = instant.index
+        fade = 1 - 1 / self._memory
+        self._ratios = {pair: (count, mean, weight * fade) for pair, (count, mean, weight) in self._ratios.items()}
         cameras, shares = [source.camera for source in instant.sources], [source.share for source in instant.sources]
         self._corner = corner_of([instant.target, *cameras])
         log_gains = self._solve(instant.sources, tolerance)
@@ -89,31 +100,54 @@ class ExposureCompensation:
 
     def _solve(self, sources: Sequence[SourceView], tolerance: float) -> Array:
         """Logarithm of every source's gain, (K, 3), whose mean is about 0: weighted least squares over all pairs."""
-        pairs, samples = shared_looks(sources, tolerance)
+        pairs, samples, likeness = shared_looks(sources, tolerance)
+        self._odd = odd_ones(likeness)
         self.slope = self._falloff.step([(looks[:, :3].mean(axis=1), looks[:, 3]) for looks in pairs.values()], self._corner)
         normal, right = PRIOR * np.eye(len(sources)), np.zeros((len(sources), 3))
         for (j, k), looks in pairs.items():
             ratios = looks[:, :3] - np.float32(self.slope) * looks[:, 3:] if self.slope else looks[:, :3]
-            ratio = self._remembered(sources[j].camera.name, sources[k].camera.name, np.median(ratios, axis=0))
-            weight = len(looks) / (samples[j] + samples[k])
+            share = len(looks) / (samples[j] + samples[k])
+            self._remember(sources[j].camera.name, sources[k].camera.name, np.median(ratios, axis=0), share)
+        for j, k in combinations(range(len(sources)), 2):
+            ratio, weight = self._remembered(sources[j].camera.name, sources[k].camera.name)
             normal[[j, k], [j, k]] += weight
             normal[[j, k], [k, j]] -= weight
             right[j] += weight * ratio
             right[k] -= weight * ratio
         return np.asarray(np.linalg.solve(normal, right))
 
-    def _remembered(self, first: str, second: str, ratio: Array) -> Array:
-        """The log ratio of two cameras: the mean of what was measured, the last instants counting most."""
-        swapped = first > second
-        key = (second, first) if swapped else (first, second)
-        count, mean = self._ratios.get(key, (0, np.zeros(3)))
-        count = min(count + 1, self._memory)
-        mean = mean + ((-ratio if swapped else ratio) - mean) / count
-        self._ratios[key] = (count, mean)
-        return -mean if swapped else mean
+    def _remember(self, first: str, second: str, ratio: Array, weight: float) -> None:
+        """Take a log ratio of two cameras into their mean, in which the last instants count most."""
+        mean, _ = self._remembered(first, second)
+        count = min(self._ratios.get(_in_order(first, second), (0,))[0] + 1, self._memory)
+        mean = mean + (ratio - mean) / count
+        self._ratios[_in_order(first, second)] = (count, -mean if first > second else mean, weight)
+
+    def _remembered(self, first: str, second: str) -> tuple[Array, float]:
+        """The log ratio of two cameras and its weight, 0 where it was never measured."""
+        _, mean, weight = self._ratios.get(_in_order(first, second), (0, np.zeros(3), 0.0))
+        return -mean if first > second else mean, weight
 
 
-def shared_looks(sources: Sequence[SourceView], tolerance: float) -> tuple[dict[tuple[int, int], Map], list[int]]:
+def _in_order(first: str, second: str) -> tuple[str, str]:
+    return min(first, second), max(first, second)
+
+
+def odd_ones(likeness: Array) -> NDArray[np.bool_]:
+    """Mark the sources that are like none of those that see the same surfaces, though others are like each other.
+
+    Args:
+        likeness: share of alike looks of every two sources, (K, K); NaN where they share too little.
+
+    Examples:
+        >>> odd_ones(np.array([[np.nan, 0.9, 0.0], [0.9, np.nan, 0.1], [0.0, 0.1, np.nan]]) - 0.05)
+        array([False, False,  True])
+    """
+    closest = np.nan_to_num(likeness, nan=-1.0).max(axis=1, initial=-1.0)
+    return (closest >= 0) & (closest < ODD) & (closest.max(initial=0.0) > COMMON)
+
+
+def shared_looks(sources: Sequence[SourceView], tolerance: float) -> tuple[dict[tuple[int, int], Map], list[int], Array]:
     """Pair every two sources by what they see together, at the lattices of both.
 
     Args:
@@ -121,18 +155,22 @@ def shared_looks(sources: Sequence[SourceView], tolerance: float) -> tuple[dict[
         tolerance: depths that differ by less are the same surface, world units.
 
     Returns:
-        Of the pairs that share enough, by their numbers: `log_ratios` of the first to the second, (N, 4). And how many points
-        the lattice of each source has.
+        Of the pairs that share enough, by their numbers: `log_ratios` of the first to the second, (N, 4). How many points the
+        lattice of each source has. And the likeness of every two, see `odd_ones`.
     """
     pictures = [reduced(source.image) for source in sources]
     lattices = [lattice(source, picture) for source, picture in zip(sources, pictures, strict=True)]
-    pairs = {}
+    pairs, likeness = {}, np.full((len(sources), len(sources)), np.nan)
     for j, k in combinations(range(len(sources)), 2):
-        there = log_ratios(lattices[j], sources[j].camera, sources[k], pictures[k], tolerance)
-        back = log_ratios(lattices[k], sources[k].camera, sources[j], pictures[j], tolerance)
-        if len(there) + len(back) >= FEWEST:
-            pairs[j, k] = np.concatenate([there, -back])
-    return pairs, [len(points) for points, _ in lattices]
+        there, *seen_there = log_ratios(lattices[j], sources[j].camera, sources[k], pictures[k], tolerance)
+        back, *seen_back = log_ratios(lattices[k], sources[k].camera, sources[j], pictures[j], tolerance)
+        looks, (seen, close) = np.concatenate([there, -back]), np.add(seen_there, seen_back)
+        if len(looks) >= FEWEST:
+            pairs[j, k] = looks
+        if seen >= FEWEST:
+            apart = np.abs(looks[:, :3] - (np.median(looks[:, :3], axis=0) if len(looks) else 0))
+            likeness[j, k] = likeness[k, j] = (np.count_nonzero((apart < LIKE).all(axis=1)) + close) / seen
+    return pairs, [len(points) for points, _ in lattices], likeness
 
 
 def lattice(source: SourceView, picture: Map) -> tuple[Map, Map]:
@@ -157,10 +195,13 @@ def lattice(source: SourceView, picture: Map) -> tuple[Map, Map]:
     return np.stack([x[usable], y[usable], z[usable]], axis=-1).astype(np.float32), np.log(colours[usable])
 
 
-def log_ratios(points_of: tuple[Map, Map], camera: Camera, other: SourceView, picture: Map, tolerance: float) -> Map:
-    """Logarithms of one source's colours less those of another one, at the points that both see, (M, 4).
+def log_ratios(
+    points_of: tuple[Map, Map], camera: Camera, other: SourceView, picture: Map, tolerance: float
+) -> tuple[Map, int, int]:
+    """Logarithms of one source's colours less those of another one, at the points that both see in their linear range, (M, 4).
 
-    The last column is the difference of the squared tangents of the angles from their axes.
+    The last column is the difference of the squared tangents of the angles from their axes. And of how many points both see the
+    surface, and of how many of these the other's colour is out of range but hardly another.
 
     Args:
         points_of: the first source's `lattice`.
@@ -183,7 +224,9 @@ def log_ratios(points_of: tuple[Map, Map], camera: Camera, other: SourceView, pi
     both = chosen[agrees][counts]
     own, others = points[both], np.stack([x[both], y[both], z[agrees][counts]], axis=-1)
     spans = _squared_tangents(own) - _squared_tangents(others)
-    return np.concatenate([logarithms[both] - np.log(colours[counts]), spans[:, None]], axis=1, dtype=np.float32)
+    beside = np.abs(np.exp(logarithms[chosen[agrees][~counts]]) - colours[~counts]) <= DARK
+    looks = np.concatenate([logarithms[both] - np.log(colours[counts]), spans[:, None]], axis=1, dtype=np.float32)
+    return looks, len(counts), int(beside.all(axis=1).sum())
 
 
 def _squared_tangents(points: Map) -> Map:

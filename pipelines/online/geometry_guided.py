@@ -150,6 +150,10 @@ class GeometryGuided:
         filtered = replace(instant, sources=views)
         # Gains are looked up by a single thread; the weights need no colours.
         filtered, weights = side_by_side(partial(self._compensated, filtered), partial(self._weights, filtered))
+        names = [source.camera.name for source in filtered.sources]  # without any whose colours are like no other's
+        kept = [k for k, source in enumerate(instant.sources) if source.camera.name in names]
+        instant = replace(instant, sources=tuple(instant.sources[k] for k in kept))
+        changes, weights = tuple(changes[k] for k in kept), [weights[k] for k in kept if weights]
         marks.append(perf_counter())
         splats = self._splat(instant, filtered, changes)
         marks.append(perf_counter())

@@ -47,6 +47,8 @@ class LensFallOff:
                 the difference of the squared tangents under which the two see it, (N,).
             corner: largest squared tangent in any of the pictures.
         """
+        if len(pairs) < 2:  # they say nothing
+            return self._slope
         self._count = min(self._count + 1, self._memory)
         self._slope += (shared_slope([fit_slope(*pair, corner) for pair in pairs], corner) - self._slope) / self._count
         return self._slope

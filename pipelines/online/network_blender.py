@@ -1,7 +1,7 @@
 """Learned weights: the blending network of the paper in place of geometric ones."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +100,7 @@ class NetworkBlender:
             WeightsError: no usable weights.
             RenderError: more source views than the network is made for.
         """
+        inputs = without_blind(inputs)
         path, device = self.weights or shipped_blend_weights(self.guidance), compute_device(self.device)
         network, views = load_blend_network(path, device), len(inputs.instant.sources)
         if views > network.config.views:
@@ -113,6 +114,15 @@ class NetworkBlender:
         if guidance == "registered":
             return blend_by(network, *registered(inputs, network.config.scale))
         return blend_by(network, blend_maps(inputs, guidance))
+
+
+def without_blind(inputs: BlendingInputs) -> BlendingInputs:
+    """The inputs without the views that cover no pixel of the target, unless none does: what is blind takes no view's place."""
+    kept = [k for k, splat in enumerate(inputs.splats) if splat.alpha.max(initial=0) >= COVERED_ALPHA]
+    if not 0 < len(kept) < len(inputs.splats):
+        return inputs
+    instant = replace(inputs.instant, sources=tuple(inputs.instant.sources[k] for k in kept))
+    return replace(inputs, instant=instant, splats=[inputs.splats[k] for k in kept])
 
 
 def blend_by(network: BlendNetwork, maps: BlendMaps, summary: Overview | None = None) -> Blended:

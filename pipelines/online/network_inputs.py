@@ -80,8 +80,9 @@ def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None
     guide = guide_depth(maps, guidance)
     unit = unit or reference_depth(guide, maps.target)
     surface, size = guide > 0, guide.shape
-    points = surface_points(maps.target, np.where(surface, guide, np.float32(maps.target.far)))
-    to_sources = [_unit(_centre(source, maps.target) - points) for source in maps.sources]
+    per = np.exp2(-np.floor(np.log2(np.float32(unit))))  # a power of two, which rounds nothing: lengths are of order 1
+    points = per * surface_points(maps.target, np.where(surface, guide, np.float32(maps.target.far)))
+    to_sources = [_unit(per * _centre(source, maps.target) - points) for source in maps.sources]
     guided, count, flat = guidance in GUIDED, len(maps.sources), guidance == "naive"
     of_views = [
         np.moveaxis(maps.colours, 3, 1).reshape(-1, *size),

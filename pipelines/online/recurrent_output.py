@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ggvs_eval.arrays import Map
+from ggvs_eval.arrays import Map, Mask
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.kernels import get_threads, side_by_side
@@ -66,13 +66,19 @@ class RecurrentOutput:
         before, age, new = self._shown, np.ones_like(still), cells(image)
         if before is not None and before.index == index - 1 and before.target.shows_the_same_rays(target):
             most = np.float32((1 + self._limit) / (1 - self._limit))  # instants that a mean of such weights is worth
-            past = cells(before.image)
-            still = still * agreement(new, past, before.new, np.minimum(before.age, most))
+            past, last, now, known = _finite(cells(before.image), before.new, new)
+            still = still * agreement(now, past, last, np.minimum(before.age, most)) * known
             age += still * before.age
             weight = still * np.minimum(1 - 1 / age, np.float32(self._limit))
-            image = mixed(image, before.image, weight, past - new)
+            image = mixed(image, before.image, weight, past - now)
         self._shown = _Shown(index, target, image, new, age)
         return image
+
+
+def _finite(past: Map, last: Map, new: Map) -> tuple[Map, Map, Map, Mask]:
+    """Three images of cells, black where any of them is not finite, and where all are: nothing else has a past."""
+    known = np.isfinite(past + last + new).all(axis=2)
+    return *(np.where(known[..., None], image, np.float32(0)) for image in (past, last, new)), known
 
 
 def agreement(new: Map, mean: Map, last: Map, count: Map) -> Map:
@@ -101,7 +107,7 @@ def agreement(new: Map, mean: Map, last: Map, count: Map) -> Map:
 
 
 def mixed(image: Map, past: Map, weight: Map, change: Map) -> Map:
-    """The past mixed into an image where it has weight, but for what changed over wide areas.
+    """The past mixed into an image where it has weight and is finite, but for what changed over wide areas.
 
     Args:
         image: (H, W, 3), float32.

@@ -83,7 +83,7 @@ def picture_statistics(picture: Tensor, spread: Tensor) -> Tensor:
         for values in (spread[:, ::ROW_STEP_PX], detail if detail.numel() else torch.zeros_like(spread[:, :1, :1])):
             flat = values.double().flatten(1)
             means += [(flat + LEAST).log().mean(dim=1), (flat.mean(dim=1) + LEAST).log()]
-        scaled = STATISTICS_GAIN * (torch.stack(means, dim=1) - torch.tensor(TYPICAL, dtype=torch.float64, device=picture.device))
+        scaled = STATISTICS_GAIN * torch.stack([mean - usual for mean, usual in zip(means, TYPICAL, strict=True)], dim=1)
         return (scaled * STATISTICS_GRID).round() / STATISTICS_GRID
 
 

@@ -54,7 +54,7 @@ def stillness(
         shared, apart, known = shared_change(seen)
         still *= falling(shared / np.maximum(apart, np.float32(LEAST_NOISE**2)), *SHARED) * known
     if known.any():
-        noise = np.clip(np.sqrt(np.median(apart[known])), LEAST_NOISE, MOST_NOISE)
+        noise = np.clip(np.sqrt(max(np.median(apart[known]), 0)), LEAST_NOISE, MOST_NOISE)
         still *= falling(largest / np.float32(noise), *LARGEST)
     return still
 

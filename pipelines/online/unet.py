@@ -40,8 +40,8 @@ class UNet(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         """Channels in, (B, inputs, H, W), to channels out, (B, outputs, H, W); any size of at least one pixel."""
         height, width = features.shape[2:]
-        margins = (*_margins(width), *_margins(height))
-        features = functional.pad(features, margins, mode="replicate")
+        added = (*margins(width), *margins(height))
+        features = functional.pad(features, added, mode="replicate")
         skips: list[Tensor] = []
         for level, block in enumerate(self.down):
             features = block(self.pool(features) if level else features)
@@ -50,7 +50,7 @@ class UNet(nn.Module):
         for block in self.up:
             enlarged = functional.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)
             features = block(torch.cat([skips.pop(), enlarged], dim=1))
-        return self.last(features[..., margins[2] : margins[2] + height, margins[0] : margins[0] + width])
+        return self.last(features[..., added[2] : added[2] + height, added[0] : added[0] + width])
 
 
 def _block(before: int, after: int) -> nn.Sequential:
@@ -63,8 +63,8 @@ def _block(before: int, after: int) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-def _margins(size: int) -> tuple[int, int]:
-    """Pixels to add on both sides."""
+def margins(size: int) -> tuple[int, int]:
+    """Pixels to add before and behind a side, so that every level divides it."""
     missing = max(LEAST_SIZE_PX - size, -size % SIZE_MULTIPLE)
     return missing // 2, missing - missing // 2
 

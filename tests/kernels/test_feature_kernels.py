@@ -119,3 +119,18 @@ def test_filters_of_other_sizes_are_refused():
     for shape in ((64, 64, 5, 5), (60, 64, 3, 3), (64, 60, 3, 3)):
         with pytest.raises(TypeError, match="filters: wanted"):
             _features.pack_filters(np.zeros(shape, np.float32), 1)
+
+
+def test_a_bias_that_fills_no_panel_is_refused():
+    """Filters of 32 channels with a bias of 40: the kernel, which reads biases by panels of 32, would read beyond its end."""
+    packed_filters = _features.pack_filters(drawn(0, 32, 3, 3, 3), 1)
+    layers = [(packed_filters, drawn(1, 32), False), (_features.pack_filters(drawn(2, 32, 64, 3, 3), 1), drawn(3, 40), True)]
+    with pytest.raises(TypeError, match="bias: wanted a multiple of 32 channels, got"):
+        _features.feature_maps(drawn(0, 8, 8, 3), layers, 1, 0)
+
+
+def test_distances_of_no_channels_are_refused():
+    """Features without channels have no direction, and pixels that an int cannot count no number."""
+    for shape in ((4, 4, 0), (4, 4, 24), (70_000, 1, 16)):
+        with pytest.raises(TypeError, match="theirs: wanted"):
+            _features.compare_features(np.zeros(shape, np.float32), np.zeros(shape, np.float32), drawn(0, shape[2]), 1, 0)

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.depth_store import DepthMap, is_known
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
@@ -295,3 +296,45 @@ def test_every_option_is_described():
     """What goes into a depth map's key names the algorithm, its code and every option."""
     options = ConsistencyOptions()
     assert set(options.describe()) == {"algorithm", "code", *vars(options)}
+
+
+def on_an_arc(degrees: float, name: str) -> tuple[Camera, np.ndarray]:
+    """A camera that looks at a ball in a round room from this side, and its exact depth."""
+    angle, size = np.deg2rad(degrees), (160, 120)
+    centre = 3 * np.array([np.sin(angle), 0, -np.cos(angle)])
+    forward = -centre / 3
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([np.cross([0.0, 1.0, 0.0], forward), [0.0, 1.0, 0.0], forward])
+    pose[:3, 3] = -pose[:3, :3] @ centre
+    camera = Camera(name, np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]), pose, *size, 1.0, 12.0)
+    rays = camera.rays()
+    along, square = rays @ centre, (rays**2).sum(axis=-1)
+    ball, room = (along**2 - square * (9 - radius**2) for radius in (1.2, 6.0))
+    return camera, np.where(ball > 0, -along - np.sqrt(np.maximum(ball, 0)), -along + np.sqrt(room)) / square
+
+
+@pytest.mark.parametrize("degrees", [90, 100, 120])
+def test_views_across_do_not_move_depth(degrees):
+    """Two cameras that see one surface across each other: depth is as right as without averaging, and never negative."""
+    (camera, truth), (other, other_truth) = on_an_arc(-degrees / 2, "left"), on_an_arc(degrees / 2, "right")
+    maps = []
+    for number, exact in enumerate((truth, other_truth)):
+        noise = cv2.GaussianBlur(np.random.default_rng(number).normal(size=exact.shape), (0, 0), 4)
+        maps.append(sure(exact * (1 + 0.004 * noise / noise.std())))
+    found = [check_consistency(camera, maps[0], [(other, maps[1])], ConsistencyOptions(average=on)).depth for on in (True, False)]
+
+    errors = [np.abs(depth / truth - 1)[depth != 0] for depth in found]
+    assert (found[0] >= 0).all()
+    for share in (50, 90, 99):
+        assert np.percentile(errors[0], share) <= 1.05 * np.percentile(errors[1], share)
+
+
+@pytest.mark.parametrize("odd", [-1.2, np.nan, np.inf])
+def test_what_is_no_depth_is_unknown(odd):
+    """A depth that is negative or not finite neither votes nor stays, however sure it is."""
+    for holed in (CAMERA, LEFT):
+        maps = {camera: sure(plane_depth(camera)) for camera in (CAMERA, *OTHERS)}
+        maps[holed].depth[BLOCK], maps[holed].confidence[BLOCK] = odd, 1
+        result = check_consistency(CAMERA, maps.pop(CAMERA), list(maps.items()), ConsistencyOptions())
+        assert (is_known(result.depth) | (result.depth == 0)).all()
+        assert np.abs(result.depth / plane_depth(CAMERA) - 1)[MIDDLE].max() < 0.005

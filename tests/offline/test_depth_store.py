@@ -127,3 +127,23 @@ def test_what_a_killed_process_was_writing_is_swept(tmp_path):
     store.write_spec({"camera": "a"})
 
     assert sorted(file.name for file in store.folder(key).iterdir()) == ["000001.npz", "spec.json"]
+
+
+@pytest.mark.parametrize("odd", [-1.2, np.nan, np.inf])
+def test_what_is_no_depth_is_stored_as_unknown(tmp_path, odd):
+    """Depth that is negative or not finite comes back as 0, with confidence 0; so does a guess."""
+    store, depth_map = DepthStore(tmp_path), make_map()
+    depth_map = replace(depth_map, guess=depth_map.depth + 1)
+    depth_map.depth[2, 3], depth_map.guess[4, 5] = odd, odd
+
+    store.write("key", 0, depth_map)
+    found = store.read("key", 0)
+
+    assert (found.depth[2, 3], found.confidence[2, 3], found.guess[4, 5]) == (0, 0, 0)
+    assert np.count_nonzero(found.guess == 0) == 1
+
+
+def test_a_clean_map_is_not_copied():
+    """What holds no odd depth is the same object."""
+    whole = make_map().clean()
+    assert whole.clean() is whole

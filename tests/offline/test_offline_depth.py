@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.depth_store import DepthJob, DepthStore
+from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, is_known
 from ggvs_eval.errors import CaptureError, DepthError
-from ggvs_eval.geometry.rectification import rectify
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
+from ggvs_eval.geometry.rectification import rectify, rectify_each
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, finish
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
+from ggvs_eval.pipelines.offline.sensor.colour_fill import ColourFillOptions, fill_by_colour
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
+from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from helpers.refusals import refused
 from helpers.stereo_scenes import look_from, paint, plane_depth, random_texture, see_plane, write_capture
@@ -320,3 +322,82 @@ def test_checked_depth_has_a_key_of_its_own_and_comes_back(plane_capture, tmp_pa
     store.path(keys[1], 1).unlink()
     prepare_depth(plane_capture, [job], range(2), store, OPTIONS, workers=1)
     assert np.array_equal(store.read(keys[1], 1).depth, before)
+
+
+@pytest.mark.parametrize("odd", [-1.2, np.nan, np.inf])
+@pytest.mark.parametrize("guess", [None, 3.0])
+def test_what_is_no_depth_is_filled(odd, guess):
+    """A depth that is negative or not finite is a hole, filled by the background or the guess and as little sure as it."""
+    depth = np.full((40, 50), 2.0, np.float32)
+    depth[10:30, 10:40] = odd
+    raw = DepthMap(depth, np.ones_like(depth), None if guess is None else np.full_like(depth, guess))
+
+    result = finish(raw, DepthOptions(filler_share=0.1))
+
+    assert result.depth[20, 25] == pytest.approx(guess or 2.0, rel=1e-5)
+    assert result.confidence[20, 25] == pytest.approx(DepthOptions().filled_confidence)
+    colours = fill_by_colour(raw, np.full((40, 50, 3), 99, np.uint8), ColourFillOptions())
+    assert is_known(colours.depth).all()
+    assert colours.confidence[20, 25] < 1
+
+
+def wide_arc(seed: int) -> list[Camera]:
+    """Six cameras of 110 to 130 degrees around a place, each with a depth range of its own."""
+    random, size = np.random.default_rng(seed), (96, 72)
+    focal_px = size[0] / 2 / np.tan(np.deg2rad(random.uniform(55, 65)))
+    span, radius, cameras = np.deg2rad(random.uniform(60, 250)), random.uniform(2, 4), []
+    for number in range(6):
+        angle = span * (number / 5 - 0.5) + random.normal(0, 0.02)
+        centre = np.array([radius * np.sin(angle), random.normal(0, 0.1), -radius * np.cos(angle)])
+        forward = -centre / np.linalg.norm(centre)
+        across = np.cross([0.0, 1.0, 0.0], forward)
+        across /= np.linalg.norm(across)
+        pose = np.eye(4)
+        pose[:3, :3] = np.stack([across, np.cross(forward, across), forward])
+        pose[:3, 3] = -pose[:3, :3] @ centre
+        K = np.array([[focal_px, 0, size[0] / 2], [0, focal_px, size[1] / 2], [0, 0, 1]])
+        cameras.append(Camera(f"cam{number}", K, pose, *size, random.uniform(0.5, 1.5), random.uniform(6, 20)))
+    return cameras
+
+
+def test_chosen_pairs_can_be_matched():
+    """No pair that was chosen is refused when it is rectified, in the camera's role or, live, in either."""
+    pairs = 0
+    for seed in (*range(30, 50), *range(355, 365)):  # quarter-size trials let pairs of 41 and 363 through
+        cameras = wide_arc(seed)
+        for camera in cameras:
+            try:
+                partners = choose_partners(camera, cameras, 4)
+            except DepthError:  # nothing to match with
+                continue
+            pairs += len(partners)
+            assert len(rectify_each(camera, partners)) == len(partners)
+            RigEstimator([camera, *partners], [[camera.name, *(each.name for each in partners)]], LiveMatcher(), 0.5)
+    assert pairs > 200
+
+
+def test_a_pair_that_is_refused_costs_that_pair():
+    """A partner at the camera's own place has no opinion; the others' stays, and alone it is an error, live no depth."""
+    here, other = replace(CAMERA, name="here"), look_from(-0.6, 0, "other")
+    images = {camera.name: see_plane(camera) for camera in (CAMERA, here, other)}
+    for matcher in (SgbmMatcher(levels=1), LiveMatcher()):
+        alone, both = (
+            DepthEstimator(CAMERA, partners, DepthOptions(matcher=matcher)).estimate(
+                images[CAMERA.name], [images[partner.name] for partner in partners]
+            )
+            for partners in ([other], [here, other])
+        )
+        np.testing.assert_allclose(both.depth, alone.depth, rtol=1e-5)
+    with refused(DepthError, "no parallax"):
+        DepthEstimator(CAMERA, [here], DepthOptions())
+    rig = RigEstimator([CAMERA, here], [[CAMERA.name, "here"]], LiveMatcher(), 0.5)
+    assert not rig.estimate(images)[0].depth.any()
+
+
+@pytest.mark.parametrize("levels", [1, 2, 3])
+def test_a_sliver_has_no_match(levels):
+    """Canvases of a few columns, or of fewer than the smallest disparity, are matched without an error."""
+    for width, height, d_min in ((1, 1, 0), (3, 1, 2), (3, 8, 3), (2, 8, 5), (5, 4, 4)):
+        image = np.zeros((height, width, 3), np.uint8)
+        disparity, confidence = SgbmMatcher(levels=levels).match(image, image, d_min, d_min + 8)
+        assert disparity.shape == confidence.shape == (height, width)

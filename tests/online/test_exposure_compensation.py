@@ -8,6 +8,7 @@ import pytest
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.per_pixel import view_weights
 from ggvs_eval.method import Instant
+from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online.exposure_compensation import GAUGE_POWER, ExposureCompensation, gained_image
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from helpers.photographs import psnr_db
@@ -149,3 +150,58 @@ def test_one_source_is_left_alone(count):
     gains = estimated(ExposureCompensation(), planted(0, SOURCES[:count], GAINS[:count]))
 
     np.testing.assert_allclose(gains, anchored(GAINS[:count], SOURCES[:count]), atol=0.005)
+
+
+def seen_in_part(index: int, rows: int) -> Instant:
+    """Two cameras, the second at .85 of the exposure; depth is known in so many rows."""
+    seen = planted(index, SOURCES[:2], np.array([[1.0] * 3, [0.85] * 3], np.float32))
+    known = np.arange(SOURCES[0].height)[:, None] < rows
+    return replace(seen, sources=tuple(replace(view, depth=view.depth * known) for view in seen.sources))
+
+
+def test_a_pair_that_shares_too_little_is_remembered():
+    """Enough common looks at every other instant: the ratio of the exposures stays within 1 % of 1 / .85."""
+    compensation, wide, narrow = ExposureCompensation(), 72, 4
+    found = [estimated(compensation, seen_in_part(index, narrow if index % 2 else wide)) for index in range(8)]
+
+    np.testing.assert_allclose([each[1] / each[0] for each in found], 1 / 0.85, rtol=0.01)
+
+
+def test_what_is_remembered_fades():
+    """Once nothing is shared any more a ratio goes back to 1, by no more than 1.5 % an instant; without a memory at once."""
+    compensation, none = ExposureCompensation(), ExposureCompensation(memory=1)
+    ratios = []
+    for index in range(120):
+        found = estimated(compensation, seen_in_part(index, 72 if index == 0 else 0))
+        ratios.append(float((found[1] / found[0]).mean()))
+    estimated(none, seen_in_part(0, 72))
+
+    assert np.abs(np.diff(np.log(ratios))).max() < 0.015
+    assert ratios[-1] == pytest.approx(1, abs=0.01)
+    np.testing.assert_array_equal(estimated(none, seen_in_part(1, 0)), 1)
+
+
+def black(seen: Instant, number: int, level: int = 0) -> Instant:
+    """The instant with one source of one colour."""
+    sources = list(seen.sources)
+    sources[number] = replace(sources[number], image=np.full_like(sources[number].image, level))
+    return replace(seen, sources=tuple(sources))
+
+
+@pytest.mark.parametrize("method", ["ours", "ours-geometric"])
+@pytest.mark.parametrize(("number", "level"), [(0, 0), (1, 0), (0, 255)])
+def test_a_black_source_is_left_out(method, number, level):
+    """A source that is black or white for an instant costs that instant 3 dB at most, and the instants behind it nothing."""
+    made, truth = find_method(method).make(), look(TARGET)[0]
+    plain = [instant(index, TARGET, SOURCES) for index in range(3)]
+    scores = [psnr_db(made.step(black(each, number, level) if each.index == 1 else each).image, truth) for each in plain]
+
+    assert scores[1] > scores[0] - 3
+    assert scores[2] > scores[0] - 0.1
+
+
+def test_sources_that_agree_stay():
+    """Gains of cameras, two sources of which nobody can say which is wrong, and a dark room leave out none."""
+    dark = planted(0, gains=np.full_like(GAINS, 0.06))
+    for seen in (planted(0), black(planted(0, SOURCES[:2], GAINS[:2]), 0), dark):
+        assert len(ExposureCompensation().step(seen, TOLERANCE).sources) == len(seen.sources)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.depth_store import DepthMap, is_known
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.jobs.code_identity import code_identity
@@ -172,9 +172,9 @@ class DepthEstimator:
         seen = dict(zip((partner.name for partner in self.partners), partner_images, strict=True))
         if self._raw is not None:
             raw = self._raw.estimate(image, [seen[pair.name] for pair in self.pairs])
-        if self._guess is not None and (raw.depth == 0).mean() >= self.options.filler_share / 2:
+        if self._guess is not None and (~is_known(raw.depth)).mean() >= self.options.filler_share / 2:
             asked, estimator = self._guess
-            found = estimator.estimate(image, [seen[each.name] for each in asked])
+            found = estimator.estimate(image, [seen[each.name] for each in asked]).clean()
             raw = replace(raw, guess=fill_background(found.depth, found.confidence, self.options.filled_confidence)[0])
         return finish(raw, self.options)
 
@@ -207,6 +207,7 @@ def _estimator(
 
 def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
     """Post-process any matcher's depth: drop flying pixels, smooth surfaces, fill gaps by its guess or from the background."""
+    raw = raw.clean()
     depth = smooth_surfaces(drop_flying_pixels(raw.depth, options.flying), options.smooth, options.smooth_radius_px)
     confidence = np.where(depth > 0, raw.confidence, np.float32(0))
     return _filled(DepthMap(depth, confidence, raw.guess), options)
@@ -214,7 +215,7 @@ def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
 
 def _filled(known: DepthMap, options: DepthOptions) -> DepthMap:
     """Fill what is unknown by the guess, where there is one, else from the background."""
-    unknown = known.depth == 0
+    unknown = ~is_known(known.depth)
     if known.guess is None or unknown.mean() < options.filler_share:
         return DepthMap(*fill_background(known.depth, known.confidence, options.filled_confidence), known.guess)
     confidence = np.where(unknown, np.float32(options.filled_confidence), known.confidence)

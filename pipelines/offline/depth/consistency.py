@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Map, Mask
 from ggvs_eval.camera import Camera
-from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.depth_store import DepthMap, is_known
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image, rigid_between
 from ggvs_eval.jobs.code_identity import code_identity
@@ -17,6 +17,7 @@ from ggvs_eval.kernels.portable import inverse, product, transformed
 # Besides what stands here: the fill of what is left, and `check_depth`, whose neighbours find depth and do not count.
 FILL, CALLER = "ggvs_eval.pipelines.offline.stereo.fusion", "ggvs_eval.pipelines.offline.depth.camera_depth"
 CHUNK = 1 << 14  # points handled at a time: what they need stays in the processor's cache
+LEAST_SLOPE = np.float32(0.3)  # of depth along the other's rays: where they cross more steeply its error is a larger one here
 UNCHECKED = np.float32(0.5)  # confidence of what no other camera sees, over what it was
 Indices = NDArray[np.int32]
 
@@ -32,7 +33,7 @@ class ConsistencyOptions:
         error_share: ... and never by more than this share.
         least_confidence: depth that is less sure than this counts as unknown: guesses neither vote nor stay.
         min_support: others that must agree for a depth to stay, or all that see it where there are fewer.
-        average: take the mean with those that agree, weighted by confidence.
+        average: take the mean with those that agree, weighted by confidence, and see the surface much as the camera does.
         fill_support: others that must agree for a pixel without depth to get theirs, or all if they are fewer; 0 fills nothing.
     """
 
@@ -111,16 +112,18 @@ def _evaluate(
         part = slice(start, start + CHUNK)
         rows, columns = np.divmod(at[part], np.int32(camera.width))
         u, v = columns + np.float32(0.5), rows + np.float32(0.5)
-        total, weighted = confidence[part].copy(), confidence[part] * depth[part]
+        total, mass, weighted = confidence[part].copy(), confidence[part].copy(), confidence[part] * depth[part]
         for view in views:
             supports, conflicts, theirs, trust = view.ask(u, v, depth[part])
             verdict.support[part] += supports
             verdict.conflict[part] += conflicts
             trust = np.where(supports, trust, np.float32(0))
             total += trust
+            trust = np.where(theirs > 0, trust, np.float32(0))
+            mass += trust
             weighted += trust * theirs
         if options.average:
-            np.divide(weighted, total, out=verdict.depth[part], where=(verdict.support[part] > 0) & (total > 0))
+            np.divide(weighted, mass, out=verdict.depth[part], where=(verdict.support[part] > 0) & (mass > 0))
         evaluates = verdict.support[part] + verdict.conflict[part]
         mean = total / (1 + evaluates).astype(np.float32)
         verdict.confidence[part] = np.where(evaluates > 0, mean, UNCHECKED * confidence[part])
@@ -154,7 +157,8 @@ class _OtherView:
         """Check points (P,) of the camera against this view.
 
         Returns:
-            Whether it supports each, whether it contradicts it, the depth it would give the point, and its own confidence, (P,).
+            Whether it supports each, whether it contradicts it, the depth it would give the point, 0 where that is less sure than
+            the point's, and its own confidence, (P,).
         """
         options = self._options
         there_u, there_v, expected = self._there.move(u, v, depth)
@@ -168,7 +172,10 @@ class _OtherView:
         near |= gap <= np.float32(options.wide_share) * expected
         supports = evaluated & near & (gap <= np.float32(options.error_share) * expected)
         conflicts = evaluated & ~supports & (map_depth > expected)
-        theirs = depth + (map_depth - expected) / self._there.depth_slope(u, v)
+        slope = self._there.depth_slope(u, v)
+        step = (map_depth - expected) / np.maximum(slope, LEAST_SLOPE)
+        counts = (slope > LEAST_SLOPE) & (np.abs(step) <= np.float32(options.error_share) * depth)
+        theirs = np.where(counts, depth + step, np.float32(0))
         pixel = there_v.astype(np.int32) * np.int32(self._other.width) + there_u.astype(np.int32)
         return supports, conflicts, theirs, self._confidence[pixel]
 
@@ -230,7 +237,7 @@ class _Projection:
 def _known_depth(camera: Camera, depth_map: DepthMap, options: ConsistencyOptions) -> Map:
     depth = as_image(depth_map.depth, camera, "depth", DepthError)
     confidence = as_image(depth_map.confidence, camera, "confidence", DepthError)
-    return np.where(confidence >= options.least_confidence, depth, np.float32(0))
+    return np.where((confidence >= options.least_confidence) & is_known(depth), depth, np.float32(0))
 
 
 def _inside(camera: Camera, u: Map, v: Map, depth: Map) -> Mask:

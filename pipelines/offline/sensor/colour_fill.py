@@ -54,6 +54,7 @@ def fill_by_colour(depth_map: DepthMap, image: Image8, options: ColourFillOption
     Returns:
         Depth and confidence, (H, W); depth is unknown only where no pixel was known.
     """
+    depth_map = depth_map.clean()
     depth, confidence = depth_map.depth, depth_map.confidence
     unknown = (depth == 0) | beside_jumps(depth, options)
     if options.confidence <= 0 or not unknown.any() or unknown.all():

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Map
+from ggvs_eval.depth_store import is_known
 
 FUSED_ROWS = 16  # at a time: what they need stays in the processor's cache
 
@@ -89,9 +90,11 @@ def fill_background(depth: Map, confidence: Map, filled_confidence: float) -> tu
     """
     if filled_confidence <= 0:
         return depth, confidence
-    filled = np.where(depth > 0, depth, _farther_neighbour(depth))
+    known = is_known(depth)
+    depth = np.where(known, depth, np.float32(0))
+    filled = np.where(known, depth, _farther_neighbour(depth))
     filled = np.where(filled > 0, filled, _farther_neighbour(filled.T).T)
-    return filled, np.where((depth == 0) & (filled > 0), np.float32(filled_confidence), confidence)
+    return filled, np.where(~known, np.float32(filled_confidence) * (filled > 0), confidence)
 
 
 def _farther_neighbour(depth: Map) -> Map:

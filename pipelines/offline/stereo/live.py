@@ -15,7 +15,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
-from ggvs_eval.geometry.rectification import depth_from_disparity, exchange_roles, rectify
+from ggvs_eval.geometry.rectification import can_rectify, depth_from_disparity, exchange_roles, rectify
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.offline.stereo.fusion import fuse
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher, Side
@@ -89,7 +89,7 @@ class RigEstimator:
     """Depth of several cameras at once; everything that does not depend on the images is prepared once.
 
     Whatever cameras are asked for together, each has the same depth to the last bit: a pair is always matched in the order of its
-    cameras' names.
+    cameras' names, or where it cannot be rectified so the other way round; a partner with which neither goes has no opinion.
 
     Args:
         matched: for each depth map that is wanted the name of its camera, and those of the cameras that it is matched with.
@@ -106,7 +106,12 @@ class RigEstimator:
         self._requested = {(name, each) for name, *partners in self.matched for each in partners}
         ordered = sorted({(min(names), max(names)) for names in self._requested})
         small = {camera.name: matcher.small(camera) for camera in cameras}
-        self._pairs = {(first, second): SharedPair(small[first], small[second], matcher) for first, second in ordered}
+        self._pairs: dict[tuple[str, str], SharedPair] = {}
+        for names in ordered:
+            for first, second in (names, names[::-1]):
+                if can_rectify(small[first], small[second]):
+                    self._pairs[first, second] = SharedPair(small[first], small[second], matcher)
+                    break
 
     def estimate(self, images: Mapping[str, Image8]) -> list[DepthMap]:
         """Depth at one instant, invalid where no partner has an opinion.
@@ -126,7 +131,7 @@ class RigEstimator:
             for side, each in zip(sides, pair.match(small[first], small[second], sides), strict=True):
                 estimates[views[side]] = each
         return [
-            self._fused([estimates[name, each] for each in partners], images[name], small[name])
+            self._fused([estimates[name, each] for each in partners if (name, each) in estimates], images[name], small[name])
             for name, *partners in self.matched
         ]
 
@@ -137,6 +142,8 @@ class RigEstimator:
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
     def _fused(self, estimates: Sequence[Estimate], image: Image8, small_image: Image8) -> DepthMap:
+        if not estimates:
+            return DepthMap(*np.zeros((2, *image.shape[:2]), np.float32))
         depths, confidences, disparities = (np.stack(maps) for maps in zip(*estimates, strict=True))  # (N, H, W) each
         return enlarge(DepthMap(*fuse(depths, confidences, disparities, self._error_px)), small_image, image)
 

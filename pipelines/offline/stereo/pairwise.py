@@ -7,7 +7,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.geometry.rectification import RectifiedPair, depth_from_disparity, rectify
+from ggvs_eval.geometry.rectification import RectifiedPair, depth_from_disparity, rectify_each
 from ggvs_eval.pipelines.offline.stereo.fusion import fuse
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 
@@ -16,6 +16,7 @@ class PairwiseEstimator:
     """Depth of one camera by a stereo matcher; everything that does not depend on the images is prepared once.
 
     Args:
+        partners: those that cannot be rectified with the camera have no opinion.
         error_px: estimates of two partners agree when disparity errors of this size explain their difference.
         warm: tell the matcher of each pair what it found at the call before; the calls must then be consecutive instants.
     """
@@ -26,8 +27,8 @@ class PairwiseEstimator:
         self.matcher = matcher
         self.error_px = error_px
         self.warm = warm
-        self._pairs = [rectify(camera, partner) for partner in partners]
-        self._previous: list[Map | None] = [None] * len(self._pairs)
+        self._pairs = rectify_each(camera, partners)
+        self.forget()
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Depth at one instant, invalid where no partner has an opinion.
@@ -35,19 +36,18 @@ class PairwiseEstimator:
         Returns:
             Depth, (H, W), and confidence: the share of partners that agree, weighted by their left-right agreement.
         """
-        estimates = [self._match(index, image, other) for index, other in enumerate(partner_images)]
+        estimates = [self._match(index, pair, image, partner_images[index]) for index, pair in self._pairs.items()]
         depths, confidences, disparities = (np.stack(maps) for maps in zip(*estimates, strict=True))  # (N, H, W) each
         return DepthMap(*fuse(depths, confidences, disparities, self.error_px))
 
     def forget(self) -> None:
         """Begin a new sequence: the next call starts cold."""
-        self._previous = [None] * len(self._pairs)
+        self._previous: dict[int, Map] = {}
 
-    def _match(self, index: int, image: Image8, partner_image: Image8) -> tuple[Map, Map, Map]:
+    def _match(self, index: int, pair: RectifiedPair, image: Image8, partner_image: Image8) -> tuple[Map, Map, Map]:
         """One partner's depth, confidence and disparity at the camera's pixels, (H, W) each."""
-        pair: RectifiedPair = self._pairs[index]
         left, right = pair.warp_left(image), pair.warp_right(partner_image)
-        disparity, confidence = self.matcher.match(left, right, pair.d_min, pair.d_max, self._previous[index])
+        disparity, confidence = self.matcher.match(left, right, pair.d_min, pair.d_max, self._previous.get(index))
         if self.warm:
             self._previous[index] = disparity
         disparity = np.where(pair.sees(disparity), disparity, np.float32(0))

@@ -70,7 +70,7 @@ class SgbmMatcher:
             the right one lies at x + disparity on the left.
         """
         pyramid = [tuple(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right))]
-        for _ in range(1, self.levels):
+        while len(pyramid) < self.levels and min(pyramid[-1][0].shape) > 1:
             pyramid.append(tuple(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in pyramid[-1]))
         results = [(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32)) for _ in sides]
         for level, (small_left, small_right) in reversed(list(enumerate(pyramid))):
@@ -104,7 +104,9 @@ class SgbmMatcher:
         return refined, np.where(refined > 0, 1 - 0.5 * gap / allowed, np.float32(0))
 
     def _disparity(self, left: Image8, right: Image8, d_min: int, d_max: int) -> Map:
-        """Disparity of the left image in pixels, 0 = none found."""
+        """Disparity of the left image in pixels, 0 = none found, as where none of its columns has a match in the right one."""
+        if left.shape[1] <= d_min:
+            return np.zeros(left.shape, np.float32)
         from ggvs_eval.kernels import _stereo
 
         count = -(-(d_max - d_min + 1) // 16) * 16  # the kernel wants a multiple of 16

@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
+from ggvs_eval.built_in import DEVICE_SAMPLES
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.warp import warp
@@ -109,8 +111,8 @@ def rendered_views(instant: Instant, device: str) -> tuple[RawViews, Map]:
         GeometryGuided(options, recorder).step(instant)
         return raw_views(recorder.inputs[-1]), recorder.images[-1]
     from ggvs_eval.compute_device import compute_device
-    from ggvs_eval.pipelines.online.device.sampling import sampled_maps
 
+    sampled_maps = resolve_name(DEVICE_SAMPLES["warp"])
     maps, sources, target = sampled_maps(instant, options, compute_device(device)), instant.sources, instant.target
     order = sorted(range(len(sources)), key=lambda k: nearness(sources[k].camera, target))
     cameras, shares = tuple(sources[k].camera for k in order), tuple(sources[k].share for k in order)

@@ -1,17 +1,21 @@
-"""Kernels of the ray march (paper 3.2): `kernels/occupancy.cpp` and `kernels/tsdf_simd.hpp`, a thread per source block or ray."""
+"""The ray march (paper 3.2): `kernels/occupancy.cpp` and `kernels/tsdf_simd.hpp`, a thread per source block or ray."""
 
+import torch
 import warp as wp
+from torch import Tensor
 
-from ggvs_eval.pipelines.online.device.launch import MODULE_OPTIONS
+from ggvs_eval.contrib.warp.constants import END, NEAR, PAST, PER_BIT, SLABS, TAU, StepConstants
+from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch
+from ggvs_eval.contrib.warp.tables import Tables
 
 wp.set_module_options(MODULE_OPTIONS)
 
 COLUMN = 8  # target pixels across and down that share one column of the occupancy grid
-SLABS = 512  # depth intervals of a column, about equal in log depth
 BLOCK = 4  # source pixels across and down that are marked together
-_COLUMN = wp.constant(COLUMN)
-_SLABS = wp.constant(SLABS)
-_BLOCK = wp.constant(BLOCK)
+SEGMENTS = 16  # of a column, each searched by a thread
+STEP_FRACTION = 0.8
+_COLUMN, _SLABS, _BLOCK = wp.constant(COLUMN), wp.constant(SLABS), wp.constant(BLOCK)
+_SEGMENTS, _SEGMENT = wp.constant(SEGMENTS), wp.constant(SLABS // SEGMENTS)
 _JUST_BELOW = wp.constant(wp.float32(0.99999994))  # the largest number below 1
 FAR_AWAY = wp.constant(wp.float32(1e18))
 NOWHERE = wp.constant(wp.float32(3e38))
@@ -19,18 +23,29 @@ NOWHERE = wp.constant(wp.float32(3e38))
 
 @wp.struct
 class Field:
-    """Constants of the fused field: depth range, truncation, steps, and the slabs of the occupancy grid."""
+    """Constants of the fused field: depth range, truncation, the slabs of the occupancy grid, and the target's size."""
 
     near: wp.float32
     far: wp.float32
     tau: wp.float32
-    step_fraction: wp.float32
-    min_step: wp.float32
-    skip_empty: wp.bool
     first_bits: wp.int32
     per_bit: wp.float32
     width: wp.int32
     height: wp.int32
+
+
+@wp.func
+def field_of(numbers: wp.array[wp.float32], width: wp.int32, height: wp.int32) -> Field:
+    """The field of a step's numbers."""
+    field = Field()
+    field.near = numbers[NEAR]
+    field.far = numbers[END]
+    field.tau = numbers[TAU]
+    field.first_bits = wp.cast(numbers[NEAR], wp.int32)
+    field.per_bit = numbers[PER_BIT]
+    field.width = width
+    field.height = height
+    return field
 
 
 @wp.func
@@ -93,21 +108,28 @@ def mark_frustum(
     for row in range(y0, y1 + 1):
         for column in range(x0, x1 + 1):
             for slab in range(first, last + 1):
-                marks[row, column, slab] = wp.uint8(1)  # all threads write the same value
+                marks[slab, row, column] = wp.uint8(1)  # all threads write the same value
 
 
 @wp.kernel
 def mark_shells(
-    depth: wp.array2d[wp.float32],
-    weight: wp.array2d[wp.float32],
-    to_target: wp.array[wp.float32],
-    field: Field,
+    depths: wp.array3d[wp.float32],
+    weights: wp.array3d[wp.float32],
+    sizes: wp.array2d[wp.int32],
+    to_target: wp.array2d[wp.float32],
+    flags: wp.array[wp.int32],
+    is_past: wp.bool,
+    numbers: wp.array[wp.float32],
+    target_width: wp.int32,
+    target_height: wp.int32,
     marks: wp.array3d[wp.uint8],
 ):
     """Mark where a sample may lie within the truncation of one block's pixels; conservative, so that no result depends on it."""
-    block_y, block_x = wp.tid()
-    height = depth.shape[0]
-    width = depth.shape[1]
+    k, block_y, block_x = wp.tid()
+    if is_past and flags[PAST] == 0:
+        return
+    width = sizes[k, 0]
+    height = sizes[k, 1]
     top = block_y * _BLOCK
     left = block_x * _BLOCK
     bottom = wp.min(top + _BLOCK, height)
@@ -119,42 +141,66 @@ def mark_shells(
     # Interpolation with a pixel of the ring around the block moves a value, but by less than tau.
     for y in range(wp.max(top - 1, 0), wp.min(bottom + 1, height)):
         for x in range(wp.max(left - 1, 0), wp.min(right + 1, width)):
-            value = depth[y, x]
+            value = depths[k, y, x]
             if value > 0.0:
                 ring_low = wp.min(ring_low, value)
                 ring_high = wp.max(ring_high, value)
-                if y >= top and y < bottom and x >= left and x < right and weight[y, x] > 0.0:
+                if y >= top and y < bottom and x >= left and x < right and weights[k, y, x] > 0.0:
                     low = wp.min(low, value)
                     high = wp.max(high, value)
     if low > high:
         return
+    field = field_of(numbers, target_width, target_height)
     tau = field.tau
     if high - low <= 2.0 * tau:
         front = wp.max(low - tau, ring_low) - tau
         behind = wp.min(high + tau, ring_high) + tau
-        mark_frustum(field, to_target, left, top, right, bottom, front, behind, marks)
+        mark_frustum(field, to_target[k], left, top, right, bottom, front, behind, marks)
         return
     for y in range(top, bottom):
         for x in range(left, right):
-            value = depth[y, x]
-            if value > 0.0 and weight[y, x] > 0.0:
+            value = depths[k, y, x]
+            if value > 0.0 and weights[k, y, x] > 0.0:
                 front = wp.max(value - tau, ring_low) - tau
                 behind = wp.min(value + tau, ring_high) + tau
-                mark_frustum(field, to_target, x, y, x + 1, y + 1, front, behind, marks)
+                mark_frustum(field, to_target[k], x, y, x + 1, y + 1, front, behind, marks)
 
 
 @wp.kernel
-def find_next(marks: wp.array3d[wp.uint8], field: Field, nexts: wp.array3d[wp.float32]):
-    """Beginning of the first marked slab at or behind each slab."""
-    y, x = wp.tid()
+def first_marks(marks: wp.array3d[wp.uint8], firsts: wp.array3d[wp.int32]):
+    """First marked slab of a segment of a column, -1 for none."""
+    s, y, x = wp.tid()
+    first = wp.int32(-1)
+    for n in range(_SEGMENT):
+        slab = s * _SEGMENT + _SEGMENT - 1 - n
+        if marks[slab, y, x] > wp.uint8(0):
+            first = slab
+    firsts[s, y, x] = first
+
+
+@wp.func
+def begin_of(slab: wp.int32, numbers: wp.array[wp.float32]) -> wp.float32:
+    """Depth where a slab begins, rounded towards the camera: to stop early costs a sample, to stop late would lose one."""
+    bits = wp.cast(numbers[NEAR], wp.int32) + wp.int32(wp.float32(slab) / numbers[PER_BIT] * 0.99999)
+    return wp.cast(bits, wp.float32)
+
+
+@wp.kernel
+def find_next(
+    marks: wp.array3d[wp.uint8], firsts: wp.array3d[wp.int32], numbers: wp.array[wp.float32], nexts: wp.array3d[wp.float32]
+):
+    """Beginning of the first marked slab at or behind each slab of a segment."""
+    s, y, x = wp.tid()
     following = NOWHERE
-    for n in range(_SLABS):
-        slab = _SLABS - 1 - n
-        if marks[y, x, slab] > wp.uint8(0):
-            # Rounded towards the camera: to stop early costs a sample, to stop late would lose one.
-            begin = field.first_bits + wp.int32(wp.float32(slab) / field.per_bit * 0.99999)
-            following = wp.cast(begin, wp.float32)
-        nexts[y, x, slab] = following
+    for n in range(_SEGMENTS):
+        ahead = _SEGMENTS - 1 - n
+        if ahead > s and firsts[ahead, y, x] >= 0:
+            following = begin_of(firsts[ahead, y, x], numbers)
+    for n in range(_SEGMENT):
+        slab = s * _SEGMENT + _SEGMENT - 1 - n
+        if marks[slab, y, x] > wp.uint8(0):
+            following = begin_of(slab, numbers)
+        nexts[slab, y, x] = following
 
 
 @wp.func
@@ -242,7 +288,10 @@ def sample(
 
 @wp.kernel
 def march_rays(
-    field: Field,
+    numbers: wp.array[wp.float32],
+    step_fraction: wp.float32,
+    min_step: wp.float32,
+    skip_empty: wp.bool,
     depths: wp.array3d[wp.float32],
     weights: wp.array3d[wp.float32],
     maps: wp.array2d[wp.float32],
@@ -257,9 +306,10 @@ def march_rays(
 ):
     """Sphere tracing with the smallest step (Eq. 3 with the readings of ggvs_eval/geometry/tsdf.py)."""
     y, x = wp.tid()
+    field = field_of(numbers, out_depth.shape[1], out_depth.shape[0])
     pixel = wp.vec2f(wp.float32(x) + 0.5, wp.float32(y) + 0.5)
     gain = gains[y, x]
-    step = field.step_fraction * field.tau
+    step = step_fraction * field.tau
     base = field.near
     whole = wp.float32(0.0)
     previous = wp.float32(0.0)
@@ -270,8 +320,8 @@ def march_rays(
     active = wp.bool(True)
     while active:
         z = base + whole * step
-        if field.skip_empty:
-            empty = (nexts[y // _COLUMN, x // _COLUMN, slab_of(field, z)] - z) * (1.0 / step) - 0.01
+        if skip_empty:
+            empty = (nexts[slab_of(field, z), y // _COLUMN, x // _COLUMN] - z) * (1.0 / step) - 0.01
             whole += wp.float32(wp.int32(wp.min(wp.max(empty, 0.0), 1e6)))
             z = base + whole * step
         if not (z <= field.far):
@@ -287,7 +337,7 @@ def march_rays(
                 active = False
             else:
                 if positive and s[0] < 1.0:
-                    base = z + wp.max(field.step_fraction * s[0], field.min_step) * field.tau
+                    base = z + wp.max(step_fraction * s[0], min_step) * field.tau
                     whole = wp.float32(0.0)
                 else:
                     whole += 1.0
@@ -296,3 +346,42 @@ def march_rays(
                 was_positive = positive
     out_depth[y, x] = depth
     out_weight[y, x] = total
+
+
+def march(
+    depths: Tensor,
+    weights: Tensor,
+    past: tuple[Tensor, Tensor],
+    gain: Tensor,
+    c: StepConstants,
+    t: Tables,
+    limits: tuple[float, float],
+    out: tuple[Tensor, Tensor],
+    skip_empty: bool = True,
+) -> None:
+    """Find the first surface of the fused field along each ray, as `ray_march` of the compiled path (Eqs. 3, 9, 10, 13, 14).
+
+    Args:
+        depths: of the sources, filtered, (K, H, W), world units.
+        weights: of their pixels, (K, H, W).
+        past: depth and weight that the march of the instant before found, of its target's size.
+        gain: of the past along each ray, (H, W), see `trust_past`.
+        limits: smallest step, in tau, and largest weight of the past.
+        out: depth, (H, W), world units, 0 where there is no surface, and the sum of the weights behind it.
+    """
+    (width, height), device = t.sizes.whole, depths.device
+    columns = -(-height // COLUMN), -(-width // COLUMN)
+    nexts = torch.empty((SLABS if skip_empty else 1, *columns), device=device)
+    if skip_empty:
+        marks = torch.zeros((SLABS, *columns), dtype=torch.uint8, device=device)
+        past_size = t.past_size(past[0].shape[1], past[0].shape[0])
+        groups = (depths, weights, t.view_sizes, c.from_views[:-1]), (past[0][None], past[1][None], past_size, c.from_views[-1:])
+        for number, (stack, of_pixels, sizes, to_target) in enumerate(groups):
+            blocks = (len(stack), *(-(-size // BLOCK) for size in stack.shape[1:]))
+            seen = (stack, of_pixels, sizes, to_target, c.flags, number == 1, c.numbers, width, height)
+            launch(mark_shells, blocks, *seen, marks)
+        firsts = torch.empty((SEGMENTS, *columns), dtype=torch.int32, device=device)
+        launch(first_marks, firsts.shape, marks, firsts)
+        launch(find_next, firsts.shape, marks, firsts, c.numbers, nexts)
+    steps = (c.numbers, STEP_FRACTION, limits[0], skip_empty)
+    launch(march_rays, (height, width), *steps, depths, weights, c.to_views, t.view_sizes, *past, gain, limits[1], nexts, *out)

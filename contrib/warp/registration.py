@@ -1,32 +1,19 @@
-"""Kernels between fused depth and network: contested depth, registration, network inputs, push-pull, gains of the sources."""
+"""Source views looked up where the target's surface projects into them: contested depth, registration, warping."""
 
+import torch
 import warp as wp
+from torch import Tensor
 
-from ggvs_eval.pipelines.online.device.launch import MODULE_OPTIONS
+from ggvs_eval.contrib.warp.constants import SAME_SURFACE, TAU, StepConstants
+from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch
+from ggvs_eval.contrib.warp.splat import DeviceSplats
+from ggvs_eval.contrib.warp.tables import Tables
+from ggvs_eval.geometry.contested_depth import LEAST_ALPHA, LEAST_SHARE, RATIO
+from ggvs_eval.pipelines.online import blend_maps
 
 wp.set_module_options(MODULE_OPTIONS)
 
-LEAST_LENGTH = wp.constant(wp.float32(1e-12))
-
-
-@wp.func
-def shade_level(level: wp.uint8, factor: wp.float32) -> wp.uint8:
-    """A level times a factor, rounded and limited."""
-    return wp.uint8(wp.int32(wp.min(wp.max(wp.float32(level) * factor, 0.0), 255.0) + 0.5))
-
-
-@wp.kernel
-def shade(
-    image: wp.array3d[wp.uint8],
-    gain: wp.array[wp.float32],
-    down: wp.array[wp.float32],
-    across: wp.array[wp.float32],
-    out: wp.array3d[wp.uint8],
-):
-    """An image times a gain per channel and a factor per row and column, see `kernels/shade.cpp`."""
-    y, x = wp.tid()
-    for c in range(3):
-        out[y, x, c] = shade_level(image[y, x, c], across[x] * gain[c] * down[y])
+FAINT = wp.constant(wp.float32(blend_maps.FAINT))
 
 
 @wp.func
@@ -83,7 +70,7 @@ def spread(
 
 
 @wp.kernel
-def settle_depth(
+def settle_rays(
     fused: wp.array2d[wp.float32],
     images: wp.array4d[wp.uint8],
     maps: wp.array2d[wp.float32],
@@ -91,7 +78,7 @@ def settle_depth(
     alphas: wp.array3d[wp.float32],
     depths: wp.array3d[wp.float32],
     weights: wp.array[wp.float32],
-    tolerance: wp.float32,
+    numbers: wp.array[wp.float32],
     least_alpha: wp.float32,
     least_share: wp.float32,
     ratio: wp.float32,
@@ -99,6 +86,7 @@ def settle_depth(
 ):
     """Fused depth, or that of a splat where most views contradict it and the colours agree far better there."""
     y, x = wp.tid()
+    tolerance = numbers[SAME_SURFACE]
     depth = fused[y, x]
     out[y, x] = depth
     if not (depth > 0.0):
@@ -211,18 +199,19 @@ def visibility_of(
 
 
 @wp.kernel
-def warp_views(
+def warp_pixels(
     fused: wp.array2d[wp.float32],
     images: wp.array4d[wp.uint8],
     source_depths: wp.array3d[wp.float32],
     maps: wp.array2d[wp.float32],
     sizes: wp.array2d[wp.int32],
-    tolerance: wp.float32,
+    numbers: wp.array[wp.float32],
     colours: wp.array4d[wp.float32],
     visibilities: wp.array3d[wp.float32],
 ):
     """Each view's image at the fused surface, 0 outside of it, and whether the view sees that; colours are (K, 3, H, W)."""
     k, y, x = wp.tid()
+    tolerance = numbers[TAU]
     colour_there = wp.vec3f()
     visibility = wp.float32(0.0)
     at = surface_in_view(fused, maps[k], y, x)
@@ -235,43 +224,7 @@ def warp_views(
 
 
 @wp.kernel
-def warp_change(
-    surface: wp.array2d[wp.float32],
-    change: wp.array3d[wp.float32],
-    source_depth: wp.array2d[wp.float32],
-    m: wp.array[wp.float32],
-    tolerance: wp.float32,
-    out: wp.array3d[wp.float32],
-    visibilities: wp.array2d[wp.float32],
-):
-    """A view's change of colour, (Hs, Ws, 3), bilinearly at a surface, 0 outside of it, and whether the view sees that."""
-    y, x = wp.tid()
-    height = source_depth.shape[0]
-    width = source_depth.shape[1]
-    visibility = wp.float32(0.0)
-    at = surface_in_view(surface, m, y, x)
-    inside = is_inside(at, width, height)
-    column = wp.min(wp.max(at[0] - 0.5, 0.0), wp.float32(width - 1))
-    row = wp.min(wp.max(at[1] - 0.5, 0.0), wp.float32(height - 1))
-    x0 = wp.int32(column)
-    y0 = wp.int32(row)
-    x1 = wp.min(x0 + 1, width - 1)
-    y1 = wp.min(y0 + 1, height - 1)
-    fx = column - wp.float32(x0)
-    fy = row - wp.float32(y0)
-    for c in range(3):
-        value = wp.float32(0.0)
-        if inside:
-            upper = (1.0 - fx) * change[y0, x0, c] + fx * change[y0, x1, c]
-            value = (1.0 - fy) * upper + fy * ((1.0 - fx) * change[y1, x0, c] + fx * change[y1, x1, c])
-        out[c, y, x] = value
-    if inside:
-        visibility = visibility_of(source_depth, width, height, at, tolerance)
-    visibilities[y, x] = visibility
-
-
-@wp.kernel
-def register_views(
+def register_pixels(
     fused: wp.array2d[wp.float32],
     images: wp.array4d[wp.uint8],
     source_depths: wp.array3d[wp.float32],
@@ -279,14 +232,14 @@ def register_views(
     sizes: wp.array2d[wp.int32],
     splats: wp.array4d[wp.float32],
     alphas: wp.array3d[wp.float32],
-    tolerance: wp.float32,
-    faint: wp.float32,
+    numbers: wp.array[wp.float32],
     colours: wp.array4d[wp.float32],
     coverage: wp.array3d[wp.float32],
     visibilities: wp.array3d[wp.float32],
 ):
     """Each view at the fused surface, mixed with its splat by visibility; colours are (K, 3, H, W)."""
     k, y, x = wp.tid()
+    tolerance = numbers[TAU]
     shown = wp.vec3f(splats[k, y, x, 0], splats[k, y, x, 1], splats[k, y, x, 2])
     visibility = wp.float32(0.0)
     at = surface_in_view(fused, maps[k], y, x)
@@ -297,122 +250,52 @@ def register_views(
             shown += visibility * (captured - shown)
     for c in range(3):
         colours[k, c, y, x] = shown[c]
-    coverage[k, y, x] = wp.max(visibility, faint * alphas[k, y, x])
+    coverage[k, y, x] = wp.max(visibility, FAINT * alphas[k, y, x])
     visibilities[k, y, x] = visibility
 
 
-@wp.func
-def surface_point(
-    fused: wp.array2d[wp.float32],
-    across: wp.array[wp.float32],
-    down: wp.array[wp.float32],
-    far: wp.float32,
-    y: wp.int32,
-    x: wp.int32,
-) -> wp.vec3f:
-    """Point of the surface in the target's frame; on the far plane where it is unknown."""
-    z = fused[y, x]
-    if not (z > 0.0):
-        z = far
-    return wp.vec3f(z * across[x], z * down[y], z)
+def settle_depth(
+    fused: Tensor, images: Tensor, splats: DeviceSplats, c: StepConstants, t: Tables, odd: Tensor | None = None
+) -> Tensor:
+    """Fused depth, (H, W), replaced where most views and the colours of all but odd ones speak for a splat's."""
+    if min(min(size) for size in t.sizes.views) < 2:  # colours cannot be interpolated
+        return fused
+    settled = torch.empty_like(fused)
+    sizes = t.view_sizes if odd is None else t.view_sizes * (1 - odd)[:, None]  # in no picture of size 0 is anything seen
+    seen = (fused, images, c.to_views, sizes, splats.alphas, splats.depths, c.weights, c.numbers)
+    launch(settle_rays, fused.shape, *seen, LEAST_ALPHA, LEAST_SHARE, RATIO, settled)
+    return settled
 
 
-@wp.func
-def unit(v: wp.vec3f) -> wp.vec3f:
-    """Vector of length 1."""
-    return v / wp.max(wp.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]), LEAST_LENGTH)
+def register_views(
+    depth: Tensor, images: Tensor, depths: Tensor, splats: DeviceSplats, c: StepConstants, t: Tables
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Register every view by the fused depth, as `register_views` of the compiled path.
+
+    Args:
+        depth: fused, (H, W).
+        images: of the sources, brought to one colour, (K, H, W, 3), uint8.
+        depths: of the sources, filtered, (K, H, W).
+        splats: of the same views.
+
+    Returns:
+        Colours, (K, 3, H, W), coverages and visibilities, (K, H, W).
+    """
+    colours = torch.empty((len(images), 3, *depth.shape), device=depth.device)
+    coverage, visibilities = torch.empty_like(splats.alphas), torch.empty_like(splats.alphas)
+    seen = (depth, images, depths, c.to_views, t.view_sizes, splats.features, splats.alphas, c.numbers)
+    launch(register_pixels, splats.alphas.shape, *seen, colours, coverage, visibilities)
+    return colours, coverage, visibilities
 
 
-@wp.kernel
-def geometry_channels(
-    fused: wp.array2d[wp.float32],
-    across: wp.array[wp.float32],
-    down: wp.array[wp.float32],
-    far: wp.float32,
-    centres: wp.array2d[wp.float32],
-    to_normal: wp.array3d[wp.float32],
-    to_target: wp.array3d[wp.float32],
-):
-    """Cosines between the direction to each camera and the surface's normal, and the direction to the target's camera."""
-    y, x = wp.tid()
-    height = fused.shape[0]
-    width = fused.shape[1]
-    upper = wp.max(y - 1, 0)
-    lower = wp.min(y + 1, height - 1)
-    left = wp.max(x - 1, 0)
-    right = wp.min(x + 1, width - 1)
-    point = surface_point(fused, across, down, far, y, x)
-    along_column = surface_point(fused, across, down, far, lower, x) - surface_point(fused, across, down, far, upper, x)
-    along_row = surface_point(fused, across, down, far, y, right) - surface_point(fused, across, down, far, y, left)
-    normal = unit(wp.cross(along_column, along_row))
-    away = wp.dot(normal, point)
-    facing = wp.float32(0.0)
-    around = fused[y, left] > 0.0 and fused[y, right] > 0.0 and fused[upper, x] > 0.0 and fused[lower, x] > 0.0
-    if fused[y, x] > 0.0 and around:
-        if away < 0.0:
-            facing = wp.float32(1.0)
-        elif away > 0.0:
-            facing = wp.float32(-1.0)
-    back = unit(-point)
-    for k in range(centres.shape[0]):
-        direction = unit(wp.vec3f(centres[k, 0], centres[k, 1], centres[k, 2]) - point)
-        to_normal[k, y, x] = wp.dot(direction, normal) * facing
-        to_target[k, y, x] = wp.dot(direction, back)
+def warp_views(depth: Tensor, images: Tensor, depths: Tensor, c: StepConstants, t: Tables) -> tuple[Tensor, Tensor]:
+    """Sample every view where the target's surface, (H, W), projects into it, as `warp` of the compiled path, bicubically.
 
-
-@wp.kernel
-def average_known(
-    colours: wp.array3d[wp.float32],
-    known: wp.array2d[wp.float32],
-    rows: wp.array2d[wp.int32],
-    row_shares: wp.array2d[wp.float32],
-    columns: wp.array2d[wp.int32],
-    column_shares: wp.array2d[wp.float32],
-    coarse: wp.array3d[wp.float32],
-    coarse_known: wp.array2d[wp.float32],
-):
-    """Push: mean of what is known in a cell, and four times its share; colours are (3, H, W)."""
-    y, x = wp.tid()
-    total = wp.vec3f()
-    weight = wp.float32(0.0)
-    for row in range(rows[y, 0], rows[y, 1]):
-        for column in range(columns[x, 0], columns[x, 1]):
-            if known[row, column] > 0.0:
-                share = row_shares[y, row - rows[y, 0]] * column_shares[x, column - columns[x, 0]] * known[row, column]
-                weight += share
-                total += share * wp.vec3f(colours[0, row, column], colours[1, row, column], colours[2, row, column])
-    for c in range(3):
-        coarse[c, y, x] = total[c] / wp.max(weight, 1e-6)
-    coarse_known[y, x] = wp.min(4.0 * weight, 1.0)
-
-
-@wp.kernel
-def fill_unknown(
-    colours: wp.array3d[wp.float32],
-    known: wp.array2d[wp.float32],
-    whole: wp.array[wp.bool],
-    coarse: wp.array3d[wp.float32],
-    rows: wp.array2d[wp.int32],
-    row_shares: wp.array[wp.float32],
-    columns: wp.array2d[wp.int32],
-    column_shares: wp.array[wp.float32],
-    out: wp.array3d[wp.float32],
-):
-    """Pull: unknown pixels take the interpolated coarse colour as far as they are unknown; none where all are known."""
-    y, x = wp.tid()
-    certainty = known[y, x]
-    fx = column_shares[x]
-    fy = row_shares[y]
-    for c in range(3):
-        own = colours[c, y, x]
-        if whole[0] or certainty >= 1.0:
-            out[c, y, x] = own
-        else:
-            upper = coarse[c, rows[y, 0], columns[x, 0]]
-            upper += fx * (coarse[c, rows[y, 0], columns[x, 1]] - upper)
-            lower = coarse[c, rows[y, 1], columns[x, 0]]
-            lower += fx * (coarse[c, rows[y, 1], columns[x, 1]] - lower)
-            filled = upper + fy * (lower - upper)
-            if certainty > 0.0:
-                filled += certainty * (own - filled)
-            out[c, y, x] = filled
+    Returns:
+        Colours, (K, 3, H, W), 0 outside the images, and visibilities, (K, H, W).
+    """
+    colours = torch.empty((len(images), 3, *depth.shape), device=depth.device)
+    visibilities = torch.empty((len(images), *depth.shape), device=depth.device)
+    seen = (depth, images, depths, c.to_views, t.view_sizes, c.numbers)
+    launch(warp_pixels, visibilities.shape, *seen, colours, visibilities)
+    return colours, visibilities

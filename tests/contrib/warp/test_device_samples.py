@@ -24,7 +24,7 @@ from helpers.stereo_scenes import HEIGHT, WIDTH, write_capture
 
 pytest.importorskip("warp", reason="samples on a device want NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
 
-from ggvs_eval.pipelines.online.device import geometry
+from ggvs_eval.contrib.warp import sampling
 
 pytestmark = pytest.mark.slow
 
@@ -40,13 +40,13 @@ def shared_out(moment):
     return replace(moment, sources=tuple(reversed(sources)))
 
 
-@pytest.mark.parametrize("pairs", [geometry.PAIRS_PER_GAUSSIAN, 0.1])
+@pytest.mark.parametrize("pairs", [sampling.PAIRS_PER_GAUSSIAN, 0.1])
 def test_views_are_those_of_the_compiled_path(pairs, monkeypatch):
     """Every map of a real room but for rounding, though room for pairs may lack at first; nearest views first.
 
     Where a last bit decides, a pixel may fall to the other side: of a Gaussian's least alpha, of a vote on contested depth.
     """
-    monkeypatch.setattr(geometry, "PAIRS_PER_GAUSSIAN", pairs)
+    monkeypatch.setattr(sampling, "PAIRS_PER_GAUSSIAN", pairs)
     moment = shared_out(room_instants()[1])
     (here, picture), (there, same) = (rendered_views(moment, device) for device in ("cpu", DEVICE))
     assert there.target is here.target

@@ -1,0 +1,79 @@
+"""The learned method where promises are easily broken: small pictures, cameras that see nothing, odd units."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.method import Instant, SourceView
+from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.synthetic.film.film import Footage, lit_room
+from ggvs_eval.synthetic.film.options import DemoOptions
+from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
+from ggvs_eval.synthetic.film.shots import rig_shots
+from helpers.photographs import psnr_db
+from helpers.scenes import camera_at, instant
+
+pytestmark = pytest.mark.slow
+SMALL = DemoOptions(seed=101, width=160, height=120, n_frames=1, cameras_per_row=3, path_poses=0, noise_sigma_255=1.5)
+
+
+@cache
+def filmed() -> dict[Camera, tuple[np.ndarray, np.ndarray]]:
+    """Picture and depth of each camera of a validation room."""
+    footage = [Footage(SMALL, shot, lambda index: lit_room(SMALL.seed).at(index / SMALL.fps)) for shot in rig_shots(SMALL)]
+    return {each.noted_camera(): next((frame.image, frame.depth) for frame in each.frames()) for each in footage}
+
+
+def score(method: str, number: int, blind: bool = False) -> float:
+    """PSNR of the view of one camera from the three nearest others, and from one that looks the other way and is nearer."""
+    room = filmed()
+    target = list(room)[number]
+    cameras = nearest_cameras(target, [camera for camera in room if camera is not target], 3)
+    views = [SourceView(camera, *room[camera], np.ones_like(room[camera][1])) for camera in cameras]
+    if blind:
+        turned = target.world_to_camera.copy()
+        turned[:3] = np.diag([-1.0, 1.0, -1.0]) @ turned[:3]
+        picture = np.random.default_rng(0).integers(0, 255, room[target][0].shape, dtype=np.uint8)
+        depth = np.full_like(room[target][1], (target.near * target.far) ** 0.5)
+        views.insert(0, SourceView(replace(target, name="blind", world_to_camera=turned), picture, depth, np.ones_like(depth)))
+    made = find_method(method).make().step(Instant(0, replace(target, name="target"), tuple(views), UNITS_PER_METRE))
+    return psnr_db(made.image, room[target][0])
+
+
+def test_small_pictures_are_no_worse_than_geometric_weights():
+    """At 160 x 120 the network is at most .2 dB behind geometric weights in the mean of two views."""
+    ours, geometric = (np.mean([score(method, number) for number in (1, 4)]) for method in ("ours", "ours-geometric"))
+    assert ours > geometric - 0.2
+
+
+@pytest.mark.parametrize("method", ["ours", "ours-geometric"])
+def test_a_camera_that_sees_nothing_costs_nothing(method):
+    """A source nearer than all others that looks the other way costs .1 dB at most: it has no place among the views."""
+    for number in (1, 4):
+        assert score(method, number, blind=True) > score(method, number) - 0.1
+
+
+def scaled(seen: Instant, factor: float) -> Instant:
+    """The instant in other units of length."""
+
+    def moved(camera: Camera) -> Camera:
+        pose = camera.world_to_camera.copy()
+        pose[:3, 3] *= factor
+        return replace(camera, world_to_camera=pose, near=camera.near * factor, far=camera.far * factor)
+
+    views = [replace(view, camera=moved(view.camera), depth=view.depth * np.float32(factor)) for view in seen.sources]
+    return replace(seen, target=moved(seen.target), sources=tuple(views), units_per_metre=seen.units_per_metre * factor)
+
+
+@pytest.mark.parametrize("factor", [2.0**-30, 2.0**-20, 2.0**30])
+def test_units_do_not_matter(factor):
+    """Lengths in millionths or billions of a unit change no pixel by a hundredth of a level."""
+    target, sources = camera_at(0.0, name="target"), [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
+    first, second = find_method("ours").make(), find_method("ours").make()
+    for index in range(2):
+        seen = instant(index, target, sources, 0.05 * index, depth_noise=0.01)
+        pictures = [first.step(seen).image, second.step(scaled(seen, factor)).image]
+        assert np.abs(pictures[0] - pictures[1]).max() < 0.01 / 255
