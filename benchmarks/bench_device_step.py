@@ -24,7 +24,6 @@ import torch
 
 from benchmarks.bench_device import scene
 from benchmarks.bench_device_depth import is_as_the_cpu, measure_depth
-from benchmarks.bench_device_scoring import LEAST_CLOSE, print_scoring
 from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.contrib import warp as rooms
 from ggvs_eval.contrib.warp.step import DeviceGuided
@@ -291,6 +290,8 @@ def main() -> None:
         _write(options.json, record)
     rendered = min(figure["check"]["within_a_level"] for figure in figures.values()) >= LEAST_SHARE
     if not options.step_alone:
+        from benchmarks.bench_device_scoring import LEAST_CLOSE, print_scoring  # of metrics, which have kernels of their own
+
         depth = record["depth"] = measure_depth(str(device), options.shrink)
         _write(options.json, record)
         scoring = record["scoring"] = print_scoring(size, str(device))

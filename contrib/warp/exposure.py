@@ -191,6 +191,12 @@ def combined(looks: wp.array3d[wp.float32], pair: wp.int32, channel: wp.int32, s
 
 
 @wp.func
+def third(packed: wp.int64, n: wp.int32) -> wp.int32:
+    """One of three counts that are summed as one number."""
+    return wp.int32((packed >> wp.int64(20 * n)) & wp.int64(1048575))
+
+
+@wp.func
 def block_median(
     looks: wp.array3d[wp.float32],
     flags: wp.array2d[wp.int32],
@@ -200,28 +206,35 @@ def block_median(
     count: wp.int32,
     lane: wp.int32,
 ) -> wp.float64:
-    """Mean of the two middle values of what counts, by all threads of a block together; 0 where nothing counts."""
+    """Mean of the two middle values of what counts, by all threads of a block together, two bits a round; 0 of none."""
     low = wp.uint32(0)
     high = wp.uint32(0)
     low_rank = wp.max(count - 1, 0) // 2
     high_rank = count // 2
-    for n in range(32):
-        bit = wp.uint32(1) << wp.uint32(31 - n)
-        low_below = wp.int32(0)
-        high_below = wp.int32(0)
+    for n in range(16):
+        shift = wp.uint32(30 - 2 * n)
+        low_below = wp.int64(0)
+        high_below = wp.int64(0)
         for i in range(lane, flags.shape[1], wp.block_dim()):
             if flags[pair, i] == 2:
                 key = ordered(combined(looks, pair, channel, slope, i))
-                if key < (low | bit):
-                    low_below += 1
-                if key < (high | bit):
-                    high_below += 1
+                for step in range(1, 4):
+                    one = wp.int64(1) << wp.int64(20 * (step - 1))
+                    if key < (low | (wp.uint32(step) << shift)):
+                        low_below += one
+                    if key < (high | (wp.uint32(step) << shift)):
+                        high_below += one
         lows = wp.tile_sum(wp.tile(low_below))
         highs = wp.tile_sum(wp.tile(high_below))
-        if lows[0] <= low_rank:
-            low = low | bit
-        if highs[0] <= high_rank:
-            high = high | bit
+        low_step = wp.int32(0)
+        high_step = wp.int32(0)
+        for step in range(3):
+            if third(lows[0], step) <= low_rank:
+                low_step = step + 1
+            if third(highs[0], step) <= high_rank:
+                high_step = step + 1
+        low = low | (wp.uint32(low_step) << shift)
+        high = high | (wp.uint32(high_step) << shift)
     median = wp.float64(0.0)
     if count > 0:
         median = wp.float64(0.5) * (wp.float64(value_of(low)) + wp.float64(value_of(high)))

@@ -100,6 +100,16 @@ def mix_views(
     out[k, y, x] = result
 
 
+@wp.func
+def unlike(centre: wp.float32, value: wp.float32, most: wp.float32) -> wp.float32:
+    """Squared difference of two depths, at most `most`, which it is where the second is unknown."""
+    difference = centre - value
+    square = wp.min(difference * difference, most)
+    if not (value > 0.0):
+        square = most
+    return square
+
+
 @wp.kernel
 def fusion_weights(
     depths: wp.array3d[wp.float32], sizes: wp.array2d[wp.int32], numbers: wp.array[wp.float32], out: wp.array3d[wp.float32]
@@ -115,21 +125,24 @@ def fusion_weights(
     if not (centre > 0.0 and centre < FAR_AWAY):
         return
     most = numbers[TAU] * numbers[TAU]
-    inner = y >= REACH and x >= REACH and y < height - REACH and x < width - REACH
     nu = wp.float32(0.0)
-    for down in range(-REACH, REACH + 1):
-        line = wp.float32(0.0)
-        for right in range(-REACH, REACH + 1):
-            v = y + down
-            u = x + right
-            square = most
-            if inner or (v >= 0 and u >= 0 and v < height and u < width):
-                value = depths[k, v, u]
-                if value > 0.0:
-                    difference = centre - value
-                    square = wp.min(difference * difference, most)
-            line += square
-        nu += line
+    if y >= REACH and x >= REACH and y < height - REACH and x < width - REACH:
+        for down in range(-REACH, REACH + 1):
+            line = wp.float32(0.0)
+            for right in range(-REACH, REACH + 1):
+                line += unlike(centre, depths[k, y + down, x + right], most)
+            nu += line
+    else:
+        for down in range(-REACH, REACH + 1):
+            line = wp.float32(0.0)
+            for right in range(-REACH, REACH + 1):
+                v = y + down
+                u = x + right
+                value = wp.float32(0.0)
+                if v >= 0 and u >= 0 and v < height and u < width:
+                    value = depths[k, v, u]
+                line += unlike(centre, value, most)
+            nu += line
     weight = wp.float32(1.0)
     if nu > 0.0:
         weight = wp.min(numbers[NOISE] / wp.sqrt(nu), 1.0)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.compute_device import rendering_on
+from ggvs_eval.compute_device import out_of_memory
 from ggvs_eval.contrib.warp.filter import weigh_depths
 from ggvs_eval.contrib.warp.march import march
 from ggvs_eval.contrib.warp.picture import fill_holes
@@ -42,12 +42,12 @@ def sampled_maps(instant: Instant, options: OnlineOptions, device: torch.device)
     """
     target, sources, room = instant.target, instant.sources, PAIRS_PER_GAUSSIAN
     tau = options.tau_m * instant.units_per_metre
-    with rendering_on(device):
+    with out_of_memory(device, "take smaller samples"), torch.inference_mode():
         program = Program(Sizes(tuple(source.camera.size for source in sources), target.size, 1), 1, device)
         end = march_end(target, tau, options.min_step, [source.depth for source in sources])
         program.constants.fill(instant, sources, options, end, None, [0] * program.sizes.pairs)
         program.upload(sources, 0)
-        with program.working():
+        with program.working(launching=True):
             while True:
                 maps, crowding = _maps(program, options, room)
                 *found, needed = program.downloaded([each.contiguous() for each in (*maps.values(), crowding)])

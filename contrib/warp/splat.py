@@ -19,7 +19,7 @@ wp.set_module_options(MODULE_OPTIONS)
 TILE = 8  # pixels across and down whose Gaussians are listed together
 DEPTH_BITS = 31  # of a positive float
 SHORT_KEYS = 2**16  # tiles that two passes of the sort tell apart
-_TILE = wp.constant(TILE)
+_TILE, _HALF = wp.constant(TILE), wp.constant(TILE // 2)
 _HIDDEN = wp.constant(0x7F7FFFFF)  # sorts behind every depth
 LOG2_MIN_ALPHA = wp.constant(wp.float32(-7.99435344))
 
@@ -195,6 +195,36 @@ def exp2_of(x: wp.float32) -> wp.float32:
     return wp.cast(wp.cast(p, wp.int32) + (wp.cast(shifted, wp.int32) << 23), wp.float32)
 
 
+@wp.struct
+class Pixel:
+    """What a pixel has gathered of its tile's Gaussians."""
+
+    transmittance: wp.float32
+    depth: wp.float32
+    sums: wp.vec4f
+
+
+@wp.func
+def write_pixel(
+    p: Pixel,
+    k: wp.int32,
+    y: wp.int32,
+    x: wp.int32,
+    features: wp.array[wp.float32],
+    alphas: wp.array3d[wp.float32],
+    depths: wp.array3d[wp.float32],
+):
+    """Normalise a pixel by its coverage."""
+    if y < alphas.shape[1]:
+        alpha = 1.0 - p.transmittance
+        factor = wp.float32(0.0)
+        if alpha > 1.0 / 255.0:
+            factor = 1.0 / alpha
+        alphas[k, y, x] = alpha
+        depths[k, y, x] = p.depth * factor
+        store4(features, (k * alphas.shape[1] + y) * alphas.shape[2] + x, p.sums * factor)
+
+
 @wp.kernel
 def blend_tiles(
     starts: wp.array[wp.int32],
@@ -207,7 +237,7 @@ def blend_tiles(
     alphas: wp.array3d[wp.float32],
     depths: wp.array3d[wp.float32],
 ):
-    """Steps 6 to 8 of one pixel: its tile's Gaussians front to back, the next record on its way while this one is blended."""
+    """Steps 6 to 8 of two pixels, half a tile apart: its Gaussians front to back, the next record on its way meanwhile."""
     k, tile, lane = wp.tid()
     x = (tile % across) * _TILE + lane % _TILE
     y = (tile // across) * _TILE + lane // _TILE
@@ -215,9 +245,13 @@ def blend_tiles(
         return
     px = wp.float32(x)
     py = wp.float32(y)
-    transmittance = wp.float32(1.0)
-    depth = wp.float32(0.0)
-    sums = wp.vec4f()
+    qy = wp.float32(y + _HALF)
+    p = Pixel()
+    p.transmittance = 1.0
+    q = Pixel()
+    q.transmittance = 1.0
+    p_ends = wp.bool(False)
+    q_ends = wp.bool(False)
     first = starts[k * tiles + tile]
     last = ends[k * tiles + tile]
     if first < last:
@@ -234,23 +268,33 @@ def blend_tiles(
             rest = load4(records, 3 * number + 2)
             following = ids[wp.min(n + 2, last - 1)]
             dx = px - now[0]
+            along = now[2] * dx
             dy = py - now[1]
-            exponent = (now[2] * dx + now[3] * dy) * dx + own[0] * dy * dy
-            if exponent >= LOG2_MIN_ALPHA:
-                share = transmittance * wp.min(exp2_of(exponent), 0.99)
-                after = transmittance - share
-                if after < 1e-4:
+            ey = qy - now[1]
+            above = (along + now[3] * dy) * dx + own[0] * dy * dy
+            below = (along + now[3] * ey) * dx + own[0] * ey * ey
+            if wp.max(above, below) >= LOG2_MIN_ALPHA:
+                colour = load4(records, 3 * current + 1)
+                if above >= LOG2_MIN_ALPHA and not p_ends:
+                    share = p.transmittance * wp.min(exp2_of(above), 0.99)
+                    after = p.transmittance - share
+                    p_ends = after < 1e-4
+                    if not p_ends:
+                        p.transmittance = after
+                        p.depth += share * own[1]
+                        p.sums += share * colour
+                if below >= LOG2_MIN_ALPHA and not q_ends:
+                    share = q.transmittance * wp.min(exp2_of(below), 0.99)
+                    after = q.transmittance - share
+                    q_ends = after < 1e-4
+                    if not q_ends:
+                        q.transmittance = after
+                        q.depth += share * own[1]
+                        q.sums += share * colour
+                if p_ends and q_ends:
                     break
-                transmittance = after
-                depth += share * own[1]
-                sums += share * load4(records, 3 * current + 1)
-    alpha = 1.0 - transmittance
-    factor = wp.float32(0.0)
-    if alpha > 1.0 / 255.0:
-        factor = 1.0 / alpha
-    alphas[k, y, x] = alpha
-    depths[k, y, x] = depth * factor
-    store4(features, (k * alphas.shape[1] + y) * alphas.shape[2] + x, sums * factor)
+    write_pixel(p, k, y, x, features, alphas, depths)
+    write_pixel(q, k, y + _HALF, x, features, alphas, depths)
 
 
 def splat_views(images: Tensor, depths: Tensor, masks: Tensor, c: StepConstants, t: Tables, per_gaussian: float) -> DeviceSplats:
@@ -302,6 +346,6 @@ def _splat_group(
     begins, ends = (torch.zeros(places, dtype=torch.int32, device=device) for _ in range(2))
     launch(find_ends, capacity, listed, capacity, begins, ends)
     features, alphas, z = out
-    threads = (len(depths), tiles, TILE**2)
+    threads = (len(depths), tiles, TILE**2 // 2)
     launch(blend_tiles, threads, begins, ends, numbers, records, across, tiles, features.view(-1), alphas, z)
     return sums[-1:] / count

@@ -3,7 +3,7 @@
 import gc
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -147,33 +147,34 @@ class Program:
         images, depths = self.states[after].images, self.depths
         if self._on_gpu:
             self._copies.wait_stream(torch.cuda.current_stream(self.device))  # of who made depth there
-        for k, (source, (width, height)) in enumerate(zip(sources, self.sizes.views, strict=True)):
-            self._copy(torch.from_numpy(np.ascontiguousarray(source.image)), images[k, :height, :width], k, "_images")
-            depth = source.depth
-            if not isinstance(depth, Tensor):
-                depth = torch.from_numpy(np.ascontiguousarray(depth, np.float32))
-            self._copy(depth, depths[k, :height, :width], k, "_depths")
+        with torch.cuda.stream(self._copies) if self._on_gpu else nullcontext():
+            for k, (source, (width, height)) in enumerate(zip(sources, self.sizes.views, strict=True)):
+                self._copy(torch.from_numpy(np.ascontiguousarray(source.image)), images[k, :height, :width], k, "_images")
+                depth = source.depth
+                if not isinstance(depth, Tensor):
+                    depth = torch.from_numpy(np.ascontiguousarray(depth, np.float32))
+                self._copy(depth, depths[k, :height, :width], k, "_depths")
 
     def _copy(self, values: Tensor, out: Tensor, k: int, staging: str) -> None:
-        if not self._on_gpu:
-            out.copy_(values)
-            return
-        if values.device.type == "cpu":
+        if self._on_gpu and values.device.type == "cpu":
             pinned = getattr(self, staging)[k, : out.shape[0], : out.shape[1]]
             pinned.copy_(values)
             values = pinned
-        with torch.cuda.stream(self._copies):
-            out.copy_(values, non_blocking=True)
+        out.copy_(values, non_blocking=True)
 
     @contextmanager
-    def working(self) -> Iterator[None]:
-        """Within, work is queued behind the uploads."""
+    def working(self, launching: bool) -> Iterator[None]:
+        """Within, work is queued behind the uploads; `launching` where it is launched call by call, or recorded."""
         if self._on_gpu:
             assert self.work.stream is not None
             self.work.stream.wait_stream(self._copies)
-        with self.work.working():
+        with rendering_on(self.device) if launching else nullcontext(), self.work.working():
             self.constants.upload()
             yield
+
+    def is_recorded(self, after: int) -> bool:
+        """Tell whether the step that writes a state can be played."""
+        return after in self._graphs
 
     def play(self, after: int, compute: Callable[[], None]) -> None:
         """Compute, or play what was recorded of it for that order of the states."""
@@ -307,20 +308,20 @@ class DeviceGuided:
         options, tau = self.options, self.options.tau_m * instant.units_per_metre
         depths = [] if program.warm else [source.depth for source in sources]
         end = march_end(instant.target, tau, options.min_step, depths)
+        plays = self._recorded and before is program.states[1 - after]
         with out_of_memory(self._device, "render at a smaller size"), torch.inference_mode():
             program.constants.fill(instant, sources, options, end, self._latest[2] if self._latest else None, rows)
             program.upload(sources, after)
-        with rendering_on(self._device), program.working():
             while True:
-                clock, queued_s = _Clock(self._device), perf_counter()
-                clock.mark("step")
-                own = before is program.states[1 - after]
-                if own and self._recorded:
-                    program.play(after, lambda: self._compute(program, before, after, lambda part: None))
-                else:
-                    self._compute(program, before, after, clock.mark)
-                clock.mark("")
-                *found, crowding = program.downloaded([*wanted(program.results), program.results.crowding])
+                with program.working(launching=not (plays and program.is_recorded(after))):
+                    clock, queued_s = _Clock(self._device), perf_counter()
+                    clock.mark("step")
+                    if plays:
+                        program.play(after, lambda: self._compute(program, before, after, lambda part: None))
+                    else:
+                        self._compute(program, before, after, clock.mark)
+                    clock.mark("")
+                    *found, crowding = program.downloaded([*wanted(program.results), program.results.crowding])
                 if self._room_sufficed(float(crowding[0])):
                     break
         program.warm = True
