@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.consistency import UNCHECKED, ConsistencyOptions
+from ggvs_eval.pipelines.offline.depth.consistency import LEAST_SLOPE, UNCHECKED, ConsistencyOptions
 from ggvs_eval.pipelines.offline.itermvs.estimator import Finish
 
 Maps = tuple[Tensor, Tensor]  # depth and confidence
@@ -77,7 +77,7 @@ def fill_background(depth: Tensor, confidence: Tensor, filled_confidence: float)
     filled = torch.where(depth > 0, depth, _farther_neighbour(depth))
     columns = _farther_neighbour(filled.transpose(1, 2).contiguous()).transpose(1, 2)
     filled = torch.where(filled > 0, filled, columns)
-    return filled, torch.where((depth == 0) & (filled > 0), filled_confidence, confidence)
+    return filled, torch.where(depth > 0, confidence, filled_confidence * (filled > 0))
 
 
 def _farther_neighbour(depth: Tensor) -> Tensor:
@@ -123,14 +123,15 @@ class _Verdict:
 def _evaluate(others: Sequence["_Others"], depth: Tensor, confidence: Tensor, options: ConsistencyOptions) -> _Verdict:
     """Ask the others about points at this depth, where it is known."""
     support, conflict = (torch.zeros_like(depth) for _ in range(2))
-    total, weighted = confidence, confidence * depth
+    total, mass, weighted = confidence, confidence, confidence * depth
     for each in others:
         supports, conflicts, theirs, trust = each.ask(depth)
         support, conflict = support + supports, conflict + conflicts
         trust = torch.where(supports, trust, 0.0)
-        total, weighted = total + trust, weighted + trust * theirs
-    averaged = (support > 0) & (total > 0) & options.average
-    mean = torch.where(averaged, weighted / torch.where(averaged, total, 1.0), depth)
+        total, counted = total + trust, torch.where(theirs > 0, trust, 0.0)
+        mass, weighted = mass + counted, weighted + counted * theirs
+    averaged = (support > 0) & (mass > 0) & options.average
+    mean = torch.where(averaged, weighted / torch.where(averaged, mass, 1.0), depth)
     evaluated = support + conflict
     sure = torch.where(evaluated > 0, total / (1 + evaluated), float(UNCHECKED) * confidence)
     return _Verdict(support, conflict, mean, sure)
@@ -163,8 +164,10 @@ class _Others:
         near |= gap <= options.wide_share * expected
         supports = evaluated & near & (gap <= options.error_share * expected)
         conflicts = evaluated & ~supports & (found > expected)
-        theirs = torch.where(supports, depth + (found - expected) / self._rays[2], depth)
-        return supports, conflicts, theirs, self._at(self._confidence, u.long(), v.long())
+        slope = self._rays[2]
+        step = (found - expected) / slope.clamp(min=float(LEAST_SLOPE))
+        counts = supports & (slope > float(LEAST_SLOPE)) & (step.abs() <= options.error_share * depth)
+        return supports, conflicts, torch.where(counts, depth + step, 0.0), self._at(self._confidence, u.long(), v.long())
 
     def project(self) -> Tensor:
         """The others' depth in the cameras' pixels, the nearest where points meet; inf elsewhere."""
