@@ -16,7 +16,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,10 +29,9 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import clock_s, compute_device, describe_device, rendering_on
 from ggvs_eval.geometry.rectification import rectify
-from ggvs_eval.method import Instant, Method, SourceView
-from ggvs_eval.pipelines.methods.network_options import NetworkOptions
-from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.method import Rendering
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.depth.device_maps import finisher
 from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvsRig
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
@@ -45,6 +43,7 @@ from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
     weights_digest,
 )
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import SIZE_MULTIPLE
+from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 
 TARGET_MS = 30.0  # a pair matched, at the larger size
 SIZES = ((1345, 1008), (480, 360))
@@ -94,7 +93,7 @@ def measure_rig(device: str, weights: Path, shrink: int = 1, keep: Callable[[Any
         keep: called with all figures after each part.
     """
     figures: dict[str, Any] = {}
-    options = {each: IterMvs(weights, "", device=device, precision=each) for each in PRECISIONS}
+    options = {each: IterMvs(weights, "", PARTNERS, device=device, precision=each) for each in PRECISIONS}
     rigs = {size: Rig.painted(size[0] // shrink, size[1] // shrink, (*PLACES, *MORE_PLACES)) for size in RIG_TARGETS_MS}
 
     def attempt(size: tuple[int, int], part: str, target: float | None, work: Callable[[], dict[str, Any]]) -> None:
@@ -138,7 +137,7 @@ def rig_is_as_the_cpu(figures: Mapping[str, Any]) -> bool:
 
 
 def _time_maps(options: IterMvs, rig: Rig) -> dict[str, float]:
-    """Milliseconds of the batch alone, recorded and not, of the whole call by the host's clock, and seconds of the first one."""
+    """Milliseconds of the batch, recorded, with finish and check, launched, by the host's clock; seconds of the first call."""
     estimator, device = IterMvsRig(options), torch.device(options.device)
     whole = partial(estimator.estimate, rig.cameras, rig.matched(), rig.images)
     begun_s = clock_s(device)
@@ -148,6 +147,11 @@ def _time_maps(options: IterMvs, rig: Rig) -> dict[str, float]:
     with rendering_on(device):
         figures = _percentiles(_times_of(batch.run, device))
         launched = _median(_times_of(batch._compute, device, LAUNCHED))
+    checked = IterMvsRig(options, finisher(DepthOptions()))
+    checked.estimate(rig.cameras, rig.matched(), rig.images)
+    (batch,) = checked._batches.values()
+    with rendering_on(device):
+        figures["checked_p50_ms"] = _median(_times_of(batch.run, device))
     return {**figures, "launched_ms": launched, "call_ms": _median(_host_times(whole, device)), "first_s": first_s}
 
 
@@ -171,8 +175,8 @@ def _look_up(features: Tensor, grid: Tensor, align_corners: bool) -> Tensor:
 
 
 def _time_kernels(options: IterMvs, rig: Rig) -> dict[str, float]:
-    """Milliseconds and launches of a batch by kernel, the dearest first; nothing on the CPU."""
-    estimator, device = IterMvsRig(options), torch.device(options.device)
+    """Milliseconds and launches of a batch, finish and check included, by kernel, the dearest first; nothing on the CPU."""
+    estimator, device = IterMvsRig(options, finisher(DepthOptions())), torch.device(options.device)
     estimator.estimate(rig.cameras, rig.matched(), rig.images)
     (batch,) = estimator._batches.values()
     if device.type != "cuda":
@@ -192,31 +196,14 @@ def _time_kernels(options: IterMvs, rig: Rig) -> dict[str, float]:
 
 
 def _time_chain(options: IterMvs, rig: Rig) -> dict[str, Any]:
-    """Milliseconds from pictures in memory to a picture in memory; depth stays on the device where the step takes it there."""
-    device, estimator = torch.device(options.device), IterMvsRig(options)
+    """Milliseconds from pictures in memory to a picture in memory: depth, its finish and check, and the online step."""
+    live = OnlineSynthesizer(rig.cameras, K, 1.0, "ours", options.device, depth=DepthOptions(matcher=options))
     target = replace(camera_at(*TARGET_PLACE).resized(*rig.cameras[0].size), name="target")
-
-    def times_of(on_device: bool) -> list[float]:
-        method, numbers = find_method("ours", NetworkOptions(device=options.device)).make(), count()
-
-        def step() -> None:
-            maps = estimator.estimate(rig.cameras, rig.matched(), rig.images)
-            _show(method, next(numbers), target, rig, [depth for depth, _ in maps], on_device)
-
-        return _host_times(step, device)
-
-    try:
-        return {**_percentiles(times_of(True)), "depth_on_device": True}
-    except (TypeError, AttributeError, ValueError):  # of a step that takes arrays alone
-        return {**_percentiles(times_of(False)), "depth_on_device": False}
-
-
-def _show(method: Method, index: int, target: Camera, rig: Rig, depths: Sequence[Any], on_device: bool) -> None:
-    """The online step of an instant from the depth of its K sources."""
-    sure = np.ones(rig.images[0].shape[:2], np.float32)
-    given = depths if on_device else [depth.cpu().numpy() for depth in depths]
-    views = zip(rig.cameras, rig.images, given, strict=False)
-    method.step(Instant(index, target, tuple(SourceView(*view, sure) for view in views), 1.0))
+    images = {camera.name: image for camera, image in zip(rig.cameras, rig.images, strict=True)}
+    shown: list[Rendering] = []
+    times = _host_times(lambda: shown.append(live.step(images, None, target)), torch.device(options.device))
+    depth_ms = 1e3 * _median([each.seconds["depth"] for each in shown[-len(times) :]])
+    return {**_percentiles(times), "depth_ms": depth_ms, "method": type(live._method).__name__}
 
 
 def _one_by_one(options: IterMvs, rig: Rig) -> list[Tensor]:

@@ -226,6 +226,7 @@ class DeviceGuided:
 
     Attributes:
         details: seconds of every part of the last step that was not recorded.
+        takes_device_depth: tells `OnlineSynthesizer` to leave estimated depth on the device.
 
     Reading:
         Pictures are those of the compiled path but for rounding. Weights, march, contested depth and registration give the same
@@ -234,6 +235,8 @@ class DeviceGuided:
         depth, of what is remembered. Three instants of two views of the demo room at 480 x 360, K = 4: no pixel off by a level
         (0.25 of one at most), 0.005 % of the depths off by more than 0.1 mm. For half precision see `DeviceNetwork`.
     """
+
+    takes_device_depth = True
 
     def __init__(
         self,

@@ -51,7 +51,7 @@ def play(
         width: of the video in pixels; that of the captured frames by default.
         sources: which cameras are source views: the nearest, or those that see most of the view (coverage); as the run's protocol
             says, or the nearest, by default.
-        device: where networks compute, of the method and of a capture's depth (--matcher raft).
+        device: where networks compute, of the method and of a capture's depth (--matcher raft, itermvs).
         reading: how a capture is read.
         depth: how depth of a capture is found.
         jobs: processes that prepare a capture; synthesis takes one instant after the other.
@@ -99,7 +99,7 @@ def view(
         port: the next free one is taken where it is in use.
         out: folder of recorded paths, and of a capture's frames and depth.
         export: write a page with the cameras and the points of every instant, which needs no server, and stop.
-        device: where networks compute, of the method and of a capture's depth (--matcher raft).
+        device: where networks compute, of the method and of a capture's depth (--matcher raft, itermvs).
         reading: how a capture is read.
         depth: how depth of a capture is found.
         jobs: processes that prepare a capture.

@@ -141,6 +141,15 @@ def test_a_batch_finds_what_its_maps_find_one_by_one(weights):
     assert [each.data_ptr() for each in (*batch._pictures, *vars(batch._views).values())] == buffers
 
 
+def test_an_odd_number_of_pictures_needs_no_recording_of_its_own(weights):
+    """One buffer is spare: three pictures and then four are found by the same batch."""
+    rig, (cameras, images), matched = IterMvsRig(IterMvs(weights, "")), rig_of_four(), [(0, 1, 2), (2, 0, 1), (1, 2)]
+    found = as_arrays(rig.estimate(cameras[:3], matched, images[:3]))
+    assert_alike(found, alone(weights, cameras, images, matched))
+    assert_same_bits(as_arrays(rig.estimate(cameras, matched, images)), found)
+    assert len(rig._batches) == 1
+
+
 def test_maps_are_the_callers_own(weights):
     """Depth of an instant outlives the next one, at the network's size and at another."""
     for size in ((96, 64), (90, 57)):

@@ -95,6 +95,20 @@ def test_depth_stays_on_the_device_for_a_method_that_takes_it_there(tmp_path):
         assert (one.camera.name, one.share) == (other.camera.name, other.share)
 
 
+def test_the_step_on_a_device_takes_depth_there(tmp_path):
+    """By Warp's CPU device: the picture of the same depth given as arrays, bit for bit."""
+    pytest.importorskip("warp", reason="the step on a device wants NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
+    options = DepthRunOptions(f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}").options("cpu:0")
+    (images, _), target = seen(), camera_at(0.05, name="virtual")
+    there, here = (synthesizer(device="cpu:0", depth=options) for _ in range(2))
+    names = [camera.name for camera in there.sources(target)]
+    found = {name: each.download() for name, each in RigDepth(RIG, options).estimate(names, images).items()}
+    for _ in range(2):
+        rendering = there.step(images, None, target)
+        np.testing.assert_array_equal(rendering.image, here.step(images, found, target).image)
+    assert there._method.takes_device_depth
+
+
 def test_sources_follow_the_target():
     """The K nearest cameras of each pose, nearest first; the view is right before and after they change."""
     live = synthesizer()

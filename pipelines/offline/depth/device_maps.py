@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.consistency import UNCHECKED, ConsistencyOptions
+from ggvs_eval.pipelines.offline.depth.consistency import LEAST_SLOPE, UNCHECKED, ConsistencyOptions
 from ggvs_eval.pipelines.offline.itermvs.estimator import Finish
 
 Maps = tuple[Tensor, Tensor]  # depth and confidence
@@ -77,7 +77,7 @@ def fill_background(depth: Tensor, confidence: Tensor, filled_confidence: float)
     filled = torch.where(depth > 0, depth, _farther_neighbour(depth))
     columns = _farther_neighbour(filled.transpose(1, 2).contiguous()).transpose(1, 2)
     filled = torch.where(filled > 0, filled, columns)
-    return filled, torch.where((depth == 0) & (filled > 0), filled_confidence, confidence)
+    return filled, torch.where(depth > 0, confidence, filled_confidence * (filled > 0))
 
 
 def _farther_neighbour(depth: Tensor) -> Tensor:
@@ -123,14 +123,15 @@ class _Verdict:
 def _evaluate(others: Sequence["_Others"], depth: Tensor, confidence: Tensor, options: ConsistencyOptions) -> _Verdict:
     """Ask the others about points at this depth, where it is known."""
     support, conflict = (torch.zeros_like(depth) for _ in range(2))
-    total, weighted = confidence, confidence * depth
+    total, mass, weighted = confidence, confidence, confidence * depth
     for each in others:
         supports, conflicts, theirs, trust = each.ask(depth)
         support, conflict = support + supports, conflict + conflicts
         trust = torch.where(supports, trust, 0.0)
-        total, weighted = total + trust, weighted + trust * theirs
-    averaged = (support > 0) & (total > 0) & options.average
-    mean = torch.where(averaged, weighted / torch.where(averaged, total, 1.0), depth)
+        total, counted = total + trust, torch.where(theirs > 0, trust, 0.0)
+        mass, weighted = mass + counted, weighted + counted * theirs
+    averaged = (support > 0) & (mass > 0) & options.average
+    mean = torch.where(averaged, weighted / torch.where(averaged, mass, 1.0), depth)
     evaluated = support + conflict
     sure = torch.where(evaluated > 0, total / (1 + evaluated), float(UNCHECKED) * confidence)
     return _Verdict(support, conflict, mean, sure)
@@ -147,27 +148,30 @@ class _Others:
         self._back = between.transpose(0, 1).roll(-shift, 1).diagonal().T
         self._v, self._u = (torch.arange(side, device=depth.device, dtype=torch.float32) + 0.5 for side in depth.shape[1:])
         self._v = self._v[:, None]
+        self._rays = _rays(self._there, self._u, self._v)
 
     def ask(self, depth: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """See `consistency._OtherView.ask`; nothing is supported or contradicted where depth is unknown."""
         options = self._options
-        u, v, expected, slope = _move(self._there, self._u, self._v, depth)
+        u, v, expected = _move(self._there, self._rays, depth)
         inside = (depth > 0) & self._inside(u, v, expected)
         u, v = torch.where(inside, u, 0.0), torch.where(inside, v, 0.0)
         found = self._look_up(u, v, expected)
         evaluated = inside & (found > 0)
-        back_u, back_v, _, _ = _move(self._back, u, v, found)
+        back_u, back_v, _ = _move(self._back, _rays(self._back, u, v), found)
         gap = (found - expected).abs()
         near = (back_u - self._u).square() + (back_v - self._v).square() <= options.error_px**2
         near |= gap <= options.wide_share * expected
         supports = evaluated & near & (gap <= options.error_share * expected)
         conflicts = evaluated & ~supports & (found > expected)
-        theirs = torch.where(supports, depth + (found - expected) / slope, depth)
-        return supports, conflicts, theirs, self._at(self._confidence, u.long(), v.long())
+        slope = self._rays[2]
+        step = (found - expected) / slope.clamp(min=float(LEAST_SLOPE))
+        counts = supports & (slope > float(LEAST_SLOPE)) & (step.abs() <= options.error_share * depth)
+        return supports, conflicts, torch.where(counts, depth + step, 0.0), self._at(self._confidence, u.long(), v.long())
 
     def project(self) -> Tensor:
         """The others' depth in the cameras' pixels, the nearest where points meet; inf elsewhere."""
-        u, v, depth, _ = _move(self._back, self._u, self._v, self._depth)
+        u, v, depth = _move(self._back, _rays(self._back, self._u, self._v), self._depth)
         inside = (self._depth > 0) & self._inside(u, v, depth)
         outside = self._height * self._width  # a cell that is not looked at
         pixel = torch.where(
@@ -200,9 +204,13 @@ class _Others:
         return torch.where(high - low > self._options.error_share * expected, closest, upper + y * (lower - upper))
 
 
-def _move(numbers: Tensor, u: Tensor, v: Tensor, depth: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Image coordinates and depth in other cameras, and by how much that depth grows with this one; numbers are (K, 12)."""
-    matrix, offset = numbers[:, :9].view(-1, 3, 3, 1, 1).unbind(1), numbers[:, 9:].view(-1, 3, 1, 1).unbind(1)
-    rays = [row[:, 0] * u + row[:, 1] * v + row[:, 2] for row in matrix]
-    x, y, z = (depth * ray + each for ray, each in zip(rays, offset, strict=True))
-    return x / z, y / z, z, rays[2]
+def _rays(numbers: Tensor, u: Tensor, v: Tensor) -> list[Tensor]:
+    """Homogeneous pixels in other cameras at depth 1, without the offset, of pixels here; numbers are (K, 12)."""
+    return [row[:, 0] * u + row[:, 1] * v + row[:, 2] for row in numbers[:, :9].view(-1, 3, 3, 1, 1).unbind(1)]
+
+
+def _move(numbers: Tensor, rays: Sequence[Tensor], depth: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Image coordinates and depth in other cameras of points at a depth along `_rays`."""
+    offsets = numbers[:, 9:].view(-1, 3, 1, 1).unbind(1)
+    x, y, z = (depth * ray + offset for ray, offset in zip(rays, offsets, strict=True))
+    return x / z, y / z, z

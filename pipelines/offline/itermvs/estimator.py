@@ -81,12 +81,13 @@ class IterMvsRig:
         """
         stretched = [_stretched(camera) for camera in cameras]
         alike = len({camera.size for camera in cameras}) == 1
+        spare = int(alike and len(matched) > 1 and len(cameras) % 2)  # sources that change then need fewer recordings
         if not alike and len(matched) > 1:
             return [each for one in matched for each in self.estimate(cameras, [one], images)]
         groups = [list(range(len(cameras)))] if alike else [[index] for index in matched[0]]
         partners = max(map(len, matched)) - 1
         with rendering_on(self._device):
-            sizes = [(len(each), *stretched[each[0]].size) for each in groups]
+            sizes = [(len(each) + spare, *stretched[each[0]].size) for each in groups]
             batch = self._batch(len(matched), partners, cameras[matched[0][0]].size, sizes)
             members = [tuple(each) for each in matched] if alike else [(0,) * (1 + partners)]
             batch.match(
@@ -170,7 +171,7 @@ class _Batch:
         if self._uploaded is not None:
             self._uploaded.synchronize()
         for host, there, group in zip(self._host, self._pictures, images, strict=True):
-            for slot, image in zip(host.numpy(), group, strict=True):
+            for slot, image in zip(host.numpy(), group, strict=False):  # one may be spare
                 cv2.resize(image, slot.shape[1::-1], dst=slot, interpolation=cv2.INTER_LINEAR)
             there.copy_(host, non_blocking=True)
         if self._uploaded is not None:
