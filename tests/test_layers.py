@@ -15,7 +15,7 @@ LEARNED = tuple(f"baselines.{folder.name}" for folder in sorted(BASELINES.iterdi
 # Rooms from the ground up; rooms of one floor do not import each other. A module of the package itself, e.g.
 # `ggvs_eval.camera`, is a room of its own; what stands in a folder belongs to the longest name listed here.
 FLOORS = (
-    ("arrays", "errors", "kernels", "raft_config", "residual_block"),
+    ("arrays", "built_in", "errors", "kernels", "raft_config", "residual_block"),
     ("camera", "progress", "plugins", "raft_update"),
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
@@ -39,7 +39,7 @@ FLOORS = (
         *("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.itermvs", "pipelines.offline.plane_sweep"),
         "pipelines.offline.calibration",
     ),
-    ("pipelines.online.device", "pipelines.offline.sensor"),
+    ("pipelines.offline.sensor",),
     ("pipelines.methods",),
     ("pipelines.offline.depth",),
     ("pipelines.offline.export", "pipelines.inspection"),
@@ -50,6 +50,7 @@ FLOORS = (
     ("pipelines.sweep.merging", "pipelines.sweep", "pipelines.training"),
     ("pipelines.commands",),
     ("__main__", "install"),
+    ("contrib.warp",),  # what the package can do without, each part by itself
 )
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 
@@ -141,6 +142,13 @@ def test_rooms_that_must_not_know_each_other():
     ]
 
     assert wrong == []
+
+
+def test_what_can_be_taken_away_is_named_in_one_place():
+    """Core knows parts of contrib by the table of what ships alone, in which they are text."""
+    naming = {name for name, file in MODULES.items() if "ggvs_eval.contrib" in file.read_text("utf-8")}
+
+    assert {name for name in naming if not name.startswith("contrib.")} == {"built_in"}
 
 
 def test_modules_of_a_room_make_no_circle():
