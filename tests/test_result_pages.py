@@ -139,14 +139,9 @@ def test_every_table_of_the_pages_is_made_by_a_measurement():
 
 
 def test_the_gpu_table_is_what_the_benchmark_wrote(tmp_path, monkeypatch):
-    """A column per size, kernels and calls in rows of their own, learned depth of the smaller size first, scoring of the larger one alone."""
-    times = {
-        "moving_p50_ms": 5.0,
-        "call_p50_ms": 6.0,
-        "call_p95_ms": 7.0,
-        "recording_ms": 8.0,
-        "launched_ms": {"a": 1.0, "b": 2.5},
-    }
+    """A column per size, kernels and calls in rows of their own, depth of the smaller size first, scoring of the larger alone."""
+    names = ("moving_p50_ms", "call_p50_ms", "call_p95_ms", "recording_ms")
+    times = {"launched_ms": {"a": 1.0, "b": 2.5}} | dict.fromkeys(names, 5.0)
     sizes = {"480x360": (10.0, 12.0, 4.0), "1352x1014": (20.0, 24.0, 8.0)}
     record = {
         "machine": "cuda: some GPU",
