@@ -1,4 +1,4 @@
-"""Finish and cross-check of found depth by a kernel for each thought; `device_maps` of the package is the same in torch, and slower.
+"""Finish and cross-check of found depth, a kernel for each thought; `device_maps` of the package is the same in torch.
 
 Maps are stacks (K, H, W), 0 where depth is unknown. Points that meet in a pixel are told apart by the smallest depth, whose bits
 sort as the numbers do: whichever comes first, the outcome is the same.
@@ -257,7 +257,7 @@ def check(
 
 @wp.kernel
 def project(maps: wp.array3d[wp.float32], between: wp.array3d[wp.float32], layers: wp.array4d[wp.int32]):
-    """Bits of the others' depth in a camera's pixels, the nearest where points meet; layer `shift` - 1 is of the map so far on."""
+    """Bits of the others' depth in a camera's pixels, the nearest where points meet; layer n is of the map n + 1 later."""
     n, k, y, x = wp.tid()
     other = (k + n + 1) % maps.shape[0]
     depth = maps[other, y, x]
