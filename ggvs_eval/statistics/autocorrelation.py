@@ -118,16 +118,17 @@ def describe_short(frames: int, worth: float) -> str:
 
     Examples:
         >>> describe_short(23, 2.4)
-        'clip too short: errors last from frame to frame, so that its 23 frames say no more than 2 independent ones, wanted 4'
+        'clip too short to call: its 23 frames are worth 2 independent ones, as errors last, and 4 are wanted'
         >>> describe_short(3, 3.2)
-        'clip too short: 3 frames, wanted 4 independent ones'
+        'clip too short to call: it has 3 frames, and 4 independent ones are wanted'
     """
     independent = max(1, math.floor(worth))
     if independent >= frames:
-        return f"clip too short: {counted(frames, 'frame')}, wanted {FEWEST_WORTH:g} independent ones"
+        return f"clip too short to call: it has {counted(frames, 'frame')}, and {FEWEST_WORTH:g} independent ones are wanted"
+    ones = "one" if independent == 1 else "ones"
     return (
-        f"clip too short: errors last from frame to frame, so that its {frames} frames say no more than {independent} "
-        f"independent {'one' if independent == 1 else 'ones'}, wanted {FEWEST_WORTH:g}"
+        f"clip too short to call: its {frames} frames are worth {independent} independent {ones}, as errors last, "
+        f"and {FEWEST_WORTH:g} are wanted"
     )
 
 

@@ -12,7 +12,7 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.autocorrelation import ErrorOfMean, correlation_posterior, total_half_width, total_tail
 from ggvs_eval.statistics.pooled import PooledScene
-from ggvs_eval.statistics.pooled_table import pool_table
+from ggvs_eval.statistics.pooled_table import PooledTable, pool_table
 
 LEVEL = 0.95
 FEWEST = 5  # views or scenes from which others can be concluded; fewer are taken as given
@@ -31,12 +31,14 @@ class Interval:
         high: upper bound, as far above the value as `low` is below; None where `low` is.
         note: what the interval takes as given (``given this scene, these 3 views``; empty where nothing), and that a clip is too
             short for it; or why there is none.
+        is_short: whether the clip is too short for the interval: it covers less than its level says.
     """
 
     value: float
     low: float | None
     high: float | None
     note: str
+    is_short: bool = False
 
     @property
     def half_width(self) -> float | None:
@@ -97,14 +99,19 @@ def intervals(results: Results, metric: str, dataset: str, level: float = LEVEL)
     Returns:
         Label (``method`` or ``method+variant``) -> interval, or the reason why there is none; equal inputs give equal bits.
     """
-    table, bounded = pool_table(results, metric, dataset), {}
+    return table_intervals(pool_table(results, metric, dataset), level)
+
+
+def table_intervals(table: PooledTable, level: float = LEVEL) -> dict[str, Interval]:
+    """The same of a metric that is pooled already."""
+    bounded = {}
     for label, value in table.values.items():
         try:
             if table.no_interval:
                 raise ResultsError(table.no_interval)
             spread = measure_spread(table.scenes_of(label))
             half = spread.half_width(level)
-            bounded[label] = Interval(value, value - half, value + half, spread.note)
+            bounded[label] = Interval(value, value - half, value + half, spread.note, bool(spread.short))
         except ResultsError as refusal:
             bounded[label] = Interval(value, None, None, str(refusal))
     return bounded

@@ -199,7 +199,6 @@ def _groups(groups: Sequence[RunGroup], folder: Path | None) -> list[dict[str, A
             "sources": _sources([section.run for section in group.sections]),
             "leaders": leaders(group.tables),
             "verdict": verdicts[at],
-            "headline": _headline(group, verdicts[at]),
             "parts": _parts(group),
             "several_datasets": len({table.dataset for table in group.tables}) > 1,
             "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
@@ -210,16 +209,9 @@ def _groups(groups: Sequence[RunGroup], folder: Path | None) -> list[dict[str, A
     ]
 
 
-def _verdict(group: RunGroup) -> Verdict | None:
+def _verdict(group: RunGroup) -> Verdict:
     budgets = [table for section in group.sections for table in section.view_tables]
     return evaluate_verdict([section.run for section in group.sections], group.results, group.tables, budgets)
-
-
-def _headline(group: RunGroup, verdict: Verdict | None) -> str:
-    """The verdict's, and every method that has no part in it because of a certain fault; empty where there are neither."""
-    names = {label: section.run.names.get(label, label) for section in group.sections for label in section.run.labels}
-    faults = [f"{names[label]} is not ranked, {words}" for label, words in group.results.spoilt.items() if label in names]
-    return "; ".join([*([verdict.headline] if verdict else []), *faults])
 
 
 def _sources(runs: Sequence[MeasuredRun]) -> str:
@@ -279,7 +271,7 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
 
 
 def _section(
-    index: int, room: PictureRoom, title: str, address: str, section: RunSection, verdict: Verdict | None, folder: Path | None
+    index: int, room: PictureRoom, title: str, address: str, section: RunSection, verdict: Verdict, folder: Path | None
 ) -> dict[str, Any]:
     """Build the template context of one run, pictures as data URIs."""
     run, maps = section.run, heat_maps(section.run)
@@ -287,7 +279,7 @@ def _section(
     path = path_pictures(run, room.path)
     capture = run.folder.capture_record()
     fps = float(capture.get("fps") or 0)
-    opening = ("truth", *(verdict.shown(run) if verdict else run.ours_first[:2]))
+    opening = ("truth", *(verdict.shown(run) or run.ours_first[:2]))
     row = next((slices.row for slices in section.slices if slices.kind == "time"), comparison.full_size[1] // 2)
     return {
         "id": f"run{index}",

@@ -23,6 +23,7 @@ LATEX_SPECIAL = {
     ">": r"\textgreater{}",
     "×": r"$\times$",
     "±": r"$\pm$",
+    "†": r"$\dagger$",
     "−": "$-$",
     "∞": r"$\infty$",
     "↑": r"$\uparrow$",
@@ -40,7 +41,7 @@ LATEX_HEAD = r"""% \usepackage{booktabs}
 % \usepackage[table]{xcolor}
 % \usepackage{graphicx}
 % Blue: the better half of each column, proportional to its standing, on the scale of the paper's tables.
-% Bold: the best, and what cannot be told from it.
+% Bold: the best, and what is not significantly worse.
 % Grey: published values, measured by others on other terms.
 \providecommand{\fittowidth}[1]{\sbox0{#1}\ifdim\wd0>\linewidth\resizebox{\linewidth}{!}{\usebox0}\else\usebox0\fi}
 """

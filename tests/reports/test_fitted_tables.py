@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.reports.model.measured import METHODS_FILE, read_run
+from ggvs_eval.reports.model.table import Cell
 from ggvs_eval.reports.run_groups import read_groups
 from ggvs_eval.reports.tables.differences import differences_table
 from ggvs_eval.reports.tables.fit_budget import _crossing, budget_tables
@@ -13,7 +14,7 @@ from ggvs_eval.reports.tables.fitted import cost_tables, price_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
-from ggvs_eval.statistics.paired import compare
+from ggvs_eval.statistics.paired import Outcome, compare
 from helpers.run_folders import RunShape, make_fitted, write_run
 
 FITTED, SEED = "fwd", "fwd+seed=1"
@@ -82,12 +83,16 @@ def test_cost_at_equal_quality_is_bounded_by_whole_fits(tmp_path):
 
     assert [row.name for row in table.rows] == ["4dgs"]
     assert table.columns[0].name == f"as ours, {summary[('ours', '')]:.2f} dB"
-    points = [(10.0, first), (90.0, last)]
-    assert _crossing(points, first - 1).shown == "at most 10.00"
-    assert _crossing(points, last).shown == "at most 90.00 (more than 10.00)"
-    never = _crossing(points, last + 1)
+
+    def crossing(*outcomes: Outcome) -> Cell:
+        return _crossing([(10.0, first, outcomes[0]), (90.0, last, outcomes[1])])
+
+    assert crossing("as good", "better").shown == "at most 10.00"
+    assert crossing("worse", "equal").shown == "at most 90.00 (more than 10.00)"
+    never = crossing("worse", "worse")
     assert (never.text, never.value) == ("not reached", None)
     assert never.hint.endswith("after 90.00 s")
+    assert (crossing("worse", "too short").text, crossing("too short", "better").value) == ("too short to call", None)
 
 
 def test_families_stand_in_the_order_of_the_run(tmp_path):

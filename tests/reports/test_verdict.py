@@ -15,6 +15,7 @@ from ggvs_eval.reports.tables.absolute import largest_cause, usual_range
 from ggvs_eval.reports.tables.error_budget import budget_table
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
+from ggvs_eval.results import without_labels
 from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.paired import compare
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
@@ -132,7 +133,7 @@ def test_equal_numbers_are_equal(measured_run):
 
     verdict = verdict_of(replace(measured_run, ours=frozenset()), copy)
     assert verdict.headline.endswith("are equal")
-    assert verdict.margin.endswith("dB each")
+    assert verdict.margin.endswith("dB each.")
 
 
 def test_one_frame_of_one_view_proves_nothing(tmp_path):
@@ -141,7 +142,7 @@ def test_one_frame_of_one_view_proves_nothing(tmp_path):
     verdict = verdict_of(read_run(write_run(tmp_path / "run", shape)))
     assert verdict.headline == "No winner can be named from 1 frame of 1 view"
     assert re.match(rf"{re.escape(NAMES[MIDDLE])} is \d.* ahead of ", verdict.margin)
-    assert verdict.margin.endswith("nothing could be compared (1 view; an interval needs 2)")
+    assert verdict.margin.endswith("nothing could be compared (1 view; an interval needs 2).")
     assert all(one.span is None and one.place is not None for one in verdict.contenders)
 
 
@@ -162,7 +163,7 @@ def test_one_method_alone_is_no_winner(tmp_path):
     """A single method is not called the best of anything; its value is told."""
     verdict = verdict_of(read_run(write_run(tmp_path / "run", replace(SHAPE, labels=(BEST,)))))
     assert verdict.headline == f"{NAMES[BEST]} was measured alone"
-    assert verdict.margin.endswith(" dB")
+    assert verdict.margin.endswith(" dB.")
     assert verdict.shown(replace(read_run(tmp_path / "run"))) == (BEST,)
 
 
@@ -197,9 +198,30 @@ def test_ours_stands_beside_a_better_method(measured_run):
     assert verdict.shown(replace(measured_run, labels=(MIDDLE,))) == (MIDDLE,)
 
 
-def test_no_ranked_table_has_no_verdict(measured_run):
-    """Without tables there is nothing to say."""
-    assert evaluate_verdict([measured_run], measured_run.results, ()) is None
+def test_where_nothing_is_ranked_the_verdict_says_what_happened_and_what_to_do(measured_run):
+    """Without tables nothing was measured; of faulty and partial methods each is named, with the first step out."""
+    nothing = evaluate_verdict([measured_run], measured_run.results, ())
+    assert (nothing.headline, nothing.contenders) == ("Nothing is ranked: nothing was measured; score the run", ())
+    measured = replace(measured_run, labels=(WORST, MIDDLE))
+    fault = [
+        WORST,
+        "room",
+        "cam00",
+        "frame offset",
+        "certain",
+        "frame t shows instant t-1: by motion",
+        "renumber the frames by -1: b",
+        "late",
+    ]
+    marks = {"faults": [fault], "partial": {MIDDLE: "partial in room: 1 of 2 views"}}
+    own = without_labels(measured.results, [BEST])
+    results = replace(own, provenance=own.provenance | marks)
+    measured = replace(measured, results=results)
+    verdict = evaluate_verdict([measured], results, main_tables([measured], results))
+    assert verdict.headline == (
+        f"Nothing is ranked: {NAMES[MIDDLE]} is partial in room: 1 of 2 views; {NAMES[WORST]} shows every frame one instant late"
+    )
+    assert verdict.margin == f"Render what is missing of {NAMES[MIDDLE]} and score again. Renumber the frames by -1."
 
 
 def write_references(root: Path, *values: dict[str, float | str]) -> MeasuredRun:
