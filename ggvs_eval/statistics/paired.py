@@ -33,6 +33,7 @@ class Comparison:
         p_value: two-sided p value of no difference; None where `low` is.
         note: what is taken as given (``given this scene, these 3 views``), or why there is no interval.
         short: why the clip is too short to call it, whatever the p value; empty where it is not.
+        is_clear: whether even too short a clip would be long enough to call it.
         corrected: p value after Holm's correction for the comparisons that it was made with.
         outcome: of the first method; ``untested`` before it was decided, see `decide`.
     """
@@ -43,6 +44,7 @@ class Comparison:
     p_value: float | None
     note: str
     short: str = ""
+    is_clear: bool = False
     corrected: float | None = None
     outcome: Outcome = "untested"
 
@@ -157,7 +159,13 @@ def judge_against(
     """
     table = pool_table(results, metric, dataset)
     having = [each for each in labels if each != reference and not math.isnan(table.values.get(each, math.nan))]
-    return decide({each: _compare(table, each, reference, LEVEL) for each in having}, higher_is_better)
+    return decide(_of_one_clip({each: _compare(table, each, reference, LEVEL) for each in having}), higher_is_better)
+
+
+def _of_one_clip(comparisons: Mapping[str, Comparison]) -> dict[str, Comparison]:
+    """The comparisons in one metric with what each says of the clip: if it is too short for one, then for all but clear ones."""
+    short = next((one.short for one in comparisons.values() if one.short), "")
+    return {label: one if one.is_clear else replace(one, short=short) for label, one in comparisons.items()}
 
 
 def judge(
@@ -201,7 +209,8 @@ def judge(
     plainest, variants = _variants(list(ranked), own)
     contenders = {label: value for label, value in ranked.items() if label not in variants}
     best = max(contenders, key=lambda label: sign * contenders[label], default="")  # of equals the first
-    comparisons = decide({each: _compare(table, each, best, LEVEL) for each in ranked if each != best}, higher_is_better)
+    against_best = {each: _compare(table, each, best, LEVEL) for each in ranked if each != best}
+    comparisons = decide(_of_one_clip(against_best), higher_is_better)
     worth = comparisons if best == plainest else {label: _compare(table, label, plainest, LEVEL) for label in variants}
     parts = decide({label: worth[label] for label in variants}, higher_is_better)
     return Judgement(best, comparisons, parts, unranked | results.set_aside, table_intervals(table))
@@ -265,4 +274,5 @@ def _compare(table: PooledTable, first: str, second: str, level: float) -> Compa
     except ResultsError as refusal:
         return Comparison(difference, None, None, None, str(refusal))
     half = spread.half_width(level)
-    return Comparison(difference, difference - half, difference + half, spread.p_value(), spread.note, spread.undecided(level))
+    bounds, short = (difference - half, difference + half), spread.undecided(level)
+    return Comparison(difference, *bounds, spread.p_value(), spread.note, short, spread.is_clear(level))

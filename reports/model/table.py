@@ -10,7 +10,7 @@ from ggvs_eval.statistics.paired import Judgement
 
 SIGNIFICANT = 4
 SHORT = "†"  # behind an interval of a clip too short for it
-SHORT_MEANS = f"{SHORT}: the clip is too short for the correlation of its errors, so the interval covers less than it says."
+SHORT_MEANS = f"{SHORT}: the clip is short for the correlation of its errors, and the interval may cover less than it says."
 
 ENDINGS = {"static": "static", "moving": "moving", "disoccluded": "disoccluded", "cc": "colour-corrected"}
 

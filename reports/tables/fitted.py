@@ -192,7 +192,8 @@ def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, 
         name, k = runs[0].name(ours[0]), runs[0].protocol.synthesis.k
         caption = (
             f"Each fitted method minus {name}, which sees {k} views and nothing of the future; "
-            f"±: {100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted method is better. {SHORT_MEANS}"
+            f"±: {100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted method is better; "
+            f"bold: significantly, among all fits. {SHORT_MEANS}"
         )
         rows = tuple(Row(runs[0].name(label), tuple(of_label), label=label) for label, of_label in cells.items())
         tables.append(Table("price", "Price of being online", caption, columns, rows, dataset))
@@ -205,8 +206,8 @@ def difference_cell(note: MetricNote, comparison: Comparison | None, why_absent:
         return Cell("not computed", note=why_absent or "no value")
     value, text = comparison.difference, signed(comparison.difference, note.decimals)
     if comparison.high is None:
-        return Cell(text, value, note=comparison.note)
+        return Cell(text, value, note="; ".join(filter(None, (OUTCOMES[comparison.outcome], comparison.note))))
     spread = spread_text(value, comparison.high - value, note.decimals, bool(comparison.short))
     outcome = "" if comparison.outcome in ("better", "worse") else OUTCOMES[comparison.outcome]
     remark = "; ".join(filter(None, (outcome, comparison.note)))
-    return Cell(text, value, False, 0.0, spread, comparison.low, comparison.high, remark)
+    return Cell(text, value, comparison.outcome == "better", 0.0, spread, comparison.low, comparison.high, remark)

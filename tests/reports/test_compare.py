@@ -95,7 +95,7 @@ def test_a_clip_too_short_for_its_correlation_has_no_winner(runs):
     """Whatever its p value, a difference that the clip is too short for is not significant, and the verdict says why."""
     (one, other), *_ = run_sides(runs["better"], runs["plain"])
     whole = next(found for found in differences(one, other, runs["plain"]) if found.metric == "PSNR" and not found.view)
-    why = "clip too short to call: it has 3 frames, and 4 independent ones are wanted"
+    why = "clip too short: it has 3 frames, and 8 independent ones are wanted"
     comparison = decide({"": replace(whole.comparison, short=why, p_value=0.001)}, True)[""]
     short = replace(whole, comparison=comparison)
     assert (short.is_significant, short.verdict) == (False, f"first ahead, {why}")
@@ -145,7 +145,7 @@ def test_command_line_tells_what_differs(runs, tmp_path, capsys):
     assert len(lines) == 3 * 3 * (1 + 6)
     for line in lines:
         assert float(line["difference"]) == pytest.approx(float(line["first"]) - float(line["second"]), abs=1e-9)
-        assert (line["significant"] == "True") == (float(line["p_value"]) < 0.05)
+        assert (line["significant"] == "True") == (float(line["p_value"]) < 0.05 and "too short" not in line["verdict"])
 
 
 def test_one_capture_in_folders_of_two_names_compares(tmp_path):

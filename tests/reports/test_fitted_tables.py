@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 
+from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import METHODS_FILE, read_run
 from ggvs_eval.reports.model.table import Cell
 from ggvs_eval.reports.run_groups import read_groups
@@ -122,7 +123,7 @@ def test_the_winner_changes_only_where_a_longer_fit_is_certainly_better(tmp_path
     """Under no budget ours; a fit that is 3 dB behind or no better by more than chance is left out; one 3 dB ahead has a line."""
     labels = ("ours", "4dgs+steps=100", "4dgs+steps=200", "4dgs+steps=900")
     names = tuple(zip(labels, labels, strict=True))
-    root = write_run(tmp_path / "run", RunShape(labels=labels, names=names, metrics=("PSNR",), poses=0))
+    root = write_run(tmp_path / "run", RunShape(frames=Frames(0, 24), labels=labels, names=names, metrics=("PSNR",), poses=0))
     write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours"]})
     make_fitted(root, labels[1:])
     for label, factor in zip(labels[1:], (1, 2, 9), strict=True):
@@ -135,7 +136,7 @@ def test_the_winner_changes_only_where_a_longer_fit_is_certainly_better(tmp_path
     of = {label: table["variant"] == label.partition("+")[2] for label in labels}
     ours = table.loc[of["ours"], "value"].to_numpy()
     for label, ahead_db in zip(labels[1:], (-3.0, 0.0, 3.0), strict=True):
-        wobble = 0.2 * (-1.0) ** np.arange(len(ours))
+        wobble = 0.2 * np.random.default_rng(1).standard_normal(len(ours))
         table.loc[of[label], "value"] = ours + ahead_db + wobble
     results.write(root)
     best = next(table for table in budget_tables(read_run(root)) if table.key == "budget")
@@ -144,7 +145,7 @@ def test_the_winner_changes_only_where_a_longer_fit_is_certainly_better(tmp_path
     first, last = (row.cells for row in best.rows)
     assert (first[0].text, last[0].value) == ("0", 540.0)
     assert first[2].value is None
-    assert last[2].value == pytest.approx(3.0)
+    assert last[2].value == pytest.approx(3.0, abs=0.1)
     assert last[2].low > 0
 
 

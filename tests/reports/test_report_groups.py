@@ -222,8 +222,8 @@ def made_table(psnr: dict[str, tuple[float, Outcome]], kinds: tuple[str, ...] = 
         for (name, (value, _)), kind in zip(psnr.items(), kinds, strict=True)
     ]
     best, *others = (name for name, kind in zip(psnr, kinds, strict=True) if kind == "measured")
-    short = {name: "clip too short to call" if psnr[name][1] == "too short" else "" for name in others}
-    decided = {name: Comparison(-1.0, None, None, 0.5, "", short[name], 0.5, psnr[name][1]) for name in others}
+    short = {name: "clip too short" if psnr[name][1] == "too short" else "" for name in others}
+    decided = {name: Comparison(-1.0, None, None, 0.5, "", short[name], outcome=psnr[name][1]) for name in others}
     return Table(
         "quality", "Quality", "", (column,), tuple(rows), "room", judgements={"PSNR": Judgement(best, decided, {}, {}, {})}
     )
@@ -234,7 +234,7 @@ def test_leaders_are_the_judgements_best_and_its_ties():
     table = made_table({"a": (31.0, "equal"), "b": (30.9, "as good"), "c": (30.8, "too short"), "d": (20.0, "worse")})
     (psnr,) = leaders([table])
     assert (psnr.column.name, psnr.name, psnr.cell.text, psnr.cell.spread) == ("PSNR", "a", "31.0", "± 0.1")
-    assert (psnr.ties, psnr.short, psnr.is_winner, psnr.undecided) == (("b",), ("c",), False, "clip too short to call")
+    assert (psnr.ties, psnr.short, psnr.is_winner, psnr.undecided) == (("b",), ("c",), False, "clip too short")
     (sure,) = leaders([made_table({"a": (31.0, "equal"), "d": (20.0, "worse")})])
     assert (sure.ties, sure.short, sure.is_winner, sure.undecided) == ((), (), True, "")
     assert [leader.column.name for leader in leaders([table], ["absent"])] == ["PSNR"]

@@ -370,7 +370,7 @@ def test_where_a_clip_is_too_short_nothing_is_bold(tmp_path):
 
     assert table.judgements["PSNR"].undecided.startswith("clip too short")
     assert not any(row.cells[0].best for row in table.rows)
-    assert any(sentence.startswith("Nothing is bold in PSNR: clip too short to call") for sentence in table.notes)
+    assert any(sentence.startswith("Nothing is bold in PSNR: clip too short") for sentence in table.notes)
     assert not any("can be told from the best" in sentence for sentence in table.notes)
 
 
