@@ -9,7 +9,6 @@ from ggvs_eval.files.atomic import write_text
 from ggvs_eval.reports.figures.crop_figure import draw_crops, draw_failures
 from ggvs_eval.reports.figures.curves import draw_curves
 from ggvs_eval.reports.figures.k_figure import draw_k
-from ggvs_eval.reports.figures.paper_figures import first_choice
 from ggvs_eval.reports.figures.regions import RULES, Rule, find_regions
 from ggvs_eval.reports.figures.slices import draw_slices
 from ggvs_eval.reports.figures.stream_figure import draw_rates
@@ -126,7 +125,7 @@ def _draw_figures(section: RunSection, folder: Path) -> None:
     for slices in section.slices:
         draw_slices(slices, folder / ("epi.png" if slices.kind == "epi" else f"x-t_{slices.view}.png"))
     if section.run.pictured:
-        label = first_choice(section.run)
+        label = section.run.ours_first[0]
         rule: Rule = "different" if len(section.run.pictured) > 1 else "worst"
         regions = find_regions(section.run, rule, label, 2)
         draw_crops(section.run, [folder / "crops.png"], regions, RULES[rule].format(name=section.run.name(label)))

@@ -389,7 +389,9 @@ def test_a_wrong_value_is_explained_by_nothing():
     sentence = " ".join(text.partition("\n\n")[0].split())
 
     assert not any(one.matches for one in tried)
-    assert sentence.startswith(f"none of mine gives PSNR {value:.3f}: {everywhere} conventions over all views, and {len(tried)}")
+    assert sentence.startswith(
+        f"no known convention gives PSNR {value:.3f}: {everywhere} conventions over all views, and {len(tried)}"
+    )
     assert sentence.endswith("each is off by more than 0.00067")
     assert "nearest" not in text
     assert max(map(len, text.splitlines())) <= 130
@@ -413,9 +415,9 @@ def test_a_match_that_chance_would_give_as_well_is_none():
     others = [Convention(f"way {i}", ALL_VIEWS, 28.52 + 0.1 * i, i == 14, False) for i in range(30)]
     row = [Convention("first way", ALL_VIEWS, 35.0, False, True), *others]
 
-    assert explanation_table("psnr", "29.9", row).startswith("none of mine gives PSNR 29.9 but as chance would: way 14")
+    assert explanation_table("psnr", "29.9", row).startswith("only chance matches for PSNR 29.9: way 14")
     assert explanation_table("psnr", "30.0", [*ours, *others[:14], *others[15:]]).startswith(
-        "PSNR 30.0 is first way, as in our tables"
+        "PSNR 30.0 is first way, as this tool measures"
     )
 
 
@@ -484,4 +486,4 @@ def test_the_table_marks_matches_and_ours():
     body = text.splitlines()[4:]
 
     assert text.startswith("PSNR 2.000 is second way")
-    assert [("=" in line, "ours" in line) for line in body] == [(True, False), (False, True)]
+    assert [("=" in line, "this tool" in line) for line in body] == [(True, False), (False, True)]
