@@ -91,6 +91,11 @@ class Cell:
         return " ".join(filter(None, (self.bound, self.text, self.beside)))
 
     @property
+    def is_short(self) -> bool:
+        """True where the clip is too short for the interval."""
+        return self.spread.endswith(SHORT)
+
+    @property
     def hint(self) -> str:
         """One line about the interval, or why there is no value or rank; empty where nothing is known of these."""
         if self.value is None:

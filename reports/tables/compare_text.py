@@ -1,7 +1,5 @@
 """Differences of two methods as text and CSV."""
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -15,6 +13,7 @@ from ggvs_eval.reports.tables.compare_runs import (
     run_sides,
     what_else_differs,
 )
+from ggvs_eval.reports.tables.table_formats import csv_text
 
 HEADS = ("metric", "view", "first", "second", "difference", "95 % interval", "p (Holm)", "verdict")
 CSV_HEAD = (
@@ -40,17 +39,15 @@ def differences_text(differences: Sequence[Difference]) -> str:
 
 def differences_csv(differences: Mapping[str, Sequence[Difference]]) -> str:
     """One line per pair of methods, metric and view, numbers unrounded."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_HEAD)
+    rows: list[list[object]] = []
     for name, one in ((name, one) for name, several in differences.items() for one in several):
         bounds = [
             "" if value is None else repr(value) for value in (one.comparison.low, one.comparison.high, one.comparison.corrected)
         ]
         numbers = [repr(value) for value in (one.first, one.second, one.comparison.difference)]
         head = [name, one.metric, one.note.unit, one.view]
-        writer.writerow([*head, *numbers, *bounds, one.is_significant, one.verdict, one.comparison.note])
-    return text.getvalue()
+        rows.append([*head, *numbers, *bounds, one.is_significant, one.verdict, one.comparison.note])
+    return csv_text(CSV_HEAD, rows)
 
 
 def write_comparison(first: str, second: str, run: Path | None, views: bool = False, out: Path | None = None) -> str:

@@ -1,7 +1,5 @@
 """The paper's values beside ours as Markdown, CSV and as blocks of a page."""
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +7,7 @@ from dataclasses import dataclass, replace
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, rank
 from ggvs_eval.reports.tables.published import CAVEATS, SOURCE, is_higher_better
 from ggvs_eval.reports.tables.reproduction import MEANING, STATUSES, TABLES, Reproduction
-from ggvs_eval.reports.tables.table_formats import escape_markdown, markdown_table
+from ggvs_eval.reports.tables.table_formats import csv_text, escape_markdown, markdown_table
 
 HEADS = ("Paper's table", "Method", "Metric", "Paper", "Ours here", "Status", "Why")
 WORDS = (0, 1, 2, 5, 6)  # columns without numbers
@@ -82,16 +80,14 @@ def reproduction_markdown(entries: Sequence[Reproduction]) -> str:
 
 def reproduction_csv(entries: Sequence[Reproduction]) -> str:
     """One line per value; ours, its bounds and its difference unrounded, and empty where nothing was measured."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_HEAD)
+    rows = []
     for entry in entries:
         ours = entry.ours
         difference = None if ours.value is None else ours.value - float(entry.paper)
         numbers = ["" if number is None else repr(number) for number in (ours.value, ours.low, ours.high, difference)]
         head = (entry.table, entry.dataset, entry.method, entry.metric, entry.unit, entry.paper)
-        writer.writerow([*head, *numbers, entry.status, entry.why])
-    return text.getvalue()
+        rows.append([*head, *numbers, entry.status, entry.why])
+    return csv_text(CSV_HEAD, rows)
 
 
 def _words(title: str, line: Line) -> tuple[str, ...]:

@@ -27,7 +27,6 @@ class Contender:
     """One method in the headline metric.
 
     Attributes:
-        number: counts the methods of the group, so that it has the colour of its curves.
         place: of the value in the drawing, per cent from the left; None where it is not finite.
         span: ends of the interval in the same way; None where there is none.
         worth: of a variant of ours, its difference to ours in words; empty otherwise.
@@ -35,7 +34,6 @@ class Contender:
 
     label: str
     name: str
-    number: int
     cell: Cell
     place: float | None
     span: tuple[float, float] | None
@@ -94,14 +92,14 @@ def evaluate_verdict(
     rows = {row.label: row for row in table.rows if row.label}
     sign = 1.0 if first.column.higher_is_better else -1.0
     ranked = sorted((judgement.best, *judgement.comparisons), key=lambda label: -sign * cast(float, rows[label].cells[at].value))
-    places, order = _Scale([rows[label].cells[at] for label in ranked]), list(rows)
+    places = _Scale([rows[label].cells[at] for label in ranked])
     decimals = runs[0].metrics[first.column.name].decimals
     contenders: list[Contender] = []
     parts: list[Contender] = []
     for label in ranked:
         cell = rows[label].cells[at]
         worth = _worth(judgement.variants[label], decimals) if label in judgement.variants else ""
-        one = Contender(label, rows[label].name, order.index(label), cell, places.at(cell.value), places.span(cell), worth)
+        one = Contender(label, rows[label].name, cell, places.at(cell.value), places.span(cell), worth)
         (parts if label in judgement.variants else contenders).append(one)
     headline, margin = _words(first, judgement, contenders, runs, decimals)
     others: dict[str, list[str]] = {}

@@ -208,6 +208,7 @@ def test_what_differs_by_design_is_a_table_of_its_own(fitted_run):
     assert set(cells(table, "Ours").values()) == {"unknown: others made it"}
     assert "cam00, cam03" in table.caption
     assert "4 frames" in table.caption
+    assert table.caption.endswith("metric.")  # nothing is announced that does not follow
 
 
 def test_runs_without_fitted_methods_show_none_of_it(tmp_path):

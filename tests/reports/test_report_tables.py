@@ -329,7 +329,9 @@ def test_intervals_stand_in_every_format(whole_run, report):
         bold = row["best"] == "True"
         assert f"± {half}" in page.texts
         assert f"| {'**' if bold else ''}{row['shown']}{'**' if bold else ''} ± {half} |" in markdown
-        assert rf"{row['shown']}{'}' if bold else ''} {{\scriptsize $\pm$ {half.replace(SHORT, escape_latex(SHORT))}}}" in latex
+        spread = rf"$\pm$ {half.removesuffix(SHORT)}"
+        spread = rf"\textcolor{{gray}}{{{spread}$\dagger$}}" if interval.is_short else spread
+        assert rf"{row['shown']}{'}' if bold else ''} {{\scriptsize {spread}}}" in latex
     for said in ("given this scene, these 2 views.", "Bold: best, and what is not significantly worse (paired, 95 %)."):
         assert said in markdown
         assert said.replace("%", r"\%") in latex
