@@ -116,7 +116,7 @@ def evaluate_verdict(
 def _set_aside(runs: Sequence[MeasuredRun], results: Results) -> tuple[list[str], list[str]]:
     """Methods that are not ranked, in words, and what to do about each."""
     names = {label: run.names.get(label, label) for run in runs for label in run.labels}
-    here = {label: why for label, why in results.set_aside.items() if label in names}
+    here = {label: results.set_aside[label] for label in names if label in results.set_aside}
     faults = {one.label: one for one in reversed(results.faults) if one.is_certain}
     remedies = [
         faults[label].remedy if label in faults else f"Render what is missing of {names[label]} and score again."

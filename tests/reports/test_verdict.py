@@ -219,9 +219,9 @@ def test_where_nothing_is_ranked_the_verdict_says_what_happened_and_what_to_do(m
     measured = replace(measured, results=results)
     verdict = evaluate_verdict([measured], results, main_tables([measured], results))
     assert verdict.headline == (
-        f"Nothing is ranked: {NAMES[MIDDLE]} is partial in room: 1 of 2 views; {NAMES[WORST]} shows every frame one instant late"
+        f"Nothing is ranked: {NAMES[WORST]} shows every frame one instant late; {NAMES[MIDDLE]} is partial in room: 1 of 2 views"
     )
-    assert verdict.margin == f"Render what is missing of {NAMES[MIDDLE]} and score again. Renumber the frames by -1."
+    assert verdict.margin == f"Renumber the frames by -1. Render what is missing of {NAMES[MIDDLE]} and score again."
 
 
 def write_references(root: Path, *values: dict[str, float | str]) -> MeasuredRun:
