@@ -108,7 +108,7 @@ def evaluate_verdict(
             others.setdefault(each.name if each.is_winner else "", []).append(each.column.name)
     tied = tuple(others.pop("", ()))
     meaning = PLAIN.get(first.column.name, first.column.describe)
-    absolute = describe_absolute(contenders[0].name, contenders[0].cell, first.column, table, budgets)
+    absolute = describe_absolute(contenders[0].name, contenders[0].cell, first.column, table, budgets, runs)
     headline, margin = "; ".join([headline, *causes]), " ".join(filter(None, (f"{margin}.", *remedies)))
     return Verdict(headline, margin, absolute, first.column, meaning, tuple(contenders), tuple(parts), others, tied)
 

@@ -9,14 +9,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from ggvs_eval.files.images import write_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
-from ggvs_eval.reports.tables.absolute import largest_cause, usual_range
+from ggvs_eval.reports.model.table import Cell, Row
+from ggvs_eval.reports.tables.absolute import describe_conditions, largest_cause
 from ggvs_eval.reports.tables.error_budget import budget_table
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
 from ggvs_eval.results import without_labels
-from ggvs_eval.run_folder import read_json, write_json
+from ggvs_eval.run_folder import frame_path, read_json, write_json
 from ggvs_eval.statistics.paired import compare
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
@@ -76,20 +78,50 @@ def test_ablations_are_no_rivals(measured_run):
     assert alone.parts == ()
 
 
-def test_a_number_stands_beside_what_is_known(measured_run, tmp_path):
-    """The ceiling of the capture, the range of published values, and the largest part of the error, which the shares give."""
-    low, high = usual_range("PSNR")
-    assert 15 < low < 30 < high < 45
-    assert usual_range("nothing of this name") is None
+def test_a_number_stands_beside_what_is_known(tmp_path):
+    """The ceiling of the capture and the largest part of the error, which the shares give; published values of no other data."""
     measured = write_references(tmp_path / "run", {"PSNR": 40.5}, {"PSNR": 38.0})
     budget = budget_table(measured)
-    verdict = evaluate_verdict([measured], measured.results, main_tables([measured], measured.results), [budget])
+    tables = main_tables([measured], measured.results)
+    verdict = evaluate_verdict([measured], measured.results, tables, [budget])
     assert "a perfect rendering would have 40.50 dB" in verdict.absolute
-    assert f"{low:.3g} to {high:.3g} dB" in verdict.absolute
+    assert "published" not in verdict.absolute
     row = next(row for row in budget.rows if row.name == NAMES[MIDDLE])
     shares = [cell.value or 0.0 for cell in row.cells[1:]]
     assert f"{max(shares):.0f} % of its squared error" in largest_cause(NAMES[MIDDLE], [budget])
     assert largest_cause("nobody", [budget]) == largest_cause(NAMES[MIDDLE], []) == ""
+
+    psnr = next(at for at, column in enumerate(tables[0].columns) if column.name == "PSNR")
+    grey = [
+        Row(name, (Cell("-"),) * psnr + (Cell(f"{db:.1f}", db),) + (Cell("-"),) * 2, "published")
+        for name, db in (("a", 31.0), ("b", 29.5))
+    ]
+    beside = replace(tables[0], rows=(*tables[0].rows, *grey))
+    told = evaluate_verdict([measured], measured.results, [beside])
+    assert "published methods have 29.5 to 31.0 dB on this data set" in told.absolute
+
+
+@pytest.mark.parametrize(
+    ("measured_share", "row_px", "unseen", "words"),
+    [
+        (0.95, 0.3, 0, "Depth and cameras are good: 5% of the pixels"),
+        (0.95, 0.8, 0, "Depth and cameras are fair: matched points miss their row by 0.80 px"),
+        (0.69, 0.3, 0, "Depth and cameras are poor: 31% of the pixels have no depth that the other cameras confirm."),
+        (0.95, 0.3, 255, "Depth and cameras are poor: 100% of the test views are seen by no source camera."),
+    ],
+)
+def test_a_word_for_what_pictures_were_made_from_has_its_reason(tmp_path, measured_share, row_px, unseen, words):
+    """Good, fair or poor by the agreement of depth, the calibration's residual and coverage, whichever is worst; else no word."""
+    run = read_run(write_run(tmp_path / "run", replace(SHAPE, frames=Frames(0, 4))))
+    assert describe_conditions(run) == ""
+    statistics = {"measured": measured_share}
+    pairs = [{"row_px": row_px, "matches": 212}, {"row_px": 9.0, "matches": 0}]
+    write_json(run.folder.root / "depth_page" / "index.json", {"cameras": [{"jobs": [[{}, [statistics]]]}], "pairs": pairs})
+    for view in run.protocol.views.test:
+        write_image(frame_path(run.folder.disoccluded(view), 0), np.full((16, 16, 3), unseen, np.uint8))
+    assert describe_conditions(run).startswith(words)
+    verdict = evaluate_verdict([run], run.results, main_tables([run], run.results))
+    assert words in verdict.absolute
 
 
 def test_a_tie_is_called_a_tie(measured_run):
