@@ -3,8 +3,9 @@
 import json
 import os
 import platform
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,6 +26,18 @@ INSTRUCTION_SETS = (
 COLUMNS = ("dataset", "scene", "method", "variant", "view", "frame", "metric", "value")
 TABLE_FILE = "results.parquet"
 PROVENANCE_FILE = "results.json"
+# Fault of renders -> what it looks like, to follow the method's name.
+SYMPTOMS = {
+    "reversed time": "shows the frames in reversed order",
+    "channel order": "has its colour channels in another order",
+    "mirrored": "is mirrored",
+    "wrong camera": "shows another camera",
+    "wrong size": "has frames of another size",
+    "blank frames": "has frames that show nothing",
+    "repeated frames": "repeats frames while the scene moves",
+    "truth copied in": "holds pixels of the captured frames",
+    "test view seen": "has seen the test view",
+}
 
 
 class Absence(NamedTuple):
@@ -56,8 +69,18 @@ class Fault(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The fault in short, e.g. ``late: certain frame offset``."""
-        return f"{self.called or 'fault'}: {self.verdict} {self.question}"
+        """The fault as it follows the method's name, e.g. ``shows every frame one instant late``."""
+        if self.called:
+            lag = re.search(r"t[+-](\d+)", self.measured)
+            instants = f"{lag[1]} instants" if lag and lag[1] != "1" else "one instant"
+            return f"shows every frame {instants} {self.called}"
+        return SYMPTOMS.get(self.question, f"has a fault: {self.question}")
+
+    @property
+    def remedy(self) -> str:
+        """First thing to do about it, one sentence, e.g. ``Renumber the frames by -1.``; empty where none is known."""
+        first = re.match(r"[^:;?]+\??", self.advice)
+        return f"{first[0][0].upper()}{first[0][1:]}{'' if first[0].endswith('?') else '.'}" if first else ""
 
 
 @dataclass(frozen=True)
@@ -133,16 +156,16 @@ class Results:
 
     @property
     def spoilt(self) -> dict[str, str]:
-        """Methods with a certain fault in their renders -> it in short; their numbers are shown and compared with no other."""
+        """Methods with a certain fault in their renders -> it, as it follows their name; they are compared with no other."""
         return {one.label: one.words for one in reversed(self.faults) if one.is_certain}
 
     @property
     def set_aside(self) -> dict[str, str]:
-        """Methods that are not ranked -> why: partial ones, and those whose renders have a certain fault."""
-        return self.spoilt | self.provenance.get("partial", {})
+        """Methods that are not ranked -> why, as it follows their name: partial ones, and those with a certain fault."""
+        return {label: f"is {mark}" for label, mark in self.provenance.get("partial", {}).items()} | self.spoilt
 
     def fault_lines(self, names: Mapping[str, str] | None = None) -> list[str]:
-        """One sentence for each fault of a method, with the views that have it, what was measured in the first, and the mend.
+        """Each fault of a method, with the views that have it, the measurement in the first one, and what to do.
 
         Args:
             names: label -> name to show, where these differ.
@@ -151,8 +174,8 @@ class Results:
         for one in self.faults:
             views.setdefault((one.label, one.words), []).append(one)
         return [
-            f"{(names or {}).get(label, label)}{' is not ranked,' if found[0].is_certain else ','} {words} "
-            f"({', '.join(one.view for one in found)}: {found[0].measured}); {found[0].advice}"
+            f"{(names or {}).get(label, label)} {words}{', so it is not ranked' if found[0].is_certain else ''} "
+            f"({found[0].verdict}; {', '.join(one.view for one in found)}: {found[0].measured}). {found[0].remedy}".strip()
             for (label, words), found in views.items()
         ]
 
@@ -200,6 +223,11 @@ def split_label(label: str) -> tuple[str, str]:
     """(method, variant) of a label; the variant of a plain method is the empty string."""
     method, _, variant = label.partition("+")
     return method, variant
+
+
+def without_labels(results: Results, labels: Collection[str]) -> Results:
+    """The results without some methods."""
+    return replace(results, table=results.table[[label not in labels for label in results.row_labels]]) if labels else results
 
 
 def make_table(rows: Iterable[Sequence[Any]]) -> "pd.DataFrame":

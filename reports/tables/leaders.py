@@ -1,9 +1,9 @@
-"""Best method of each metric, the first thing on a page."""
+"""Best method of each metric, as the judgements of the tables have it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+from ggvs_eval.reports.model.table import Cell, Column, Table
 
 HEADLINES = ("PSNR", "SSIM", "LPIPS", "TCC", "STED", "SDT", "SDV")  # those of the paper's tables
 
@@ -15,7 +15,9 @@ class Leader:
     Attributes:
         dataset: that the table is of.
         ties: other methods that cannot be distinguished from it.
-        undecided: why none is named as the best; empty where the first is.
+        short: other methods against which the clip is too short to call it.
+        is_winner: whether every other method is worse.
+        undecided: why none is named as the best; empty where one is, or methods tie.
     """
 
     column: Column
@@ -23,6 +25,8 @@ class Leader:
     name: str
     cell: Cell
     ties: tuple[str, ...]
+    short: tuple[str, ...]
+    is_winner: bool
     undecided: str = ""
 
 
@@ -34,23 +38,15 @@ def leaders(tables: Sequence[Table], metrics: Sequence[str] = HEADLINES) -> tupl
 
 
 def _leaders_of(table: Table) -> list[Leader]:
-    """One per column that ranks methods; where none is marked as best, all of them tie."""
-    column_leaders = []
+    """One per column that ranks methods."""
+    rows = {row.label: row for row in table.rows if row.label}
+    found = []
     for at, column in enumerate(table.columns):
-        measured = [row for row in table.rows if row.competes and row.cells[at].value is not None]
-        having = [row for row in measured if not row.cells[at].unranked and column.higher_is_better is not None]
-        best = [row for row in having if row.cells[at].best] or having
-        if best:
-            first = max(best, key=lambda row: _goodness(row, at, column))  # stable: of equals the upper one
-            ties = tuple(row.name for row in best if row is not first)
-            undecided = table.undecided.get(column.name, "") if len(measured) > 1 else ""
-            column_leaders.append(Leader(column, table.dataset, first.name, first.cells[at], ties, undecided))
-    return column_leaders
-
-
-def _goodness(row: Row, at: int, column: Column) -> float:
-    """A value whose larger is better."""
-    value = row.cells[at].value
-    if value is None:
-        raise ValueError(f"{row.name}: marked as best in {column.name} without a value")
-    return value if column.higher_is_better else -value
+        judgement = table.judgements.get(column.name)
+        if judgement and judgement.best:
+            named = lambda labels: tuple(rows[label].name for label in labels)  # noqa: E731
+            ties, short = named(judgement.having("as good", "equal")), named(judgement.having("too short"))
+            best = rows[judgement.best]
+            cell, is_winner = best.cells[at], bool(judgement.winner)
+            found.append(Leader(column, table.dataset, best.name, cell, ties, short, is_winner, judgement.undecided))
+    return found
