@@ -5,6 +5,7 @@ import os
 import platform
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
@@ -24,6 +25,10 @@ INSTRUCTION_SETS = (
     *("ATEN_CPU_CAPABILITY", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR", "GLIBC_TUNABLES"),
 )
 COLUMNS = ("dataset", "scene", "method", "variant", "view", "frame", "metric", "value")
+MOVING_NUMBERS = (  # packages whose version can
+    *("ggvs-eval", "numpy", "opencv-python-headless", "torch", "scipy", "pyrtools", "av", "pandas", "pillow", "pycolmap"),
+    *("flip-evaluator", "imageio-ffmpeg", "cvvdp", "torchvision"),
+)
 TABLE_FILE = "results.parquet"
 PROVENANCE_FILE = "results.json"
 # Fault of renders -> what it looks like, to follow the method's name.
@@ -240,24 +245,32 @@ def make_table(rows: Iterable[Sequence[Any]]) -> "pd.DataFrame":
 
 def installed_versions() -> dict[str, str]:
     """Versions of everything that can move a number."""
-    packages = ("ggvs-eval", "numpy", "opencv-python-headless", "torch", "scipy", "pyrtools", "av", "pandas")
-    return {name: metadata.version(name) for name in packages}
+    found: dict[str, str] = {}
+    for name in MOVING_NUMBERS:
+        with suppress(metadata.PackageNotFoundError):  # of an extra that is not installed
+            found[name] = metadata.version(name)
+    return found
 
 
 def describe_machine() -> dict[str, str]:
     """The processor, and the instruction sets by which each library chooses its code; results may depend on them in places."""
     import cv2
-    import torch
 
     from ggvs_eval import kernels
 
+    try:
+        import torch
+
+        torch_sets = torch.backends.cpu.get_cpu_capability()
+    except (ImportError, OSError) as error:  # no memory for it, say; numbers that are there need none
+        torch_sets = f"cannot be imported: {error}"
     numpy_sets = np.show_config(mode="dicts")["SIMD Extensions"]
     return {
         "processor": _processor_name(),
         "kernels of ggvs-eval": kernels.get_simd_level(),
         "NumPy": ", ".join(numpy_sets.get("found", [])) or "baseline",
         "OpenCV": cv2.getCPUFeaturesLine(),
-        "torch": torch.backends.cpu.get_cpu_capability(),
+        "torch": torch_sets,
         **{name: os.environ[name] for name in INSTRUCTION_SETS if name in os.environ},
     }
 
