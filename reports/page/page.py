@@ -27,7 +27,7 @@ from ggvs_eval.reports.page.heat_map import HeatMap, heat_colours, heat_maps
 from ggvs_eval.reports.page.sequences import PathPictures, PictureRoom, method_videos, path_pictures, share_room
 from ggvs_eval.reports.page.sweep_section import SweepSection
 from ggvs_eval.reports.run_groups import RunGroup, RunSection
-from ggvs_eval.reports.tables.leaders import leaders
+from ggvs_eval.reports.tables.certainty import leaders
 from ggvs_eval.reports.tables.published import CAVEATS, PAPER
 from ggvs_eval.reports.tables.reproduction import MEANING, Reproduction
 from ggvs_eval.reports.tables.reproduction_formats import HEADS, blocks, count_words, paper_tables

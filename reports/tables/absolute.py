@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ggvs_eval.depth_store import CONFIDENCE_STEPS, DepthStore
 from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Table
@@ -75,19 +76,16 @@ def describe_conditions(run: MeasuredRun) -> str:
 
 def _conditions(run: MeasuredRun) -> list[Condition]:
     """Agreement of depth between cameras, calibration residual and coverage, as far as the run has them."""
-    found, file = [], run.folder.root / "depth_page" / "index.json"
-    record = read_json(file) if file.is_file() else {}
-    agreeing = [each["measured"] for camera in record.get("cameras", ()) for _, of_job in camera["jobs"] for each in of_job]
-    if agreeing:
+    found = []
+    if agreeing := _agreeing_shares(run):
         apart = 1.0 - float(np.mean(agreeing))
-        found.append(Condition(apart, 0.15, 0.3, f"{apart:.0%} of the pixels have no depth that the other cameras confirm"))
-    rows_px = [pair["row_px"] for pair in record.get("pairs", ()) if pair["matches"]]
-    if rows_px:
-        off_px, count = (
-            float(np.median(rows_px)),
-            int(np.median([pair["matches"] for pair in record["pairs"] if pair["matches"]])),
-        )
-        found.append(Condition(off_px, 0.5, 1.0, f"matched points miss their row by {off_px:.2f} px (median of {count} a pair)"))
+        found.append(Condition(apart, 0.1, 0.25, f"{apart:.0%} of the pixels have no depth that the other cameras confirm"))
+    file = run.folder.capture_path() / "calibration.json" if run.folder.has_capture_record else None
+    calibration = read_json(file) if file and file.is_file() else {}
+    if points := calibration.get("n_points"):
+        off_px = calibration["mean_reprojection_error_px"]
+        found.append(Condition(off_px, 0.8, 1.5, f"the calibration leaves {off_px:.2f} px"))
+        found.append(Condition(-points, -1000, -300, f"the cameras were calibrated from {points} points"))
     first = run.frames[:1]
     folders = [run.folder.disoccluded(view) for view in run.protocol.views.test]
     masks = [read_image(frame_path(folder, first[0])) > 0 for folder in folders if not missing_frames(folder, first)]
@@ -95,6 +93,17 @@ def _conditions(run: MeasuredRun) -> list[Condition]:
         unseen = float(np.mean([mask.mean() for mask in masks]))
         found.append(Condition(unseen, 0.05, 0.15, f"{unseen:.0%} of the test views are seen by no source camera"))
     return found
+
+
+def _agreeing_shares(run: MeasuredRun) -> list[float]:
+    """Share of pixels of each stored depth map of the first instant that was checked against other cameras and has held."""
+    shares, store = [], DepthStore(run.folder.depth)
+    for spec in map(read_json, sorted(run.folder.depth.glob("*/spec.json"))):
+        if "check" in spec and store.has(spec["key"], run.frames[0]):
+            confidence = store.read(spec["key"], run.frames[0]).confidence
+            filled = spec["options"].get("filled_confidence", 0.0) + 0.5 / CONFIDENCE_STEPS  # which is stored in 8 bit
+            shares.append(float((confidence > filled).mean()))
+    return shares
 
 
 def largest_cause(name: str, budgets: Sequence[Table]) -> str:

@@ -1,11 +1,55 @@
-"""Words on the certainty of a table: the meaning of ± and bold, and what is not ranked, not called or without an interval."""
+"""Judgements in words: the best method of each metric, the meaning of ± and bold, and what is not ranked or not called."""
 
 from collections import defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
-from ggvs_eval.reports.model.table import SHORT_MEANS
+from ggvs_eval.reports.model.table import SHORT_MEANS, Cell, Column, Table
 from ggvs_eval.statistics.intervals import LEVEL
 from ggvs_eval.statistics.paired import Judgement
+
+HEADLINES = ("PSNR", "SSIM", "LPIPS", "TCC", "STED", "SDT", "SDV")  # those of the paper's tables
+
+
+@dataclass(frozen=True)
+class Leader:
+    """Best method in one column of a table.
+
+    Attributes:
+        dataset: that the table is of.
+        ties: other methods that cannot be distinguished from it.
+        short: other methods against which the clip is too short to call it.
+    """
+
+    column: Column
+    dataset: str
+    name: str
+    cell: Cell
+    ties: tuple[str, ...]
+    short: tuple[str, ...]
+    judgement: Judgement
+
+
+def leaders(tables: Sequence[Table], metrics: Sequence[str] = HEADLINES) -> tuple[Leader, ...]:
+    """The best method of each wanted metric that has one; of the first table's metrics where none is wanted that was measured."""
+    all_leaders = [leader for table in tables for leader in _leaders_of(table)]
+    chosen = tuple(leader for leader in all_leaders if leader.column.name in metrics)
+    return chosen or tuple(all_leaders[: len(tables[0].columns)] if tables else ())
+
+
+def _leaders_of(table: Table) -> list[Leader]:
+    """One per column that ranks methods."""
+    rows = {row.label: row for row in table.rows if row.label}
+    found = []
+    for at, column in enumerate(table.columns):
+        judgement = table.judgements.get(column.name)
+        if judgement and judgement.best:
+            best = rows[judgement.best]
+            ties, short = (
+                tuple(rows[each].name for each in judgement.having(*kinds)) for kinds in (("as good", "equal"), ("too short",))
+            )
+            found.append(Leader(column, table.dataset, best.name, best.cells[at], ties, short, judgement))
+    return found
 
 
 def certainty_captions(

@@ -123,7 +123,7 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
     judged, labels = (one.results, (one.label, other.label)) if is_one_run else (both, SIDES)
     own = read_json(run / METHODS_FILE).get("ours", ()) if is_one_run else ()
     rows: list[Difference] = []
-    for metric, comparison in _decide(whole, notes).items():
+    for metric, comparison in decide(whole, higher_is_better=True).items():  # the verdict knows each metric's direction
         note = notes[metric]
         judgement = judge(judged, metric, note.higher_is_better, dataset, own=own)
         unranked = dict(zip(SIDES, map(judgement.unranked.get, labels), strict=True))
@@ -134,19 +134,14 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
     return tuple(rows)
 
 
-def _decide(comparisons: Mapping[str, Comparison], notes: Mapping[str, MetricNote]) -> dict[str, Comparison]:
-    """Decide the comparisons in some metrics together, each in its direction."""
-    by_direction = {is_higher: decide(comparisons, is_higher) for is_higher in (True, False)}
-    return {metric: by_direction[notes[metric].higher_is_better][metric] for metric in comparisons}
-
-
 def _no_bolder(comparison: Comparison, judgement: Judgement, labels: Sequence[str]) -> Comparison:
     """The comparison of two methods; where either is the best of its table, by no smaller a p value than there."""
     found = next((judgement.comparisons.get(label) for label in labels if label != judgement.best), None)
-    if judgement.best not in labels or found is None or (found.corrected or 0.0) <= (comparison.corrected or 1.0):
+    if judgement.best not in labels or found is None or comparison.outcome not in ("better", "worse"):
         return comparison
     outcome = comparison.outcome if found.outcome in ("better", "worse") else found.outcome
-    return replace(comparison, corrected=found.corrected, outcome=outcome)
+    corrected = max(found.corrected or 0.0, comparison.corrected or 0.0)
+    return replace(comparison, corrected=corrected, outcome=outcome, short=found.short)
 
 
 def _per_view(both: Results, dataset: str, note: MetricNote, set_aside: str) -> list[Difference]:

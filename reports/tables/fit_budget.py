@@ -46,26 +46,20 @@ def _equal_quality(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], p
     instant = [label for label in psnr_db if label not in fits]
     ours = next((label for label in run.ours_first if label in instant and label in run.ours), None)
     rivals = [label for label in (ours, next((each for each in instant if each.startswith("enerf")), None)) if label]
-    families: dict[str, list[str]] = {}
-    names: dict[str, str] = {}
-    for label in sorted(fits, key=lambda label: fit_seconds(fits[label])):
-        families.setdefault(re.sub(r"\+steps=\d+", "", label), []).append(label)
-        names.setdefault(re.sub(r"\+steps=\d+", "", label), re.sub(r", [\d,]+ steps|\+steps=\d+", "", run.name(label)))
     if not rivals:
         return None
-    in_order = dict.fromkeys(re.sub(r"\+steps=\d+", "", label) for label in fits)  # of the run, not of the seconds
-    judged = [_against(run, rival, fits) for rival in rivals]
-    titles = [*(f"as {run.name(label)}, {psnr_db[label]:.2f} dB" for label in rivals), f"{STATED_DB:g} dB"]
-    columns = tuple(Column(name, "s", False, "Seconds of one fold's fit.") for name in titles)
+    families: dict[str, list[str]] = {}
+    for label in fits:
+        families.setdefault(re.sub(r"\+steps=\d+", "", label), []).append(label)
+    targets = {f"{STATED_DB:g} dB": {label: _reached("equal", psnr_db[label] - STATED_DB) for label in fits}}
+    for rival in reversed(rivals):
+        found = {label: _reached(one.outcome, one.difference) for label, one in _against(run, rival, fits).items()}
+        targets = {f"as {run.name(rival)}, {psnr_db[rival]:.2f} dB": found} | targets
+    columns = tuple(Column(name, "s", False, "Seconds of one fold's fit.") for name in targets)
     rows = []
-    for family in in_order:
-        points = [(fit_seconds(fits[label]), psnr_db[label], label) for label in families[family]]
-        cells = [
-            _crossing([(s, db, _reached(found[label].outcome, db - psnr_db[rival])) for s, db, label in points])
-            for rival, found in zip(rivals, judged, strict=True)
-        ]
-        stated = _crossing([(s, db, _reached("equal", db - STATED_DB)) for s, db, _ in points])
-        rows.append(Row(names[family], (*cells, stated)))
+    for labels in families.values():
+        points = [sorted((fit_seconds(fits[each]), psnr_db[each], found[each]) for each in labels) for found in targets.values()]
+        rows.append(Row(re.sub(r", [\d,]+ steps|\+steps=\d+", "", run.name(labels[0])), tuple(map(_crossing, points))))
     caption = f"Seconds of fitting until a method's PSNR on held-out views is that of a method that needs no fit. {POINTS}"
     return Table("equal_quality", "Cost at equal quality", caption, columns, tuple(rows), run.scene)
 

@@ -9,7 +9,7 @@ from ggvs_eval.progress import counted
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Table, format_value, signed, spread_text
 from ggvs_eval.reports.tables.absolute import describe_absolute
-from ggvs_eval.reports.tables.leaders import HEADLINES, Leader, leaders
+from ggvs_eval.reports.tables.certainty import HEADLINES, Leader, leaders
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.intervals import LEVEL
 from ggvs_eval.statistics.paired import Comparison, Judgement
@@ -88,7 +88,7 @@ def evaluate_verdict(
         return Verdict(f"Nothing is ranked: {'; '.join(causes) or _nothing(results)}", " ".join(remedies))
     first = min(all_leaders, key=lambda one: HEADLINES.index(one.column.name) if one.column.name in HEADLINES else len(HEADLINES))
     table = next(one for one in tables if one.dataset == first.dataset and first.column in one.columns)
-    judgement, at = table.judgements[first.column.name], table.columns.index(first.column)
+    judgement, at = first.judgement, table.columns.index(first.column)
     rows = {row.label: row for row in table.rows if row.label}
     sign = 1.0 if first.column.higher_is_better else -1.0
     ranked = sorted((judgement.best, *judgement.comparisons), key=lambda label: -sign * cast(float, rows[label].cells[at].value))
@@ -101,11 +101,11 @@ def evaluate_verdict(
         worth = _worth(judgement.variants[label], decimals) if label in judgement.variants else ""
         one = Contender(label, rows[label].name, cell, places.at(cell.value), places.span(cell), worth)
         (parts if label in judgement.variants else contenders).append(one)
-    headline, margin = _words(first, judgement, contenders, runs, decimals)
+    headline, margin = _words(first, judgement, contenders, runs, results)
     others: dict[str, list[str]] = {}
     for each in all_leaders:
-        if each is not first and (each.is_winner or each.ties or each.short or each.undecided):
-            others.setdefault(each.name if each.is_winner else "", []).append(each.column.name)
+        if each is not first and each.judgement.rivals and not {*judgement.rivals} & each.judgement.unranked.keys():
+            others.setdefault(each.name if each.judgement.winner else "", []).append(each.column.name)
     tied = tuple(others.pop("", ()))
     meaning = PLAIN.get(first.column.name, first.column.describe)
     absolute = describe_absolute(contenders[0].name, contenders[0].cell, first.column, table, budgets, runs)
@@ -139,14 +139,15 @@ def _worth(one: Comparison, decimals: int | None) -> str:
 
 
 def _words(
-    leader: Leader, judgement: Judgement, contenders: Sequence[Contender], runs: Sequence[MeasuredRun], decimals: int | None
+    leader: Leader, judgement: Judgement, contenders: Sequence[Contender], runs: Sequence[MeasuredRun], results: Results
 ) -> tuple[str, str]:
     best, unit = contenders[0], f" {leader.column.unit}" if leader.column.unit else ""
+    decimals = runs[0].metrics[leader.column.name].decimals
     if not judgement.rivals:
         number = f"{best.cell.shown} {best.cell.spread}".strip() + unit
         if not judgement.unranked:
             return f"{best.name} was measured alone", number
-        if judgement.unranked.keys() <= runs[0].results.set_aside.keys():
+        if judgement.unranked.keys() <= results.set_aside.keys():
             return f"Only {best.name} is ranked", number
         return "No winner can be named", f"{best.name} has {number}; the others were measured on other scenes, views or frames"
     level = {*leader.ties, *leader.short}

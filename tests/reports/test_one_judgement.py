@@ -10,10 +10,10 @@ import pytest
 
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun, read_run
+from ggvs_eval.reports.tables.certainty import leaders
 from ggvs_eval.reports.tables.compare_runs import Side, differences
 from ggvs_eval.reports.tables.fit_budget import budget_tables
 from ggvs_eval.reports.tables.fitted import price_tables
-from ggvs_eval.reports.tables.leaders import leaders
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.table_formats import to_latex, to_markdown
 from ggvs_eval.reports.tables.verdict import evaluate_verdict
@@ -64,7 +64,7 @@ def winners(run: MeasuredRun) -> set[str]:
     named = {
         "judgement": bool(table.judgements["PSNR"].winner),
         "bold": sum(row.cells[0].best for row in table.rows) == 1,
-        "leaders": leader.is_winner,
+        "leaders": bool(leader.judgement.winner),
         "headline": verdict.headline.endswith("is best"),
         "budget": len(budgets["budget"].rows) > 1,
         "price": any(cell.best for row in price.rows for cell in row.cells),
@@ -118,10 +118,12 @@ def test_every_place_says_the_same(tmp_path):
     for metric, one in judgements.items():
         leader = found[metric]
         assert labels[leader.name] == one.best
-        assert leader.is_winner == bool(one.winner)
+        assert leader.judgement is one
         assert {labels[name] for name in leader.ties} == set(one.having("as good", "equal"))
         assert {labels[name] for name in leader.short} == set(one.having("too short"))
-        assert metric == "PSNR" or metric not in found or labels.get(said.get(metric)) == (one.winner or None) or metric == "L1"
+        if metric in ("SSIM", "LPIPS"):
+            assert labels.get(said.get(metric)) == (one.winner or None)
+        assert not {"SDT", "SDV"} & {*said, *verdict.tied}  # not within 1 dB
         for label in one.rivals:
             comparison = one.comparisons[label]
             half = None if comparison.high is None else comparison.high - comparison.difference

@@ -19,7 +19,7 @@ from ggvs_eval.reports.page.leaderboard import write_leaderboard
 from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.run_groups import read_groups
-from ggvs_eval.reports.tables.leaders import leaders
+from ggvs_eval.reports.tables.certainty import leaders
 from ggvs_eval.reports.tables.verdict import evaluate_verdict
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.paired import Comparison, Judgement, Outcome
@@ -234,9 +234,9 @@ def test_leaders_are_the_judgements_best_and_its_ties():
     table = made_table({"a": (31.0, "equal"), "b": (30.9, "as good"), "c": (30.8, "too short"), "d": (20.0, "worse")})
     (psnr,) = leaders([table])
     assert (psnr.column.name, psnr.name, psnr.cell.text, psnr.cell.spread) == ("PSNR", "a", "31.0", "± 0.1")
-    assert (psnr.ties, psnr.short, psnr.is_winner, psnr.undecided) == (("b",), ("c",), False, "clip too short")
+    assert (psnr.ties, psnr.short, psnr.judgement.winner, psnr.judgement.undecided) == (("b",), ("c",), "", "clip too short")
     (sure,) = leaders([made_table({"a": (31.0, "equal"), "d": (20.0, "worse")})])
-    assert (sure.ties, sure.short, sure.is_winner, sure.undecided) == ((), (), True, "")
+    assert (sure.ties, sure.short, sure.judgement.winner, sure.judgement.undecided) == ((), (), "a", "")
     assert [leader.column.name for leader in leaders([table], ["absent"])] == ["PSNR"]
 
 
@@ -244,7 +244,7 @@ def test_one_method_leads_alone_and_grey_rows_never():
     """With a single method its values are told; published and partial rows are never called the best."""
     values = {"a": (30.0, "equal"), "paper": (99.0, "equal"), "b": (98.0, "equal")}
     (psnr,) = leaders([made_table(values, kinds=("measured", "published", "partial"))])
-    assert (psnr.name, psnr.ties, psnr.is_winner) == ("a", (), False)
+    assert (psnr.name, psnr.ties, psnr.judgement.winner) == ("a", (), "")
     assert leaders([]) == ()
 
 

@@ -15,8 +15,8 @@ from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import SHORT, Cell, Column, Row, Table, format_half_width, format_value, rank, shade
 from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.tables.certainty import leaders
 from ggvs_eval.reports.tables.error_budget import decomposition_table
-from ggvs_eval.reports.tables.leaders import leaders
 from ggvs_eval.reports.tables.published import published_rows, read_published
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.table_formats import escape_latex, to_latex, to_markdown
@@ -179,7 +179,7 @@ def test_a_blurred_truth_wins_no_metric_of_the_path(tmp_path):
     assert "Not ranked: No Blending in reprojection, No Blending in E_warp, which is better than the captured images" in " ".join(
         path.notes
     )
-    assert all(leader.undecided for leader in leaders([path], metrics))
+    assert all(leader.judgement.undecided for leader in leaders([path], metrics))
 
 
 def test_where_test_views_are_sources_the_caption_says_so(tmp_path):
