@@ -110,7 +110,6 @@ STALE: dict[str, set[str]] = {
     "metrics/path/colmap_worker.py": {"path with COLMAP"},
     "metrics/noise/estimate.py": {"ceilings"},
     "metrics/noise/recording.py": {"ceilings"},
-    "metrics/noise/colour_detail.py": {"ceilings"},
     "metrics/path/view_switch.py": PATHS,
     "metrics/stream.py": ALL_SCORES - PATHS,
     "errors.py": set(),
