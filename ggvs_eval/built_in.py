@@ -3,6 +3,157 @@
 Parts of `contrib` stand here like everything else; one whose package is not there is left out.
 """
 
+from typing import Any, NamedTuple
+
+VERBS_ROOM = "ggvs_eval.pipelines.commands"
+
+
+class Derived(NamedTuple):
+    """An entry that is made of another one of its table when it is asked for.
+
+    Attributes:
+        base: name of the other one.
+        make: ``module:function`` of that one and of what is given.
+        given: its further arguments.
+    """
+
+    base: str
+    make: str
+    given: tuple[Any, ...] = ()
+
+
+class Verb(NamedTuple):
+    """A verb of the command line.
+
+    Attributes:
+        target: its function, or the table of its subcommands, as ``module:attribute``.
+        about: the first line of its help.
+        group: heading under which the overview lists it.
+    """
+
+    target: str
+    about: str
+    group: str
+
+
+CAPTURES, RUNS, RESULTS, FRAMES, LIVE = "captures", "runs", "results", "frames and metrics", "live views, splats and networks"
+
+# In the order of the overview.
+VERBS: dict[str, Verb] = {
+    "demo": Verb(
+        f"{VERBS_ROOM}.captures:demo",
+        "Write the demo capture: a procedural dynamic room in the layout of a data set, with exact depth beside it.",
+        CAPTURES,
+    ),
+    "get": Verb(
+        f"{VERBS_ROOM}.captures:get",
+        "Fetch a public capture from where its authors publish it; its name then serves as --capture.",
+        CAPTURES,
+    ),
+    "check": Verb(
+        f"{VERBS_ROOM}.captures:check",
+        "Look for what would spoil results: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.",
+        CAPTURES,
+    ),
+    "calibrate": Verb(
+        f"{VERBS_ROOM}.captures:calibrate",
+        "Find the cameras of a fixed rig from one instant, with COLMAP, and write them as a capture that every verb reads.",
+        CAPTURES,
+    ),
+    "undistort": Verb(
+        f"{VERBS_ROOM}.captures:undistort",
+        "Write raw videos of known lenses as pinhole videos, with the new intrinsics beside them for `calibrate`.",
+        CAPTURES,
+    ),
+    "protocol": Verb(
+        f"{VERBS_ROOM}.captures:protocol",
+        "Propose a protocol for a capture, and say of every camera why it is held out as a test view or not.",
+        CAPTURES,
+    ),
+    "prepare": Verb(
+        f"{VERBS_ROOM}.runs:prepare",
+        "Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page.",
+        RUNS,
+    ),
+    "render": Verb(f"{VERBS_ROOM}.runs:render", "Synthesise every test view of a prepared run by each method.", RUNS),
+    "score": Verb(
+        f"{VERBS_ROOM}.runs:score",
+        "Measure all renders of a run, and frames that others rendered, under one protocol.",
+        RUNS,
+    ),
+    "merge": Verb(
+        f"{VERBS_ROOM}.merge:merge",
+        "Put run folders of one capture and protocol, made on several machines, into a new one, and make its table.",
+        RUNS,
+    ),
+    "run": Verb(
+        f"{VERBS_ROOM}.runs:run",
+        "Do it all: prepare, render, score, report. A second call does only what is missing.",
+        RUNS,
+    ),
+    "sweep": Verb(
+        f"{VERBS_ROOM}.runs:sweep",
+        "Evaluate every row of a sweep under each of its variants and print one table of all.",
+        RUNS,
+    ),
+    "status": Verb(
+        f"{VERBS_ROOM}.runs:status",
+        "Tell what of a run or a sweep is done, running, failed and missing, and how large it is. May be asked while it runs.",
+        RUNS,
+    ),
+    "report": Verb(
+        f"{VERBS_ROOM}.figures:report",
+        "Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and figures of scored runs.",
+        RESULTS,
+    ),
+    "figure": Verb(
+        f"{VERBS_ROOM}.figures:figure", "Draw a figure for a paper, labelled, every method beside the truth.", RESULTS
+    ),
+    "compare": Verb(
+        f"{VERBS_ROOM}.figures:compare",
+        "Say what differs between two runs, method by method, or between two methods of a run, and whether that is significant.",
+        RESULTS,
+    ),
+    "doctor": Verb(
+        f"{VERBS_ROOM}.renders:doctor", "Find what is wrong with rendered frames before their numbers are believed.", FRAMES
+    ),
+    "explain": Verb(
+        f"{VERBS_ROOM}.renders:explain",
+        "Recompute a number under every convention in use and say which one gives a quoted value, if any does.",
+        FRAMES,
+    ),
+    "steadiness": Verb(
+        f"{VERBS_ROOM}.steadiness:steadiness",
+        "Measure how steady videos or depth maps are over time, without any truth, and how sharp, since blur is steady too.",
+        FRAMES,
+    ),
+    "metric-study": Verb(
+        f"{VERBS_ROOM}.study:metric_study",
+        "Plant degradations of known strength in true frames, and find out which metric sees which and what it is blind to.",
+        FRAMES,
+    ),
+    "play": Verb(
+        f"{VERBS_ROOM}.play:play",
+        "Synthesise the view of a camera that goes round between the cameras of a rig into a video, and tell how fast.",
+        LIVE,
+    ),
+    "view": Verb(
+        f"{VERBS_ROOM}.play:view",
+        "Look at a scene in the browser: drag the camera, and a method renders what it sees while time plays or stands.",
+        LIVE,
+    ),
+    "export": Verb(
+        f"{VERBS_ROOM}.export:export",
+        "Write 3D Gaussians, one cloud or a sequence, as one .glb that viewers open and play (glTF, KHR_gaussian_splatting).",
+        LIVE,
+    ),
+    "train": Verb(
+        f"{VERBS_ROOM}.training:TRAININGS",
+        "Train a network of this package; a second call goes on where the first one stopped.",
+        LIVE,
+    ),
+}
+
 # The online step and training samples where another device computes them.
 DEVICE_STEPS = {"warp": "ggvs_eval.contrib.warp.step:DeviceGuided"}
 DEVICE_SAMPLES = {"warp": "ggvs_eval.contrib.warp.sampling:sampled_maps"}

@@ -1,4 +1,4 @@
-"""The verbs of the command line that make runs: prepare, render, run, sweep, status."""
+"""The verbs of the command line that make runs: prepare, render, score, run, sweep, status."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -17,8 +17,10 @@ from ggvs_eval.pipelines.commands.captures import (
     CAPTURE_DEFAULTS,
     DEPTH_DEFAULTS,
     NONE,
+    ONE_PER_CORE,
     CaptureFlags,
     DepthFlags,
+    Jobs,
     Output,
     ReadingOptions,
     Run,
@@ -55,7 +57,7 @@ def prepare(
     engine: Running = HERE,
     dry_run: bool = False,
 ) -> None:
-    """Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page that shows it.
+    """Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page.
 
     Args:
         run: run folder to make or to go on with.
@@ -109,6 +111,58 @@ def render(
     _require_methods(methods, networks)
     prepared = reopen(engine.place(run), engine, methods, networks)
     print(f"{synthesise(prepared, engine)} jobs rendered in {run}")
+
+
+def score(
+    folder: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None,
+    renders: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=PATH ...", help_behavior_hint=NONE)] = (),
+    capture: Path | None = None,
+    protocol: str | None = None,
+    run: Path | None = None,
+    allow_partial: bool = False,
+    device: Device = "cpu",
+    first_frame: int | None = None,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
+    jobs: Jobs = ONE_PER_CORE,
+) -> None:
+    """Measure all renders of a run, and frames that others rendered, under one protocol.
+
+    Args:
+        folder: run folder to score; --run says the same.
+        renders: NAME=PATH of your own frames, which become a method of the run: a folder <view>/<frame>.png or
+            <view>_<frame>.jpg, a video or numpy stack per view, renders/ beside gt/ as 3DGS writes them or rgb/ beside gt-rgb/ as
+            nerfstudio does, a run folder, NerfBaselines output, or an archive.
+        capture: what was rendered; makes a run folder of its captured frames where there is none.
+        protocol: a .toml file or a packaged name; the run's own, or the packaged one that fits the capture, by default.
+        run: run folder to make or to go on with; scores/CAPTURE by default.
+        allow_partial: score what there is of incomplete renders; their row is marked.
+        device: where LPIPS, SSIM, TCC, STED and other metrics of many operations compute; a GPU rounds otherwise than the CPU.
+        first_frame: number of the protocol's first frame in the names of your frames (its place, from 0, in videos and arrays);
+            needed where the numbers can be read in two ways.
+        reading: how the capture is read.
+        jobs: processes.
+    """
+    from ggvs_eval.pipelines.run.import_renders import import_renders
+    from ggvs_eval.pipelines.run.run_for import named_renders, run_for
+    from ggvs_eval.pipelines.run.score import score as measure
+
+    if folder and run:
+        raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")
+    target = run_for(run or folder, partial(reading.open, capture) if capture else None, protocol, jobs)
+    for name, path in named_renders(renders).items():
+        for note in import_renders(target, name, path, allow_partial, jobs, first_frame)["notes"]:
+            print(f"{name}: {note}", file=sys.stderr)
+    results = measure(target, jobs, device=checked_device(device))
+    print(results.summary().droplevel("dataset").round(4).to_string())
+    for label, mark in results.provenance["partial"].items():
+        print(f"{label} is {mark}")
+    for line in results.fault_lines():
+        print(line)
+    for metric, reason in results.not_computed.items():
+        print(f"{metric} not computed: {reason}")
+    lacking = dict.fromkeys((one.metric, one.view or "all views of some methods", one.reason) for one in results.absences)
+    for metric, where, reason in lacking:
+        print(f"{metric} not computed in {where}: {reason}")
 
 
 def run(
