@@ -1,21 +1,29 @@
-"""What measures each table of the pages: commands, their cost, and the identity of the code that a table comes from."""
+"""What measures each table of the pages: commands, their cost, and the identity of the code that a table comes from.
+
+A table comes from what its commands run and from what makes its text of their results: methods and metrics, the depth that a
+command's matcher finds, the film of a room, statistics and tables. `Measurement.modules` lists where these closures begin.
+"""
 
 import ast
 import hashlib
-from collections.abc import Iterator
+import inspect
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
+from types import CodeType, FunctionType
 
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.jobs.code_identity import code_identity, installed_code, what_runs
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.methods.registry import find_method, usual_methods
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, digest_weights
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth import camera_depth, consistency
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.run.render import method_code
 from ggvs_eval.pipelines.run.score_code import metric_code, path_code
-from ggvs_eval.protocol import load_protocol
+from ggvs_eval.protocol import Protocol, load_protocol
 from ggvs_eval.run_folder import read_json
 from ggvs_eval.sweep import load_sweep
 
@@ -32,7 +40,18 @@ ON_A_VIDEO = ("no-blending", "distance-based", "enerf", "ours", "ours-geometric"
 ON_A_LONG_VIDEO = ("ours", "distance-based", "ours+no-temporal")
 FITTED = ("ours", "3dgs-per-instant")
 FILLED = ("ours", "ours-geometric")
-ITERMVS_FILE = "itermvs_blendedmvs_000015.ckpt"
+ITERMVS_FILE, MVSNERF_FILE = "itermvs_blendedmvs_000015.ckpt", "mvsnerf-v0.tar"
+CHECKPOINTS = {  # that do not ship: their bytes
+    ITERMVS_FILE: "8563268624cf203750212a0e0bfa4825a5af05c0005a225ef02f138258b0fc42",
+    MVSNERF_FILE: "84c2a397760d5e717c21faee9c4f8f8f8a1ba22b378b10971c44f4a0b932c124",
+}
+FILM, MEANS = "ggvs_eval.synthetic.demo", "ggvs_eval.results"
+EDITS, EDITED = ("--hold-frames", "--sensor-noise"), "ggvs_eval.datasets.capture_edit"
+STREAMED = ("ggvs_eval.pipelines.run.screens", "ggvs_eval.metrics.time.on_screen")
+CHOOSE = (camera_depth.__name__, STREAMED[0])  # among many: what they import beside what is chosen does not count
+REPORTED = {"drift": "drift", "price": "fitted", "costs": "fitted", "seeds": "fitted"}  # tables of a report, by their modules
+PLAIN = "report_tables"  # ... and of all others
+MANY_CAMERAS = 100  # more than any K of a sweep wants
 ON_A_REAL_FRAME = ("no-blending", "distance-based", "interpolation", "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", "ours")
 ON_AN_INSTANT = ("no-blending", "distance-based", "ibrnet", "enerf", "mvsnerf", "ours")
 ON_A_SMALL_FRAME = (*ON_A_REAL_FRAME[:-1], "mvsplat", "mvsnerf", "ours", "ours-geometric")
@@ -66,8 +85,51 @@ class Measurement:
     @cached_property
     def identity(self) -> str:
         """Digest of the code, weights and settings that the numbers follow from, as they are now."""
-        labels = self.methods or tuple(row.method for row in load_sweep(self.sweep).row) if self.sweep else self.methods
-        return digest_values(*self.commands, *_of_methods(labels), *_of_protocol(self.protocol), *map(_of_source, self.sources))
+        return digest_values(
+            *self.commands,
+            *_of_methods(self.labels),
+            *(part for protocol in self.protocols for part in _of_protocol(protocol)),
+            *map(_of_source, self.sources),
+            *(digest for file, digest in CHECKPOINTS.items() if any(file in command for command in self.commands)),
+            code_identity(*self.modules, unfollowed=CHOOSE) if self.modules else "",
+            *(digest for _, digest in self._table_functions),
+        )
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the methods, or of the rows of its sweep."""
+        return self.methods or tuple(row.method for row in load_sweep(self.sweep).row) if self.sweep else self.methods
+
+    @cached_property
+    def protocols(self) -> tuple[Protocol, ...]:
+        """What runs are measured under: a sweep sets K and a stream."""
+        if not self.protocol:
+            return ()
+        protocol = load_protocol(self.protocol)
+        return tuple(load_sweep(self.sweep).protocols(protocol, MANY_CAMERAS).values()) if self.sweep else (protocol,)
+
+    @cached_property
+    def modules(self) -> tuple[str, ...]:
+        """Modules at which the code begins that neither a method nor a metric names, sorted."""
+        modules = set().union(*(found for found, _ in self._table_functions))
+        for program, verb, *words in map(str.split, self.commands):
+            if program == "ggvs-eval":
+                modules |= {FILM} if verb == "demo" else set()
+                modules |= {MEANS, *_of_depth(words)} if verb in ("run", "sweep") else set()
+                modules |= {EDITED} if verb == "run" and any(word in EDITS for word in words) else set()
+        if any(protocol.stream for protocol in self.protocols):
+            modules.update(STREAMED)
+        return tuple(sorted(modules - {"ggvs_eval.errors"}))
+
+    @cached_property
+    def _table_functions(self) -> list[tuple[set[str], str]]:
+        """Modules and digest of each function of the checkout that makes its tables."""
+        from fill_tables import tables_by_measurement
+
+        functions: dict[str, tuple[set[str], str]] = {}
+        for table in tables_by_measurement().get(self.name, []):
+            _gather(table.make, functions)
+        return [functions[name] for name in sorted(functions)]
 
     @property
     def record(self) -> Path:
@@ -278,16 +340,53 @@ def _of_methods(labels: tuple[str, ...]) -> Iterator[str]:
 
 
 @cache
-def _of_protocol(name: str) -> tuple[str, ...]:
-    """Views, frames and metrics, the code that measures these, and that of depth."""
-    if not name:
-        return ()
-    protocol = load_protocol(name)
+def _of_protocol(protocol: Protocol) -> tuple[str, ...]:
+    """Views, frames and metrics, and the code that measures these."""
     names = protocol.measurement.metrics
     codes = [metric_code(METRICS[metric]) for metric in names if METRICS[metric].kind != "path"]
     along_path = [metric for metric in names if METRICS[metric].kind == "path"] if protocol.path.poses else []
     codes += [path_code(along_path)] if along_path else []
-    return protocol.sha256, str(DepthOptions().describe()["code"]), *codes
+    return protocol.sha256, *codes
+
+
+def _of_depth(words: Sequence[str]) -> set[str]:
+    """Modules of the depth that a command's matcher finds, and of how it is held against that of others."""
+    name, _, filler = (words[words.index("--matcher") + 1] if "--matcher" in words else "").partition("+")
+    found = DepthRunOptions(name).options() if name else DepthRunOptions().options()
+    modules = camera_depth.modules_of(found.matcher, IterMvs(Path(), "") if filler.startswith("itermvs") else found.filler)
+    return {camera_depth.__name__, camera_depth.STREAM, consistency.__name__, consistency.FILL, *modules}
+
+
+def _gather(make: FunctionType, functions: dict[str, tuple[set[str], str]]) -> None:
+    """Collect the functions of the checkout that one calls, itself included: their modules of the package, and a digest."""
+    name = f"{make.__module__}.{make.__qualname__} {make.__code__.co_firstlineno}"
+    if name in functions:
+        return
+    words, constants = _of_code(make.__code__)
+    modules, values = {word for word in words if word in _package()}, [repr(constants)]
+    functions[name] = modules, ""
+    for word in words:
+        value = make.__globals__.get(word)
+        module = str(getattr(value, "__module__", ""))
+        if module in _package():
+            modules.add(module)
+        elif isinstance(value, FunctionType) and (Path(__file__).parent / f"{module}.py").is_file():
+            _gather(value, functions)
+            if word == "report_table":
+                modules |= {f"ggvs_eval.reports.tables.{REPORTED.get(table, PLAIN)}" for table in constants}
+        elif isinstance(value, str | tuple | dict) and "Path" not in repr(value):
+            values.append(f"{word} {value!r}")
+    if make.__name__ != "<lambda>":
+        values.append(what_runs(inspect.getsource(make)))
+    functions[name] = modules, digest_values(*values)
+
+
+def _of_code(code: CodeType) -> tuple[list[str], list[str]]:
+    """Names that a function looks up, and words that stand in it, those of functions inside it included."""
+    inner = [_of_code(each) for each in code.co_consts if isinstance(each, CodeType)]
+    words = [word for each in code.co_consts for word in (each if isinstance(each, tuple) else (each,)) if isinstance(word, str)]
+    names = sorted({*code.co_names, *(name for names, _ in inner for name in names)})
+    return names, sorted({*words, *(word for _, words in inner for word in words)})
 
 
 @cache

@@ -3,6 +3,8 @@
 A package names its objects as entry points of the groups ``ggvs_eval.metrics``, ``ggvs_eval.methods`` and
 ``ggvs_eval.datasets``; a file has tables of the same names, ``METRICS = {"P99": ...}``. An object is what the registry of its
 kind holds. It is imported when it is asked for by its name, or when everything of its kind is tried.
+
+What goes wrong in it costs what it was to give, and is called by its name: the registries of the three kinds see to that.
 """
 
 import hashlib
@@ -12,6 +14,7 @@ import os
 import pkgutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import entry_points
@@ -130,14 +133,24 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return {name: self.plugins[name].origin for name in names if name not in self.shipped and name in self.plugins}
 
     def _load(self, plugin: Plugin) -> Entry:
-        try:
+        with foreign(f"{plugin.origin}: {self._kind} {plugin.name!r} cannot be used"):
             return self._check(plugin.name, plugin.load()) if self._check else plugin.load()
-        except GgvsError:
-            raise
-        except Exception as error:  # whatever a foreign module raises while it is imported
-            raise PluginError(
-                f"plug-in {plugin.origin}: {self._kind} {plugin.name!r} cannot be used ({_reason(error)}); mend or remove it"
-            ) from error
+
+
+@contextmanager
+def foreign(what: str, kind: type[GgvsError] = PluginError) -> Iterator[None]:
+    """Turn whatever code of a plug-in raises in the block, be it that it exits, into an error of ours.
+
+    Args:
+        what: the plug-in, and what of it, for the message.
+        kind: of the error; those of this package pass as they are.
+    """
+    try:
+        yield
+    except (GgvsError, MemoryError):
+        raise
+    except (Exception, SystemExit) as error:
+        raise kind(f"plug-in {what} ({_reason(error)}); mend or remove it") from error
 
 
 def use_file(path: Path) -> None:
@@ -178,7 +191,7 @@ def imported(reference: str) -> Any:
         sys.path.append(here)
     try:
         return pkgutil.resolve_name(f"{module}:{name}")
-    except Exception as error:  # whatever a foreign module raises while it is imported
+    except (Exception, SystemExit) as error:  # whatever a foreign module raises while it is imported
         raise PluginError(
             f"{reference}: wanted a module and what it defines, as my_method:Mine ({_reason(error)}); correct it"
         ) from error
@@ -232,16 +245,14 @@ def _module_of(file: Path) -> ModuleType:
         raise PluginError(f"{file}: wanted a Python file whose name can be imported, such as my_metrics.py; rename it")
     if str(file.parent) not in sys.path:
         sys.path.append(str(file.parent))
-    try:
+    with foreign(f"{file}: cannot be imported"):
         module = importlib.import_module(file.stem)
-    except Exception as error:  # whatever a foreign file raises while it is imported
-        raise PluginError(f"plug-in {file}: cannot be imported ({_reason(error)}); mend it") from error
     if Path(str(module.__file__)).resolve() != file:
         raise PluginError(f"{file}: its name is that of the module {module.__file__}; rename it")
     return module
 
 
-def _reason(error: Exception) -> str:
+def _reason(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 

@@ -183,7 +183,7 @@ def require_frames(folders: dict[str, Path], indices: range) -> None:
     if listed:
         root = next(iter(folders.values())).parents[1]
         brought = any(frame_path(folders[name], index).is_symlink() for name, missing in gaps.items() for index in missing)
-        mend = "their links lead nowhere, bring these renders again with --renders" if brought else "render them"
+        mend = "their links lead nowhere, bring these renders again with --renders" if brought else "ggvs-eval render makes them"
         raise RenderError(f"{root}: frames are missing: {'; '.join(listed)}; {mend}")
 
 

@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.arrays import Image8, Mask
+from ggvs_eval.arrays import Image8, Mask, read_only
 from ggvs_eval.statistics.pooling import MEAN, Pooling
 
 Kind = Literal["frame", "pair", "view", "rig", "path", "depth"]
@@ -89,6 +89,11 @@ class TruthFrame:
             self._derived[key] = compute()
         result: T = self._derived[key]
         return result
+
+    def read_only(self) -> "TruthFrame":
+        """The frame with arrays that cannot be written to, and nothing derived."""
+        previous, disoccluded = (None if each is None else read_only(each) for each in (self.previous, self.disoccluded))
+        return TruthFrame(read_only(self.image), previous, disoccluded)
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,13 @@
 import tempfile
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.metric import Value
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathOptions, PathPose, PathScorer, RenderedPath
-from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.metrics.registry import METRICS, measured
 
 
 @dataclass(frozen=True)
@@ -74,11 +75,11 @@ def _measured(path: RenderedPath, scorers: Iterable[PathScorer]) -> PathScores:
     not_computed: dict[str, str] = {}
     for scorer in scorers:
         try:
-            measured = scorer.measure(path)
+            values_of_path = measured(scorer.names, partial(scorer.measure, path))
         except MetricError as error:
             not_computed.update(dict.fromkeys(scorer.names, str(error)))
             continue
-        values += measured
-        absent = [name for name in scorer.names if name not in {measure for measure, _, _ in measured}]
+        values += values_of_path
+        absent = [name for name in scorer.names if name not in {measure for measure, _, _ in values_of_path}]
         not_computed.update(dict.fromkeys(absent, scorer.why_absent))
     return PathScores(values, not_computed, tuple(path.rows), path.n_switches)

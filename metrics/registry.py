@@ -1,9 +1,12 @@
 """The metrics by their names in protocols, tables and figures."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
+from math import isnan
+from numbers import Real
 from typing import Any
 
+from ggvs_eval.arrays import Image8, read_only
 from ggvs_eval.errors import MetricError, did_you_mean
 from ggvs_eval.metrics.image.corrected import LPIPS_CC, PSNR_CC, SSIM_CC
 from ggvs_eval.metrics.image.dists import DISTS
@@ -27,6 +30,8 @@ from ggvs_eval.metrics.metric import (
     Scorer,
     ScorerFactory,
     TableMetric,
+    TruthFrame,
+    Value,
     ViewMetric,
 )
 from ggvs_eval.metrics.path.colmap_consistency import COLMAP_MATCHES, COLMAP_REGISTERED, COLMAP_TRACK_LENGTH
@@ -45,7 +50,7 @@ from ggvs_eval.metrics.time.strred import STED, STED_SSN
 from ggvs_eval.metrics.time.tcc import TCC
 from ggvs_eval.metrics.time.temporal_variation import MTV, MTV2
 from ggvs_eval.metrics.time.vmaf import VMAF
-from ggvs_eval.plugins import Registry
+from ggvs_eval.plugins import Registry, foreign
 
 # In the order in which they are scored and listed in the results.
 _OF_IMAGES = (PSNR, SSIM, L1, LPIPS, PSNR_CC, SSIM_CC, LPIPS_CC, IV_PSNR, PSNR_YCBCR, MS_SSIM, DSSIM1, DSSIM2, FLIP, DISTS)
@@ -67,7 +72,42 @@ def _checked(name: str, metric: object) -> Metric:
         raise TypeError(f"wanted a ViewMetric, TableMetric or PathMetric, got {type(metric).__name__}")
     if metric.name != name:
         raise TypeError(f"it calls itself {metric.name!r}")
+    metric.note(MetricOptions()), metric.pooling(MetricOptions()).record()  # what is wrong with them shows here
     return metric
+
+
+def measured(names: Sequence[str], measure: Callable[[], Iterable[tuple[Any, ...]]]) -> list[Any]:
+    """Values of a metric, each behind its place; one of a plug-in that fails, or gives no number, is a `MetricError`."""
+    origins = METRICS.origins(names)
+    if not origins:
+        return list(measure())
+    with foreign(", ".join(f"{origin}: metric {name} failed" for name, origin in origins.items()), MetricError):
+        return [(*place, _number(value)) for *place, value in measure()]
+
+
+def _number(value: object) -> float:
+    if not isinstance(value, Real):
+        raise TypeError(f"wanted a number, got {type(value).__name__}")
+    if isnan(value):
+        raise ValueError("wanted a number, got nan")
+    return float(value)
+
+
+class ForeignScorer:
+    """A scorer of a plug-in's metrics, see `measured`; it is shown arrays that it cannot write to."""
+
+    def __init__(self, names: Sequence[str], make: Callable[[], Scorer]) -> None:
+        self.names = names
+        self._make = cache(make)
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """See `Scorer`."""
+        shown = truth.once(ForeignScorer, truth.read_only)
+        return measured(self.names, lambda: self._make().add(index, read_only(rendered), shown))
+
+    def finish(self) -> list[Value]:
+        """See `Scorer`."""
+        return measured(self.names, lambda: self._make().finish())
 
 
 METRICS: Registry[Metric] = Registry("metrics", {metric.name: metric for metric in _ALL}, _checked)
@@ -124,7 +164,11 @@ def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_m
     together: dict[ScorerFactory, list[str]] = {}
     for metric in metrics:
         together.setdefault(metric.scorer or partial(_frame_scorer, metric.function), []).append(metric.name)
-    return [factory(names, options, colour_map) for factory, names in together.items()]
+    made = []
+    for factory, names in together.items():
+        make = partial(factory, names, options, colour_map)
+        made.append(ForeignScorer(names, make) if METRICS.origins(names) else make())
+    return made
 
 
 def _frame_scorer(
@@ -149,7 +193,7 @@ def derived_rows(
     for metric in metrics:
         if isinstance(metric, TableMetric):
             try:
-                rows[metric.name] = metric.rows(values.get(metric.part, {}), options)
+                rows[metric.name] = measured([metric.name], partial(metric.rows, values.get(metric.part, {}), options))
             except MetricError as error:
                 reasons[metric.name] = str(error)
     return rows, reasons

@@ -142,5 +142,6 @@ def _attempt(scorer: Scorer, measure: Callable[[], list[Value]], scores: ViewSco
         scores.values.extend(measure())
     except (MetricError, WeightsError) as error:
         scores.not_computed.update(dict.fromkeys(scorer.names, str(error)))
+        scores.values[:] = [value for value in scores.values if value[0] not in scorer.names]
         return False
     return True

@@ -1,5 +1,6 @@
 """`make results`: every table of the pages has a measurement, carries the code it came from, and is remade when that changes."""
 
+import dataclasses
 import json
 import re
 import subprocess
@@ -7,6 +8,7 @@ import sys
 
 import pytest
 
+from ggvs_eval.jobs.code_identity import installed_code
 from ggvs_eval.synthetic.demo import SHIPPED, write_demo
 from helpers.places import ROOT
 
@@ -215,3 +217,65 @@ def test_the_demo_of_the_plan_is_that_of_the_main_job(tmp_path):
     write_demo(tmp_path / result_plan.DEMO_CAPTURE, SHIPPED)
     for film in films:
         subprocess.run([sys.executable, "-m", "ggvs_eval", *film.split()[1:]], cwd=tmp_path, check=True)
+
+
+INTERVALS = {"statistics.intervals", "statistics.autocorrelation"}
+SGBM = {"pipelines.offline.stereo.sgbm", "pipelines.offline.depth.consistency", "pipelines.offline.stereo.fusion"}
+FILM = {"synthetic.demo", "synthetic.film.film", "synthetic.room.room", "synthetic.film.options"}
+MUST_COUNT = {  # measurement -> modules whose change makes its tables older than the code
+    **dict.fromkeys(("rooms_ablations", "rooms_switches", "rooms_baselines", "rooms_noise"), INTERVALS | SGBM | FILM),
+    **dict.fromkeys(("demo", "real_frame_small", "real_frame_coverage", "real_frame_folds"), {"results"} | SGBM),
+    **dict.fromkeys(("real_frame_refined", "real_frame_refined_coverage"), {"results"} | SGBM),
+    **dict.fromkeys(("offline", "offline_unseen"), {"reports.tables.fitted"} | INTERVALS | SGBM | FILM),
+    "stream": {"metrics.time.on_screen", "pipelines.run.screens"} | SGBM | FILM,
+    "stream_real": {"metrics.time.on_screen", "pipelines.run.screens"} | SGBM,
+    "real_frame": {"reports.tables.error_budget"} | SGBM,
+    "real_frame_held": {"datasets.capture_edit"} | SGBM,
+    "demo_instant": {"results"} | SGBM | FILM,
+    "rooms_k": {"reports.figures.k_figure"} | SGBM | FILM,
+    "real_fits": {"reports.tables.fitted"} | INTERVALS | SGBM,
+    "real_path": {"reports.tables.report_tables"} | INTERVALS | SGBM,
+    "real_video": INTERVALS | SGBM,
+    "real_video_itermvs": {"pipelines.offline.itermvs.network", "pipelines.offline.itermvs.estimator"} | SGBM,
+    "long_room": {"statistics.drift", "reports.tables.drift", "pipelines.offline.stereo.live"} | INTERVALS | FILM,
+    "metric_study": {"reports.tables.study_tables"},
+    "metric_study_real": {"reports.tables.study_tables"},
+}
+
+
+def test_an_identity_holds_all_that_makes_its_numbers():
+    """Statistics, tables, the command's own matcher and the film count; of matchers and tables that a command has not, none."""
+    plan = result_plan.MEASUREMENTS
+    told = {name: measurement.sources for name, measurement in plan.items() if name not in MUST_COUNT}
+    assert all(told.values()), "a measurement without a file of its own names what must count"
+    counted = {name: installed_code().closure(*plan[name].modules, unfollowed=result_plan.CHOOSE) for name in MUST_COUNT}
+    for name, modules in MUST_COUNT.items():
+        lacking = {f"ggvs_eval.{module}" for module in modules}.difference(counted[name])
+        assert not lacking, f"{name} does not count {lacking}"
+    assert "ggvs_eval.pipelines.offline.stereo.sgbm" not in plan["long_room"].modules
+    assert not any("itermvs.network" in module for module in counted["real_video"])
+    assert not any("synthetic.film" in module for module in counted["real_path"])
+
+
+def test_a_change_of_a_table_makes_it_older(monkeypatch):
+    """Another function, or another of its constants, makes the tables of its measurements older than the code, and no others."""
+
+    def identities() -> dict[str, str]:
+        return {name: dataclasses.replace(measurement).identity for name, measurement in result_plan.MEASUREMENTS.items()}
+
+    before = identities()
+    monkeypatch.setattr(result_tables, "USUAL_VIEW", "cam05")
+    after = identities()
+    assert {name for name in before if before[name] != after[name]} == {"real_frame"}
+
+
+def test_the_bytes_of_foreign_weights_count():
+    """A checkpoint that does not ship is known by its digest; every one that a command names has one."""
+    named = {
+        file
+        for each in result_plan.MEASUREMENTS.values()
+        for line in each.commands
+        for file in re.findall(r"{weights}/(\S+)", line)
+    }
+    assert named == set(result_plan.CHECKPOINTS)
+    assert all(re.fullmatch("[0-9a-f]{64}", digest) for digest in result_plan.CHECKPOINTS.values())

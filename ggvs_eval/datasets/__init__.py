@@ -1,7 +1,7 @@
 """Adapters: whatever layout a capture has on disk, `open_capture` makes a `Capture` of it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -29,9 +29,9 @@ from ggvs_eval.datasets.known_traps import apply_known_traps
 from ggvs_eval.datasets.public_captures import locate
 from ggvs_eval.datasets.settle_depth import settle_depth_ranges
 from ggvs_eval.datasets.units import GivenUnits
-from ggvs_eval.errors import CaptureError, did_you_mean
+from ggvs_eval.errors import CaptureError, GgvsError, did_you_mean
 from ggvs_eval.files.listing import list_entries
-from ggvs_eval.plugins import Registry
+from ggvs_eval.plugins import Registry, foreign
 
 LISTED = 8
 
@@ -56,7 +56,27 @@ class DatasetSpec:
 def _checked(name: str, spec: object) -> DatasetSpec:
     if not isinstance(spec, DatasetSpec):
         raise TypeError(f"wanted a DatasetSpec, got {type(spec).__name__}")
-    return spec
+    return replace(spec, refuse=partial(_refused, name, spec.refuse), load=partial(_loaded, name, spec.load))
+
+
+def _refused(name: str, refuse: Callable[[Path], str | None], path: Path) -> str | None:
+    """Why a path is not of a plug-in's layout, that it cannot tell included."""
+    try:
+        with foreign(f"layout {name}: failed"):
+            refusal = refuse(path)
+            if not isinstance(refusal, str | None):
+                raise TypeError(f"wanted a reason or None, got {type(refusal).__name__}")
+            return refusal
+    except GgvsError as error:
+        return str(error)
+
+
+def _loaded(name: str, load: Callable[[Path, GivenUnits], Capture], path: Path, units: GivenUnits) -> Capture:
+    with foreign(f"layout {name}: {path} cannot be opened", CaptureError):
+        capture = load(path, units)
+        if not isinstance(capture, Capture):
+            raise TypeError(f"wanted a Capture, got {type(capture).__name__}")
+        return capture
 
 
 # In the order in which they are tried: what is particular before what is general, plug-ins last.

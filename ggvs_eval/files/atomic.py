@@ -151,11 +151,22 @@ def sweep_files(folder: Path) -> None:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep others who lock the folder, on this machine or on those that share its disk, out of the block."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
+    """Keep others who lock the folder, on this machine or on those that share its disk, out of the block; it is made if need be.
+
+    The one who had it may have put another folder in its place meanwhile: then that one is locked.
+    """
+    handle = -1
+    while handle < 0:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder, os.O_RDONLY)
         with suppress(OSError):  # a file system without locks
             fcntl.flock(handle, fcntl.LOCK_EX)
+        with suppress(OSError):
+            if os.path.samestat(os.fstat(handle), folder.stat()):
+                break
+        os.close(handle)
+        handle = -1
+    try:
         yield
     finally:
         os.close(handle)

@@ -11,7 +11,7 @@ import json
 import shutil
 import socket
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -33,12 +33,16 @@ KEPT_OF_HASH = 16  # digits
 class Job:
     """One piece of work.
 
+    What a job leaves is noted file by file with its size: a result of which some was lost or cut short is made again.
+
     Attributes:
         name: for people, e.g. ``ours-geometric in cam00``.
         identity: everything the result depends on, as JSON values.
         work: called with a temporary folder to fill; returns what job.json shall say beside the identity. It travels to another
             process, so it is a module-level function or a `functools.partial` of one.
         resumes: the work goes on from what it has left in its folder when it was killed; it must tell by that how far it was.
+        renews: the work keeps a part of the result that is there, so that one process at a time does it. Where all that another
+            job had made is kept, the record's ``also`` names that job's hash.
     """
 
     name: str
@@ -46,6 +50,7 @@ class Job:
     identity: dict[str, Any]
     work: Callable[[Path], dict[str, Any]]
     resumes: bool = False
+    renews: bool = False
 
     @property
     def sha256(self) -> str:
@@ -63,12 +68,32 @@ class Job:
 
     def run(self) -> None:
         """Do the work and put its result in place."""
-        with scratch_folder(self.folder) as scratch, self._workspace(scratch) as temporary:
-            if self.resumes and self.is_done():  # by another process, while this one waited for the workspace
+        with self._alone(), scratch_folder(self.folder) as scratch, self._workspace(scratch) as temporary:
+            if (self.resumes or self.renews) and self.is_done():  # by another process, for which this one waited
                 return
             record = self.work(temporary)
-            write_json(temporary / JOB_FILE, {"sha256": self.sha256, "identity": self.identity, **record})
+            files = {
+                file.relative_to(temporary).as_posix(): file.stat().st_size
+                for file in sorted(temporary.rglob("*"))
+                if file.is_file()
+            }
+            files.pop(JOB_FILE, None)
+            made = {"sha256": self.sha256, "identity": self.identity, "files": files}
+            write_json(temporary / JOB_FILE, made | record)
             self._put_in_place(temporary)
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Keep other processes from a result that they would renew."""
+        if not self.renews:
+            yield
+            return
+        with locked(self.folder):
+            try:
+                yield
+            finally:
+                with suppress(OSError):  # it holds a result
+                    self.folder.rmdir()
 
     @contextmanager
     def _workspace(self, scratch: Path) -> Iterator[Path]:
@@ -80,7 +105,6 @@ class Job:
         for other in self.folder.parent.glob(f".{glob.escape(self.folder.name)}.*.{UNFINISHED}"):
             if other != kept:  # of a job that is no longer wanted
                 shutil.rmtree(other, ignore_errors=True)
-        kept.mkdir(parents=True, exist_ok=True)
         with locked(kept):
             yield kept
 

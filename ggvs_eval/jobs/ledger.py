@@ -34,10 +34,12 @@ class Entry:
     sha256: str
 
     def is_done(self) -> bool:
-        """Tell whether the folder holds the result of exactly this job."""
+        """Tell whether the folder holds the result of exactly this job, and each of its files at its size."""
         try:
-            return bool(read_json(self.folder / JOB_FILE)["sha256"] == self.sha256)
-        except (ResultsError, KeyError, TypeError):
+            record = read_json(self.folder / JOB_FILE)
+            made = self.sha256 in (record["sha256"], *record.get("also", ()))
+            return made and all((self.folder / name).stat().st_size == size for name, size in record.get("files", {}).items())
+        except (ResultsError, KeyError, TypeError, OSError):
             return False
 
 

@@ -8,6 +8,7 @@ import tyro
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.pipelines.commands.captures import ONE_PER_CORE, Jobs, Output
+from ggvs_eval.run_folder import RunFolder
 
 
 def merge(
@@ -33,23 +34,21 @@ def merge(
 
     if len(runs) < 2:
         raise ResultsError(f"wanted at least two run folders to merge into {out}, got {len(runs)}; copy a single one")
-    merged = merge_runs(out, runs, copy)
-    missing = missing_renders(merged.root)
-    if missing:
-        print(f"{out}: no table yet, {missing}; merge the runs that have them, or render them here", file=sys.stderr)
-        print(out)
-        return
-    results = score(merged, jobs)
-    print(results.summary().droplevel("dataset").round(4).to_string())
-    print(out)
+
+    def finish(merged: RunFolder) -> None:
+        missing = missing_renders(merged)
+        if missing:
+            print(f"{out}: no table yet, {missing}; merge the runs that have them, or render them here", file=sys.stderr)
+        else:
+            print(score(merged, jobs).summary().droplevel("dataset").round(4).to_string())
+
+    print(merge_runs(out, runs, copy, finish).root)
 
 
-def missing_renders(root: Path) -> str:
+def missing_renders(run: RunFolder) -> str:
     """Views that methods of a merged run lack, as text; empty where nothing is missing."""
     from ggvs_eval.pipelines.run.coverage import read_import
-    from ggvs_eval.run_folder import RunFolder
 
-    run = RunFolder(root)
     views = run.protocol().views.test
     own = [label for label in run.labels() if read_import(run, label) is None]
     lacking = {label: [view for view in views if not run.renders(label, view).is_dir()] for label in own}

@@ -3,17 +3,21 @@
 import hashlib
 import tomllib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.errors import RenderError
+import numpy as np
+
+from ggvs_eval.arrays import read_only
+from ggvs_eval.errors import RenderError, ViewRefusedError
 from ggvs_eval.files.toml_tables import build_table
-from ggvs_eval.method import Method, Rendering
+from ggvs_eval.method import Instant, LookaheadMethod, Method, Rendering
 from ggvs_eval.pipelines.methods.render_unit import RenderUnit
+from ggvs_eval.plugins import foreign
 from ggvs_eval.scene_fitter import FittedScene
 
 LEARNED = "learned from"  # column of what methods declare
@@ -120,6 +124,7 @@ class OnlineMethod(MethodSpec):
         make_with: builds one with other `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``; a label such as
             ``enerf+scale=0.5`` has any of them render at a fraction of the size.
         device_modules: what it renders with besides on a device that is not the CPU.
+        foreign: whether a plug-in offers it, see `ForeignMethod`.
     """
 
     factory: Callable[..., Method]
@@ -130,6 +135,7 @@ class OnlineMethod(MethodSpec):
     title_from: str = ""
     make_with: Callable[..., Method] | None = None
     device_modules: tuple[str, ...] = ()
+    foreign: bool = False
 
     @property
     def learned_from(self) -> str:
@@ -148,7 +154,7 @@ class OnlineMethod(MethodSpec):
 
     def make(self) -> Method:
         """Make a fresh object that renders one sequence."""
-        return self.factory()
+        return ForeignMethod(self.title, self.factory) if self.foreign else self.factory()
 
     def require(self) -> None:
         """Make one."""
@@ -198,6 +204,45 @@ class OnlineMethod(MethodSpec):
             return self
         modules = (*self.modules, *self.device_modules)
         return replace(self, factory=partial(self.factory, device=device), device=device, modules=modules)
+
+
+class ForeignMethod:
+    """A method of a plug-in: it is shown arrays that it cannot write to, and a view that it fails in is one that it refuses."""
+
+    def __init__(self, title: str, factory: Callable[[], Method]) -> None:
+        self._title = title
+        with foreign(f"method {title}: cannot be made", RenderError):
+            self._method = factory()
+        if isinstance(self._method, LookaheadMethod):
+            self.look_ahead = self._looked_ahead
+
+    def step(self, instant: Instant) -> Rendering:
+        """See `Method`.
+
+        Raises:
+            ViewRefusedError: whatever it raised, or no picture of numbers of the target's size.
+        """
+        with foreign(f"method {self._title}: failed at instant {instant.index}", ViewRefusedError):
+            made = self._method.step(_read_only(instant))
+            wanted = instant.target.height, instant.target.width, 3
+            if not isinstance(made, Rendering) or not isinstance(made.image, np.ndarray):
+                raise TypeError(f"wanted a Rendering with an image, got {type(getattr(made, 'image', made)).__name__}")
+            if made.image.shape != wanted or made.image.dtype.kind != "f" or not np.isfinite(made.image).all():
+                got = f"{made.image.dtype} {made.image.shape}" + (", not all finite" if made.image.shape == wanted else "")
+                raise ValueError(f"wanted an image of floats in [0, 1], {wanted}, got {got}")
+            return made
+
+    def _looked_ahead(self, instants: Iterable[Instant]) -> None:
+        with foreign(f"method {self._title}: failed to look ahead", ViewRefusedError):
+            self._method.look_ahead(map(_read_only, instants))  # type: ignore[attr-defined]
+
+
+def _read_only(instant: Instant) -> Instant:
+    sources = (
+        replace(view, image=read_only(view.image), depth=read_only(view.depth), confidence=read_only(view.confidence))
+        for view in instant.sources
+    )
+    return replace(instant, sources=tuple(sources))
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ def fit_job(capture: Capture, fit: FitPlan, spec: FittedMethod, shared: Path) ->
     name = f"{fit.label}, {fit.fold.name}"
     work = partial(_fit, name, spec.make_fitter(), footage, spec.device)
     folder = shared / FITS / fit.label / fit.fold.name
-    return UnitJob(name, folder, _identity(capture, fit, spec), work, True, fit.label, fit.fold.units)
+    return UnitJob(name, folder, _identity(capture, fit, spec), work, resumes=True, label=fit.label, units=fit.fold.units)
 
 
 def _identity(capture: Capture, fit: FitPlan, spec: FittedMethod) -> dict[str, Any]:

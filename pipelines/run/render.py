@@ -6,7 +6,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.errors import ViewRefusedError
+import numpy as np
+
+from ggvs_eval.errors import RenderError, ViewRefusedError
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.free_memory import PeakMemory
@@ -54,6 +56,8 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
     with PeakMemory() as memory:
         try:
             for (number, _, target), rendering in zip(unit.shots, spec.renderings(unit), strict=True):
+                if not np.isfinite(rendering.image).all():
+                    raise RenderError(f"{label}, frame {number}: wanted a picture of numbers, some are none")
                 write_image(frame_path(folder, number), quantise(rendering.image))
                 write_diagnostics(folder, number, rendering.diagnostics, target)
                 seconds.append(rendering.seconds)
@@ -66,7 +70,7 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
         "method": method,
         "variant": variant,
         "size": list(unit.plans[0].target.size),
-        "seconds": {stage: [frame[stage] for frame in seconds] for stage in (seconds[0] if seconds else ())},
+        "seconds": {stage: [frame.get(stage, 0.0) for frame in seconds] for stage in (seconds[0] if seconds else ())},
         "threads": get_threads(),
         "peak_bytes": memory.bytes,
         "versions": installed_versions(),

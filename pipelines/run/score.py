@@ -137,8 +137,10 @@ def _collect(
         for view, methods in records.items():
             if why := coverage.refused.get(label, {}).get(view):
                 absences += [Absence(metric, label, capture["scene"], view, why) for metric in protocol.measurement.metrics]
-            if label not in methods:  # partial renders may lack a view
-                continue
+            if label not in methods:
+                if coverage.frames(label, view):
+                    raise RenderError(f"{run.scores(view)}: wanted values of {label}, got none; score again")
+                continue  # partial renders may lack a view
             for name, frame, value in methods[label]["values"]:
                 own.append((view, frame, name, value))
                 values.setdefault(name, {}).setdefault(view, {})[frame] = value

@@ -12,10 +12,11 @@ from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose
 from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.pipelines.run.coverage import REFUSED
 from ggvs_eval.pipelines.run.path_depth import pose_file, read_path_depth
 from ggvs_eval.pipelines.run.score_code import path_code
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, write_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, require_frames, write_json
 
 PATH_VIEW = "path"  # the name in the table's column of views
 TRUTH = "truth"
@@ -40,13 +41,28 @@ def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list
 
     Returns:
         One per method; empty where there is no path, or the protocol asks for none of its measures.
+
+    Raises:
+        RenderError: pictures along the path that a method had are lost.
     """
     if not run.path_record.is_file() or not any(METRICS[name].kind == "path" for name in protocol.measurement.metrics):
         return []
-    n_poses = len(read_json(run.path_record)["cameras"])
-    rendered = [label for label in (TRUTH, *labels) if not missing_frames(run.path(label), range(n_poses))]
+    poses = path_poses(run)
+    require_frames({f"{label} along the path": run.path(label) for label in labels if lacks_path(run, label)}, poses)
+    rendered = [label for label in (TRUTH, *labels) if not missing_frames(run.path(label), poses)]
     costly = sorted(name for name in protocol.measurement.metrics if _is_costly(name))
-    return [_job(run, label, n_poses, costly) for label in rendered]
+    return [_job(run, label, len(poses), costly) for label in rendered]
+
+
+def path_poses(run: RunFolder) -> range:
+    """Numbers of the poses of the camera path; none where there is no path."""
+    return range(len(read_json(run.path_record)["cameras"]) if run.path_record.is_file() else 0)
+
+
+def lacks_path(run: RunFolder, label: str) -> bool:
+    """Tell whether a method was rendered along the path and some of it is lost; one that refused the path has no picture."""
+    record = run.path(label) / JOB_FILE
+    return record.is_file() and REFUSED not in read_json(record) and bool(missing_frames(run.path(label), path_poses(run)))
 
 
 def read_paths(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:

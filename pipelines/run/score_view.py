@@ -65,7 +65,7 @@ def view_job(
         for label in stretches
     }
     work = partial(_score_view, run, view, tuple(labels), identities, stretches, screens, protocol, options)
-    return Job(f"scores of {view}", run.scores(view), identities, work)
+    return Job(f"scores of {view}", run.scores(view), identities, work, renews=True)
 
 
 def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, Any]:
@@ -106,7 +106,8 @@ def _score_view(
 ) -> dict[str, Any]:
     """Measure stale metrics, methods with the same frames and stale metrics side by side; all other values stay."""
     record_file = run.scores(view) / JOB_FILE
-    records = read_json(record_file)["methods"] if record_file.is_file() else {}
+    before = read_json(record_file) if record_file.is_file() else {"methods": {}}
+    records = before["methods"]
     methods = {label: record for label, record in records.items() if label not in asked}
     unchecked: list[str] = []
     alike: dict[tuple[tuple[range, ...], tuple[str, ...]], list[str]] = defaultdict(list)
@@ -135,7 +136,9 @@ def _score_view(
     for label in unchecked:  # behind the metrics, which refuse frames of another size
         found = checks.check(frame_reader(run.renders(label, view)), max(stretches[label], key=len))
         methods[label]["faults"] = [asdict(finding) for finding in found]
-    return {"methods": methods}
+    stands = all(methods.get(label, {}).get("identity") == record["identity"] for label, record in records.items())
+    also = [before["sha256"], *before.get("also", ())] if records and stands else []
+    return {"methods": methods, "also": also}
 
 
 def _replaced(kept: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:

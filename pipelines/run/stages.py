@@ -16,6 +16,7 @@ from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.render import note_labels
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.pipelines.run.score import Scores, plan_scores
+from ggvs_eval.pipelines.run.score_path import lacks_path
 from ggvs_eval.run_folder import missing_frames
 
 Value = TypeVar("Value")
@@ -131,6 +132,7 @@ def _left_unfinished(plan: RunPlan) -> set[str]:
     coverage = read_coverage(run, numbers, others)
     rendered_here = [label for label in others if label not in coverage.partial and not read_import(run, label)]
     lacking = {label for label in rendered_here if any(missing_frames(run.renders(label, view), numbers) for view in views)}
+    lacking |= {label for label in rendered_here if lacks_path(run, label)}
     for label in sorted(lacking):
         words = f"its frames are incomplete, --methods {label} goes on with them"
         print(f"{run.root}: {label} left out, an earlier call did not finish it: {words}", file=sys.stderr)

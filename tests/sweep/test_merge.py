@@ -11,14 +11,15 @@ import pytest
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.run.evaluate import render
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.run.evaluate import measure, render
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.pipelines.run.work_left import work_left
 from ggvs_eval.pipelines.sweep.merging import merge as merging
 from ggvs_eval.pipelines.sweep.merging.merge import merge_runs
-from ggvs_eval.protocol import Protocol, Synthesis
+from ggvs_eval.protocol import Protocol, Stream, Synthesis
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json
 from helpers.command_line import refusal
@@ -210,3 +211,39 @@ def test_a_folder_that_exists_is_kept(runs):
 def test_one_run_is_not_merged(runs):
     """A single run needs no merging."""
     assert "at least two" in refusal("merge", runs / "out", runs / "a")
+
+
+def test_live_depth_and_fits_are_merged(demo_capture, protocol, tmp_path):
+    """The seconds of live depth and the fitted scenes of the first run that has them come along: the stream has its table."""
+    streamed = protocol.streamed(Stream(fps=1.0))
+    for name, label in zip(("a", "b"), LABELS, strict=True):
+        measure(plan_run(RunRequest(tmp_path / name, demo_capture, streamed, [label], DepthRunOptions("live"))), 1)
+        fit = tmp_path / name / "fits" / "3dgs" / "all"
+        fit.mkdir(parents=True)
+        (fit / "scene.npz").write_text(name)
+        (fit / JOB_FILE).write_text(json.dumps({"sha256": name}))
+
+    run_command(["merge", str(tmp_path / "out"), str(tmp_path / "a"), str(tmp_path / "b"), "--jobs", "1"])
+
+    for name in ("live_depth.json", "fits/3dgs/all/scene.npz"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "a" / name).read_bytes()
+    assert Results.read(tmp_path / "out").summary()["PSNR_stream"].notna().all()
+    kept = {item.name for item in (tmp_path / "a").iterdir()} - {"report"}
+    assert {item.name for item in (tmp_path / "out").iterdir()} >= kept
+
+
+def test_a_merged_run_that_cannot_be_scored_is_not_there(runs):
+    """A picture of another size is refused by name, and no folder is left: the next call can be made."""
+    for name in ("a", "b"):
+        shutil.rmtree(runs / name / "scores")
+    file = frame_path(RunFolder(runs / "b").renders("distance-based", "cam01"), 1)
+    picture = read_image(file)
+    write_image(file, picture[:-2])
+
+    message = refusal("merge", runs / "out", runs / "a", runs / "b", "--jobs", "1")
+
+    assert f"{runs / 'out'}/renders/distance-based/cam01" in message
+    assert sorted(item.name for item in runs.iterdir()) == ["a", "b"]
+    write_image(file, picture)
+    run_command(["merge", str(runs / "out"), str(runs / "a"), str(runs / "b"), "--jobs", "1"])
+    assert (runs / "out" / "results.parquet").is_file()

@@ -111,11 +111,7 @@ class DepthOptions:
 
     def _code(self) -> str:
         """Hash of the code that finds depth by this matcher, and by no other."""
-        modules = {fill_background.__module__}
-        for each in (self.matcher, self.filler) if self.filler else (self.matcher,):
-            estimator = ESTIMATORS.get(type(each), PairwiseEstimator.__module__)
-            modules |= {estimator, type(each).__module__}
-        return code_identity(__name__, STREAM, *modules, unfollowed=(__name__,))
+        return code_identity(__name__, STREAM, *modules_of(self.matcher, self.filler), unfollowed=(__name__,))
 
     def choose_partners(self, camera: Camera, candidates: Sequence[Camera], excluded: Collection[str] = ()) -> list[Camera]:
         """The cameras that a camera is matched with, see `pairing.choose_partners`."""
@@ -123,6 +119,14 @@ class DepthOptions:
         if isinstance(self.matcher, IterMvs):
             pairs, views = 0, self.matcher.partners
         return choose_partners(camera, candidates, pairs, excluded, views)
+
+
+def modules_of(*matchers: StereoMatcher | PlaneSweep | IterMvs | None) -> set[str]:
+    """Modules that find depth by some matchers, and by no others."""
+    modules = {fill_background.__module__}
+    for each in filter(None, matchers):
+        modules |= {ESTIMATORS.get(type(each), PairwiseEstimator.__module__), type(each).__module__}
+    return modules
 
 
 class Estimator(Protocol):

@@ -8,29 +8,34 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.errors import ProtocolError, ResultsError
+from ggvs_eval.errors import GgvsError, ProtocolError, ResultsError
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.jobs.ledger import JOBS_FOLDER
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, join_records
+from ggvs_eval.pipelines.run.fit import FITS
 from ggvs_eval.pipelines.sweep.merging.units import Unit, job_units, plain_units, same_unit, same_values
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 PLAIN_FOLDERS = ("truth", "depth", "disoccluded", "path/truth", "path_depth")
-JOB_FOLDERS = ("renders", "path", "path_scores", "ceilings")
+JOB_FOLDERS = ("renders", "path", "path_scores", "ceilings", FITS)
 SAME_OF_CAPTURE = ("digests", "cameras", "fps", "n_frames", "units_per_metre", "edit", "layout")
 Place = Callable[[Path, Path], None]
 
 
-def merge_runs(out: Path, roots: Sequence[Path], copy: bool = False) -> RunFolder:
+def merge_runs(
+    out: Path, roots: Sequence[Path], copy: bool = False, finish: Callable[[RunFolder], None] | None = None
+) -> RunFolder:
     """Put run folders into a new one; the old ones stay as they are.
 
     What two runs both have must be the same: captured frames, depth and masks byte by byte, renders of one job picture by
-    picture, values of one job up to rounding. The seconds of a job are those of the run that is named first.
+    picture, values of one job up to rounding. The seconds of a job, its fitted scene and those of live depth are those of the
+    run that is named first.
 
     Args:
         out: run folder to make; whole or not at all.
         roots: at least one run folder.
         copy: copy files; otherwise they are linked where the file system can, so that nothing is stored twice.
+        finish: what shall be done in the new run before it takes its place.
 
     Returns:
         The new run, which `ggvs_eval.pipelines.run.score.score` makes the table of.
@@ -52,6 +57,11 @@ def merge_runs(out: Path, roots: Sequence[Path], copy: bool = False) -> RunFolde
                 join_records([run.root / record for run in runs], temporary / record)
         _write_records(runs, temporary)
         merge_scores(runs, temporary)
+        if finish is not None:
+            try:
+                finish(RunFolder(temporary))
+            except GgvsError as error:
+                raise type(error)(str(error).replace(str(temporary), str(out))) from None
     return RunFolder(out)
 
 
@@ -67,7 +77,9 @@ def _union(units: Sequence[Unit]) -> dict[str, Unit]:
     chosen: dict[str, Unit] = {}
     for unit in units:
         original = chosen.setdefault(unit.name, unit)
-        if original is not unit and (reason := same_unit(original, unit)):
+        if original is unit or unit.name.startswith(f"{FITS}/"):  # what was rendered from a scene is compared
+            continue
+        if reason := same_unit(original, unit):
             raise ResultsError(
                 f"{original.source} and {unit.source} differ: {reason}; keep one of them, or prepare once and give truth/ and "
                 "depth/ of that run to every machine before it renders"
@@ -136,10 +148,10 @@ def _write_records(runs: Sequence[RunFolder], folder: Path) -> None:
     place_record = {"absolute": str(place), "from_run": os.path.relpath(place, folder.resolve())}
     shutil.copy2(first.protocol_file, folder / first.protocol_file.name)
     write_json(folder / "capture.json", here.capture_record() | {"place": place_record})
-    for run in runs:
-        if run.depth_record.is_file():
-            shutil.copy2(run.depth_record, folder / run.depth_record.name)
-            break
+    for record in ("depth_record", "live_depth_record"):
+        files = [file for run in runs if (file := getattr(run, record)).is_file()]
+        if files:
+            shutil.copy2(files[0], folder / files[0].name)
     write_json(folder / "methods.json", {"labels": list(dict.fromkeys(label for run in runs for label in run.labels()))})
     ledgers = [read_json(file) for run in runs if (file := run.root / JOBS_FOLDER / "render.json").is_file()]
     if ledgers:

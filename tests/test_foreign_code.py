@@ -1,0 +1,204 @@
+"""Metrics, methods and layouts of plug-ins that fail: each costs what it was to give and is named, and nothing else changes."""
+
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from ggvs_eval import plugins
+from ggvs_eval.datasets import DATASETS, detect_layout, open_capture
+from ggvs_eval.errors import CaptureError, PluginError, RenderError, ViewRefusedError
+from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.metrics.stream import score_view
+from ggvs_eval.pipelines.methods.registry import METHODS
+from ggvs_eval.pipelines.run.evaluate import measure
+from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
+from ggvs_eval.plugins import FILES, use_file
+from helpers.refusals import refused
+from helpers.scenes import camera_at, instant
+from helpers.small_runs import small_protocol, write_small_capture
+
+FAILS = {
+    "raises": "raise ValueError('no such luck')",
+    "exits": "import sys; sys.exit(3)",
+    "text": "return 'abc'",
+    "array": "return np.zeros(3)",
+    "nothing": "return None",
+    "nan": "return float('nan')",
+}
+METRIC = """
+import numpy as np
+from ggvs_eval.metrics.metric import QUALITY, ViewMetric
+
+def measured(r, t):
+    {body}
+
+METRICS = {{"X": ViewMetric(name="X", kind="frame", function=measured, higher_is_better=True, group=QUALITY, describe="x",
+                           reference="x")}}
+"""
+METHOD = """
+import numpy as np
+from ggvs_eval.method import Rendering
+
+class Mine:
+    '''Mine.'''
+    def step(self, instant):
+        {body}
+
+METHODS = {{"mine": Mine}}
+"""
+PICTURE = "np.full((instant.target.height, instant.target.width, 3), 0.5, np.float32)"
+LAYOUT = """
+from ggvs_eval.datasets import DatasetSpec
+
+def refuse(path):
+    {refuse}
+
+def load(path, units):
+    {load}
+
+DATASETS = {{"mine": DatasetSpec("mine", refuse, load)}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def forgotten(monkeypatch, tmp_path) -> Iterator[None]:
+    """No plug-in of one test is known to another."""
+    monkeypatch.setenv(FILES, "")
+    path = list(sys.path)
+    plugins._offered.cache_clear()
+    yield
+    plugins._offered.cache_clear()
+    sys.path[:] = path
+    sys.modules.pop("foreign_plugin", None)
+    for registry in (METRICS, METHODS, DATASETS):
+        registry._loaded.clear()
+
+
+@pytest.fixture
+def offer(tmp_path):
+    def write(text: str) -> None:
+        (tmp_path / "foreign_plugin.py").write_text(text)
+        use_file(tmp_path / "foreign_plugin.py")
+
+    return write
+
+
+def frames() -> list[tuple[np.ndarray, np.ndarray]]:
+    random = np.random.default_rng(0)
+    return [tuple(random.integers(0, 255, (2, 64, 64, 3), dtype=np.uint8)) for _ in range(3)]
+
+
+@pytest.mark.parametrize("kind", FAILS)
+def test_a_metric_that_fails_costs_itself(offer, kind):
+    """It is not computed, for a reason that names plug-in and metric; every other value is as without it."""
+    offer(METRIC.format(body=FAILS[kind]))
+    names = ["X", "PSNR", "TCC", "STED"]
+    with_it, without = score_view(frames(), names), score_view(frames(), names[1:])
+
+    assert with_it.values == without.values
+    assert with_it.not_computed.keys() == {"X"}
+    assert "foreign_plugin.py: metric X failed" in with_it.not_computed["X"]
+
+
+def test_a_metric_that_fails_late_has_no_values(offer):
+    """What it gave for the frames before is no value of the view."""
+    offer(METRIC.format(body="measured.n = getattr(measured, 'n', 0) + 1; return 1.0 if measured.n < 3 else 1 / 0"))
+    scores = score_view(frames(), ["X", "PSNR"])
+    assert {name for name, _, _ in scores.values} == {"PSNR"}
+    assert "ZeroDivisionError" in scores.not_computed["X"]
+
+
+@pytest.mark.parametrize("slip", ["t[...] = 0; return 1.0", "r -= t; return 1.0"])
+def test_a_metric_cannot_change_others(offer, slip):
+    """Writing into its arguments is its failure; what else is measured of these frames is as without it."""
+    offer(METRIC.format(body=slip))
+    names = ["X", "PSNR", "PSNR_moving", "TCC", "STED"]
+    with_it, without = score_view(frames(), names), score_view(frames(), names[1:])
+    assert with_it.values == without.values
+    assert "read-only" in with_it.not_computed["X"]
+
+
+def test_a_metric_that_works_is_a_number(offer):
+    """Numbers of numpy, and of Python, are values."""
+    offer(METRIC.format(body="return np.float32(r.mean() - t.mean())"))
+    scores = score_view(frames(), ["X"])
+    assert len(scores.values) == 3
+    assert all(type(value) is float for _, _, value in scores.values)
+
+
+@pytest.mark.parametrize(
+    ("body", "reason"),
+    [
+        ("raise ValueError('no such luck')", "ValueError: no such luck"),
+        ("import sys; sys.exit(3)", "SystemExit: 3"),
+        ("return 'abc'", "wanted a Rendering with an image, got str"),
+        ("return Rendering('abc')", "wanted a Rendering with an image, got str"),
+        (f"return Rendering({PICTURE}[:-1])", "wanted an image of floats"),
+        (f"return Rendering(np.nan * {PICTURE})", "not all finite"),
+        ("instant.sources[0].image[...] = 0", "read-only"),
+        ("instant.sources[0].depth[...] = 0", "read-only"),
+    ],
+)
+def test_a_method_that_fails_refuses_the_view(offer, body, reason):
+    """Whatever goes wrong in a step is a refused view that names method and instant; what it was shown is unchanged."""
+    offer(METHOD.format(body=body))
+    seen = instant(7, camera_at(0.0, name="target"), [camera_at(0.1)])
+    before = seen.sources[0].image.copy(), seen.sources[0].depth.copy()
+
+    with refused(ViewRefusedError, "method mine: failed at instant 7", reason):
+        METHODS["mine"].make().step(seen)
+
+    np.testing.assert_array_equal(seen.sources[0].image, before[0])
+    np.testing.assert_array_equal(seen.sources[0].depth, before[1])
+
+
+def test_a_method_that_cannot_be_made_is_one_line(offer):
+    """Its constructor's exception is a line with its name."""
+    offer(METHOD.format(body="pass").replace("def step", "def __init__(self):\n        1 / 0\n    def step"))
+    with refused(RenderError, "method mine: cannot be made", "ZeroDivisionError"):
+        METHODS["mine"].require()
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_without_what_failed(offer, tmp_path):
+    """A method that fails in one view and a metric that fails cost these cells; all others have their values."""
+    capture = write_small_capture(tmp_path / "room", 2)
+    body = f"if instant.target.name == 'cam01': raise ValueError('not this one')\n        return Rendering({PICTURE})"
+    text = METRIC.format(body="raise KeyError('depth')") + METHOD.format(body=body)
+    offer(text)
+    request = RunRequest(tmp_path / "run", capture, small_protocol(2, 0, ("PSNR", "X")), ("no-blending", "mine"))
+
+    results = measure(plan_run(request), 1)
+
+    views = results.table.groupby("method")["view"].unique().map(set).to_dict()
+    assert views == {"no-blending": {"cam00", "cam01"}, "mine": {"cam00"}}
+    assert "not this one" in results.provenance["partial"]["mine"]
+    assert "KeyError" in results.not_computed["X"]
+
+
+@pytest.mark.parametrize("refuse", ["raise ValueError('no such luck')", "import sys; sys.exit(3)", "return 5"])
+def test_a_layout_that_fails_to_look_is_passed_over(offer, tmp_path, refuse):
+    """Captures of other layouts are found as before, and where none fits its reason stands among the others'."""
+    offer(LAYOUT.format(refuse=refuse, load="pass"))
+    (tmp_path / "capture").mkdir()
+    (tmp_path / "capture" / "x").touch()
+    with refused(CaptureError, "not mine: plug-in layout mine: failed", "not colmap"):
+        detect_layout(tmp_path / "capture")
+
+
+@pytest.mark.parametrize("load", ["raise ValueError('no such luck')", "import sys; sys.exit(3)", "return 5"])
+def test_a_layout_that_fails_to_load_is_one_line(offer, tmp_path, load):
+    """The capture and the layout are named, with the reason."""
+    offer(LAYOUT.format(refuse="return None", load=load))
+    (tmp_path / "capture").mkdir()
+    (tmp_path / "capture" / "x").touch()
+    with refused(CaptureError, "layout mine", "capture cannot be opened"):
+        open_capture(tmp_path / "capture")
+
+
+def test_a_file_that_exits_is_one_line(offer):
+    """An exit while a plug-in is imported is named, and ends nothing."""
+    with refused(PluginError, "foreign_plugin.py: cannot be imported", "SystemExit"):
+        offer("import sys; sys.exit(3)")
