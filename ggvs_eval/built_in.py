@@ -154,6 +154,75 @@ VERBS: dict[str, Verb] = {
     ),
 }
 
+# Metrics of a view's frames, of what is derived from these, and of all views; in the order in which they are scored and listed.
+_IMAGE, _TIME, _PATH = "ggvs_eval.metrics.image", "ggvs_eval.metrics.time", "ggvs_eval.metrics.path"
+_OF_IMAGES = {
+    "PSNR": f"{_IMAGE}.psnr:PSNR",
+    "SSIM": f"{_IMAGE}.ssim_variants:SSIM",
+    "L1": f"{_IMAGE}.l1:L1",
+    "LPIPS": f"{_IMAGE}.lpips:LPIPS",
+    "PSNR_cc": f"{_IMAGE}.corrected:PSNR_CC",
+    "SSIM_cc": f"{_IMAGE}.corrected:SSIM_CC",
+    "LPIPS_cc": f"{_IMAGE}.corrected:LPIPS_CC",
+    "IV_PSNR": f"{_IMAGE}.iv_psnr:IV_PSNR",
+    "PSNR_YCbCr": f"{_IMAGE}.iv_psnr:PSNR_YCBCR",
+    "MS_SSIM": f"{_IMAGE}.ms_ssim:MS_SSIM",
+    "DSSIM1": f"{_IMAGE}.dssim:DSSIM1",
+    "DSSIM2": f"{_IMAGE}.dssim:DSSIM2",
+    "FLIP": f"{_IMAGE}.flip:FLIP",
+    "DISTS": f"{_IMAGE}.dists:DISTS",
+}
+REGIONS = ("static", "moving", "disoccluded")
+IN_PARTS = (*_OF_IMAGES, "TCC")  # that have a form for a part of the image
+ON_SCREEN = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")  # that are measured of what stands on the screen too
+VIEW_METRICS: dict[str, str | Derived] = {
+    **_OF_IMAGES,
+    **{
+        f"{name}_{region}": Derived(name, f"{_IMAGE}.regions:metric_of_part", (region,))
+        for region in REGIONS
+        for name in IN_PARTS
+    },
+    "TCC": f"{_TIME}.tcc:TCC",
+    "STED": f"{_TIME}.strred:STED",
+    "STED_ssn": f"{_TIME}.strred:STED_SSN",
+    "Flicker": f"{_TIME}.flicker:FLICKER",
+    "Flicker_excess": f"{_TIME}.flicker:FLICKER_EXCESS",
+    "SDT": f"{_TIME}.deviations:SDT",
+    "SDV": f"{_TIME}.deviations:SDV",
+    "VMAF_v0": f"{_TIME}.vmaf:VMAF_V0",
+    "VMAF_v1": f"{_TIME}.vmaf:VMAF_V1",
+    "CVVDP": f"{_TIME}.colour_video_vdp:CVVDP",
+    **{f"{name}_stream": Derived(name, f"{_TIME}.on_screen:metric_on_screen") for name in ON_SCREEN},
+    "mTV": f"{_TIME}.temporal_variation:MTV",
+    "Sharpness": f"{_IMAGE}.sharpness:SHARPNESS",
+    "mTV2": f"{_TIME}.temporal_variation:MTV2",
+}
+PATH_METRICS = {
+    "EPI_coherence": f"{_PATH}.epi_coherence:EPI_COHERENCE",
+    "EPI_line_texture": f"{_PATH}.epi_coherence:EPI_LINE_TEXTURE",
+    "EPI_slope_error": f"{_PATH}.epi_slope:EPI_SLOPE_ERROR",
+    "EPI_slope_agreeing": f"{_PATH}.epi_slope:EPI_SLOPE_AGREEING",
+    "reprojection": f"{_PATH}.reprojection:REPROJECTION",
+    "reprojection_visible": f"{_PATH}.reprojection:REPROJECTION_VISIBLE",
+    "E_warp": f"{_PATH}.warping_error:E_WARP",
+    "path_sharpness": f"{_PATH}.warping_error:PATH_SHARPNESS",
+    "switch_ratio": f"{_PATH}.view_switch:SWITCH_RATIO",
+    "switch_excess": f"{_PATH}.view_switch:SWITCH_EXCESS",
+    "COLMAP_registered": f"{_PATH}.colmap_consistency:COLMAP_REGISTERED",
+    "COLMAP_track_length": f"{_PATH}.colmap_consistency:COLMAP_TRACK_LENGTH",
+    "COLMAP_matches": f"{_PATH}.colmap_consistency:COLMAP_MATCHES",
+    "SGC_rotation": f"{_PATH}.spatial_consistency:SGC_ROTATION",
+    "SGC_translation": f"{_PATH}.spatial_consistency:SGC_TRANSLATION",
+}
+DEPTH_METRICS = {
+    "depth_mTV": f"{_TIME}.depth_variation:DEPTH_MTV",
+    "depth_Sharpness": f"{_TIME}.depth_variation:DEPTH_SHARPNESS",
+    "depth_mTV2": f"{_TIME}.depth_variation:DEPTH_MTV2",
+    "depth_blinking": f"{_TIME}.depth_variation:DEPTH_BLINKING",
+}
+METRICS_OF_VIDEOS = ("mTV", "Sharpness", "mTV2")  # that have a form without truth
+METRICS_WITH_CEILING = ("PSNR", "SSIM", "TCC", "STED")  # that perfect renderings are scored with
+
 # The online step and training samples where another device computes them.
 DEVICE_STEPS = {"warp": "ggvs_eval.contrib.warp.step:DeviceGuided"}
 DEVICE_SAMPLES = {"warp": "ggvs_eval.contrib.warp.sampling:sampled_maps"}

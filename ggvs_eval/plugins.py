@@ -55,12 +55,20 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         shipped: ``module:attribute`` of each that ships, or from what it is derived; see `ggvs_eval.built_in`. An object stands
             for itself.
         check: makes an object of what a plug-in offers; raises `TypeError` where that is of another kind.
+        absent: makes of a name and the reason what stands in for one that is not installed; without, that is an error.
     """
 
-    def __init__(self, kind: str, shipped: Mapping[str, Any], check: Callable[[str, Any], Entry] | None = None) -> None:
+    def __init__(
+        self,
+        kind: str,
+        shipped: Mapping[str, Any],
+        check: Callable[[str, Any], Entry] | None = None,
+        absent: Callable[[str, str], Entry] | None = None,
+    ) -> None:
         self.shipped = dict(shipped)
         self._kind = kind
         self._check = check
+        self._absent = absent
         self._loaded: dict[str, Entry] = {}
 
     @property
@@ -78,14 +86,16 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         """
         if name in self.shipped:
             if reason := self.why_absent(name):
-                raise AbsentPartError(reason)
+                if self._absent is None:
+                    raise AbsentPartError(reason)
+                return self._absent(name, reason)
             return self._built_in(self.shipped[name])
         if name not in self._loaded:
             self._loaded[name] = self._load(self.plugins[name])
         return self._loaded[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self.present() or name in self.plugins
+        return self.is_present(name) if name in self.shipped else name in self.plugins
 
     def __iter__(self) -> Iterator[str]:
         yield from self.present()
@@ -96,7 +106,15 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     def present(self) -> list[str]:
         """Names of what ships, in order, without what is not installed; nothing is loaded."""
-        return [name for name in self.shipped if not self.why_absent(name)]
+        return [name for name in self.shipped if self.is_present(name)]
+
+    def known(self) -> list[str]:
+        """Names of all, in order, those that are not installed among them."""
+        return [*self.shipped, *self.plugins]
+
+    def is_present(self, name: object) -> bool:
+        """True if a name ships and its package is there."""
+        return name in self.shipped and not self.why_absent(str(name))
 
     def built_in(self) -> dict[str, Entry]:
         """What ships by name, loaded."""

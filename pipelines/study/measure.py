@@ -60,7 +60,7 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
         )
     if named and ALL not in names:
         return tuple(named)
-    whole = [name for name, metric in METRICS.shipped.items() if metric.group not in (REGION, STREAM)]
+    whole = [name for name, metric in METRICS.built_in().items() if metric.group not in (REGION, STREAM)]
     return tuple(dict.fromkeys([*(name for name in whole if ALL in names or name not in COSTLY), *named]))
 
 
