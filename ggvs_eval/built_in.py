@@ -154,6 +154,28 @@ VERBS: dict[str, Verb] = {
     ),
 }
 
+# Layouts of captures, in the order in which they are tried: what is particular before what is general, plug-ins last.
+_DATASETS = "ggvs_eval.datasets"
+DATASETS = {
+    "capture.toml": f"{_DATASETS}.capture_toml:LAYOUT",
+    "d3dmv": f"{_DATASETS}.d3dmv:LAYOUT",
+    "spaces": f"{_DATASETS}.spaces:LAYOUT",
+    "immersive": f"{_DATASETS}.immersive:LAYOUT",
+    "technicolor": f"{_DATASETS}.technicolor:LAYOUT",
+    "panoptic": f"{_DATASETS}.panoptic:LAYOUT",
+    "rgbd": f"{_DATASETS}.rgbd:LAYOUT",
+    "multipleview": f"{_DATASETS}.multipleview:LAYOUT",
+    "3dgstream": f"{_DATASETS}.frame_folders:LAYOUT",
+    "dynerf": f"{_DATASETS}.dynerf:LAYOUT",
+    "meetroom": f"{_DATASETS}.meetroom:LAYOUT",
+    "enerf-outdoor": f"{_DATASETS}.easymocap:LAYOUT",
+    "colmap": f"{_DATASETS}.colmap:LAYOUT",
+    "nerfstudio": f"{_DATASETS}.nerfstudio:LAYOUT",
+    "qualisys": f"{_DATASETS}.calibration_file:QUALISYS_LAYOUT",
+    "anipose": f"{_DATASETS}.calibration_file:ANIPOSE_LAYOUT",
+    "opencv": f"{_DATASETS}.calibration_file:OPENCV_LAYOUT",
+}
+
 # Metrics of a view's frames, of what is derived from these, and of all views; in the order in which they are scored and listed.
 _IMAGE, _TIME, _PATH = "ggvs_eval.metrics.image", "ggvs_eval.metrics.time", "ggvs_eval.metrics.path"
 _OF_IMAGES = {
