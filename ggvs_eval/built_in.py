@@ -245,6 +245,10 @@ DEPTH_METRICS = {
 METRICS_OF_VIDEOS = ("mTV", "Sharpness", "mTV2")  # that have a form without truth
 METRICS_WITH_CEILING = ("PSNR", "SSIM", "TCC", "STED")  # that perfect renderings are scored with
 
+# Where jobs run beside processes of this machine, and plans of sweeps for other schedulers.
+ENGINES = {"dask": "ggvs_eval.contrib.cluster.dask_engine:run_on_dask"}
+SWEEP_PLANS = {"commands": "ggvs_eval.contrib.cluster.plan:write_commands"}
+
 # The online step and training samples where another device computes them.
 DEVICE_STEPS = {"warp": "ggvs_eval.contrib.warp.step:DeviceGuided"}
 DEVICE_SAMPLES = {"warp": "ggvs_eval.contrib.warp.sampling:sampled_maps"}

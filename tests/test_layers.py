@@ -50,7 +50,10 @@ FLOORS = (
     ("pipelines.sweep.merging", "pipelines.sweep", "pipelines.training"),
     ("pipelines.commands",),
     ("__main__", "install"),
-    ("contrib.warp",),  # what the package can do without, each part by itself
+    (
+        "contrib.cluster",
+        "contrib.warp",
+    ),  # what the package can do without, each part by itself
 )
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 

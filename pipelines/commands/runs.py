@@ -2,13 +2,14 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from ggvs_eval import built_in
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, WeightsError
 from ggvs_eval.jobs.engine import Engine
@@ -30,6 +31,7 @@ from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods, weights_takers
 from ggvs_eval.pipelines.methods.splats import named_splats, splats_notes
 from ggvs_eval.pipelines.run.run_plan import RunPlan
+from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Protocol
 
 if TYPE_CHECKING:  # they import pandas
@@ -43,6 +45,7 @@ Running = tyro.conf.OmitArgPrefixes[Engine]
 HERE = Engine()
 USUAL_METHODS = usual_methods()
 NO_SPLATS: Mapping[str, Path] = {}
+PLANS: Registry[Any] = Registry("plans of sweeps", built_in.SWEEP_PLANS)
 
 
 def prepare(
@@ -265,7 +268,6 @@ def sweep(
         dry_run: only print the plan: the work that is left, the disk space that it needs, and the time where it is known.
     """
     from ggvs_eval.jobs.shard import Shard
-    from ggvs_eval.pipelines.sweep.plan import flags, write_commands
     from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
     from ggvs_eval.sweep import load_sweep
 
@@ -279,11 +281,11 @@ def sweep(
         raise ProtocolError(f"wanted captures whose folders differ in name, got {', '.join(map(str, capture))}; rename one")
     starts = {folder if len(opened) > 1 else "": (each, _protocol(protocol, each)) for folder, each in opened.items()}
     if plan:
-        options = [*flags(reading, CAPTURE_DEFAULTS), *flags(depth, DEPTH_DEFAULTS), *flags(engine, HERE)]
+        options = [*_flags(reading, CAPTURE_DEFAULTS), *_flags(depth, DEPTH_DEFAULTS), *_flags(engine, HERE)]
         chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
         chosen += ["--device", device] if device != "cpu" else []
         command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
-        print(write_commands(plan, engine.place(out), starts, definition, networks, command))
+        print(PLANS["commands"](plan, engine.place(out), starts, definition, networks, command))
         return
     planned = plan_cells(engine.place(out), starts, definition, depth, networks, part)
     print_plan(planned.plans, engine.jobs, engine.place(out), dry_run)
@@ -307,6 +309,22 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     from ggvs_eval.jobs.status import describe_status
 
     print(describe_status(folder))
+
+
+def _flags(options: Any, default: Any) -> list[str]:
+    """A frozen dataclass of options as words of the command line; only what differs from its defaults.
+
+    Args:
+        options: values that are truth values, numbers, texts, paths or None.
+    """
+    words: list[str] = []
+    for field in fields(options):
+        value, usual = getattr(options, field.name), getattr(default, field.name)
+        name = field.name.replace("_", "-")
+        if value == usual:
+            continue
+        words += ["--" + ("" if value else "no-") + name] if isinstance(usual, bool) else [f"--{name}", str(value)]
+    return words
 
 
 def _end_with(failures: tuple[Failure, ...], rest: str = "the rest is done, the same call tries only these again") -> None:
