@@ -143,7 +143,7 @@ VERBS: dict[str, Verb] = {
         LIVE,
     ),
     "export": Verb(
-        f"{VERBS_ROOM}.export:export",
+        "ggvs_eval.contrib.export.command:export",
         "Write 3D Gaussians, one cloud or a sequence, as one .glb that viewers open and play (glTF, KHR_gaussian_splatting).",
         LIVE,
     ),
@@ -248,6 +248,10 @@ METRICS_WITH_CEILING = ("PSNR", "SSIM", "TCC", "STED")  # that perfect rendering
 # Where jobs run beside processes of this machine, and plans of sweeps for other schedulers.
 ENGINES = {"dask": "ggvs_eval.contrib.cluster.dask_engine:run_on_dask"}
 SWEEP_PLANS = {"commands": "ggvs_eval.contrib.cluster.plan:write_commands"}
+
+# Files of Gaussians by the endings of their names, beside .ply; and trackers of experiments that results are written for.
+SPLAT_FILES = {".glb": "ggvs_eval.contrib.export.gltf_reading:GLB"}
+TRACKERS = {name: "ggvs_eval.contrib.export.tracking:track_results" for name in ("tensorboard", "mlflow", "wandb")}
 
 # The online step and training samples where another device computes them.
 DEVICE_STEPS = {"warp": "ggvs_eval.contrib.warp.step:DeviceGuided"}

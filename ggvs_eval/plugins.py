@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, Literal, TypeVar, get_args
@@ -194,7 +195,7 @@ def missing_part(module: str) -> str | None:
     above = module.rpartition(".")[0]
     if above and (part := missing_part(above)):
         return part
-    return None if importlib.util.find_spec(module) else module
+    return None if find_spec(module) else module
 
 
 @cache

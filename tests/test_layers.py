@@ -34,7 +34,7 @@ FLOORS = (
     ("reports.figures", "reports.tables", "reports.depth_page"),
     ("reports.run_groups",),
     ("reports.page",),
-    ("reports.report", "reports.tracking"),
+    ("reports.report",),
     (
         *("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.itermvs", "pipelines.offline.plane_sweep"),
         "pipelines.offline.calibration",
@@ -52,6 +52,7 @@ FLOORS = (
     ("__main__", "install"),
     (
         "contrib.cluster",
+        "contrib.export",
         "contrib.warp",
     ),  # what the package can do without, each part by itself
 )
