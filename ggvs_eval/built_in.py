@@ -128,7 +128,7 @@ VERBS: dict[str, Verb] = {
         FRAMES,
     ),
     "metric-study": Verb(
-        f"{VERBS_ROOM}.study:metric_study",
+        "ggvs_eval.contrib.study.command:metric_study",
         "Plant degradations of known strength in true frames, and find out which metric sees which and what it is blind to.",
         FRAMES,
     ),

@@ -45,7 +45,7 @@ FLOORS = (
     ("pipelines.offline.export", "pipelines.inspection"),
     ("pipelines.inspection.capture", "pipelines.inspection.renders", "pipelines.training.samples"),
     ("pipelines.run", "pipelines.training.blend", "pipelines.training.stereo"),
-    ("pipelines.play", "pipelines.study"),
+    ("pipelines.play",),
     ("pipelines.view",),
     ("pipelines.sweep.merging", "pipelines.sweep", "pipelines.training"),
     ("pipelines.commands",),
@@ -53,6 +53,7 @@ FLOORS = (
     (
         "contrib.cluster",
         "contrib.export",
+        "contrib.study",
         "contrib.warp",
     ),  # what the package can do without, each part by itself
 )
@@ -67,7 +68,7 @@ FORBIDDEN = {
     "pipelines": ("reports",),
 }
 MAY_START_REPORTS = {
-    *("pipelines.commands.figures", "pipelines.commands.steadiness", "pipelines.commands.study"),
+    *("pipelines.commands.figures", "pipelines.commands.steadiness"),
     *("pipelines.run.evaluate", "pipelines.run.depth_outputs"),
 }
 
