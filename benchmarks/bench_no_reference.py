@@ -16,7 +16,7 @@ from ggvs_eval.metrics.image.regions import moving_mask
 from ggvs_eval.metrics.image.sharpness import sharpness
 from ggvs_eval.metrics.path.colmap_consistency import colmap_consistency
 from ggvs_eval.metrics.path.warping_error import warping_error
-from ggvs_eval.metrics.series_scores import OF_DEPTHS
+from ggvs_eval.metrics.series_scores import series_of_depths
 from ggvs_eval.metrics.time.temporal_variation import mtv, mtv2
 
 COMMAND = "python -m benchmarks.bench_no_reference"
@@ -42,7 +42,7 @@ def measure() -> dict[str, Figure]:
         "e_warp": (lambda: warping_error(poses), 1, RUNS),
         "colmap": (lambda: colmap_consistency(_views()), VIEWS, 1),
     }
-    for name, series in OF_DEPTHS.items():
+    for name, series in series_of_depths().items():
         calls[name.lower()] = (lambda series=series: series.function(depths[: series.n_frames], None), 1, RUNS)
     return {
         f"metrics.{name}_ms": time_figure([elapsed_ms(call) for _ in range(times)], frames) | {"command": COMMAND}

@@ -41,10 +41,9 @@ from result_tables import (
     views_table,
 )
 
-from ggvs_eval.errors import ResultsError
-from ggvs_eval.reports.figures.study_figure import draw_study
-from ggvs_eval.reports.model.metric_study import STUDY_FILE, Study, read_study
-from ggvs_eval.reports.tables.study_tables import (
+from ggvs_eval.contrib.study.metric_study import STUDY_FILE, Study, read_study
+from ggvs_eval.contrib.study.study_figure import draw_study
+from ggvs_eval.contrib.study.study_tables import (
     absence_list,
     by_ladder_table,
     correlation_table,
@@ -52,6 +51,7 @@ from ggvs_eval.reports.tables.study_tables import (
     sensitivity_table,
     verdict_table,
 )
+from ggvs_eval.errors import ResultsError
 
 README, RESULTS, PEERS = ROOT / "README.md", ROOT / "docs" / "results.md", ROOT / "docs" / "baselines.md"
 MEASURED, BENCH = ROOT / "docs" / "measurements.md", ROOT / "benchmarks" / "RESULTS.md"

@@ -282,13 +282,13 @@ MEASUREMENTS = {
             "metric_study",
             ("ggvs-eval metric-study out/metric_study --metrics all",),
             30,
-            sources=("pipelines/study/measure.py",),
+            sources=("contrib/study/measure.py",),
         ),
         Measurement(
             "metric_study_real",
             (f"ggvs-eval metric-study out/metric_study_real --capture {{data}}/{HOLOLENS} --metrics all",),
             30,
-            sources=("pipelines/study/measure.py",),
+            sources=("contrib/study/measure.py",),
             captures=(HOLOLENS,),
         ),
         Measurement(

@@ -3,6 +3,256 @@
 Parts of `contrib` stand here like everything else; one whose package is not there is left out.
 """
 
+from typing import Any, NamedTuple
+
+VERBS_ROOM = "ggvs_eval.pipelines.commands"
+
+
+class Derived(NamedTuple):
+    """An entry that is made of another one of its table when it is asked for.
+
+    Attributes:
+        base: name of the other one.
+        make: ``module:function`` of that one and of what is given.
+        given: its further arguments.
+    """
+
+    base: str
+    make: str
+    given: tuple[Any, ...] = ()
+
+
+class Verb(NamedTuple):
+    """A verb of the command line.
+
+    Attributes:
+        target: its function, or the table of its subcommands, as ``module:attribute``.
+        about: the first line of its help.
+        group: heading under which the overview lists it.
+    """
+
+    target: str
+    about: str
+    group: str
+
+
+CAPTURES, RUNS, RESULTS, FRAMES, LIVE = "captures", "runs", "results", "frames and metrics", "live views, splats and networks"
+
+# In the order of the overview.
+VERBS: dict[str, Verb] = {
+    "demo": Verb(
+        f"{VERBS_ROOM}.captures:demo",
+        "Write the demo capture: a procedural dynamic room in the layout of a data set, with exact depth beside it.",
+        CAPTURES,
+    ),
+    "get": Verb(
+        f"{VERBS_ROOM}.captures:get",
+        "Fetch a public capture from where its authors publish it; its name then serves as --capture.",
+        CAPTURES,
+    ),
+    "check": Verb(
+        f"{VERBS_ROOM}.captures:check",
+        "Look for what would spoil results: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.",
+        CAPTURES,
+    ),
+    "calibrate": Verb(
+        f"{VERBS_ROOM}.captures:calibrate",
+        "Find the cameras of a fixed rig from one instant, with COLMAP, and write them as a capture that every verb reads.",
+        CAPTURES,
+    ),
+    "undistort": Verb(
+        f"{VERBS_ROOM}.captures:undistort",
+        "Write raw videos of known lenses as pinhole videos, with the new intrinsics beside them for `calibrate`.",
+        CAPTURES,
+    ),
+    "protocol": Verb(
+        f"{VERBS_ROOM}.captures:protocol",
+        "Propose a protocol for a capture, and say of every camera why it is held out as a test view or not.",
+        CAPTURES,
+    ),
+    "prepare": Verb(
+        f"{VERBS_ROOM}.runs:prepare",
+        "Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page.",
+        RUNS,
+    ),
+    "render": Verb(f"{VERBS_ROOM}.runs:render", "Synthesise every test view of a prepared run by each method.", RUNS),
+    "score": Verb(
+        f"{VERBS_ROOM}.runs:score",
+        "Measure all renders of a run, and frames that others rendered, under one protocol.",
+        RUNS,
+    ),
+    "merge": Verb(
+        f"{VERBS_ROOM}.merge:merge",
+        "Put run folders of one capture and protocol, made on several machines, into a new one, and make its table.",
+        RUNS,
+    ),
+    "run": Verb(
+        f"{VERBS_ROOM}.runs:run",
+        "Do it all: prepare, render, score, report. A second call does only what is missing.",
+        RUNS,
+    ),
+    "sweep": Verb(
+        f"{VERBS_ROOM}.runs:sweep",
+        "Evaluate every row of a sweep under each of its variants and print one table of all.",
+        RUNS,
+    ),
+    "status": Verb(
+        f"{VERBS_ROOM}.runs:status",
+        "Tell what of a run or a sweep is done, running, failed and missing, and how large it is. May be asked while it runs.",
+        RUNS,
+    ),
+    "report": Verb(
+        f"{VERBS_ROOM}.figures:report",
+        "Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and figures of scored runs.",
+        RESULTS,
+    ),
+    "figure": Verb(
+        f"{VERBS_ROOM}.figures:figure", "Draw a figure for a paper, labelled, every method beside the truth.", RESULTS
+    ),
+    "compare": Verb(
+        f"{VERBS_ROOM}.figures:compare",
+        "Say what differs between two runs, method by method, or between two methods of a run, and whether that is significant.",
+        RESULTS,
+    ),
+    "doctor": Verb(
+        f"{VERBS_ROOM}.renders:doctor", "Find what is wrong with rendered frames before their numbers are believed.", FRAMES
+    ),
+    "explain": Verb(
+        f"{VERBS_ROOM}.renders:explain",
+        "Recompute a number under every convention in use and say which one gives a quoted value, if any does.",
+        FRAMES,
+    ),
+    "steadiness": Verb(
+        f"{VERBS_ROOM}.steadiness:steadiness",
+        "Measure how steady videos or depth maps are over time, without any truth, and how sharp, since blur is steady too.",
+        FRAMES,
+    ),
+    "metric-study": Verb(
+        "ggvs_eval.contrib.study.command:metric_study",
+        "Plant degradations of known strength in true frames, and find out which metric sees which and what it is blind to.",
+        FRAMES,
+    ),
+    "play": Verb(
+        f"{VERBS_ROOM}.play:play",
+        "Synthesise the view of a camera that goes round between the cameras of a rig into a video, and tell how fast.",
+        LIVE,
+    ),
+    "view": Verb(
+        f"{VERBS_ROOM}.play:view",
+        "Look at a scene in the browser: drag the camera, and a method renders what it sees while time plays or stands.",
+        LIVE,
+    ),
+    "export": Verb(
+        "ggvs_eval.contrib.export.command:export",
+        "Write 3D Gaussians, one cloud or a sequence, as one .glb that viewers open and play (glTF, KHR_gaussian_splatting).",
+        LIVE,
+    ),
+    "train": Verb(
+        f"{VERBS_ROOM}.training:TRAININGS",
+        "Train a network of this package; a second call goes on where the first one stopped.",
+        LIVE,
+    ),
+}
+
+# Layouts of captures, in the order in which they are tried: what is particular before what is general, plug-ins last.
+_DATASETS = "ggvs_eval.datasets"
+DATASETS = {
+    "capture.toml": f"{_DATASETS}.capture_toml:LAYOUT",
+    "d3dmv": f"{_DATASETS}.d3dmv:LAYOUT",
+    "spaces": f"{_DATASETS}.spaces:LAYOUT",
+    "immersive": f"{_DATASETS}.immersive:LAYOUT",
+    "technicolor": f"{_DATASETS}.technicolor:LAYOUT",
+    "panoptic": f"{_DATASETS}.panoptic:LAYOUT",
+    "rgbd": f"{_DATASETS}.rgbd:LAYOUT",
+    "multipleview": f"{_DATASETS}.multipleview:LAYOUT",
+    "3dgstream": f"{_DATASETS}.frame_folders:LAYOUT",
+    "dynerf": f"{_DATASETS}.dynerf:LAYOUT",
+    "meetroom": f"{_DATASETS}.meetroom:LAYOUT",
+    "enerf-outdoor": f"{_DATASETS}.easymocap:LAYOUT",
+    "colmap": f"{_DATASETS}.colmap:LAYOUT",
+    "nerfstudio": f"{_DATASETS}.nerfstudio:LAYOUT",
+    "qualisys": f"{_DATASETS}.calibration_file:QUALISYS_LAYOUT",
+    "anipose": f"{_DATASETS}.calibration_file:ANIPOSE_LAYOUT",
+    "opencv": f"{_DATASETS}.calibration_file:OPENCV_LAYOUT",
+}
+
+# Metrics of a view's frames, of what is derived from these, and of all views; in the order in which they are scored and listed.
+_IMAGE, _TIME, _PATH = "ggvs_eval.metrics.image", "ggvs_eval.metrics.time", "ggvs_eval.metrics.path"
+_OF_IMAGES = {
+    "PSNR": f"{_IMAGE}.psnr:PSNR",
+    "SSIM": f"{_IMAGE}.ssim_variants:SSIM",
+    "L1": f"{_IMAGE}.l1:L1",
+    "LPIPS": f"{_IMAGE}.lpips:LPIPS",
+    "PSNR_cc": f"{_IMAGE}.corrected:PSNR_CC",
+    "SSIM_cc": f"{_IMAGE}.corrected:SSIM_CC",
+    "LPIPS_cc": f"{_IMAGE}.corrected:LPIPS_CC",
+    "IV_PSNR": f"{_IMAGE}.iv_psnr:IV_PSNR",
+    "PSNR_YCbCr": f"{_IMAGE}.iv_psnr:PSNR_YCBCR",
+    "MS_SSIM": f"{_IMAGE}.ms_ssim:MS_SSIM",
+    "DSSIM1": f"{_IMAGE}.dssim:DSSIM1",
+    "DSSIM2": f"{_IMAGE}.dssim:DSSIM2",
+    "FLIP": f"{_IMAGE}.flip:FLIP",
+    "DISTS": f"{_IMAGE}.dists:DISTS",
+}
+REGIONS = ("static", "moving", "disoccluded")
+IN_PARTS = (*_OF_IMAGES, "TCC")  # that have a form for a part of the image
+ON_SCREEN = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")  # that are measured of what stands on the screen too
+VIEW_METRICS: dict[str, str | Derived] = {
+    **_OF_IMAGES,
+    **{
+        f"{name}_{region}": Derived(name, f"{_IMAGE}.regions:metric_of_part", (region,))
+        for region in REGIONS
+        for name in IN_PARTS
+    },
+    "TCC": f"{_TIME}.tcc:TCC",
+    "STED": f"{_TIME}.strred:STED",
+    "STED_ssn": f"{_TIME}.strred:STED_SSN",
+    "Flicker": f"{_TIME}.flicker:FLICKER",
+    "Flicker_excess": f"{_TIME}.flicker:FLICKER_EXCESS",
+    "SDT": f"{_TIME}.deviations:SDT",
+    "SDV": f"{_TIME}.deviations:SDV",
+    "VMAF_v0": f"{_TIME}.vmaf:VMAF_V0",
+    "VMAF_v1": f"{_TIME}.vmaf:VMAF_V1",
+    "CVVDP": f"{_TIME}.colour_video_vdp:CVVDP",
+    **{f"{name}_stream": Derived(name, f"{_TIME}.on_screen:metric_on_screen") for name in ON_SCREEN},
+    "mTV": f"{_TIME}.temporal_variation:MTV",
+    "Sharpness": f"{_IMAGE}.sharpness:SHARPNESS",
+    "mTV2": f"{_TIME}.temporal_variation:MTV2",
+}
+PATH_METRICS = {
+    "EPI_coherence": f"{_PATH}.epi_coherence:EPI_COHERENCE",
+    "EPI_line_texture": f"{_PATH}.epi_coherence:EPI_LINE_TEXTURE",
+    "EPI_slope_error": f"{_PATH}.epi_slope:EPI_SLOPE_ERROR",
+    "EPI_slope_agreeing": f"{_PATH}.epi_slope:EPI_SLOPE_AGREEING",
+    "reprojection": f"{_PATH}.reprojection:REPROJECTION",
+    "reprojection_visible": f"{_PATH}.reprojection:REPROJECTION_VISIBLE",
+    "E_warp": f"{_PATH}.warping_error:E_WARP",
+    "path_sharpness": f"{_PATH}.warping_error:PATH_SHARPNESS",
+    "switch_ratio": f"{_PATH}.view_switch:SWITCH_RATIO",
+    "switch_excess": f"{_PATH}.view_switch:SWITCH_EXCESS",
+    "COLMAP_registered": f"{_PATH}.colmap_consistency:COLMAP_REGISTERED",
+    "COLMAP_track_length": f"{_PATH}.colmap_consistency:COLMAP_TRACK_LENGTH",
+    "COLMAP_matches": f"{_PATH}.colmap_consistency:COLMAP_MATCHES",
+    "SGC_rotation": f"{_PATH}.spatial_consistency:SGC_ROTATION",
+    "SGC_translation": f"{_PATH}.spatial_consistency:SGC_TRANSLATION",
+}
+DEPTH_METRICS = {
+    "depth_mTV": f"{_TIME}.depth_variation:DEPTH_MTV",
+    "depth_Sharpness": f"{_TIME}.depth_variation:DEPTH_SHARPNESS",
+    "depth_mTV2": f"{_TIME}.depth_variation:DEPTH_MTV2",
+    "depth_blinking": f"{_TIME}.depth_variation:DEPTH_BLINKING",
+}
+METRICS_OF_VIDEOS = ("mTV", "Sharpness", "mTV2")  # that have a form without truth
+METRICS_WITH_CEILING = ("PSNR", "SSIM", "TCC", "STED")  # that perfect renderings are scored with
+
+# Where jobs run beside processes of this machine, and plans of sweeps for other schedulers.
+ENGINES = {"dask": "ggvs_eval.contrib.cluster.dask_engine:run_on_dask"}
+SWEEP_PLANS = {"commands": "ggvs_eval.contrib.cluster.plan:write_commands"}
+
+# Files of Gaussians by the endings of their names, beside .ply; and trackers of experiments that results are written for.
+SPLAT_FILES = {".glb": "ggvs_eval.contrib.export.gltf_reading:GLB"}
+TRACKERS = {name: "ggvs_eval.contrib.export.tracking:track_results" for name in ("tensorboard", "mlflow", "wandb")}
+
 # The online step, the finish of found depth, and training samples, where another device computes them.
 DEVICE_STEPS = {"warp": "ggvs_eval.contrib.warp.step:DeviceGuided"}
 DEVICE_FINISHES = {"warp": "ggvs_eval.contrib.warp.depth:finish_maps"}

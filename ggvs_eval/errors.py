@@ -81,6 +81,10 @@ class PluginError(GgvsError):
     """A plug-in that cannot be used."""
 
 
+class AbsentPartError(GgvsError):
+    """A part of the package that was asked for is not installed."""
+
+
 class ResultsError(GgvsError):
     """Results are absent, or two results that do not belong in one table."""
 

@@ -18,11 +18,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, Literal, TypeVar, get_args
 
-from ggvs_eval.errors import GgvsError, PluginError
+from ggvs_eval.built_in import Derived
+from ggvs_eval.errors import AbsentPartError, GgvsError, PluginError
 
 Kind = Literal["metrics", "methods", "datasets"]
 FILES = "GGVS_EVAL_PLUGINS"  # environment variable of plug-in files, which worker processes inherit
@@ -45,47 +47,97 @@ class Plugin:
 
 
 class Registry(Mapping[str, Entry], Generic[Entry]):
-    """Objects of one kind by name: those that ship, and those of plug-ins, which are imported when they are asked for.
+    """Objects of one kind by name: those that ship and those of plug-ins, each imported when it is asked for by its name.
+
+    What ships in a package that is not installed is left out; asked for, it is an error that names the package.
 
     Args:
-        kind: of the objects.
-        shipped: those of this package.
+        kind: of the objects; one of `Kind` has plug-ins too.
+        shipped: ``module:attribute`` of each that ships, or from what it is derived; see `ggvs_eval.built_in`. An object stands
+            for itself.
         check: makes an object of what a plug-in offers; raises `TypeError` where that is of another kind.
+        absent: makes of a name and the reason what stands in for one that is not installed; without, that is an error.
     """
 
-    def __init__(self, kind: Kind, shipped: Mapping[str, Entry], check: Callable[[str, Any], Entry]) -> None:
-        self.shipped = shipped
-        self._kind: Kind = kind
+    def __init__(
+        self,
+        kind: str,
+        shipped: Mapping[str, Any],
+        check: Callable[[str, Any], Entry] | None = None,
+        absent: Callable[[str, str], Entry] | None = None,
+    ) -> None:
+        self.shipped = dict(shipped)
+        self._kind = kind
         self._check = check
+        self._absent = absent
         self._loaded: dict[str, Entry] = {}
 
     @property
     def plugins(self) -> dict[str, Plugin]:
         """Entries under names of their own; a name that is taken is reported once."""
-        return _offered(self._kind, frozenset(self.shipped))
+        return _offered(self._kind, frozenset(self.shipped)) if self._kind in get_args(Kind) else {}
 
     def __getitem__(self, name: str) -> Entry:
         """The object of a name.
 
         Raises:
             KeyError: no such name.
+            AbsentPartError: it ships with a package that is not installed.
             PluginError: its plug-in cannot be imported, or offers something else.
         """
         if name in self.shipped:
-            return self.shipped[name]
+            if reason := self.why_absent(name):
+                if self._absent is None:
+                    raise AbsentPartError(reason)
+                return self._absent(name, reason)
+            return self._built_in(self.shipped[name])
         if name not in self._loaded:
             self._loaded[name] = self._load(self.plugins[name])
         return self._loaded[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in self.shipped or name in self.plugins
+        return self.is_present(name) if name in self.shipped else name in self.plugins
 
     def __iter__(self) -> Iterator[str]:
-        yield from self.shipped
+        yield from self.present()
         yield from self.plugins
 
     def __len__(self) -> int:
-        return len(self.shipped) + len(self.plugins)
+        return len(self.present()) + len(self.plugins)
+
+    def present(self) -> list[str]:
+        """Names of what ships, in order, without what is not installed; nothing is loaded."""
+        return [name for name in self.shipped if self.is_present(name)]
+
+    def known(self) -> list[str]:
+        """Names of all, in order, those that are not installed among them."""
+        return [*self.shipped, *self.plugins]
+
+    def is_present(self, name: object) -> bool:
+        """True if a name ships and its package is there."""
+        return name in self.shipped and not self.why_absent(str(name))
+
+    def built_in(self) -> dict[str, Entry]:
+        """What ships by name, loaded."""
+        return {name: self[name] for name in self.present()}
+
+    def why_absent(self, name: str) -> str:
+        """The reason why a name that ships is not there, in a line; empty where it is there, or does not ship."""
+        module = self.root(name) if name in self.shipped else None
+        part = module and missing_part(module)
+        return f"{name} is part of {part}, which is not installed; reinstall ggvs-eval or leave it out" if part else ""
+
+    def root(self, name: str) -> str | None:
+        """The module that an entry that ships is loaded from, for the identity of its code; None of an object."""
+        entry = self.shipped[name]
+        if isinstance(entry, Derived):
+            return self.root(entry.base)
+        return entry.partition(":")[0] if isinstance(entry, str) else None
+
+    def _built_in(self, entry: Any) -> Any:
+        if isinstance(entry, Derived):
+            return _derived(entry.make, self._built_in(self.shipped[entry.base]), entry.given)
+        return pkgutil.resolve_name(entry) if isinstance(entry, str) else entry
 
     def working(self) -> Iterator[tuple[str, Entry]]:
         """Every name with its object, without plug-ins that do not work, of which a line says so."""
@@ -101,7 +153,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     def _load(self, plugin: Plugin) -> Entry:
         with foreign(f"{plugin.origin}: {self._kind} {plugin.name!r} cannot be used"):
-            return self._check(plugin.name, plugin.load())
+            return self._check(plugin.name, plugin.load()) if self._check else plugin.load()
 
 
 @contextmanager
@@ -139,13 +191,18 @@ def use_file(path: Path) -> None:
     _offered.cache_clear()
 
 
-def module_of(reference: str) -> str | None:
-    """Module of ``module:name``; None where it is not installed, as a part of `contrib` that was taken away."""
-    module = reference.partition(":")[0]
-    try:
-        return module if importlib.util.find_spec(module) else None
-    except ModuleNotFoundError:  # a package above it is not there
-        return None
+@cache
+def missing_part(module: str) -> str | None:
+    """The outermost package of a dotted name that is not installed, or the module itself; None where it is there."""
+    above = module.rpartition(".")[0]
+    if above and (part := missing_part(above)):
+        return part
+    return None if find_spec(module) else module
+
+
+@cache
+def _derived(make: str, base: Any, given: tuple[Any, ...]) -> Any:
+    return pkgutil.resolve_name(make)(base, *given)
 
 
 def imported(reference: str) -> Any:
@@ -178,7 +235,7 @@ def plugin_digest(module: str) -> str:
 
 
 @cache
-def _offered(kind: Kind, taken: frozenset[str]) -> dict[str, Plugin]:
+def _offered(kind: str, taken: frozenset[str]) -> dict[str, Plugin]:
     offered: dict[str, Plugin] = {}
     for plugin in (*_of_packages(kind), *_of_files(kind)):
         if plugin.name in taken or plugin.name in offered:
@@ -188,13 +245,13 @@ def _offered(kind: Kind, taken: frozenset[str]) -> dict[str, Plugin]:
     return offered
 
 
-def _of_packages(kind: Kind) -> Iterator[Plugin]:
+def _of_packages(kind: str) -> Iterator[Plugin]:
     for entry in sorted(entry_points(group=f"ggvs_eval.{kind}"), key=lambda entry: entry.name):
         version = f"{entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
         yield Plugin(entry.name, version, entry.load)
 
 
-def _of_files(kind: Kind) -> Iterator[Plugin]:
+def _of_files(kind: str) -> Iterator[Plugin]:
     for file in filter(None, os.environ.get(FILES, "").split(os.pathsep)):
         table = getattr(_module_of(Path(file)), kind.upper(), {})
         for name in table:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from ggvs_eval.built_in import PATH_METRICS
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.metric import Value
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathOptions, PathPose, PathScorer, RenderedPath
@@ -65,7 +66,8 @@ def score_path(poses: Iterable[PathPose], options: PathOptions | None = None, me
 
 def measured_on_path(names: Collection[str]) -> list[PathMetric]:
     """List the metrics of a path that are measured: those that take no time, and of the others those that are named."""
-    known = [*METRICS.shipped.values(), *(METRICS[name] for name in names if name not in METRICS.shipped)]
+    shipped = [METRICS[name] for name in PATH_METRICS if METRICS.is_present(name)]
+    known = [*shipped, *(METRICS[name] for name in names if name not in PATH_METRICS)]
     of_paths = [metric for metric in known if isinstance(metric, PathMetric)]
     return [metric for metric in of_paths if metric.name in names or not metric.scorer.wants_images]
 

@@ -6,20 +6,9 @@ from math import isnan
 from numbers import Real
 from typing import Any
 
+from ggvs_eval import built_in
 from ggvs_eval.arrays import Image8, read_only
 from ggvs_eval.errors import MetricError, did_you_mean
-from ggvs_eval.metrics.image.corrected import LPIPS_CC, PSNR_CC, SSIM_CC
-from ggvs_eval.metrics.image.dists import DISTS
-from ggvs_eval.metrics.image.dssim import DSSIM1, DSSIM2
-from ggvs_eval.metrics.image.flip import FLIP
-from ggvs_eval.metrics.image.iv_psnr import IV_PSNR, PSNR_YCBCR
-from ggvs_eval.metrics.image.l1 import L1
-from ggvs_eval.metrics.image.lpips import LPIPS
-from ggvs_eval.metrics.image.ms_ssim import MS_SSIM
-from ggvs_eval.metrics.image.psnr import PSNR
-from ggvs_eval.metrics.image.regions import metrics_of_parts
-from ggvs_eval.metrics.image.sharpness import SHARPNESS
-from ggvs_eval.metrics.image.ssim_variants import SSIM
 from ggvs_eval.metrics.metric import (
     ColourMap,
     DepthMetric,
@@ -34,37 +23,8 @@ from ggvs_eval.metrics.metric import (
     Value,
     ViewMetric,
 )
-from ggvs_eval.metrics.path.colmap_consistency import COLMAP_MATCHES, COLMAP_REGISTERED, COLMAP_TRACK_LENGTH
-from ggvs_eval.metrics.path.epi_coherence import EPI_COHERENCE, EPI_LINE_TEXTURE
-from ggvs_eval.metrics.path.epi_slope import EPI_SLOPE_AGREEING, EPI_SLOPE_ERROR
-from ggvs_eval.metrics.path.reprojection import REPROJECTION, REPROJECTION_VISIBLE
-from ggvs_eval.metrics.path.spatial_consistency import SGC_ROTATION, SGC_TRANSLATION
-from ggvs_eval.metrics.path.view_switch import SWITCH_EXCESS, SWITCH_RATIO
-from ggvs_eval.metrics.path.warping_error import E_WARP, PATH_SHARPNESS
-from ggvs_eval.metrics.time.colour_video_vdp import CVVDP
-from ggvs_eval.metrics.time.depth_variation import DEPTH_BLINKING, DEPTH_MTV, DEPTH_MTV2, DEPTH_SHARPNESS
-from ggvs_eval.metrics.time.deviations import SDT, SDV
-from ggvs_eval.metrics.time.flicker import FLICKER, FLICKER_EXCESS
-from ggvs_eval.metrics.time.on_screen import ScreenMetric, metrics_on_screen
-from ggvs_eval.metrics.time.strred import STED, STED_SSN
-from ggvs_eval.metrics.time.tcc import TCC
-from ggvs_eval.metrics.time.temporal_variation import MTV, MTV2
-from ggvs_eval.metrics.time.vmaf import VMAF
+from ggvs_eval.metrics.time.on_screen import ScreenMetric
 from ggvs_eval.plugins import Registry, foreign
-
-# In the order in which they are scored and listed in the results.
-_OF_IMAGES = (PSNR, SSIM, L1, LPIPS, PSNR_CC, SSIM_CC, LPIPS_CC, IV_PSNR, PSNR_YCBCR, MS_SSIM, DSSIM1, DSSIM2, FLIP, DISTS)
-_ALL: tuple[Metric, ...] = (
-    *_OF_IMAGES,
-    *metrics_of_parts((*_OF_IMAGES, TCC)),
-    *(TCC, STED, STED_SSN, FLICKER, FLICKER_EXCESS, SDT, SDV),
-    *(*VMAF, CVVDP),
-    *metrics_on_screen((PSNR, SSIM, LPIPS, TCC, STED)),
-    *(MTV, SHARPNESS, MTV2),
-    *(EPI_COHERENCE, EPI_LINE_TEXTURE, EPI_SLOPE_ERROR, EPI_SLOPE_AGREEING),
-    *(REPROJECTION, REPROJECTION_VISIBLE, E_WARP, PATH_SHARPNESS, SWITCH_RATIO, SWITCH_EXCESS),
-    *(COLMAP_REGISTERED, COLMAP_TRACK_LENGTH, COLMAP_MATCHES, SGC_ROTATION, SGC_TRANSLATION),
-)
 
 
 def _checked(name: str, metric: object) -> Metric:
@@ -110,10 +70,19 @@ class ForeignScorer:
         return measured(self.names, lambda: self._make().finish())
 
 
-METRICS: Registry[Metric] = Registry("metrics", {metric.name: metric for metric in _ALL}, _checked)
-DEPTH_METRICS: dict[str, DepthMetric] = {
-    metric.name: metric for metric in (DEPTH_MTV, DEPTH_SHARPNESS, DEPTH_MTV2, DEPTH_BLINKING)
-}
+def _not_installed(name: str, reason: str) -> Metric:
+    """What stands in for a metric whose package is not there: it is not computed, and says why."""
+
+    def refuse(*_: object) -> float:
+        raise MetricError(reason)
+
+    return ViewMetric(name=name, kind="frame", function=refuse, higher_is_better=True, describe=reason, reference="")
+
+
+METRICS: Registry[Metric] = Registry(
+    "metrics", {**built_in.VIEW_METRICS, **built_in.PATH_METRICS}, _checked, absent=_not_installed
+)
+DEPTH_METRICS: Registry[DepthMetric] = Registry("metrics of depth", built_in.DEPTH_METRICS)
 
 
 def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
@@ -134,7 +103,7 @@ def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
     for name in asked:
         if name in DEPTH_METRICS:
             raise MetricError(f"{name} is of depth videos, a protocol is of frames; measure it by `ggvs-eval steadiness --depth`")
-        if name not in METRICS:
+        if name not in METRICS and not METRICS.why_absent(name):
             raise MetricError(f"no metric {name!r}{did_you_mean(name, METRICS) or '; all are ' + ', '.join(METRICS)}")
         selected[name] = METRICS[name]
         if (beside := METRICS[name].beside) and beside not in asked:
@@ -146,7 +115,7 @@ def scored_by_view(names: Iterable[str]) -> tuple[ViewMetric, ...]:
     """Select the metrics that score the frames of a view: those asked for per view, and those that others are made of."""
     asked = select_metrics(names)
     view_names = {metric.part if isinstance(metric, TableMetric) else metric.name for metric in asked}
-    chosen = (METRICS[name] for name in METRICS if name in view_names)
+    chosen = (METRICS[name] for name in METRICS.known() if name in view_names)
     return tuple(metric for metric in chosen if isinstance(metric, ViewMetric))
 
 
@@ -228,4 +197,4 @@ def pooling_records(names: Iterable[str], options: MetricOptions) -> dict[str, d
 
 def ceiling_metrics() -> tuple[str, ...]:
     """Metrics that perfect renderings are scored with."""
-    return tuple(metric.name for metric in METRICS.shipped.values() if metric.has_ceiling)
+    return built_in.METRICS_WITH_CEILING

@@ -5,15 +5,22 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from ggvs_eval.arrays import Image8, Map, Mask
+from ggvs_eval.built_in import METRICS_OF_VIDEOS
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.metric import Series, Value, ViewMetric
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
 from ggvs_eval.metrics.stream import ViewScores
 
-OF_FRAMES: Mapping[str, Series] = {
-    name: metric.series for name, metric in METRICS.shipped.items() if isinstance(metric, ViewMetric) and metric.series
-}
-OF_DEPTHS: Mapping[str, Series] = {name: metric.series for name, metric in DEPTH_METRICS.items()}
+
+def series_of_frames() -> dict[str, Series]:
+    """The metrics of a video without truth."""
+    metrics = {name: METRICS[name] for name in METRICS_OF_VIDEOS}
+    return {name: metric.series for name, metric in metrics.items() if isinstance(metric, ViewMetric) and metric.series}
+
+
+def series_of_depths() -> dict[str, Series]:
+    """The metrics of a depth video."""
+    return {name: metric.series for name, metric in DEPTH_METRICS.items()}
 
 
 def score_frames(frames: Iterable[Image8], static: Mask | None = None) -> ViewScores:
@@ -37,7 +44,7 @@ def score_frames(frames: Iterable[Image8], static: Mask | None = None) -> ViewSc
         >>> scores.not_computed
         {'mTV2': '2 frames; needs 3'}
     """
-    return _score(frames, static, OF_FRAMES)
+    return _score(frames, static, series_of_frames())
 
 
 def score_depths(depths: Iterable[Map], static: Mask | None = None) -> ViewScores:
@@ -56,7 +63,7 @@ def score_depths(depths: Iterable[Map], static: Mask | None = None) -> ViewScore
         >>> [(name, round(value, 2)) for name, _, value in score_depths([wall, 1.02 * wall]).values if name == "depth_mTV"]
         [('depth_mTV', 1.98)]
     """
-    return _score(depths, static, OF_DEPTHS)
+    return _score(depths, static, series_of_depths())
 
 
 def mean_values(scores: ViewScores) -> dict[str, float]:

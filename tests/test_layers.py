@@ -34,7 +34,7 @@ FLOORS = (
     ("reports.figures", "reports.tables", "reports.depth_page"),
     ("reports.run_groups",),
     ("reports.page",),
-    ("reports.report", "reports.tracking"),
+    ("reports.report",),
     (
         *("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.itermvs", "pipelines.offline.plane_sweep"),
         "pipelines.offline.calibration",
@@ -45,12 +45,17 @@ FLOORS = (
     ("pipelines.offline.export", "pipelines.inspection"),
     ("pipelines.inspection.capture", "pipelines.inspection.renders", "pipelines.training.samples"),
     ("pipelines.run", "pipelines.training.blend", "pipelines.training.stereo"),
-    ("pipelines.play", "pipelines.study"),
+    ("pipelines.play",),
     ("pipelines.view",),
     ("pipelines.sweep.merging", "pipelines.sweep", "pipelines.training"),
     ("pipelines.commands",),
     ("__main__", "install"),
-    ("contrib.warp",),  # what the package can do without, each part by itself
+    (
+        "contrib.cluster",
+        "contrib.export",
+        "contrib.study",
+        "contrib.warp",
+    ),  # what the package can do without, each part by itself
 )
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 
@@ -63,7 +68,7 @@ FORBIDDEN = {
     "pipelines": ("reports",),
 }
 MAY_START_REPORTS = {
-    *("pipelines.commands.figures", "pipelines.commands.steadiness", "pipelines.commands.study"),
+    *("pipelines.commands.figures", "pipelines.commands.steadiness"),
     *("pipelines.run.evaluate", "pipelines.run.depth_outputs"),
 }
 

@@ -243,8 +243,8 @@ MUST_COUNT = {  # measurement -> modules whose change makes its tables older tha
     "real_video": INTERVALS | SGBM,
     "real_video_itermvs": {"pipelines.offline.itermvs.network", "pipelines.offline.itermvs.estimator"} | SGBM,
     "long_room": {"statistics.drift", "reports.tables.drift", "pipelines.offline.stereo.live"} | INTERVALS | FILM,
-    "metric_study": {"reports.tables.study_tables"},
-    "metric_study_real": {"reports.tables.study_tables"},
+    "metric_study": {"contrib.study.study_tables"},
+    "metric_study_real": {"contrib.study.study_tables"},
 }
 
 

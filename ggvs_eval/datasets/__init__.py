@@ -1,31 +1,15 @@
 """Adapters: whatever layout a capture has on disk, `open_capture` makes a `Capture` of it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from ggvs_eval import built_in
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets import (
-    calibration_file,
-    capture_toml,
-    colmap,
-    d3dmv,
-    dynerf,
-    easymocap,
-    frame_folders,
-    immersive,
-    meetroom,
-    multipleview,
-    nerfstudio,
-    panoptic,
-    rgbd,
-    spaces,
-    technicolor,
-)
-from ggvs_eval.datasets.camera_frames import IN_WORDS
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.known_traps import apply_known_traps
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.public_captures import locate
 from ggvs_eval.datasets.settle_depth import settle_depth_ranges
 from ggvs_eval.datasets.units import GivenUnits
@@ -34,23 +18,6 @@ from ggvs_eval.files.listing import list_entries
 from ggvs_eval.plugins import Registry, foreign
 
 LISTED = 8
-
-
-@dataclass(frozen=True)
-class DatasetSpec:
-    """One layout.
-
-    Attributes:
-        describe: the layout in one line, for help texts.
-        refuse: says why a path is not of this layout, None where it is.
-        load: opens a path of this layout; the second argument is what the user knows of its units.
-        marks: patterns of names by which a folder shows that it is meant to be of this layout.
-    """
-
-    describe: str
-    refuse: Callable[[Path], str | None]
-    load: Callable[[Path, GivenUnits], Capture]
-    marks: tuple[str, ...] = ()
 
 
 def _checked(name: str, spec: object) -> DatasetSpec:
@@ -79,53 +46,7 @@ def _loaded(name: str, load: Callable[[Path, GivenUnits], Capture], path: Path, 
         return capture
 
 
-# In the order in which they are tried: what is particular before what is general, plug-ins last.
-_SHIPPED = {
-    "capture.toml": DatasetSpec("capture.toml, a rig of one's own", capture_toml.refuse, capture_toml.load),
-    "d3dmv": DatasetSpec("SCENE.h5 with SCENE_pb.npy, or frames/ and background/", d3dmv.refuse, d3dmv.load),
-    "spaces": DatasetSpec("models.json with cam_XX/ (Google Spaces)", spaces.refuse, spaces.load, ("models.json",)),
-    "immersive": DatasetSpec(
-        "models.json with camera_XXXX.mp4 (Google Immersive)", immersive.refuse, immersive.load, ("models.json",)
-    ),
-    "technicolor": DatasetSpec(
-        "cameras_parameters.txt with SCENE_undist_00000_00.png (Technicolor)",
-        technicolor.refuse,
-        technicolor.load,
-        (technicolor.PARAMETERS,),
-    ),
-    "panoptic": DatasetSpec(
-        "train_meta.json and test_meta.json with ims/CAM/ (Panoptic Sports)", panoptic.refuse, panoptic.load, panoptic.METAS
-    ),
-    "rgbd": DatasetSpec(
-        "color/, depth/, pose/ and intrinsic/ (ScanNet), images/, depth/, poses.txt, or frames of 7-Scenes or TUM",
-        rgbd.refuse,
-        rgbd.load,
-        rgbd.MARKS,
-    ),
-    "multipleview": DatasetSpec("sparse_/ with camXX/frame_00001.jpg", multipleview.refuse, multipleview.load, ("sparse_",)),
-    "3dgstream": DatasetSpec(
-        "frame000000/images/camXX.png with sparse/0 in the first (3DGStream)",
-        frame_folders.refuse,
-        frame_folders.load,
-        (frame_folders.MARK,),
-    ),
-    "dynerf": DatasetSpec(f"poses_bounds.npy with {dynerf.ARRANGEMENTS}", dynerf.refuse, dynerf.load, (dynerf.POSES,)),
-    "meetroom": DatasetSpec("poses_bounds.npy with cam_N.mp4 or 0000/images/camNN.png", meetroom.refuse, meetroom.load),
-    "enerf-outdoor": DatasetSpec(
-        "intri.yml and extri.yml with images/XX/ or videos/XX.mp4 (EasyMocap)",
-        easymocap.refuse,
-        easymocap.load,
-        (easymocap.INTRINSICS, easymocap.EXTRINSICS),
-    ),
-    "colmap": DatasetSpec(f"sparse/0 with {IN_WORDS}", colmap.refuse, colmap.load, ("sparse", "colmap")),
-    "nerfstudio": DatasetSpec(
-        "transforms.json, or one per split, with one image per camera", nerfstudio.refuse, nerfstudio.load, ("transforms*.json",)
-    ),
-} | {
-    name: DatasetSpec(kind.describe, partial(calibration_file.refuse, name), partial(calibration_file.load, name))
-    for name, kind in calibration_file.KINDS.items()
-}
-DATASETS: Registry[DatasetSpec] = Registry("datasets", _SHIPPED, _checked)
+DATASETS: Registry[DatasetSpec] = Registry("datasets", built_in.DATASETS, _checked)  # in the order in which they are tried
 
 
 def open_capture(
@@ -193,11 +114,13 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
         layouts = ", ".join(DATASETS)
         raise CaptureError(f"{path}: no layout {layout!r}, there are {layouts}{did_you_mean(layout, DATASETS)}")
     candidates = DATASETS.working() if layout is None else [(layout, DATASETS[layout])]
-    refusals = {name: spec.refuse(path) for name, spec in candidates}
-    fitting = [name for name, refusal in refusals.items() if refusal is None]
-    if not fitting:
-        raise CaptureError(_unfit(path, refusals))
-    return fitting[0]
+    refusals: dict[str, str] = {}
+    for name, spec in candidates:
+        refusal = spec.refuse(path)
+        if refusal is None:
+            return name
+        refusals[name] = refusal
+    raise CaptureError(_unfit(path, refusals))
 
 
 def calibration_mark(path: Path) -> tuple[str, tuple[str, ...]] | None:
@@ -211,11 +134,13 @@ def calibration_mark(path: Path) -> tuple[str, tuple[str, ...]] | None:
     for mark in dict.fromkeys(marks):
         if found := min(path.glob(mark), default=None):
             return found.name, tuple(layout for layout, spec in DATASETS.working() if mark in spec.marks)
-    held = calibration_file.find_unread(path)
+    from ggvs_eval.datasets.calibration_file import find_unread
+
+    held = find_unread(path)
     return (held.name, ()) if held else None
 
 
-def _unfit(path: Path, refusals: Mapping[str, str | None]) -> str:
+def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
     """Say why a path is of no layout: what it shows first, then what else was looked for."""
     within, mark = _captures_within(path), calibration_mark(path)
     mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"

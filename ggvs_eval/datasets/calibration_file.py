@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
@@ -18,6 +19,7 @@ from ggvs_eval.datasets.camera_frames import find_frames, instead_of_frames, lis
 from ggvs_eval.datasets.colmap_model import undistorted_sources
 from ggvs_eval.datasets.crop import CROP_FILE, given_crop
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import list_entries
@@ -184,3 +186,8 @@ def _text(file: Path) -> str:
         return read_plain_text(file, LARGEST_XML_BYTES)
     except (OSError, UnicodeDecodeError):
         return ""
+
+
+QUALISYS_LAYOUT, ANIPOSE_LAYOUT, OPENCV_LAYOUT = (
+    DatasetSpec(KINDS[name].describe, partial(refuse, name), partial(load, name)) for name in ("qualisys", "anipose", "opencv")
+)

@@ -14,6 +14,7 @@ from ggvs_eval.datasets.colmap_model import undistorted
 from ggvs_eval.datasets.crop import Crop, crop_lens, given_crop
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import UNREAD_VIDEOS, VIDEO_SUFFIXES, find_below, unread_videos
@@ -193,3 +194,6 @@ def _extras(file: Path, table: CameraTable, lens: Lens, camera: Camera, frames: 
         counts = f"{mask.n_frames} for {frames.n_frames} frames"
         raise CaptureError(f"{file}: wanted one mask of {table.name} per frame, got {counts}; restore them or drop the key")
     return Extras(background=background, mask=mask)
+
+
+LAYOUT = DatasetSpec("capture.toml, a rig of one's own", refuse, load)

@@ -5,8 +5,9 @@ from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture
-from ggvs_eval.datasets.camera_frames import listed, require_frames
+from ggvs_eval.datasets.camera_frames import IN_WORDS, listed, require_frames
 from ggvs_eval.datasets.colmap_model import CalibratedView, median_depths, model_cameras, read_model, undistorted_sources
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.names import camera_names
@@ -51,3 +52,6 @@ def by_camera(folder: Path, views: Sequence[CalibratedView]) -> dict[str, Calibr
         repeats = f"several images of {listed(twice)}"
         raise CaptureError(f"{folder}: wanted one registered image per fixed camera, got {repeats}; calibrate with one instant")
     return dict(sorted(zip(names, views, strict=True)))
+
+
+LAYOUT = DatasetSpec(f"sparse/0 with {IN_WORDS}", refuse, load, ("sparse", "colmap"))

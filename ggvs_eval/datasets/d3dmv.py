@@ -9,6 +9,7 @@ from ggvs_eval.datasets.assemble import assemble_capture
 from ggvs_eval.datasets.camera_frames import frames_in
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.h5_frames import h5_parts
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
@@ -102,3 +103,6 @@ def _read_cameras(file: Path, names: list[str]) -> list[Camera]:
         expected_rows = f"one row for each of the {len(names)} cameras ({names[0]}..{names[-1]})"
         raise CaptureError(f"{file}: wanted {expected_rows}, got {len(poses)} rows; restore what is missing")
     return [llff_camera(pose, name, file) for pose, name in zip(poses, names, strict=True)]
+
+
+LAYOUT = DatasetSpec("SCENE.h5 with SCENE_pb.npy, or frames/ and background/", refuse, load)

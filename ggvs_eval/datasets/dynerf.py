@@ -9,6 +9,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
 from ggvs_eval.datasets.camera_frames import frames_in
 from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units, read_note
 from ggvs_eval.errors import CaptureError
@@ -110,3 +111,6 @@ def open_path(capture_folder: Path) -> CameraPath | None:
     if images.n_frames != len(cameras):
         raise CaptureError(f"{folder}: wanted {len(cameras)} images, one per row of {poses_file.name}, got {images.n_frames}")
     return CameraPath(tuple(camera.resized(*images.size) for camera in cameras), images, time_s)
+
+
+LAYOUT = DatasetSpec(f"poses_bounds.npy with {ARRANGEMENTS}", refuse, load, (POSES,))

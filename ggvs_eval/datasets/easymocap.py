@@ -14,6 +14,7 @@ from ggvs_eval.datasets.colmap_model import undistorted, undistorted_sources
 from ggvs_eval.datasets.depth_range import Placed, points_depth_range, ranged_cameras, read_points, rig_depth_range
 from ggvs_eval.datasets.easymocap_yaml import EasyMocapView, read_views
 from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_entries, list_files, list_images
@@ -145,3 +146,8 @@ def _backgrounds(path: Path, lenses: Mapping[str, Lens]) -> dict[str, SizedSourc
             f"{folder}: wanted a background of every camera, none of {listed(missing)}; restore or remove them all"
         )
     return {name: undistorted(ImageFrames(files[name]), lens, lens.K) for name, lens in lenses.items() if files}
+
+
+LAYOUT = DatasetSpec(
+    "intri.yml and extri.yml with images/XX/ or videos/XX.mp4 (EasyMocap)", refuse, load, (INTRINSICS, EXTRINSICS)
+)

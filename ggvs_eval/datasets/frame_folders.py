@@ -9,6 +9,7 @@ from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.datasets.colmap import by_camera, find_model
 from ggvs_eval.datasets.colmap_model import median_depths, model_cameras, read_model, undistorted_sources
 from ggvs_eval.datasets.frames import NumberedFrames
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.listing import list_images
@@ -64,3 +65,6 @@ def instant_pictures(instants: dict[int, Path]) -> dict[str, list[tuple[int, Pat
         for file in list_images(folder / "images"):
             pictures.setdefault(file.stem, []).append((number, file))
     return pictures
+
+
+LAYOUT = DatasetSpec("frame000000/images/camXX.png with sparse/0 in the first (3DGStream)", refuse, load, (MARK,))

@@ -11,6 +11,7 @@ from ggvs_eval.datasets.camera_frames import find_frames, listed
 from ggvs_eval.datasets.colmap_model import undistorted_sources
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.google_models import MODELS, CameraModel, load_models, read_camera_model, read_numbers
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
@@ -106,3 +107,6 @@ def _read_view(file: Path, index: int, model: Any) -> _View:
         return _View(name, calibrated, lens, lens.undistorted_K())
     except CameraError as error:
         raise CaptureError(f"{file}: {name}: {error}") from error
+
+
+LAYOUT = DatasetSpec("models.json with camera_XXXX.mp4 (Google Immersive)", refuse, load, ("models.json",))

@@ -8,6 +8,7 @@ from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig
 from ggvs_eval.datasets.camera_frames import CameraFrames, frames_in, listed
 from ggvs_eval.datasets.frame_folders import instant_pictures, numbered_folders
 from ggvs_eval.datasets.frames import NumberedFrames
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
@@ -75,3 +76,6 @@ def _pictures(path: Path, instants: dict[int, Path]) -> dict[int, NumberedFrames
     """Camera number -> its pictures."""
     matches = [(PICTURE.fullmatch(name), files) for name, files in instant_pictures(instants).items()]
     return {int(match[1]): NumberedFrames(path, tuple(files)) for match, files in matches if match}
+
+
+LAYOUT = DatasetSpec("poses_bounds.npy with cam_N.mp4 or 0000/images/camNN.png", refuse, load)

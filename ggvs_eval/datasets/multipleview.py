@@ -8,6 +8,7 @@ from ggvs_eval.datasets.assemble import assemble_capture
 from ggvs_eval.datasets.camera_frames import frames_in, listed
 from ggvs_eval.datasets.colmap_model import CalibratedView, median_depths, model_cameras, read_model, undistorted_sources
 from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
 
@@ -69,3 +70,6 @@ def _by_number(path: Path, views: list[CalibratedView]) -> dict[int, CalibratedV
             raise CaptureError(f"{path / MODEL}: wanted images called image<number>.jpg, one per camera, got {view.image_name!r}")
         numbered[int(match[1])] = view
     return numbered
+
+
+LAYOUT = DatasetSpec("sparse_/ with camXX/frame_00001.jpg", refuse, load, ("sparse_",))

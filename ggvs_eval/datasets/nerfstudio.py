@@ -15,6 +15,7 @@ from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig
 from ggvs_eval.datasets.camera_frames import listed, require_frames
 from ggvs_eval.datasets.colmap_model import undistorted_sources
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import IMAGE_SUFFIXES
@@ -194,3 +195,6 @@ def _intrinsics(frame: Mapping[str, Any], width: int, height: int) -> Array:
             f"two intrinsics of {frame['file_path']}, a matrix {np.round(matrix, 4)} and {np.round(K, 4)}; keep the right one"
         )
     return K
+
+
+LAYOUT = DatasetSpec("transforms.json, or one per split, with one image per camera", refuse, load, ("transforms*.json",))

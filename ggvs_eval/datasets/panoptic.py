@@ -12,6 +12,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.frames import NumberedFrames
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.plain import read_plain_text
@@ -101,3 +102,6 @@ def _checked(files: Sequence[Sequence[str]], index: int, name: str) -> list[str]
     if any(_folder(file) != name for file in own):
         raise ValueError(f"images of several folders for camera {name}")
     return own
+
+
+LAYOUT = DatasetSpec("train_meta.json and test_meta.json with ims/CAM/ (Panoptic Sports)", refuse, load, METAS)

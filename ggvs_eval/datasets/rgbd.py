@@ -13,6 +13,7 @@ from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.datasets.depth_frames import LARGEST_STEP, DepthFrames, known_depth, read_depth_png
 from ggvs_eval.datasets.depth_range import FAR_MARGIN, NEAR_MARGIN
 from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.rgbd_files import HOLOLENS, MARKS, SCANNET, SEVEN_SCENES, TUM, RgbdSequence, is_sequence, read_sequence
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
@@ -134,3 +135,11 @@ def _depth_source(sequence: RgbdSequence, number: int, size: tuple[int, int]) ->
 
 def _name(number: int) -> str:
     return f"{number:06d}"
+
+
+LAYOUT = DatasetSpec(
+    "color/, depth/, pose/ and intrinsic/ (ScanNet), images/, depth/, poses.txt, or frames of 7-Scenes or TUM",
+    refuse,
+    load,
+    MARKS,
+)

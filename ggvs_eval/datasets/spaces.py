@@ -11,6 +11,7 @@ from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
 from ggvs_eval.datasets.google_models import MODELS, CameraModel, load_models, read_camera_model
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.listing import find_below
@@ -118,3 +119,6 @@ def _placed(view: _View) -> Placed:
         )
     K = np.diag([width / model.width, height / model.height, 1.0]) @ model.K
     return Placed(view.name, K, model.world_to_camera, (width, height))
+
+
+LAYOUT = DatasetSpec("models.json with cam_XX/ (Google Spaces)", refuse, load, ("models.json",))

@@ -11,6 +11,7 @@ from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.frames import NumberedFrames
+from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.listing import list_images
@@ -115,3 +116,6 @@ def _cameras(path: Path, rows: np.ndarray) -> list[Camera]:
         K = np.array([[focal_px, 0.0, cu], [0.0, aspect * focal_px, cv], [0.0, 0.0, 1.0]])
         rig.append(Placed(f"cam{index:02d}", K, pose, CALIBRATED_SIZE, depths))
     return ranged_cameras(rig, path / PARAMETERS)
+
+
+LAYOUT = DatasetSpec("cameras_parameters.txt with SCENE_undist_00000_00.png (Technicolor)", refuse, load, (PARAMETERS,))

@@ -13,7 +13,6 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera, nearest_cameras
@@ -55,6 +54,8 @@ def find_triplet(target: Camera, cameras: Sequence[Camera]) -> dict[int, float]:
             f"camera {target.name}: wanted three cameras around it that form a triangle, the {len(cameras)} others stand in a "
             'row or are too few; set synthesis.sources = "nearest"'
         )
+    from scipy.spatial import Delaunay, QhullError  # protocols name the choice, and whoever reads one does not want scipy
+
     try:
         triangles = Delaunay(places).simplices
     except QhullError as error:

@@ -38,7 +38,8 @@ BUILT_FROM = re.compile(rb"ggvs-eval sources ([0-9a-f]{64})")  # ggvs_eval/kerne
 
 # Where and when work is done moves no result, nor does what is said meanwhile; nor do threads and instruction set, so that asking
 # the processor for these does not tie one kernel to all others.
-NEVER_COUNTED = (f"{PACKAGE}.jobs.", f"{PACKAGE}.errors", f"{PACKAGE}.progress")
+# Tables of what ships name everything, and a new entry moves no result of another one: what they load is passed as a root.
+NEVER_COUNTED = tuple(f"{PACKAGE}.{each}" for each in ("jobs.", "errors", "progress", "built_in", "plugins"))
 UNFOLLOWED = frozenset({f"{PACKAGE}.kernels"})
 LAYOUT = frozenset({tokenize.NL, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER})
 

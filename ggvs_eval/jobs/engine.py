@@ -3,12 +3,15 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
+from ggvs_eval import built_in
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.plugins import Registry
 
+ENGINES: Registry[Callable[..., Any]] = Registry("engines", built_in.ENGINES)
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -39,9 +42,8 @@ class Engine:
         if self.jobs < 1:
             raise RenderError(f"--jobs {self.jobs}: wanted at least 1")
         if self.engine == "dask":
-            from ggvs_eval.jobs.dask_engine import run_on_dask
-
-            return run_on_dask(work, items, self.jobs, self.scheduler)
+            on_dask: Iterator[tuple[int, Result | LostJob]] = ENGINES["dask"](work, items, self.jobs, self.scheduler)
+            return on_dask
         if self.scheduler:
             raise RenderError(f"--scheduler {self.scheduler}: processes need none; add --engine dask")
         from ggvs_eval.jobs.process_engine import run_in_processes

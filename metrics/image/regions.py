@@ -1,8 +1,8 @@
 """Metrics of parts of the image: static, moving, and unseen by every source camera."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from ggvs_eval.metrics.inputs import check_pair
 from ggvs_eval.metrics.metric import REGION, ColourMap, FramePair, Inside, MetricOptions, TruthFrame, Value, ViewMetric
 
 Region = Literal["static", "moving", "disoccluded"]
-REGIONS: tuple[Region, ...] = get_args(Region)
 WORDS: dict[Region, str] = {
     "static": "what stands still",
     "moving": "what moves",
@@ -100,14 +99,11 @@ class PairPartScorer(PartScorer):
         return [(name, later - 1, value) for name, later, value in super().add(index, rendered, truth) if later is not None]
 
 
-def metrics_of_parts(metrics: Iterable[ViewMetric]) -> tuple[ViewMetric, ...]:
-    """Each metric that has an `inside`, of each region; the mask is computed once for all."""
-    whole = tuple(metrics)
-    return tuple(_part(metric, metric.inside, region) for region in REGIONS for metric in whole if metric.inside)
-
-
-def _part(metric: ViewMetric, inside: Inside, region: Region) -> ViewMetric:
-    name = f"{metric.name}_{region}"
+def metric_of_part(metric: ViewMetric, region: Region) -> ViewMetric:
+    """A metric that has an `inside`, of a region; the mask is computed once for all."""
+    name, inside = f"{metric.name}_{region}", metric.inside
+    if inside is None:
+        raise MetricError(f"{metric.name} has no form for a part of the image")
     return ViewMetric(
         name=name,
         kind=metric.kind,

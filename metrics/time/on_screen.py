@@ -7,7 +7,7 @@ that the metrics themselves are those of every other table.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -119,24 +119,21 @@ class ScreenMetric(Metric):
         return (*self.of.modules, __name__)
 
 
-def metrics_on_screen(metrics: Iterable[ViewMetric]) -> tuple[ScreenMetric, ...]:
-    """Each metric of what stands on the screen, ``PSNR_stream`` and so on."""
-    return tuple(
-        ScreenMetric(
-            name=f"{metric.name}{ON_SCREEN}",
-            kind=metric.kind,
-            function=metric.function,
-            unit=metric.unit,
-            higher_is_better=metric.higher_is_better,
-            group=STREAM,
-            decimals=metric.decimals,
-            pooling=partial(_pooling, metric),
-            describe=f"{metric.name} of what a viewer sees at each instant: the newest picture that was ready",
-            note=metric.note,
-            reference="after Li et al. 2020 (streaming perception)",
-            of=metric,
-        )
-        for metric in metrics
+def metric_on_screen(metric: ViewMetric) -> ScreenMetric:
+    """The metric of what stands on the screen, ``PSNR_stream`` and so on."""
+    return ScreenMetric(
+        name=f"{metric.name}{ON_SCREEN}",
+        kind=metric.kind,
+        function=metric.function,
+        unit=metric.unit,
+        higher_is_better=metric.higher_is_better,
+        group=STREAM,
+        decimals=metric.decimals,
+        pooling=partial(_pooling, metric),
+        describe=f"{metric.name} of what a viewer sees at each instant: the newest picture that was ready",
+        note=metric.note,
+        reference="after Li et al. 2020 (streaming perception)",
+        of=metric,
     )
 
 

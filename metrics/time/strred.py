@@ -1,10 +1,13 @@
 """ST-RRED, the paper's STED: entropy differences over space and time (Soundararajan & Bovik 2013)."""
 
+import ast
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from importlib.util import find_spec
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import cv2
 import numpy as np
@@ -260,10 +263,23 @@ def _first_two_lowpasses() -> Array:
 @lru_cache(maxsize=1)
 def _pyramid_kernels() -> tuple[Array, Array, Array]:
     """First low-pass (5 x 5), low-pass (9 x 9, gain 2 included) and vertical band (7 x 7) of the set ``sp5Filters``."""
-    from pyrtools.pyramids.filters import steerable_filters
-
-    filters = steerable_filters("sp5_filters")
+    filters = _sp5_filters()
     return filters["lo0filt"], filters["lofilt"], np.ascontiguousarray(filters["bfilts"][::-1, 0].reshape(7, 7))
+
+
+def _sp5_filters() -> dict[str, Array]:
+    """The filters of that set from the source of pyrtools, whose import takes a second and brings scipy.signal and matplotlib."""
+    package = find_spec("pyrtools")
+    if package is None or package.origin is None:
+        raise MetricError("STED needs pyrtools, which has its filters; pip install pyrtools")
+    source = ast.parse(Path(package.origin).with_name("pyramids").joinpath("filters.py").read_text(encoding="utf-8"))
+    functions: list[ast.stmt] = [
+        node for node in source.body if isinstance(node, ast.FunctionDef) and node.name == "_sp5_filters"
+    ]
+    names: dict[str, Any] = {"np": np}
+    exec(compile(ast.Module(functions, []), "pyrtools/pyramids/filters.py", "exec"), names)  # it calls numpy alone
+    filters: dict[str, Array] = names["_sp5_filters"]()
+    return filters
 
 
 class StredScorer:

@@ -123,7 +123,7 @@ class VmafV1Scorer(VmafScorer):
     model: ClassVar = MODEL_V1
 
 
-VMAF = tuple(
+VMAF_V0, VMAF_V1 = (
     ViewMetric(
         name=scorer.names[0],
         kind="frame",

@@ -5,8 +5,11 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from ggvs_eval import built_in
 from ggvs_eval.pipelines.commands.captures import Output, Run
+from ggvs_eval.plugins import Registry
 
+TRACKERS: Registry[Any] = Registry("trackers", built_in.TRACKERS)
 Runs = Annotated[
     tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(at least one)")
 ]
@@ -21,7 +24,7 @@ def report(
     standalone: bool = False,
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(all by default)")] = (),
 ) -> None:
-    """Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and the figures of scored runs.
+    """Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and figures of scored runs.
 
     Args:
         runs: run folders; those of one protocol share a section of the page.
@@ -40,9 +43,7 @@ def report(
 
         print(write(runs, out, standalone=standalone, columns=columns))
     else:
-        from ggvs_eval.reports.tracking import track_results
-
-        print(track_results(runs, to, out or Path("tracked")))
+        print(TRACKERS[to](runs, to, out or Path("tracked")))
 
 
 def figure(

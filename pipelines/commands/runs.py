@@ -1,14 +1,15 @@
-"""The verbs of the command line that make runs: prepare, render, run, sweep, status."""
+"""The verbs of the command line that make runs: prepare, render, score, run, sweep, status."""
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from ggvs_eval import built_in
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, WeightsError
 from ggvs_eval.jobs.engine import Engine
@@ -17,8 +18,10 @@ from ggvs_eval.pipelines.commands.captures import (
     CAPTURE_DEFAULTS,
     DEPTH_DEFAULTS,
     NONE,
+    ONE_PER_CORE,
     CaptureFlags,
     DepthFlags,
+    Jobs,
     Output,
     ReadingOptions,
     Run,
@@ -27,6 +30,7 @@ from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods, weights_takers
 from ggvs_eval.pipelines.methods.splats import named_splats, splats_notes
 from ggvs_eval.pipelines.run.run_plan import RunPlan
+from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Protocol
 
 if TYPE_CHECKING:  # they import pandas
@@ -66,6 +70,7 @@ Running = tyro.conf.OmitArgPrefixes[Engine]
 HERE = Engine()
 USUAL_METHODS = usual_methods()
 NO_SPLATS: Mapping[str, Path] = {}
+PLANS: Registry[Any] = Registry("plans of sweeps", built_in.SWEEP_PLANS)
 
 
 def prepare(
@@ -80,7 +85,7 @@ def prepare(
     engine: Running = HERE,
     dry_run: bool = False,
 ) -> None:
-    """Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page that shows it.
+    """Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page.
 
     Args:
         run: run folder to make or to go on with.
@@ -134,6 +139,58 @@ def render(
     _require_methods(methods, networks)
     prepared = reopen(engine.place(run), engine, methods, networks)
     print(f"{synthesise(prepared, engine)} jobs rendered in {run}")
+
+
+def score(
+    folder: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None,
+    renders: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=PATH ...", help_behavior_hint=NONE)] = (),
+    capture: Path | None = None,
+    protocol: str | None = None,
+    run: Path | None = None,
+    allow_partial: bool = False,
+    device: Device = "cpu",
+    first_frame: int | None = None,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
+    jobs: Jobs = ONE_PER_CORE,
+) -> None:
+    """Measure all renders of a run, and frames that others rendered, under one protocol.
+
+    Args:
+        folder: run folder to score; --run says the same.
+        renders: NAME=PATH of your own frames, which become a method of the run: a folder <view>/<frame>.png or
+            <view>_<frame>.jpg, a video or numpy stack per view, renders/ beside gt/ as 3DGS writes them or rgb/ beside gt-rgb/ as
+            nerfstudio does, a run folder, NerfBaselines output, or an archive.
+        capture: what was rendered; makes a run folder of its captured frames where there is none.
+        protocol: a .toml file or a packaged name; the run's own, or the packaged one that fits the capture, by default.
+        run: run folder to make or to go on with; scores/CAPTURE by default.
+        allow_partial: score what there is of incomplete renders; their row is marked.
+        device: where LPIPS, SSIM, TCC, STED and other metrics of many operations compute; a GPU rounds otherwise than the CPU.
+        first_frame: number of the protocol's first frame in the names of your frames (its place, from 0, in videos and arrays);
+            needed where the numbers can be read in two ways.
+        reading: how the capture is read.
+        jobs: processes.
+    """
+    from ggvs_eval.pipelines.run.import_renders import import_renders
+    from ggvs_eval.pipelines.run.run_for import named_renders, run_for
+    from ggvs_eval.pipelines.run.score import score as measure
+
+    if folder and run:
+        raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")
+    target = run_for(run or folder, partial(reading.open, capture) if capture else None, protocol, jobs)
+    for name, path in named_renders(renders).items():
+        for note in import_renders(target, name, path, allow_partial, jobs, first_frame)["notes"]:
+            print(f"{name}: {note}", file=sys.stderr)
+    results = measure(target, jobs, device=checked_device(device))
+    print(results.summary().droplevel("dataset").round(4).to_string())
+    for label, mark in results.provenance["partial"].items():
+        print(f"{label} is {mark}")
+    for line in results.fault_lines():
+        print(line)
+    for metric, reason in results.not_computed.items():
+        print(f"{metric} not computed: {reason}")
+    lacking = dict.fromkeys((one.metric, one.view or "all views of some methods", one.reason) for one in results.absences)
+    for metric, where, reason in lacking:
+        print(f"{metric} not computed in {where}: {reason}")
 
 
 def run(
@@ -236,7 +293,6 @@ def sweep(
         dry_run: only print the plan: the work that is left, the disk space that it needs, and the time where it is known.
     """
     from ggvs_eval.jobs.shard import Shard
-    from ggvs_eval.pipelines.sweep.plan import flags, write_commands
     from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
     from ggvs_eval.sweep import load_sweep
 
@@ -250,11 +306,11 @@ def sweep(
         raise ProtocolError(f"wanted captures whose folders differ in name, got {', '.join(map(str, capture))}; rename one")
     starts = {folder if len(opened) > 1 else "": (each, _protocol(protocol, each)) for folder, each in opened.items()}
     if plan:
-        options = [*flags(reading, CAPTURE_DEFAULTS), *flags(depth, DEPTH_DEFAULTS), *flags(engine, HERE)]
+        options = [*_flags(reading, CAPTURE_DEFAULTS), *_flags(depth, DEPTH_DEFAULTS), *_flags(engine, HERE)]
         chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
         chosen += ["--device", device] if device != "cpu" else []
         command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
-        print(write_commands(plan, engine.place(out), starts, definition, networks, command))
+        print(PLANS["commands"](plan, engine.place(out), starts, definition, networks, command))
         return
     planned = plan_cells(engine.place(out), starts, definition, depth, networks, part)
     print_plan(planned.plans, engine.jobs, engine.place(out), dry_run)
@@ -278,6 +334,22 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     from ggvs_eval.jobs.status import describe_status
 
     print(describe_status(folder))
+
+
+def _flags(options: Any, default: Any) -> list[str]:
+    """A frozen dataclass of options as words of the command line; only what differs from its defaults.
+
+    Args:
+        options: values that are truth values, numbers, texts, paths or None.
+    """
+    words: list[str] = []
+    for field in fields(options):
+        value, usual = getattr(options, field.name), getattr(default, field.name)
+        name = field.name.replace("_", "-")
+        if value == usual:
+            continue
+        words += ["--" + ("" if value else "no-") + name] if isinstance(usual, bool) else [f"--{name}", str(value)]
+    return words
 
 
 def _end_with(failures: tuple[Failure, ...], rest: str = "the rest is done, the same call tries only these again") -> None:

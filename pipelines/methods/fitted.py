@@ -12,7 +12,7 @@ from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.jobs.ledger import Entry
 from ggvs_eval.pipelines.methods.render_unit import RenderUnit
 from ggvs_eval.pipelines.methods.spec import SceneMethod, option_values, option_words
-from ggvs_eval.pipelines.methods.splats import SplatsScene, open_splats, splats_files
+from ggvs_eval.pipelines.methods.splats import open_splats, reading_modules, splats_files
 from ggvs_eval.scene_fitter import FittedScene, SceneFitter
 
 
@@ -127,7 +127,7 @@ class StoredSplats(SceneMethod):
     def of(cls, label: str, path: Path) -> "StoredSplats":
         """The method of a label, which is its title too."""
         describe = f"3D Gaussians that others have fitted, {path.name}, rendered by the splat of this package"
-        return cls(label, describe, (SplatsScene.__module__,), path.resolve(), online=False, usual=False, uses_depth=False)
+        return cls(label, describe, reading_modules(path), path.resolve(), online=False, usual=False, uses_depth=False)
 
     @property
     def learned_from(self) -> str:

@@ -2,13 +2,12 @@
 
 from functools import partial
 from importlib.util import find_spec
-from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from ggvs_eval.built_in import DEVICE_STEPS
 from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
-from ggvs_eval.plugins import module_of
+from ggvs_eval.plugins import Registry
 
 if TYPE_CHECKING:
     from ggvs_eval.pipelines.online.blend_maps import Guidance
@@ -16,7 +15,8 @@ if TYPE_CHECKING:
 ONLINE = "ggvs_eval.pipelines.online"
 GEOMETRIC = (f"{ONLINE}.geometry_guided", f"{ONLINE}.blending")
 LEARNED = (f"{ONLINE}.geometry_guided", f"{ONLINE}.network_blender")
-ON_DEVICE = tuple(filter(None, map(module_of, DEVICE_STEPS.values())))
+STEPS: Registry[Any] = Registry("device steps", DEVICE_STEPS)
+ON_DEVICE = tuple(filter(None, map(STEPS.root, STEPS)))
 OFFLINE = (f"{ONLINE}.whole_sequence",)
 
 # What the paper does not have, as the table of differences says it.
@@ -50,8 +50,8 @@ def _learned(options: Any = None, guidance: "Guidance" = "registered", device: s
 
     The one place that chooses: on a GPU with Warp (``ggvs-eval[gpu]``) every stage computes there, without it the network alone.
     """
-    if device != "cpu" and find_spec("warp") and ON_DEVICE:
-        on_device = resolve_name(DEVICE_STEPS["warp"])
+    if device != "cpu" and find_spec("warp") and "warp" in STEPS:
+        on_device = STEPS["warp"]
         if on_device.covers(options, guidance):
             return on_device(options, guidance, device)
     from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided

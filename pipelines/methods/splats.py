@@ -5,14 +5,16 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from ggvs_eval import built_in
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.listing import list_files
 from ggvs_eval.files.names import Number, is_stamp, numbers_in
 from ggvs_eval.files.plain import why_unread
 from ggvs_eval.method import NEAR_M, Rendering
+from ggvs_eval.plugins import Registry
 from ggvs_eval.scene_fitter import FittedScene
 
 if TYPE_CHECKING:  # the command line starts without torch
@@ -21,6 +23,8 @@ if TYPE_CHECKING:  # the command line starts without torch
 
 PREFIX = "splats:"
 CLOUD, DEFORMATION = "point_cloud.ply", "deformation.pth"
+GLB = ".glb"
+FILES: Registry[Any] = Registry("files of Gaussians", built_in.SPLAT_FILES)
 ITERATION = re.compile(r"iteration_(\d+)")
 ENDING = re.compile(r"\.(ply|glb)$")
 KINDS = (
@@ -82,14 +86,20 @@ class SplatsScene(FittedScene):
 
 
 def _is_glb(path: Path) -> bool:
-    return path.suffix.lower() == ".glb"
+    return path.suffix.lower() == GLB
+
+
+def reading_modules(path: Path) -> tuple[str, ...]:
+    """Modules whose code decides what a file of Gaussians is rendered as, those that are loaded by its ending among them."""
+    root = FILES.root(GLB) if _is_glb(path) else None
+    return (SplatsScene.__module__, *([root] if root else []))
 
 
 def _read(path: Path, mesh: int) -> "GaussianCloud":
     from ggvs_eval.gaussians import read_ply
-    from ggvs_eval.gaussians.gltf_reading import read_glb
 
-    return read_glb(path, mesh) if _is_glb(path) else read_ply(path)
+    cloud: GaussianCloud = FILES[GLB].read(path, mesh) if _is_glb(path) else read_ply(path)
+    return cloud
 
 
 def open_splats(path: Path, instants: range = range(1)) -> "SplatsScene | PublishedScene":
@@ -140,10 +150,8 @@ def splats_notes(path: Path) -> list[str]:
 
 def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, tuple[Path, int]]:
     """Frame number -> file and the mesh in it; a cloud of all instants is of frame 0."""
-    from ggvs_eval.gaussians.gltf_reading import glb_frames
-
     if len(files) == 1:
-        return {frame: (path, mesh) for frame, mesh in glb_frames(path).items()} if _is_glb(path) else {0: (files[0], 0)}
+        return {frame: (path, mesh) for frame, mesh in FILES[GLB].frames(path).items()} if _is_glb(path) else {0: (files[0], 0)}
     numbers: dict[int, tuple[Path, int]] = {}
     for file, number in zip(files, _frame_numbers(files), strict=True):
         if not isinstance(number, int) or is_stamp(number):

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.arrays import Mask
+from ggvs_eval.built_in import METRICS_OF_VIDEOS
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.metrics.metric import Metric
 from ggvs_eval.metrics.path.colmap_consistency import NAMES as COLMAP_NAMES
 from ggvs_eval.metrics.path.colmap_consistency import colmap_consistency
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS, describe_metrics
-from ggvs_eval.metrics.series_scores import OF_FRAMES, mean_values, score_depths, score_frames
+from ggvs_eval.metrics.series_scores import mean_values, score_depths, score_frames
 from ggvs_eval.renders.sequences import read_depths, read_frames
 
 
@@ -38,7 +39,7 @@ def measure_steadiness(
 ) -> Steadiness:
     """Measure each video, or depth video, without truth."""
     static = None if mask is None else read_image(mask)[..., 0] > 127
-    metrics: list[Metric] = list(DEPTH_METRICS.values()) if depth else [METRICS[name] for name in OF_FRAMES]
+    metrics: list[Metric] = list(DEPTH_METRICS.values()) if depth else [METRICS[name] for name in METRICS_OF_VIDEOS]
     metrics += [METRICS[name] for name in COLMAP_NAMES if with_colmap]
     measured = Steadiness(describe_metrics(metrics), {}, {}, {})
     for name, path in videos.items():

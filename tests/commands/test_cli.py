@@ -15,6 +15,7 @@ import pytest
 import tyro
 
 import ggvs_eval
+from ggvs_eval.built_in import VERBS
 from ggvs_eval.errors import GgvsWarning
 from ggvs_eval.pipelines.commands import main
 from ggvs_eval.pipelines.commands.examples import EXAMPLES
@@ -91,7 +92,7 @@ def helped(capsys, *words: str) -> str:
 
 def all_commands():
     """The words that call each command, and the function that they call."""
-    for name, command in COMMANDS.items():
+    for name, command in COMMANDS.built_in().items():
         if isinstance(command, dict):
             yield from (((name, inner), function) for inner, function in command.items())
         else:
@@ -118,7 +119,7 @@ def test_the_example_of_every_command_can_be_typed(words, command, capsys, monke
 
     taken = []
     recorded = wraps(command)(lambda *arguments, **options: taken.append((arguments, options)))
-    table = COMMANDS if len(words) == 1 else COMMANDS[words[0]]
+    table = COMMANDS.shipped if len(words) == 1 else COMMANDS[words[0]]
     monkeypatch.setitem(table, words[-1], recorded)
     run_command([*words, *shlex.split(EXAMPLES[called])])
     assert len(taken) == 1
@@ -128,9 +129,38 @@ def test_the_overview_names_every_command(capsys):
     """`ggvs-eval --help` and `ggvs-eval train --help`: a line for each command and each network, by the installed program too."""
     overview = subprocess.run([sys.executable, "-m", "ggvs_eval", "--help"], capture_output=True, text=True, check=True).stdout
 
-    assert all(f"• {name} " in overview for name in COMMANDS)
+    assert all(f"\n  {name} " in overview for name in COMMANDS)
     networks = helped(capsys, "train")
-    assert all(f"• {name} " in networks for name in ("blend", "stereo", "ibrnet", "all"))
+    assert all(f" {name} Train " in networks for name in ("blend", "stereo", "ibrnet", "all"))
+
+
+def test_the_overview_says_what_the_commands_say():
+    """Its lines are the first of the commands' own help, which it does not load."""
+    said = {name: (command.__doc__ or "").partition("\n")[0] for name, command in COMMANDS.items() if callable(command)}
+    assert {name: VERBS[name].about for name in said} == said
+
+
+@pytest.mark.parametrize("words", [("--help",), ("--version",)])
+def test_the_overview_loads_no_command(words):
+    """No torch, no scipy, no numpy and no verb; at most .35 s of a core, on a machine that is not asked for more."""
+    code = (
+        "import sys, time\nfrom ggvs_eval.pipelines.commands.main import run_command\n"
+        f"try: run_command({list(words)!r})\nexcept SystemExit: pass\n"
+        "heavy = {'torch', 'scipy', 'numpy', 'tyro', 'ggvs_eval.capture', 'ggvs_eval.pipelines.commands.runs'}\n"
+        "print(sorted(heavy & sys.modules.keys()), time.process_time(), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded, _, seconds = done.stderr.strip().rpartition(" ")
+    assert loaded == "[]"
+    assert float(seconds) <= 0.35
+
+
+def test_a_verb_of_a_package_that_is_not_there_is_one_line(monkeypatch):
+    """The overview leaves it out, and who asks for it is told what lacks."""
+    monkeypatch.setitem(COMMANDS.shipped, "fly", "ggvs_eval.contrib.wings.flight:fly")
+    assert "fly" not in list(COMMANDS)
+    wanted = "fly is part of ggvs_eval.contrib.wings, which is not installed; reinstall ggvs-eval or leave it out"
+    assert refusal("fly") == f"ggvs-eval: {wanted}"
 
 
 def test_options_are_those_of_the_network(capsys, tmp_path):

@@ -12,8 +12,8 @@ import numpy as np
 from skimage import data
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.contrib.study.frame_ladders import blur, delay, flicker
 from ggvs_eval.files.video import VideoFrames, write_video
-from ggvs_eval.pipelines.study.frame_ladders import blur, delay, flicker
 
 FLICKER_SEED = 5
 HEIGHT, WIDTH, FACE = 240, 304, 88

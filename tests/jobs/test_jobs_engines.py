@@ -6,8 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-import urllib.error
-import urllib.request
 from functools import partial
 from multiprocessing import synchronize
 from pathlib import Path
@@ -16,7 +14,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.jobs import dask_engine, free_memory
+from ggvs_eval.jobs import free_memory
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
 from ggvs_eval.jobs.process_engine import start_remedy
@@ -59,6 +57,7 @@ def contents(root: Path) -> dict[str, bytes]:
 @pytest.fixture
 def dask_or_skip(request):
     if "engine" in request.fixturenames and request.getfixturevalue("engine").engine == "dask":
+        pytest.importorskip("ggvs_eval.contrib.cluster")
         pytest.importorskip("distributed")
 
 
@@ -237,36 +236,6 @@ def test_a_process_that_ends_by_itself_says_its_last_line(tmp_path):
     assert "status 3" in failure.message
     assert "licence not found" in failure.message
     assert "memory" not in failure.message
-
-
-def listening() -> list[tuple[str, int]]:
-    """Addresses and ports at which this process and its children listen."""
-    psutil = pytest.importorskip("psutil")
-    here = psutil.Process()
-    sockets = [each for process in (here, *here.children(recursive=True)) for each in process.net_connections("inet")]
-    return [tuple(each.laddr) for each in sockets if each.status == psutil.CONN_LISTEN]
-
-
-def test_a_local_cluster_obeys_its_own_process_alone():
-    """Every port that it opens is of this machine, wants our certificate or answers nothing; none is dask's well-known one."""
-    distributed = pytest.importorskip("distributed")
-    pytest.importorskip("cryptography")
-    before = listening()
-    with dask_engine._local_cluster(distributed, 2) as cluster, distributed.Client(cluster) as client:
-        assert client.submit(abs, -2).result() == 2
-        ports = [each for each in listening() if each not in before]
-        assert len(ports) >= 3  # scheduler and workers
-        for host, port in ports:
-            assert host == "127.0.0.1"
-            assert port != 8787
-            for path in ("", "health", "metrics", "info/main/workers.html", "json/identity.json"):
-                with pytest.raises((urllib.error.HTTPError, ConnectionError)) as refused:
-                    urllib.request.urlopen(f"http://{host}:{port}/{path}", timeout=20)
-                assert not isinstance(refused.value, urllib.error.HTTPError) or refused.value.code == 404
-        plain = cluster.scheduler_address.replace("tls", "tcp")
-        for address, security in ((plain, None), (cluster.scheduler_address, distributed.Security.temporary())):
-            with pytest.raises((OSError, RuntimeError)):
-                distributed.Client(address, security=security, timeout=2)
 
 
 def test_peak_memory_is_of_the_block_alone():

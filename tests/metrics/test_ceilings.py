@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from ggvs_eval.contrib.study import frame_ladders
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.coding import Coding, read_coding
 from ggvs_eval.metrics.ceilings import ceilings
@@ -17,7 +18,6 @@ from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.metrics.time.flicker import flicker
 from ggvs_eval.metrics.time.strred import strred
 from ggvs_eval.metrics.time.tcc import tcc
-from ggvs_eval.pipelines.study import frame_ladders
 from ggvs_eval.synthetic.film.film import lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.room import lighting

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from ggvs_eval.contrib.study import frame_ladders
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.time.flicker import FlickerMeter, flicker
-from ggvs_eval.pipelines.study import frame_ladders
 from helpers.noise_scenes import (
     FLICKER_SEED,
     clean_video,

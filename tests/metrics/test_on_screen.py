@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from ggvs_eval.contrib.study.measure import study_metrics
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen
 from ggvs_eval.metrics.time.on_screen import on_screen
-from ggvs_eval.pipelines.study.measure import study_metrics
 from ggvs_eval.protocol import Stream
 
 THIRTY = Stream(fps=30.0)

@@ -58,6 +58,18 @@ def test_pyramid_taps_equal_recorded_ones():
     np.testing.assert_allclose(band, wanted[2], atol=1e-7)
 
 
+def test_filters_are_those_of_the_package_without_its_import():
+    """They are read from its source; whoever imports it gets the same numbers, bit by bit."""
+    from pyrtools.pyramids.filters import steerable_filters
+
+    from ggvs_eval.metrics.time.strred import _sp5_filters
+
+    theirs, ours = steerable_filters("sp5_filters"), _sp5_filters()
+    assert theirs.keys() == ours.keys()
+    for name, values in theirs.items():
+        np.testing.assert_array_equal(ours[name], values)
+
+
 def test_bands_scales_and_entropies_equal_recorded_ones():
     """The band is within 1e-3, the block scales within 1e-4 and the entropies within 1e-3 of the recorded ones."""
     recorded = np.load(DATA / "strred_intermediate.npz")

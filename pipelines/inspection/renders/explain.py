@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 
+from ggvs_eval.built_in import PATH_METRICS
 from ggvs_eval.errors import MetricError, did_you_mean
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import error_conventions, lpips_conventions, psnr_conventions
@@ -114,9 +115,10 @@ def metric_family(metric: str) -> str:
         MetricError: a metric of which no conventions are known; the message suggests the nearest one.
     """
     family = metric.lower()
-    of_other = {name.lower(): one for name, one in {**METRICS.shipped, **DEPTH_METRICS}.items() if one.kind in OF_NO_VIEW}
+    of_other = {name.lower(): name for name in (*PATH_METRICS, *DEPTH_METRICS)}
     if family not in FAMILIES and family in of_other:
-        one = of_other[family]
+        name = of_other[family]
+        one = METRICS[name] if name in METRICS else DEPTH_METRICS[name]
         raise MetricError(
             f"{one.name} is of {OF_NO_VIEW[one.kind]}, and numbers are recomputed from test views; see {one.reference}"
         )

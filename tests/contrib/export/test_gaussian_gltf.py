@@ -14,10 +14,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ggvs_eval.contrib.export import gltf
+from ggvs_eval.contrib.export.gltf import write_glb
+from ggvs_eval.contrib.export.gltf_reading import glb_frames, read_glb
 from ggvs_eval.errors import RenderError
-from ggvs_eval.gaussians import GaussianCloud, gltf, read_ply, render_gaussians, write_ply
-from ggvs_eval.gaussians.gltf import write_glb
-from ggvs_eval.gaussians.gltf_reading import glb_frames, read_glb
+from ggvs_eval.gaussians import GaussianCloud, read_ply, render_gaussians, write_ply
 from helpers.fuzz import damaged, random_edit
 from helpers.gaussian_clouds import random_cloud, view_of
 from helpers.refusals import refused

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
+from ggvs_eval.contrib.study.clips import Clip, SourceClip
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
-from ggvs_eval.pipelines.study.clips import Clip, SourceClip
 
 GRAIN_PX = 4.0  # standard deviation of the Gaussian that correlates the noise of depth
 EXCHANGES = 3  # along a path whose cameras differ in brightness

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.contrib.study import frame_ladders, rendered_ladders
+from ggvs_eval.contrib.study.clips import Clip
 from ggvs_eval.errors import MetricError, did_you_mean
-from ggvs_eval.pipelines.study import frame_ladders, rendered_ladders
-from ggvs_eval.pipelines.study.clips import Clip
 
 Plant = Callable[[Clip, float, int], Image8]
 OF_FRAMES = frame_ladders.__name__

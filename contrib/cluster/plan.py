@@ -1,7 +1,6 @@
 """A sweep as commands that wait for each other, for schedulers that are not ours: Slurm arrays, Make, Snakemake."""
 
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -36,22 +35,6 @@ def write_commands(
     last = _job(TABLE, [*command], ids, [str(root / "sweep.csv")])
     write_json(file, {"jobs": [first, *views, last]})
     return file
-
-
-def flags(options: Any, default: Any) -> list[str]:
-    """A frozen dataclass of options as words of the command line; only what differs from its defaults.
-
-    Args:
-        options: values that are truth values, numbers, texts, paths or None.
-    """
-    words: list[str] = []
-    for field in fields(options):
-        value, usual = getattr(options, field.name), getattr(default, field.name)
-        name = field.name.replace("_", "-")
-        if value == usual:
-            continue
-        words += ["--" + ("" if value else "no-") + name] if isinstance(usual, bool) else [f"--{name}", str(value)]
-    return words
 
 
 def _job(name: str, command: Sequence[str], after: Sequence[str], makes: Sequence[str]) -> dict[str, Any]:

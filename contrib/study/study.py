@@ -7,15 +7,15 @@ from typing import Any
 
 import pandas as pd
 
+from ggvs_eval.contrib.study.clips import Take
+from ggvs_eval.contrib.study.ladders import Ladder, select_ladders
+from ggvs_eval.contrib.study.measure import series_job, study_metrics
+from ggvs_eval.contrib.study.takes import TakeOptions, make_takes
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.study.clips import Take
-from ggvs_eval.pipelines.study.ladders import Ladder, select_ladders
-from ggvs_eval.pipelines.study.measure import series_job, study_metrics
-from ggvs_eval.pipelines.study.takes import TakeOptions, make_takes
 from ggvs_eval.run_folder import JOB_FILE, read_json, write_json
 from ggvs_eval.statistics.rank_correlation import answer
 

@@ -11,6 +11,9 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
+from ggvs_eval.contrib.study.captures import open_footage, prepare_views, study_protocol
+from ggvs_eval.contrib.study.clips import Clip, SourceClip, Take, write_take
+from ggvs_eval.contrib.study.rendered_ladders import render, require_sources
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import resize
@@ -21,9 +24,6 @@ from ggvs_eval.pipelines.methods.render_unit import SourcePlan
 from ggvs_eval.pipelines.run.path_depth import read_path_depth, write_path_depth
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.study.captures import open_footage, prepare_views, study_protocol
-from ggvs_eval.pipelines.study.clips import Clip, SourceClip, Take, write_take
-from ggvs_eval.pipelines.study.rendered_ladders import render, require_sources
 from ggvs_eval.protocol import CameraPath
 from ggvs_eval.synthetic.demo import SHIPPED, write_demo
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ggvs_eval.reports.model.metric_study import Study, answered_metrics
+from ggvs_eval.contrib.study.metric_study import Study, answered_metrics
 
 BLANK = "–"
 Answer = Mapping[str, Any]

@@ -2,10 +2,8 @@
 
 import pytest
 
-from ggvs_eval.errors import ResultsError
-from ggvs_eval.files.images import read_image
-from ggvs_eval.reports.figures.study_figure import draw_study
-from ggvs_eval.reports.tables.study_tables import (
+from ggvs_eval.contrib.study.study_figure import draw_study
+from ggvs_eval.contrib.study.study_tables import (
     absence_list,
     by_ladder_table,
     correlation_table,
@@ -13,6 +11,8 @@ from ggvs_eval.reports.tables.study_tables import (
     sensitivity_table,
     verdict_table,
 )
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.files.images import read_image
 from ggvs_eval.run_folder import write_json
 
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ggvs_eval.contrib.study.metric_study import Study, answered_metrics, read_study
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.figures.curves import save_figure
-from ggvs_eval.reports.model.metric_study import Study, answered_metrics, read_study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,6 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from ggvs_eval.contrib.study import measure
+from ggvs_eval.contrib.study.study import StudyOptions, run_study
+from ggvs_eval.contrib.study.takes import TakeOptions
 from ggvs_eval.errors import CaptureError, MetricError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import write_video
@@ -11,9 +14,6 @@ from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics import registry
 from ggvs_eval.metrics.metric import ViewMetric
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.study import measure
-from ggvs_eval.pipelines.study.study import StudyOptions, run_study
-from ggvs_eval.pipelines.study.takes import TakeOptions
 from ggvs_eval.statistics.rank_correlation import answer
 from helpers.command_line import refusal
 from helpers.noise_scenes import clean_video

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.contrib.study.clips import Clip, Take
+from ggvs_eval.contrib.study.ladders import LADDERS, OF_FRAMES, Ladder
+from ggvs_eval.contrib.study.rendered_ladders import EXCHANGES, sources_at
 from ggvs_eval.errors import MetricError
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.job import Job
@@ -21,9 +24,6 @@ from ggvs_eval.metrics.stream import fit_colour_maps, score_view
 from ggvs_eval.metrics.time.on_screen import STREAM
 from ggvs_eval.pipelines.run.score_code import PATH_SCORES, metric_code
 from ggvs_eval.pipelines.run.score_view import fresh_metrics
-from ggvs_eval.pipelines.study.clips import Clip, Take
-from ggvs_eval.pipelines.study.ladders import LADDERS, OF_FRAMES, Ladder
-from ggvs_eval.pipelines.study.rendered_ladders import EXCHANGES, sources_at
 from ggvs_eval.run_folder import JOB_FILE, read_json
 
 # 25 ms of a core or more for a frame of 224x168, where all others together take 12: these see the first view of a take, and
@@ -60,7 +60,7 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
         )
     if named and ALL not in names:
         return tuple(named)
-    whole = [name for name, metric in METRICS.shipped.items() if metric.group not in (REGION, STREAM)]
+    whole = [name for name, metric in METRICS.built_in().items() if metric.group not in (REGION, STREAM)]
     return tuple(dict.fromkeys([*(name for name in whole if ALL in names or name not in COSTLY), *named]))
 
 

@@ -35,7 +35,7 @@ def export(
         degree: of the spherical harmonics that are kept, for a smaller file; all by default.
         layout: of the capture on disk; detected by default.
     """
-    from ggvs_eval.gaussians.gltf import write_glb
+    from ggvs_eval.contrib.export.gltf import write_glb
     from ggvs_eval.pipelines.methods.sequence import open_sequence
     from ggvs_eval.pipelines.view.scene import up_direction
 

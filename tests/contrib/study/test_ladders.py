@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera, translated_path
+from ggvs_eval.contrib.study import frame_ladders
+from ggvs_eval.contrib.study.clips import Clip, SourceClip, Take, write_take
+from ggvs_eval.contrib.study.ladders import LADDERS, select_ladders
+from ggvs_eval.contrib.study.rendered_ladders import render, sources_at
+from ggvs_eval.contrib.study.takes import fill_take
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.time.flicker import flicker
-from ggvs_eval.pipelines.study import frame_ladders
-from ggvs_eval.pipelines.study.clips import Clip, SourceClip, Take, write_take
-from ggvs_eval.pipelines.study.ladders import LADDERS, select_ladders
-from ggvs_eval.pipelines.study.rendered_ladders import render, sources_at
-from ggvs_eval.pipelines.study.takes import fill_take
 from helpers.noise_scenes import clean_video
 from helpers.refusals import refused
 

@@ -8,7 +8,7 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.run_folder import read_json
 
 STUDY_FILE = "study.json"
-Study = Mapping[str, Any]  # see `ggvs_eval.pipelines.study.study.run_study`
+Study = Mapping[str, Any]  # see `ggvs_eval.contrib.study.study.run_study`
 
 
 def read_study(folder: Path) -> Study:

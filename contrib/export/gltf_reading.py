@@ -8,6 +8,7 @@ Reading:
 
 import json
 import struct
+from collections.abc import Callable, Mapping
 from math import isqrt
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -16,10 +17,7 @@ import numpy as np
 import torch
 
 from ggvs_eval.arrays import Array32
-from ggvs_eval.errors import RenderError
-from ggvs_eval.files.plain import check_plain, why_unread
-from ggvs_eval.gaussians.cloud import GaussianCloud
-from ggvs_eval.gaussians.gltf import (
+from ggvs_eval.contrib.export.gltf import (
     BINARY_CHUNK,
     EXTENSION,
     FRAME,
@@ -32,6 +30,9 @@ from ggvs_eval.gaussians.gltf import (
     TERMS,
     TYPES,
 )
+from ggvs_eval.errors import RenderError
+from ggvs_eval.files.plain import check_plain, why_unread
+from ggvs_eval.gaussians.cloud import GaussianCloud
 
 LARGEST_DOCUMENT = 64 << 20  # bytes of JSON; an instant of degree 3 takes 4 kB
 NUMBERS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
@@ -133,3 +134,13 @@ def _values(opened: _Opened, number: int, file: IO[bytes]) -> Array32:
 def _unlike(path: Path, got: str) -> RenderError:
     mend = "write it again, or convert it, e.g. 'splat-transform in.glb out.ply'"
     return RenderError(f"{path}: wanted a .glb with Gaussians of {EXTENSION}, one mesh or a sequence, got {got}; {mend}")
+
+
+class SplatFile(NamedTuple):
+    """How files of Gaussians are read: (path, mesh) -> cloud, and path -> frame number -> mesh."""
+
+    read: Callable[[Path, int], GaussianCloud]
+    frames: Callable[[Path], Mapping[int, int]]
+
+
+GLB = SplatFile(read_glb, glb_frames)

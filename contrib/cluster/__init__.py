@@ -1,0 +1,1 @@
+"""Jobs on other machines: dask, and a sweep as commands for another scheduler."""
