@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
-from pkgutil import resolve_name
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -19,7 +19,7 @@ from ggvs_eval.built_in import DEVICE_FINISHES
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import LEAST_SLOPE, UNCHECKED, ConsistencyOptions
 from ggvs_eval.pipelines.offline.itermvs.estimator import Finish
-from ggvs_eval.plugins import module_of
+from ggvs_eval.plugins import Registry
 
 Maps = tuple[Tensor, Tensor]  # depth and confidence
 
@@ -29,10 +29,10 @@ def finisher(options: DepthOptions) -> Finish:
 
     On a GPU by kernels where Warp and contrib's part are there: 24 ms of four maps of 1024x768 become a few.
     """
-    by_kernels = DEVICE_FINISHES["warp"]
+    finishes: Registry[Any] = Registry("device finishes", DEVICE_FINISHES)
     on_gpu = getattr(options.matcher, "device", "cpu") != "cpu"
-    chosen = resolve_name(by_kernels) if on_gpu and find_spec("warp") and module_of(by_kernels) else finish_maps
-    return partial(chosen, options=options)
+    by_kernels = on_gpu and find_spec("warp") and "warp" in finishes
+    return partial(finishes["warp"] if by_kernels else finish_maps, options=options)
 
 
 def finish_maps(depth: Tensor, confidence: Tensor, between: Tensor, *, options: DepthOptions) -> Maps:

@@ -606,7 +606,7 @@ def test_a_gpu_is_given_the_whole_step(gpu_is_the_cpu, monkeypatch, on_device):
         images, depths = ({view.camera.name: getattr(view, what) for view in instant.sources} for what in ("image", "depth"))
         np.testing.assert_array_equal(synthesizer.show(images, depths, instant.target), quantise(there.image))
     with monkeypatch.context() as patch:
-        patch.setattr(ours, "ON_DEVICE", ())  # contrib/warp was taken away
+        patch.setattr(ours, "STEPS", {})  # contrib/warp was taken away
         assert isinstance(find_method("ours", on_gpu).make(), GeometryGuided)
     monkeypatch.setattr(ours, "find_spec", lambda name: None)
     assert isinstance(find_method("ours", on_gpu).make(), GeometryGuided)
