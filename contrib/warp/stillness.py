@@ -460,7 +460,7 @@ def remember(
         alpha = wp.max(alpha, alphas[k, y, x])
     hole = alpha < _COVERED
     now = depth[y, x]
-    keeps = flags[SHOWN] != 0
+    keeps = flags[SHOWN] != 0 and is_finite(past, y, x) and wp.isfinite(past_depth[y, x])
     faded = past_depth[y, x] * _FORGETTING
     fresh = now >= faded * _BEHIND and now > 0.0 and not hole
     kept = faded
