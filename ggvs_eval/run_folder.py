@@ -182,9 +182,7 @@ def require_frames(folders: dict[str, Path], indices: range) -> None:
     listed = [f"{name} lacks {as_ranges(missing)}" for name, missing in gaps.items() if missing]
     if listed:
         root = next(iter(folders.values())).parents[1]
-        brought = any(frame_path(folders[name], index).is_symlink() for name, missing in gaps.items() for index in missing)
-        mend = "their links lead nowhere, bring these renders again with --renders" if brought else "ggvs-eval render makes them"
-        raise RenderError(f"{root}: frames are missing: {'; '.join(listed)}; {mend}")
+        raise RenderError(f"{root}: frames are missing: {'; '.join(listed)}; ggvs-eval render makes them")
 
 
 def as_ranges(indices: list[int]) -> str:

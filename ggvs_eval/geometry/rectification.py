@@ -114,11 +114,7 @@ def rectify(reference: Camera, partner: Camera) -> RectifiedPair:
 
 
 def rectify_each(reference: Camera, partners: Sequence[Camera]) -> dict[int, RectifiedPair]:
-    """Rectify a camera with the partners that it can be rectified with, by their numbers.
-
-    Raises:
-        DepthError: with none.
-    """
+    """Rectify a camera with the partners that it can be rectified with, by their numbers; with none is a DepthError."""
     pairs, refusal = {}, DepthError(f"camera {reference.name}: wanted a partner to match with, got none")
     for number, partner in enumerate(partners):
         try:

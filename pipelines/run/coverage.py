@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ggvs_eval.errors import RenderError
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, as_ranges, read_json, require_frames
 
 IMPORT_FILE = "import.json"
@@ -45,6 +46,7 @@ class Coverage:
 
     def require(self, run: RunFolder, views: Sequence[str], labels: Sequence[str]) -> None:
         """Refuse a run in which frames are missing that should be there."""
+        require_imported(run, labels)
         whole = [label for label in labels if label not in self.partial]
         if whole:
             require_frames({f"{label} in {view}": run.renders(label, view) for label in whole for view in views}, self.numbers)
@@ -71,6 +73,15 @@ def read_coverage(run: RunFolder, numbers: range, labels: Sequence[str]) -> Cove
         marks[label] = f"partial in {scene}: without {', '.join(reasons)} ({next(iter(reasons.values()))})"
     origins = {label: {key: record[key] for key in SHOWN_FIELDS} for label, record in imports.items()}
     return Coverage(numbers, partial, marks, origins, refused)
+
+
+def require_imported(run: RunFolder, labels: Sequence[str]) -> None:
+    """Refuse imported renders whose files have been moved or removed: a run links to them."""
+    for label in labels:
+        frames = (run.root / "renders" / label).glob("*/*.png")
+        if lost := next((frame for frame in frames if not frame.exists()), None):
+            mend = f"put them back, or `ggvs-eval score {run.root} --renders {label}=NEWPLACE`"
+            raise RenderError(f"{run.root}: frames of {label} were read from {lost.readlink().parent} and are gone; {mend}")
 
 
 def _refusals(run: RunFolder, label: str, views: Sequence[str]) -> dict[str, str]:

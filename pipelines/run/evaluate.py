@@ -13,6 +13,7 @@ from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.run.coverage import require_imported
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, MadeFiles, digest_folder
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
@@ -96,6 +97,8 @@ def report(
     from ggvs_eval.reports.report import write_report
     from ggvs_eval.reports.tables.excel import has_excel
 
+    for run in map(RunFolder, roots):
+        require_imported(run, run.labels())
     templates = Path(str(resources.files("ggvs_eval.reports")))
     made_from = {
         "code": [code_identity(write_report.__module__), digest_folder(templates, without=["__pycache__"])],

@@ -23,7 +23,7 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, find_matcher
-from ggvs_eval.pipelines.offline.stereo import raft_matcher, raft_refinement
+from ggvs_eval.pipelines.offline.stereo import raft_matcher
 from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_disparity
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, load_network, shipped_weights, weights_digest
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
@@ -101,7 +101,7 @@ def test_nothing_is_computed_elsewhere_and_nothing_waits():
 def test_a_pair_without_a_match_is_refined_to_nothing():
     """Where all is rejected, nothing is not a number."""
     grey, nothing = torch.rand(40, 60), torch.zeros(40, 60)
-    assert not raft_refinement.refine_disparity(grey, grey, nothing, 7, 2).any()
+    assert not raft_matcher.refine_disparity(grey, grey, nothing, 7, 2).any()
 
 
 def test_refinement_finds_what_opencv_finds():
@@ -109,7 +109,7 @@ def test_refinement_finds_what_opencv_finds():
     random = np.random.default_rng(1)
     left, right = random.integers(0, 256, (2, 50, 70), dtype=np.uint8)
     disparity = np.where(random.random((50, 70)) < 0.8, random.uniform(0, 30, (50, 70)), 0).astype(np.float32)
-    there = raft_refinement.refine_disparity(*(torch.from_numpy(each).float() for each in (left, right, disparity)), 7, 2)
+    there = raft_matcher.refine_disparity(*(torch.from_numpy(each).float() for each in (left, right, disparity)), 7, 2)
     np.testing.assert_allclose(there.numpy(), refine_disparity(left, right, disparity, 7, 2), atol=1e-3)
 
 
@@ -117,7 +117,7 @@ def test_the_check_is_that_of_opencv():
     """The right image's disparity at the matched column, inf where it has none or does not show the point."""
     left, right = np.random.default_rng(2).uniform(0, 30, (2, 50, 70)).astype(np.float32)
     right[10:20] = 0
-    there = raft_refinement.left_right_gap(torch.from_numpy(left), torch.from_numpy(right)).numpy()
+    there = raft_matcher.left_right_gap(torch.from_numpy(left), torch.from_numpy(right)).numpy()
     np.testing.assert_array_equal(there, left_right_gap(left, right))
 
 
@@ -247,7 +247,7 @@ def test_a_gpu_finds_what_the_cpu_finds(monkeypatch):
     find_matcher("raft", "cuda").match(*pair())
     for name in ("features", "walk"):
         monkeypatch.setattr(RaftStereo, name, watched(getattr(RaftStereo, name)))
-    monkeypatch.setattr(raft_matcher, "refine_disparity", watched(raft_refinement.refine_disparity))
+    monkeypatch.setattr(raft_matcher, "refine_disparity", watched(raft_matcher.refine_disparity))
     there, again = (find_matcher("raft", "cuda").match(*pair())[0] for _ in range(2))
     assert (((there > 0) == (here > 0)) & (np.abs(there - here) <= 0.1)).mean() >= 0.99
     np.testing.assert_array_equal(there, again)

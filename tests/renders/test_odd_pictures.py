@@ -199,7 +199,7 @@ def test_renders_that_are_gone_are_told(truth_run, tmp_path):
     import_renders(truth_run, "mine", folder)
     shutil.rmtree(folder / "cam00")
 
-    with refused(RenderError, "mine in cam00", "2-4", "links"):
+    with refused(RenderError, "frames of mine", "cam00 and are gone", "--renders mine=NEWPLACE"):
         score(truth_run)
 
 

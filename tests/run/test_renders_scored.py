@@ -13,6 +13,7 @@ from ggvs_eval.errors import RenderError, ResultsError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.run.evaluate import report
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare_truth
 from ggvs_eval.pipelines.run.score import score
@@ -295,3 +296,17 @@ def test_what_contradicts_itself_is_refused(arguments, message, coffee_folder, p
         command("score", *given)
 
     assert message in str(caught.value.code)
+
+
+def test_renders_that_were_moved_are_named(tmp_path):
+    """A run links to imported frames: once they are elsewhere, report and score name the method, the place and the way out."""
+    run = make_run(tmp_path / "run", ("PSNR",))
+    import_renders(run, "b", write_folders(tmp_path / "b"))
+    table = score(run).table
+    (tmp_path / "b").rename(tmp_path / "moved")
+
+    for call in (lambda: report([run.root]), lambda: score(run)):
+        with refused(RenderError, f"frames of b were read from {tmp_path / 'b'}/", "--renders b=NEWPLACE"):
+            call()
+    import_renders(run, "b", tmp_path / "moved")
+    assert score(run).table.equals(table)

@@ -17,9 +17,8 @@ from ggvs_eval.pipelines.view import listener as listener_module
 from ggvs_eval.pipelines.view.frame_stock import FrameStock, fitted
 from ggvs_eval.pipelines.view.listener import require_viser
 from ggvs_eval.pipelines.view.live_view import LAYERS, LiveView, ViewRequest
-from ggvs_eval.pipelines.view.recording import Recording
 from ggvs_eval.pipelines.view.scene import cloud, gazed_depth, middle_camera, up_direction
-from ggvs_eval.pipelines.view.session import status_text
+from ggvs_eval.pipelines.view.session import Recording, status_text
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views, load_protocol
 from helpers.itermvs_weights import write_checkpoint
 from helpers.refusals import refused
