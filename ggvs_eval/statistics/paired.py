@@ -13,7 +13,7 @@ from ggvs_eval.statistics.pooled_table import PooledTable, pool_table
 # Of the first of two methods. Too short: the clip allows no answer, which is not the same as "as good".
 Outcome = Literal["better", "worse", "as good", "equal", "too short", "untested"]
 OUTCOMES: Mapping[Outcome, str] = {
-    **{"better": "better", "worse": "worse", "as good": "not to be told apart", "equal": "equal"},
+    **{"better": "better", "worse": "worse", "as good": "not significantly different", "equal": "equal"},
     **{"too short": "too short to call", "untested": "not tested"},
 }
 NOT_WORSE: tuple[Outcome, ...] = ("better", "as good", "equal")

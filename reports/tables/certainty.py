@@ -73,7 +73,7 @@ def certainty_captions(
     said: dict[str, list[str]] = defaultdict(list)  # sentence with a gap -> what fills it
     for metric, one in judgements.items():
         if one.rivals and not one.marked:
-            said[f"Nothing is bold in {{}}: {one.undecided or 'no method can be told from the best'}."].append(metric)
+            said[f"Nothing is bold in {{}}: {one.undecided or 'no method is significantly worse than the best'}."].append(metric)
     for metric, one in judgements.items():
         if refusal := next((interval.note for interval in one.intervals.values() if interval.low is None), ""):
             said[f"No interval for {{}}: {refusal}."].append(metric)
