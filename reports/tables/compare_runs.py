@@ -111,8 +111,8 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
         other: the second.
     """
     both = _both(one, other)
-    reasons = zip(SIDES, (one.results.set_aside.get(one.label), other.results.set_aside.get(other.label)), strict=True)
-    set_aside = "; ".join(f"{side} {why}" for side, why in reasons if why)
+    reasons = {side: each.results.set_aside.get(each.label) for side, each in zip(SIDES, (one, other), strict=True)}
+    set_aside = "; ".join(f"{side} {why}" for side, why in reasons.items() if why)
     dataset = str(both.table["dataset"].iloc[0])
     notes = read_metric_notes(run)
     shared = [metric for metric in notes if all((side.results.table["metric"] == metric).any() for side in (one, other))]
