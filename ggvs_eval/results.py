@@ -36,11 +36,7 @@ SYMPTOMS = {
     "reversed time": "shows the frames in reversed order",
     "channel order": "has its colour channels in another order",
     "mirrored": "is mirrored",
-    "wrong camera": "shows another camera",
-    "wrong size": "has frames of another size",
     "blank frames": "has frames that show nothing",
-    "repeated frames": "repeats frames while the scene moves",
-    "truth copied in": "holds pixels of the captured frames",
     "test view seen": "has seen the test view",
 }
 

@@ -62,7 +62,8 @@ class Spread:
     @property
     def note(self) -> str:
         """Caveats in words: assumptions, and a clip that is too short; empty where there are none."""
-        return "; ".join(filter(None, (f"given {', '.join(self.given)}" if self.given else "", self.short)))
+        narrow = self.short.replace("clip too short", "interval perhaps too narrow")
+        return "; ".join(filter(None, (f"given {', '.join(self.given)}" if self.given else "", narrow)))
 
     @property
     def short(self) -> str:

@@ -13,12 +13,10 @@ from ggvs_eval.statistics.pooled_table import PooledTable, pool_table
 # Of the first of two methods. Too short: the clip allows no answer, which is not the same as "as good".
 Outcome = Literal["better", "worse", "as good", "equal", "too short", "untested"]
 OUTCOMES: Mapping[Outcome, str] = {
-    **{"better": "better", "worse": "worse", "as good": "not to be told apart", "equal": "equal"},
+    **{"better": "better", "worse": "worse", "as good": "not significantly different", "equal": "equal"},
     **{"too short": "too short to call", "untested": "not tested"},
 }
 NOT_WORSE: tuple[Outcome, ...] = ("better", "as good", "equal")
-EVENNESS = ("SDT", "SDV")  # deviations of the error, which are small too where all frames or views are equally bad
-COMPARABLE_DB = 1.0  # PSNR behind the best within which evenness says something of quality
 BEYOND = "is better than the captured images, as blur is"
 ELSEWHERE = "was measured on other views or frames than the others"
 
@@ -176,6 +174,7 @@ def judge(
     *,
     captured: float | None = None,
     own: Collection[str] = (),
+    incomparable: Mapping[str, str] | None = None,
 ) -> Judgement:
     """Find the best method in a metric and judge every other one against it.
 
@@ -184,14 +183,14 @@ def judge(
         captured: what the captured images themselves score, of a metric without truth; None where unknown.
         own: labels of one method and its variants. A method does not compete with its own ablations: the plainest stands for
             all, unless these alone were measured.
+        incomparable: label -> why else its number is not ranked, as it follows the name.
 
     Raises:
         ResultsError: no method has a value.
 
     Reading:
         A metric that sees no truth prefers what changes little, and blur changes least. Numbers better than those of the captured
-        images are therefore not ranked; up to there a better number is nearer to them. SDT and SDV are small where all frames
-        or views are equally bad, so only methods within 1 dB of the best PSNR are ranked by them.
+        images are therefore not ranked; up to there a better number is nearer to them.
     """
     here = (results.table["metric"] == metric) & (results.table["dataset"] == dataset)
     if not here.any():
@@ -199,12 +198,10 @@ def judge(
     whole = without_labels(results, results.set_aside)
     table = pool_table(whole, metric, dataset)
     values = {label: value for label, value in table.values.items() if not math.isnan(value)}
-    unranked = _elsewhere(whole, metric, dataset)
+    unranked = dict(incomparable or {}) | _elsewhere(whole, metric, dataset)
     sign = 1.0 if higher_is_better else -1.0
     if captured is not None:
         unranked |= {label: BEYOND for label, value in values.items() if sign * value > sign * captured}
-    if metric.partition("_")[0] in EVENNESS:
-        unranked = _unequal_quality(whole, dataset, values) | unranked
     ranked = {label: value for label, value in values.items() if label not in unranked}
     plainest, variants = _variants(list(ranked), own)
     contenders = {label: value for label, value in ranked.items() if label not in variants}
@@ -232,19 +229,6 @@ def _elsewhere(results: Results, metric: str, dataset: str) -> dict[str, str]:
     }
     everywhere = set().union(*places.values())
     return {label: ELSEWHERE for label, own in places.items() if own != everywhere}
-
-
-def _unequal_quality(results: Results, dataset: str, labels: Collection[str]) -> dict[str, str]:
-    """Methods of which evenness says nothing: far behind the best in PSNR, or without a PSNR."""
-    psnr_db = {label: value for label, value in pool_table(results, "PSNR", dataset).values.items() if not math.isnan(value)}
-    behind = {label: max(psnr_db.values()) - psnr_db[label] if label in psnr_db else math.nan for label in labels}
-    return {
-        label: "has no PSNR, without which evenness may be even badness"
-        if math.isnan(db)
-        else f"is more than {COMPARABLE_DB:g} dB behind the best PSNR, and evenly bad is even too"
-        for label, db in behind.items()
-        if not db <= COMPARABLE_DB
-    }
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -202,7 +202,10 @@ def _groups(groups: Sequence[RunGroup], folder: Path | None, plot: dict[str, Any
     rooms = enumerate(share_room([section.run for group in groups for section in group.sections]))
     names = _tab_names(groups)
     tabs = zip(names, _addresses(names), strict=True)
-    verdicts = [_verdict(group) for group in groups]
+    verdicts = [
+        evaluate_verdict([one.run for one in group.sections], group.results, group.tables, group.sections[0].view_tables)
+        for group in groups
+    ]
     return [
         {
             "id": f"group{at}",
@@ -227,11 +230,6 @@ def _groups(groups: Sequence[RunGroup], folder: Path | None, plot: dict[str, Any
         }
         for at, group in enumerate(groups)
     ]
-
-
-def _verdict(group: RunGroup) -> Verdict:
-    budgets = [table for section in group.sections for table in section.view_tables]
-    return evaluate_verdict([section.run for section in group.sections], group.results, group.tables, budgets)
 
 
 def _sources(runs: Sequence[MeasuredRun]) -> str:

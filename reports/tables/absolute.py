@@ -80,7 +80,7 @@ def _conditions(run: MeasuredRun) -> list[Condition]:
     if agreeing := _agreeing_shares(run):
         apart = 1.0 - float(np.mean(agreeing))
         found.append(Condition(apart, 0.1, 0.25, f"{apart:.0%} of the pixels have no depth that the other cameras confirm"))
-    file = run.folder.capture_path() / "calibration.json" if run.folder.has_capture_record else None
+    file = run.folder.capture_path() / "calibration.json" if "path" in run.capture else None
     calibration = read_json(file) if file and file.is_file() else {}
     if points := calibration.get("n_points"):
         off_px = calibration["mean_reprojection_error_px"]

@@ -1,14 +1,33 @@
 """Judgements in words: the best method of each metric, the meaning of ± and bold, and what is not ranked or not called."""
 
+import math
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from ggvs_eval.reports.model.metric_note import MetricNote
 from ggvs_eval.reports.model.table import SHORT_MEANS, Cell, Column, Table
-from ggvs_eval.statistics.intervals import LEVEL
-from ggvs_eval.statistics.paired import Judgement
+from ggvs_eval.results import Results, without_labels
+from ggvs_eval.statistics.intervals import LEVEL, intervals
+from ggvs_eval.statistics.paired import Judgement, judge
 
+EVENNESS = ("SDT", "SDV")  # deviations of the error, which are small too where all frames or views are equally bad
+COMPARABLE_DB = 1.0  # PSNR behind the best within which evenness says something of quality
 HEADLINES = ("PSNR", "SSIM", "LPIPS", "TCC", "STED", "SDT", "SDV")  # those of the paper's tables
+
+
+def judge_metric(
+    results: Results, note: MetricNote, dataset: str, captured: float | None = None, own: Collection[str] = ()
+) -> Judgement:
+    """Judge a metric, see `ggvs_eval.statistics.paired.judge`; by SDT and SDV only what is within 1 dB of the best PSNR."""
+    incomparable: dict[str, str] = {}
+    if note.name.partition("_")[0] in EVENNESS:
+        whole = without_labels(results, results.set_aside)
+        psnr_db = {label: one.value for label, one in intervals(whole, "PSNR", dataset).items() if not math.isnan(one.value)}
+        least_db = max(psnr_db.values(), default=math.inf) - COMPARABLE_DB
+        why = f"is not known to be within {COMPARABLE_DB:g} dB of the best PSNR, and evenly bad is even too"
+        incomparable = {label: why for label in dict.fromkeys(whole.row_labels) if not psnr_db.get(label, -math.inf) >= least_db}
+    return judge(results, note.name, note.higher_is_better, dataset, captured=captured, own=own, incomparable=incomparable)
 
 
 @dataclass(frozen=True)
@@ -73,7 +92,7 @@ def certainty_captions(
     said: dict[str, list[str]] = defaultdict(list)  # sentence with a gap -> what fills it
     for metric, one in judgements.items():
         if one.rivals and not one.marked:
-            said[f"Nothing is bold in {{}}: {one.undecided or 'no method can be told from the best'}."].append(metric)
+            said[f"Nothing is bold in {{}}: {one.undecided or 'no method is significantly worse than the best'}."].append(metric)
     for metric, one in judgements.items():
         if refusal := next((interval.note for interval in one.intervals.values() if interval.low is None), ""):
             said[f"No interval for {{}}: {refusal}."].append(metric)

@@ -11,9 +11,10 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import tell_scenes_apart
 from ggvs_eval.reports.model.measured import METHODS_FILE
 from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
+from ggvs_eval.reports.tables.certainty import judge_metric
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json
-from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Judgement, compare, decide, judge
+from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Judgement, compare, decide
 
 SIDES = ("first", "second")
 
@@ -111,8 +112,8 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
         other: the second.
     """
     both = _both(one, other)
-    reasons = zip(SIDES, (one.results.set_aside.get(one.label), other.results.set_aside.get(other.label)), strict=True)
-    set_aside = "; ".join(f"{side} {why}" for side, why in reasons if why)
+    reasons = {side: each.results.set_aside.get(each.label) for side, each in zip(SIDES, (one, other), strict=True)}
+    set_aside = "; ".join(f"{side} {why}" for side, why in reasons.items() if why)
     dataset = str(both.table["dataset"].iloc[0])
     notes = read_metric_notes(run)
     shared = [metric for metric in notes if all((side.results.table["metric"] == metric).any() for side in (one, other))]
@@ -125,7 +126,7 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
     rows: list[Difference] = []
     for metric, comparison in decide(whole, higher_is_better=True).items():  # the verdict knows each metric's direction
         note = notes[metric]
-        judgement = judge(judged, metric, note.higher_is_better, dataset, own=own)
+        judgement = judge_metric(judged, note, dataset, own=own)
         unranked = dict(zip(SIDES, map(judgement.unranked.get, labels), strict=True))
         why = set_aside or "; ".join(f"{side} {reason}" for side, reason in unranked.items() if reason)
         first, second = (float(means[metric][side, ""]) for side in SIDES)

@@ -17,12 +17,12 @@ from ggvs_eval.reports.model.measured import (
 from ggvs_eval.reports.model.metric_note import MetricNote, note_groups
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, join_tables, measured_cell, rank
 from ggvs_eval.reports.tables.captions import main_captions
-from ggvs_eval.reports.tables.certainty import certainty_captions
+from ggvs_eval.reports.tables.certainty import certainty_captions, judge_metric
 from ggvs_eval.reports.tables.community import community_rows, describe_published
 from ggvs_eval.reports.tables.comparable_runs import why_not_beside
 from ggvs_eval.reports.tables.published import paper_dataset, published_rows
 from ggvs_eval.results import Results, label_of
-from ggvs_eval.statistics.paired import Judgement, judge
+from ggvs_eval.statistics.paired import Judgement
 
 PUBLISHED_GROUPS = ("quality", "consistency")
 ALONG_PATH = "path"  # table whose reference row is the captured images
@@ -63,7 +63,7 @@ def _main_table(
     captured = captured_values(references) if key == ALONG_PATH else {}
     own = frozenset().union(*(run.ours for run in runs))
     judgements = {
-        note.name: judge(results, note.name, note.higher_is_better, dataset, captured=captured.get(note.name), own=own)
+        note.name: judge_metric(results, note, dataset, captured.get(note.name), own)
         for note in notes
         if note.name in here and here[note.name].notna().any()
     }

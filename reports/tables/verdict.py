@@ -150,8 +150,7 @@ def _words(
         if judgement.unranked.keys() <= results.set_aside.keys():
             return f"Only {best.name} is ranked", number
         return "No winner can be named", f"{best.name} has {number}; the others were measured on other scenes, views or frames"
-    level = {*leader.ties, *leader.short}
-    rival = next((one for one in contenders[1:] if one.name in level), contenders[1])
+    rival = next((one for one in contenders[1:] if one.name in (*leader.ties, *leader.short)), contenders[1])
     comparison = judgement.comparisons[rival.label]
     if comparison.outcome == "equal":
         return f"{best.name} and {rival.name} are equal", f"{best.cell.shown}{unit} each"

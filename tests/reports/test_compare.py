@@ -62,7 +62,7 @@ def test_chance_is_not_taken_for_a_difference(runs):
     one, other = run_sides(runs["plain"], runs["again"])[0]
     whole = [found for found in differences(one, other, runs["plain"]) if not found.view]
     assert [found.metric for found in whole] == ["PSNR", "SSIM", "L1"]
-    assert {found.verdict for found in whole} == {"not to be told apart"}
+    assert {found.verdict for found in whole} == {"not significantly different"}
 
 
 def test_a_run_equals_itself(runs):

@@ -10,7 +10,8 @@ import pytest
 
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun, read_run
-from ggvs_eval.reports.tables.certainty import leaders
+from ggvs_eval.reports.model.metric_note import MetricNote
+from ggvs_eval.reports.tables.certainty import judge_metric, leaders
 from ggvs_eval.reports.tables.compare_runs import Side, differences
 from ggvs_eval.reports.tables.fit_budget import budget_tables
 from ggvs_eval.reports.tables.fitted import price_tables
@@ -20,7 +21,7 @@ from ggvs_eval.reports.tables.verdict import evaluate_verdict
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
 from helpers.run_folders import RunShape, write_run
-from helpers.tidy_tables import autoregressive
+from helpers.tidy_tables import autoregressive, make_results, make_rows, make_spread_rows
 
 pytestmark = pytest.mark.slow
 
@@ -143,6 +144,19 @@ def test_every_place_says_the_same(tmp_path):
     evenness = judgements["SDV"].unranked
     assert {FITS[0], FITS[2]} <= set(evenness)
     assert set(evenness) == set(judgements["SDT"].unranked)
+
+
+def test_even_badness_wins_no_metric_of_evenness():
+    """A method 3 dB behind is not ranked in SDT and SDV, however even, nor is one without a PSNR; L1 ranks both."""
+    base = autoregressive(np.random.default_rng(4), 6, 60, 0.5) + np.arange(6.0)[:, None] + 10.0
+    rows = make_spread_rows("good", base) + make_spread_rows("bad", 10.0 + 0.3 * (base - 10.0))
+    rows += make_rows("good", "PSNR", 30.0 + 0.1 * base)
+    for results in (make_results(rows + make_rows("bad", "PSNR", 27.0 + 0.1 * base)), make_results(rows)):
+        for metric in ("SDT", "SDV"):
+            judgement = judge_metric(results, MetricNote(metric, "", False, "", "", "", "", None), "Demo")
+            assert (judgement.best, judgement.winner, list(judgement.unranked)) == ("good", "", ["bad"])
+            assert "within 1 dB of the best PSNR" in judgement.unranked["bad"]
+        assert judge_metric(results, MetricNote("L1", "", False, "", "", "", "", None), "Demo").unranked == {}
 
 
 def test_a_certain_fault_and_a_partial_method_win_nowhere(tmp_path):

@@ -98,7 +98,7 @@ def test_a_clip_too_short_for_its_correlation_names_no_winner():
     assert found.low < found.difference < found.high
     assert found.p_value < 0.05
     assert re.fullmatch(r"clip too short: its 24 frames are worth [123] independent ones?, .*", found.short)
-    assert "clip too short: its 24 frames are worth" in found.note
+    assert "interval perhaps too narrow: its 24 frames are worth" in found.note
     open_ = judge(slow, "PSNR", True, "Demo")
     assert (open_.best, open_.winner, open_.having("too short"), open_.having("as good")) == ("a", "", ("b",), ())
     assert (open_.undecided, open_.marked) == (found.short, frozenset())
@@ -120,17 +120,12 @@ def test_numbers_that_are_no_means_are_compared_too():
         assert judge(results, metric, False, "Demo").winner == "steady"
 
 
-def test_even_badness_wins_no_metric_of_evenness():
-    """A method 3 dB behind is not ranked in SDT and SDV, however even, nor is one without a PSNR; STED ranks both."""
-    base = make_noise(4, 1.0) + np.arange(6.0)[:, None] + 10.0
-    rows = make_spread_rows("good", base) + make_spread_rows("bad", 10.0 + 0.3 * (base - 10.0))
-    rows += make_rows("good", "PSNR", 30.0 + 0.1 * base)
-    behind = make_rows("bad", "PSNR", 27.0 + 0.1 * base)
-    for results, why in ((make_results(rows + behind), "1 dB behind the best PSNR"), (make_results(rows), "has no PSNR")):
-        for metric in ("SDT", "SDV"):
-            judgement = judge(results, metric, False, "Demo")
-            assert (judgement.best, judgement.winner, list(judgement.unranked)) == ("good", "", ["bad"])
-            assert why in judgement.unranked["bad"]
+def test_what_does_not_compare_is_not_ranked(results):
+    """A method that the caller rules out keeps its number and its reason, and the next one is the best."""
+    judgement = judge(results, "PSNR", True, "Demo", incomparable={"a": "is of another camera", "b+fast": "is of another camera"})
+    assert (judgement.best, judgement.comparisons) == ("c", {})
+    assert judgement.unranked == {"a": "is of another camera", "b+fast": "is of another camera"}
+    assert judgement.interval("a").value > judgement.interval("c").value
 
 
 def test_holm_corrects_for_the_number_of_comparisons():
