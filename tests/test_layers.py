@@ -54,6 +54,7 @@ FLOORS = (
         "contrib.cluster",
         "contrib.export",
         "contrib.study",
+        "contrib.more_metrics",
         "contrib.warp",
     ),  # what the package can do without, each part by itself
 )
