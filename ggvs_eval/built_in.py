@@ -9,11 +9,11 @@ VERBS_ROOM = "ggvs_eval.pipelines.commands"
 
 
 class Derived(NamedTuple):
-    """An entry that is made of another one of its table when it is asked for.
+    """An entry that is made of something else when it is asked for.
 
     Attributes:
-        base: name of the other one.
-        make: ``module:function`` of that one and of what is given.
+        base: name of another entry of its table, or ``module:attribute``.
+        make: ``module:function`` of that and of what is given.
         given: its further arguments.
     """
 
@@ -246,6 +246,39 @@ DEPTH_METRICS = {
 COLMAP_METRICS = ("COLMAP_registered", "COLMAP_track_length", "COLMAP_matches")  # of one call, in this order
 METRICS_OF_VIDEOS = ("mTV", "Sharpness", "mTV2")  # that have a form without truth
 METRICS_WITH_CEILING = ("PSNR", "SSIM", "TCC", "STED")  # that perfect renderings are scored with
+
+# The learned baselines: of each a description; and every method by its label, in the order in which they are listed.
+_BASELINES, _MORE_BASELINES = "ggvs_eval.baselines", "ggvs_eval.contrib.more_baselines"
+LEARNED_BASELINES = {
+    "fwd": f"{_BASELINES}.fwd:BASELINE",
+    "ibrnet": f"{_BASELINES}.ibrnet:BASELINE",
+    "gps-gaussian": f"{_BASELINES}.gps_gaussian:BASELINE",
+    "enerf": f"{_BASELINES}.enerf:BASELINE",
+    "mvsplat": f"{_MORE_BASELINES}.mvsplat:BASELINE",
+    "mvsnerf": f"{_MORE_BASELINES}.mvsnerf:BASELINE",
+}
+_METHODS, _OF = "ggvs_eval.pipelines.methods", "operator:getitem"
+_LEARNED_LABELS = {
+    **{name: name for name in ("fwd", "ibrnet", "gps-gaussian")},
+    "gps-gaussian+given-depth": "gps-gaussian",
+    **{name: name for name in ("enerf", "mvsplat", "mvsnerf")},
+}
+_GEOMETRIC = ("", "+no-temporal", "+point-splat", "+no-background", "+offline")
+_OURS = ("naive", "ours+no-tsdf", "ours+no-temporal", "ours", *(f"ours-geometric{variant}" for variant in _GEOMETRIC))
+METHODS: dict[str, Derived] = {
+    **{
+        name: Derived(f"{_METHODS}.baselines:FIXED_BASELINES", _OF, (name,))
+        for name in ("no-blending", "distance-based", "interpolation")
+    },
+    **{
+        label: Derived(LEARNED_BASELINES[name], f"{_METHODS}.baselines:method_of_label", (label,))
+        for label, name in _LEARNED_LABELS.items()
+    },
+    **{name: Derived(f"{_METHODS}.fitted:FITTED", _OF, (name,)) for name in ("4dgs", "3dgs-per-instant", "3dgstream")},
+    **{label: Derived(f"{_METHODS}.ours:OURS", _OF, (label,)) for label in _OURS},
+}
+# Those that are rendered where none are named.
+USUAL_METHODS = ("no-blending", "distance-based", "ours+no-tsdf", "ours+no-temporal", "ours", "ours-geometric")
 
 # Where jobs run beside processes of this machine, and plans of sweeps for other schedulers.
 ENGINES = {"dask": "ggvs_eval.contrib.cluster.dask_engine:run_on_dask"}

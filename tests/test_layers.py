@@ -55,6 +55,7 @@ FLOORS = (
         "contrib.export",
         "contrib.study",
         "contrib.more_metrics",
+        "contrib.more_baselines",
         "contrib.warp",
     ),  # what the package can do without, each part by itself
 )
