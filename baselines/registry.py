@@ -1,19 +1,8 @@
-"""The learned baselines by name; each is a folder beside this file, and a line here."""
+"""The learned baselines by name: each is a folder that describes itself, and a line of `ggvs_eval.built_in`."""
 
-from importlib import import_module
-
+from ggvs_eval import built_in
 from ggvs_eval.baselines.learned import LearnedBaseline
+from ggvs_eval.plugins import Registry
 
-FOLDERS = (
-    "fwd",
-    "ibrnet",
-    "gps_gaussian",
-    "enerf",
-    "mvsplat",
-    "mvsnerf",
-)
-
-LEARNED_BASELINES: dict[str, LearnedBaseline] = {
-    baseline.name: baseline for baseline in (import_module(f"ggvs_eval.baselines.{folder}").BASELINE for folder in FOLDERS)
-}
+LEARNED_BASELINES: Registry[LearnedBaseline] = Registry("learned baselines", built_in.LEARNED_BASELINES)
 TRAINED_BASELINES = {name: baseline for name, baseline in LEARNED_BASELINES.items() if baseline.recipe}  # have a training here

@@ -22,9 +22,9 @@ from typing import Any, Literal
 import numpy as np
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.contrib.more_metrics.colmap_consistency import colmap_consistency
 from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.metrics.path.colmap_consistency import colmap_consistency
 from ggvs_eval.metrics.series_scores import mean_values, score_frames
 from ggvs_eval.run_folder import read_json, write_json
 

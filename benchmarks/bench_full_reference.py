@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage import data
 
+from ggvs_eval.contrib.more_metrics.colour_video_vdp import colour_video_vdp
+from ggvs_eval.contrib.more_metrics.dists import dists
+from ggvs_eval.contrib.more_metrics.flip import flip
+from ggvs_eval.contrib.more_metrics.iv_psnr import WEIGHTS, iv_psnr
+from ggvs_eval.contrib.more_metrics.vmaf import vmaf
 from ggvs_eval.errors import MetricError, WeightsError
-from ggvs_eval.metrics.image.dists import dists
 from ggvs_eval.metrics.image.dssim import dssim
-from ggvs_eval.metrics.image.flip import flip
-from ggvs_eval.metrics.image.iv_psnr import WEIGHTS, iv_psnr
 from ggvs_eval.metrics.image.ms_ssim import ms_ssim
 from ggvs_eval.metrics.stream import score_view
-from ggvs_eval.metrics.time.colour_video_vdp import colour_video_vdp
-from ggvs_eval.metrics.time.vmaf import vmaf
 
 COMMAND = "python -m benchmarks.bench_full_reference"
 WIDTH, HEIGHT = 1352, 1014

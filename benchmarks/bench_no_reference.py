@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from benchmarks.bench_full_reference import HEIGHT, RUNS, WIDTH, Figure, elapsed_ms, frame_pair, time_figure
 from ggvs_eval.camera import Camera, translated_path
+from ggvs_eval.contrib.more_metrics.colmap_consistency import colmap_consistency
 from ggvs_eval.metrics.image.regions import moving_mask
 from ggvs_eval.metrics.image.sharpness import sharpness
-from ggvs_eval.metrics.path.colmap_consistency import colmap_consistency
 from ggvs_eval.metrics.path.warping_error import warping_error
 from ggvs_eval.metrics.series_scores import series_of_depths
 from ggvs_eval.metrics.time.temporal_variation import mtv, mtv2

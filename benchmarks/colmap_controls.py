@@ -17,10 +17,10 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.more_metrics.colmap_consistency import colmap_consistency
 from ggvs_eval.errors import GgvsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.metrics.image.sharpness import sharpness
-from ggvs_eval.metrics.path.colmap_consistency import colmap_consistency
 from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, read_json, write_json
 
 NOISE_255 = 20.0

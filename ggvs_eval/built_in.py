@@ -9,11 +9,11 @@ VERBS_ROOM = "ggvs_eval.pipelines.commands"
 
 
 class Derived(NamedTuple):
-    """An entry that is made of another one of its table when it is asked for.
+    """An entry that is made of something else when it is asked for.
 
     Attributes:
-        base: name of the other one.
-        make: ``module:function`` of that one and of what is given.
+        base: name of another entry of its table, or ``module:attribute``.
+        make: ``module:function`` of that and of what is given.
         given: its further arguments.
     """
 
@@ -178,6 +178,7 @@ DATASETS = {
 
 # Metrics of a view's frames, of what is derived from these, and of all views; in the order in which they are scored and listed.
 _IMAGE, _TIME, _PATH = "ggvs_eval.metrics.image", "ggvs_eval.metrics.time", "ggvs_eval.metrics.path"
+_MORE = "ggvs_eval.contrib.more_metrics"
 _OF_IMAGES = {
     "PSNR": f"{_IMAGE}.psnr:PSNR",
     "SSIM": f"{_IMAGE}.ssim_variants:SSIM",
@@ -186,13 +187,13 @@ _OF_IMAGES = {
     "PSNR_cc": f"{_IMAGE}.corrected:PSNR_CC",
     "SSIM_cc": f"{_IMAGE}.corrected:SSIM_CC",
     "LPIPS_cc": f"{_IMAGE}.corrected:LPIPS_CC",
-    "IV_PSNR": f"{_IMAGE}.iv_psnr:IV_PSNR",
-    "PSNR_YCbCr": f"{_IMAGE}.iv_psnr:PSNR_YCBCR",
+    "IV_PSNR": f"{_MORE}.iv_psnr:IV_PSNR",
+    "PSNR_YCbCr": f"{_MORE}.iv_psnr:PSNR_YCBCR",
     "MS_SSIM": f"{_IMAGE}.ms_ssim:MS_SSIM",
     "DSSIM1": f"{_IMAGE}.dssim:DSSIM1",
     "DSSIM2": f"{_IMAGE}.dssim:DSSIM2",
-    "FLIP": f"{_IMAGE}.flip:FLIP",
-    "DISTS": f"{_IMAGE}.dists:DISTS",
+    "FLIP": f"{_MORE}.flip:FLIP",
+    "DISTS": f"{_MORE}.dists:DISTS",
 }
 REGIONS = ("static", "moving", "disoccluded")
 IN_PARTS = (*_OF_IMAGES, "TCC")  # that have a form for a part of the image
@@ -211,9 +212,9 @@ VIEW_METRICS: dict[str, str | Derived] = {
     "Flicker_excess": f"{_TIME}.flicker:FLICKER_EXCESS",
     "SDT": f"{_TIME}.deviations:SDT",
     "SDV": f"{_TIME}.deviations:SDV",
-    "VMAF_v0": f"{_TIME}.vmaf:VMAF_V0",
-    "VMAF_v1": f"{_TIME}.vmaf:VMAF_V1",
-    "CVVDP": f"{_TIME}.colour_video_vdp:CVVDP",
+    "VMAF_v0": f"{_MORE}.vmaf:VMAF_V0",
+    "VMAF_v1": f"{_MORE}.vmaf:VMAF_V1",
+    "CVVDP": f"{_MORE}.colour_video_vdp:CVVDP",
     **{f"{name}_stream": Derived(name, f"{_TIME}.on_screen:metric_on_screen") for name in ON_SCREEN},
     "mTV": f"{_TIME}.temporal_variation:MTV",
     "Sharpness": f"{_IMAGE}.sharpness:SHARPNESS",
@@ -230,11 +231,11 @@ PATH_METRICS = {
     "path_sharpness": f"{_PATH}.warping_error:PATH_SHARPNESS",
     "switch_ratio": f"{_PATH}.view_switch:SWITCH_RATIO",
     "switch_excess": f"{_PATH}.view_switch:SWITCH_EXCESS",
-    "COLMAP_registered": f"{_PATH}.colmap_consistency:COLMAP_REGISTERED",
-    "COLMAP_track_length": f"{_PATH}.colmap_consistency:COLMAP_TRACK_LENGTH",
-    "COLMAP_matches": f"{_PATH}.colmap_consistency:COLMAP_MATCHES",
-    "SGC_rotation": f"{_PATH}.spatial_consistency:SGC_ROTATION",
-    "SGC_translation": f"{_PATH}.spatial_consistency:SGC_TRANSLATION",
+    "COLMAP_registered": f"{_MORE}.colmap_consistency:COLMAP_REGISTERED",
+    "COLMAP_track_length": f"{_MORE}.colmap_consistency:COLMAP_TRACK_LENGTH",
+    "COLMAP_matches": f"{_MORE}.colmap_consistency:COLMAP_MATCHES",
+    "SGC_rotation": f"{_MORE}.spatial_consistency:SGC_ROTATION",
+    "SGC_translation": f"{_MORE}.spatial_consistency:SGC_TRANSLATION",
 }
 DEPTH_METRICS = {
     "depth_mTV": f"{_TIME}.depth_variation:DEPTH_MTV",
@@ -242,8 +243,42 @@ DEPTH_METRICS = {
     "depth_mTV2": f"{_TIME}.depth_variation:DEPTH_MTV2",
     "depth_blinking": f"{_TIME}.depth_variation:DEPTH_BLINKING",
 }
+COLMAP_METRICS = ("COLMAP_registered", "COLMAP_track_length", "COLMAP_matches")  # of one call, in this order
 METRICS_OF_VIDEOS = ("mTV", "Sharpness", "mTV2")  # that have a form without truth
 METRICS_WITH_CEILING = ("PSNR", "SSIM", "TCC", "STED")  # that perfect renderings are scored with
+
+# The learned baselines: of each a description; and every method by its label, in the order in which they are listed.
+_BASELINES, _MORE_BASELINES = "ggvs_eval.baselines", "ggvs_eval.contrib.more_baselines"
+LEARNED_BASELINES = {
+    "fwd": f"{_BASELINES}.fwd:BASELINE",
+    "ibrnet": f"{_BASELINES}.ibrnet:BASELINE",
+    "gps-gaussian": f"{_BASELINES}.gps_gaussian:BASELINE",
+    "enerf": f"{_BASELINES}.enerf:BASELINE",
+    "mvsplat": f"{_MORE_BASELINES}.mvsplat:BASELINE",
+    "mvsnerf": f"{_MORE_BASELINES}.mvsnerf:BASELINE",
+}
+_METHODS, _OF = "ggvs_eval.pipelines.methods", "operator:getitem"
+_LEARNED_LABELS = {
+    **{name: name for name in ("fwd", "ibrnet", "gps-gaussian")},
+    "gps-gaussian+given-depth": "gps-gaussian",
+    **{name: name for name in ("enerf", "mvsplat", "mvsnerf")},
+}
+_GEOMETRIC = ("", "+no-temporal", "+point-splat", "+no-background", "+offline")
+_OURS = ("naive", "ours+no-tsdf", "ours+no-temporal", "ours", *(f"ours-geometric{variant}" for variant in _GEOMETRIC))
+METHODS: dict[str, Derived] = {
+    **{
+        name: Derived(f"{_METHODS}.baselines:FIXED_BASELINES", _OF, (name,))
+        for name in ("no-blending", "distance-based", "interpolation")
+    },
+    **{
+        label: Derived(LEARNED_BASELINES[name], f"{_METHODS}.baselines:method_of_label", (label,))
+        for label, name in _LEARNED_LABELS.items()
+    },
+    **{name: Derived(f"{_METHODS}.fitted:FITTED", _OF, (name,)) for name in ("4dgs", "3dgs-per-instant", "3dgstream")},
+    **{label: Derived(f"{_METHODS}.ours:OURS", _OF, (label,)) for label in _OURS},
+}
+# Those that are rendered where none are named.
+USUAL_METHODS = ("no-blending", "distance-based", "ours+no-tsdf", "ours+no-temporal", "ours", "ours-geometric")
 
 # Where jobs run beside processes of this machine, and plans of sweeps for other schedulers.
 ENGINES = {"dask": "ggvs_eval.contrib.cluster.dask_engine:run_on_dask"}
@@ -252,6 +287,41 @@ SWEEP_PLANS = {"commands": "ggvs_eval.contrib.cluster.plan:write_commands"}
 # Files of Gaussians by the endings of their names, beside .ply; and trackers of experiments that results are written for.
 SPLAT_FILES = {".glb": "ggvs_eval.contrib.export.gltf_reading:GLB"}
 TRACKERS = {name: "ggvs_eval.contrib.export.tracking:track_results" for name in ("tensorboard", "mlflow", "wandb")}
+
+# Functions of metrics that `ggvs_eval.metrics` offers beside those of its own modules.
+METRIC_FUNCTIONS = {
+    "colmap_consistency": f"{_MORE}.colmap_consistency:colmap_consistency",
+    "dists": f"{_MORE}.dists:dists",
+    "flip": f"{_MORE}.flip:flip",
+    "iv_psnr": f"{_MORE}.iv_psnr:iv_psnr",
+    "psnr_ycbcr": f"{_MORE}.iv_psnr:psnr_ycbcr",
+    "spatial_consistency": f"{_MORE}.spatial_consistency:spatial_consistency",
+}
+# What brings the weights of a metric's network onto this machine.
+FETCHED_WEIGHTS = {"LPIPS": f"{_IMAGE}.fetch_lpips:fetch_weights", "DISTS": f"{_MORE}.fetch_dists:fetch_dists_weights"}
+
+# Conventions under which the numbers of a family of metrics are recomputed (`explain`).
+_RENDERS = "ggvs_eval.pipelines.inspection.renders"
+CONVENTIONS = {
+    "psnr": f"{_RENDERS}.frame_conventions:psnr_conventions",
+    "iv-psnr": f"{_MORE}.perceptual_conventions:iv_psnr_conventions",
+    "ssim": f"{_RENDERS}.ssim_conventions:ssim_conventions",
+    "ms-ssim": f"{_RENDERS}.ssim_conventions:ssim_conventions",
+    "dssim": f"{_RENDERS}.ssim_conventions:ssim_conventions",
+    "lpips": f"{_RENDERS}.frame_conventions:lpips_conventions",
+    "dists": f"{_MORE}.perceptual_conventions:dists_conventions",
+    "flip": f"{_MORE}.perceptual_conventions:flip_conventions",
+    "vmaf": f"{_MORE}.perceptual_conventions:vmaf_conventions",
+    "cvvdp": f"{_MORE}.perceptual_conventions:vdp_conventions",
+    "l1": f"{_RENDERS}.frame_conventions:error_conventions",
+    "rmse": f"{_RENDERS}.frame_conventions:error_conventions",
+    "tcc": f"{_RENDERS}.time_conventions:tcc_conventions",
+    "sted": f"{_RENDERS}.time_conventions:sted_conventions",
+    "sdt": f"{_RENDERS}.time_conventions:sdt_conventions",
+    "sdv": f"{_RENDERS}.time_conventions:sdv_conventions",
+    "mtv": f"{_RENDERS}.steadiness:mtv_conventions",
+    "e_warp": f"{_RENDERS}.steadiness:warping_conventions",
+}
 
 # The online step, the finish of found depth, and training samples, where another device computes them.
 DEVICE_STEPS = {"warp": "ggvs_eval.contrib.warp.step:DeviceGuided"}

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 
 # Debian's names of what Open3D's wheel links against and does not carry.
 SYSTEM_LIBRARIES = ("libusb-1.0-0", "libgl1", "libx11-6", "libudev1", "libgomp1")
@@ -58,11 +59,12 @@ def run_apt(*words: str, wait_s: float = LOCK_WAIT_S) -> int:
 
 
 def _fetch_weights() -> None:
+    from ggvs_eval.built_in import FETCHED_WEIGHTS
     from ggvs_eval.errors import WeightsError
-    from ggvs_eval.metrics.image.fetch_dists import fetch_dists_weights
-    from ggvs_eval.metrics.image.fetch_lpips import fetch_weights
+    from ggvs_eval.plugins import Registry
 
-    for name, fetch in {"LPIPS": fetch_weights, "DISTS": fetch_dists_weights}.items():
+    fetchers: Registry[Callable[[], object]] = Registry("weights", FETCHED_WEIGHTS)
+    for name, fetch in fetchers.items():
         try:
             fetch()
         except WeightsError as error:

@@ -71,6 +71,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self._check = check
         self._absent = absent
         self._loaded: dict[str, Entry] = {}
+        self._made: dict[Derived, Any] = {}
 
     @property
     def plugins(self) -> dict[str, Plugin]:
@@ -131,12 +132,15 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         """The module that an entry that ships is loaded from, for the identity of its code; None of an object."""
         entry = self.shipped[name]
         if isinstance(entry, Derived):
-            return self.root(entry.base)
+            return self.root(entry.base) if entry.base in self.shipped else entry.base.partition(":")[0]
         return entry.partition(":")[0] if isinstance(entry, str) else None
 
     def _built_in(self, entry: Any) -> Any:
         if isinstance(entry, Derived):
-            return _derived(entry.make, self._built_in(self.shipped[entry.base]), entry.given)
+            if entry not in self._made:
+                base = self._built_in(self.shipped.get(entry.base, entry.base))
+                self._made[entry] = pkgutil.resolve_name(entry.make)(base, *entry.given)
+            return self._made[entry]
         return pkgutil.resolve_name(entry) if isinstance(entry, str) else entry
 
     def working(self) -> Iterator[tuple[str, Entry]]:
@@ -198,11 +202,6 @@ def missing_part(module: str) -> str | None:
     if above and (part := missing_part(above)):
         return part
     return None if find_spec(module) else module
-
-
-@cache
-def _derived(make: str, base: Any, given: tuple[Any, ...]) -> Any:
-    return pkgutil.resolve_name(make)(base, *given)
 
 
 def imported(reference: str) -> Any:

@@ -6,12 +6,12 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from ggvs_eval.built_in import METRIC_FUNCTIONS
+from ggvs_eval.plugins import Registry
+
 if TYPE_CHECKING:
     from ggvs_eval.metrics.image.corrected import psnr_colour_corrected
-    from ggvs_eval.metrics.image.dists import dists
     from ggvs_eval.metrics.image.dssim import dssim
-    from ggvs_eval.metrics.image.flip import flip
-    from ggvs_eval.metrics.image.iv_psnr import iv_psnr, psnr_ycbcr
     from ggvs_eval.metrics.image.l1 import l1, masked_l1
     from ggvs_eval.metrics.image.lpips import lpips
     from ggvs_eval.metrics.image.ms_ssim import ms_ssim
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from ggvs_eval.metrics.image.ssim import ssim
     from ggvs_eval.metrics.image.ssim_variants import masked_ssim, ssim_variant
     from ggvs_eval.metrics.metric import MetricOptions
-    from ggvs_eval.metrics.path.colmap_consistency import colmap_consistency
     from ggvs_eval.metrics.path.rendered_path import PathPose
-    from ggvs_eval.metrics.path.spatial_consistency import spatial_consistency
     from ggvs_eval.metrics.path.warping_error import warping_error
     from ggvs_eval.metrics.path_scores import score_path
     from ggvs_eval.metrics.registry import METRICS
@@ -77,10 +75,7 @@ __all__ = [
 # What is imported when a name is first used, so that the import of this package costs nothing.
 _MODULES = {
     "image.corrected": ("psnr_colour_corrected",),
-    "image.dists": ("dists",),
     "image.dssim": ("dssim",),
-    "image.flip": ("flip",),
-    "image.iv_psnr": ("iv_psnr", "psnr_ycbcr"),
     "image.l1": ("l1", "masked_l1"),
     "image.lpips": ("lpips",),
     "image.ms_ssim": ("ms_ssim",),
@@ -89,9 +84,7 @@ _MODULES = {
     "image.ssim": ("ssim",),
     "image.ssim_variants": ("masked_ssim", "ssim_variant"),
     "metric": ("MetricOptions",),
-    "path.colmap_consistency": ("colmap_consistency",),
     "path.rendered_path": ("PathPose",),
-    "path.spatial_consistency": ("spatial_consistency",),
     "path.warping_error": ("warping_error",),
     "path_scores": ("score_path",),
     "registry": ("METRICS",),
@@ -104,11 +97,14 @@ _MODULES = {
     "time.tcc": ("tcc",),
     "time.temporal_variation": ("mtv", "mtv2"),
 }
+_FUNCTIONS: Registry[Any] = Registry("functions of metrics", METRIC_FUNCTIONS)
 _MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
     """Import a name on first use (PEP 562)."""
+    if name in METRIC_FUNCTIONS:
+        return _FUNCTIONS[name]
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_MODULE_OF[name]), name)

@@ -54,6 +54,8 @@ FLOORS = (
         "contrib.cluster",
         "contrib.export",
         "contrib.study",
+        "contrib.more_metrics",
+        "contrib.more_baselines",
         "contrib.warp",
     ),  # what the package can do without, each part by itself
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from ggvs_eval import built_in
-from ggvs_eval.errors import RenderError
+from ggvs_eval.errors import AbsentPartError, RenderError
 from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.plugins import Registry
@@ -52,6 +52,8 @@ class Engine:
 
     def place(self, path: Path) -> Path:
         """A path as every worker understands it: those of dask may work in another folder."""
+        if self.engine == "dask" and (reason := ENGINES.why_absent("dask")):
+            raise AbsentPartError(reason)  # before anything is read
         return path.resolve() if self.engine == "dask" else path
 
 

@@ -123,7 +123,7 @@ def view(
         export_page(playback, sorted(set(playback.instants)), export, listener)
         print(export)
         return
-    online = tuple(label for label, spec in METHODS.shipped.items() if spec.online)
+    online = tuple(label for label, spec in METHODS.built_in().items() if spec.online)
     with Viewer(playback, ViewDefaults(method, online, k, protocol, out), listener, device) as viewer:
         print(f"{listener.address} - open it in a browser; Ctrl-C ends it", flush=True)
         viewer.wait()

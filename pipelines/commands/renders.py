@@ -7,14 +7,14 @@ from typing import Annotated
 
 import tyro
 
+from ggvs_eval.built_in import CONVENTIONS
 from ggvs_eval.errors import RenderError
 from ggvs_eval.pipelines.commands.captures import CAPTURE_DEFAULTS, ONE_PER_CORE, CaptureFlags, Jobs, ReadingOptions
 from ggvs_eval.run_folder import RunFolder
 
 Renders = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RENDERS|RUN")]
 Quoted = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VALUE")]
-FAMILIES = "{psnr,iv-psnr,ssim,ms-ssim,dssim,lpips,dists,flip,vmaf,cvvdp,l1,rmse,tcc,sted,sdt,sdv,mtv,e_warp}"
-Metric = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar=FAMILIES)]
+Metric = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar=f"{{{','.join(CONVENTIONS)}}}")]
 
 
 def doctor(

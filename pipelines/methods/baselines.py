@@ -4,7 +4,6 @@ from collections.abc import Callable
 from functools import partial
 
 from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
-from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
@@ -46,12 +45,9 @@ FIXED_BASELINES: dict[str, OnlineMethod] = {
 }
 
 
-def baseline_methods() -> dict[str, OnlineMethod]:
-    """Every method that is not ours by its label, those of `LEARNED_BASELINES` last."""
-    learned = LEARNED_BASELINES.values()
-    return FIXED_BASELINES | {
-        baseline.label(each): learned_method(baseline, each) for baseline in learned for each in baseline.renditions
-    }
+def method_of_label(baseline: LearnedBaseline, label: str) -> OnlineMethod:
+    """The rendition of a learned baseline that a label names."""
+    return next(learned_method(baseline, each) for each in baseline.renditions if baseline.label(each) == label)
 
 
 def learned_method(baseline: LearnedBaseline, rendition: Rendition) -> OnlineMethod:

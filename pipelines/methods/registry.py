@@ -6,11 +6,10 @@ from functools import partial
 from itertools import takewhile
 from pathlib import Path
 
-from ggvs_eval.errors import RenderError, did_you_mean
-from ggvs_eval.pipelines.methods.baselines import baseline_methods
-from ggvs_eval.pipelines.methods.fitted import FITTED, StoredSplats
+from ggvs_eval import built_in
+from ggvs_eval.errors import AbsentPartError, RenderError, did_you_mean
+from ggvs_eval.pipelines.methods.fitted import StoredSplats
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
-from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.spec import MethodSpec, OnlineMethod
 from ggvs_eval.plugins import Registry, imported
 from ggvs_eval.results import split_label
@@ -28,22 +27,18 @@ def _checked(name: str, offered: object) -> MethodSpec:
     return OnlineMethod(name, about or f"{name}, of a plug-in", (offered.__module__,), offered, usual=False, foreign=True)
 
 
-def all_methods() -> Registry[MethodSpec]:
-    """Every method by its label, `method` or `method+variant`; its renders lie in a folder of that name."""
-    return Registry("methods", {**baseline_methods(), **FITTED, **OURS}, _checked)
-
-
-METHODS = all_methods()
+# Every method by its label, `method` or `method+variant`; its renders lie in a folder of that name.
+METHODS: Registry[MethodSpec] = Registry("methods", built_in.METHODS, _checked)
 
 
 def usual_methods() -> tuple[str, ...]:
     """Labels of the methods that are rendered where none are named."""
-    return tuple(label for label, spec in METHODS.shipped.items() if spec.usual)
+    return tuple(label for label in built_in.USUAL_METHODS if label in METHODS)
 
 
 def weights_takers() -> list[str]:
     """Labels of the methods whose weights the user can give."""
-    return [name for name, spec in METHODS.shipped.items() if isinstance(spec, OnlineMethod) and spec.make_from]
+    return [name for name, spec in METHODS.built_in().items() if isinstance(spec, OnlineMethod) and spec.make_from]
 
 
 def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec:
@@ -67,6 +62,8 @@ def _found(label: str, checkpoints: Mapping[str, Path]) -> MethodSpec:
     named = "+".join(takewhile(lambda part: "=" not in part, label.split("+")))  # ours+no-temporal of ours+no-temporal+scale=0.5
     if named in METHODS and named != label:
         return METHODS[named].configured(label, label.removeprefix(f"{named}+"))
+    if reason := METHODS.why_absent(label) or METHODS.why_absent(named):
+        raise AbsentPartError(reason)
     if label not in METHODS and ":" in label:
         return _checked(label, imported(label))
     if label not in METHODS:

@@ -6,12 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.arrays import Mask
-from ggvs_eval.built_in import METRICS_OF_VIDEOS
+from ggvs_eval.built_in import COLMAP_METRICS, METRICS_OF_VIDEOS
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.metrics.metric import Metric
-from ggvs_eval.metrics.path.colmap_consistency import NAMES as COLMAP_NAMES
-from ggvs_eval.metrics.path.colmap_consistency import colmap_consistency
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS, describe_metrics
 from ggvs_eval.metrics.series_scores import mean_values, score_depths, score_frames
 from ggvs_eval.renders.sequences import read_depths, read_frames
@@ -40,7 +38,7 @@ def measure_steadiness(
     """Measure each video, or depth video, without truth."""
     static = None if mask is None else read_image(mask)[..., 0] > 127
     metrics: list[Metric] = list(DEPTH_METRICS.values()) if depth else [METRICS[name] for name in METRICS_OF_VIDEOS]
-    metrics += [METRICS[name] for name in COLMAP_NAMES if with_colmap]
+    metrics += [METRICS[name] for name in COLMAP_METRICS if with_colmap]
     measured = Steadiness(describe_metrics(metrics), {}, {}, {})
     for name, path in videos.items():
         values, reasons, measured.shapes[name] = _measured(path, depth, static)
@@ -76,8 +74,8 @@ def _measured(path: Path, depth: bool, static: Mask | None) -> tuple[dict[str, f
 
 def _add_colmap(path: Path, values: dict[str, float], reasons: dict[str, str]) -> None:
     try:
-        solved = colmap_consistency(read_frames(path))
+        solved = METRICS[COLMAP_METRICS[0]].function(read_frames(path))
     except MetricError as error:
-        reasons |= dict.fromkeys(COLMAP_NAMES, str(error))
+        reasons |= dict.fromkeys(COLMAP_METRICS, str(error))
     else:
-        values |= dict(zip(COLMAP_NAMES, (solved.registered, solved.track_length, solved.matches), strict=True))
+        values |= dict(zip(COLMAP_METRICS, (solved.registered, solved.track_length, solved.matches), strict=True))

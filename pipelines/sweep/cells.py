@@ -115,6 +115,8 @@ def _why_not(row: SweepRow, captures: Sequence[str], networks: NetworkOptions) -
         return f"{row.path}: wanted {CAPTURE} in the path, as there are {len(captures)} captures"
     if row.rendered is not None:
         return None
+    if reason := METHODS.why_absent(label):
+        return reason
     if row.path is None and label not in METHODS and "=" not in label:
         return f"this version has no method {label!r}"
     try:

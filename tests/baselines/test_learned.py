@@ -10,15 +10,18 @@ import pytest
 import torch
 from torch import nn
 
-from ggvs_eval import baselines
+from ggvs_eval import baselines, built_in
 from ggvs_eval.baselines.learned import LearnedBaseline, Rendition, TrainingRecipe
-from ggvs_eval.baselines.registry import FOLDERS, LEARNED_BASELINES, TRAINED_BASELINES
+from ggvs_eval.baselines.registry import LEARNED_BASELINES, TRAINED_BASELINES
+from ggvs_eval.contrib import more_baselines
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 from ggvs_eval.method import Rendering
-from ggvs_eval.pipelines.methods import registry
+from ggvs_eval.pipelines.methods.baselines import FIXED_BASELINES, learned_method
+from ggvs_eval.pipelines.methods.fitted import FITTED
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
-from ggvs_eval.pipelines.methods.registry import METHODS, find_method
+from ggvs_eval.pipelines.methods.ours import OURS
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods
 from ggvs_eval.pipelines.methods.spec import shipped
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.samples.sample_kinds import InstantKind
@@ -94,10 +97,11 @@ TOY = LearnedBaseline(
 
 @pytest.fixture
 def toy(monkeypatch):
-    """The toy in the registry, and the table of methods built as it is at import."""
-    monkeypatch.setitem(LEARNED_BASELINES, TOY.name, TOY)
+    """The toy in the registries, as a line of each table makes it."""
+    monkeypatch.setitem(LEARNED_BASELINES.shipped, TOY.name, TOY)
     monkeypatch.setitem(TRAINED_BASELINES, TOY.name, TOY)
-    monkeypatch.setattr(registry, "METHODS", registry.all_methods())
+    for rendition in TOY.renditions:
+        monkeypatch.setitem(METHODS.shipped, TOY.label(rendition), learned_method(TOY, rendition))
     return TOY
 
 
@@ -113,7 +117,7 @@ def cache(tmp_path):
 
 def test_a_new_baseline_is_listed_trained_and_renders(toy, cache):
     """An entry alone: both its labels are methods, a step is trained, its weights render by either label, its card is written."""
-    assert [label for label in registry.METHODS if label not in METHODS] == ["toy", "toy+dark"]
+    assert [label for label in METHODS if label not in built_in.METHODS] == ["toy", "toy+dark"]
     assert (find_method("toy").title, find_method("toy+dark").title) == ("Toy", "Dark Toy")
     with refused(WeightsError, "Toy", "toy.pth", "--weights toy=FILE"):
         find_method("toy").make()
@@ -140,9 +144,18 @@ def test_a_new_baseline_is_listed_trained_and_renders(toy, cache):
 
 def test_every_folder_is_registered():
     """A folder that the registry forgets would be no method and no training; what is fitted learns from the capture alone."""
-    root = Path(baselines.__file__).parent
+    folders = {root: Path(str(root.__file__)).parent for root in (baselines, more_baselines)}
+    there = [f"{root.__name__}.{file.parent.name}" for root, folder in folders.items() for file in folder.glob("*/__init__.py")]
 
-    assert sorted([*FOLDERS, "fitted"]) == sorted(folder.parent.name for folder in root.glob("*/__init__.py"))
+    assert sorted(there) == sorted([*map(LEARNED_BASELINES.root, LEARNED_BASELINES), "ggvs_eval.baselines.fitted"])
+
+
+def test_the_table_of_methods_says_what_their_modules_say():
+    """Labels of a learned baseline are those of its renditions, and the usual methods say so themselves."""
+    labels = [baseline.label(each) for baseline in LEARNED_BASELINES.values() for each in baseline.renditions]
+    assert [label for label in METHODS if METHODS.root(label) in map(LEARNED_BASELINES.root, LEARNED_BASELINES)] == labels
+    assert usual_methods() == tuple(label for label, spec in METHODS.built_in().items() if spec.usual)
+    assert {**FIXED_BASELINES, **FITTED, **OURS}.keys() | {*labels} == set(METHODS.present())
 
 
 @pytest.mark.parametrize("name", LEARNED_BASELINES)

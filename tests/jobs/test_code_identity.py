@@ -19,7 +19,7 @@ from ggvs_eval.jobs import code_identity as identity
 from ggvs_eval.jobs.code_identity import BUILT_FROM, CodeTree, installed_code
 from ggvs_eval.metrics.metric import ViewMetric
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
-from ggvs_eval.pipelines.methods.fitted import FittedMethod
+from ggvs_eval.pipelines.methods.fitted import FittedMethod, StoredSplats
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions
@@ -65,6 +65,18 @@ REGIONS = {name for name in ALL_SCORES if name.endswith(("_static", "_moving", "
 STEREO = {"depth by sgbm", "depth by live", "depth by sweep", "depth by raft"}
 ALL_DEPTH = STEREO | {"checked depth", "sensor depth"}
 
+TABLES = (
+    "VERBS",
+    "DATASETS",
+    "VIEW_METRICS",
+    "METHODS",
+    "LEARNED_BASELINES",
+    "ENGINES",
+    "CONVENTIONS",
+    "SPLAT_FILES",
+    "TRACKERS",
+)
+
 # A file of the package, and the jobs that are stale when one byte of it changes.
 STALE: dict[str, set[str]] = {
     "camera.py": ALL_METHODS | ALL_DEPTH | PATHS,
@@ -82,8 +94,8 @@ STALE: dict[str, set[str]] = {
     "baselines/enerf/volumes.py": {"enerf"},
     "baselines/fixed_blending.py": {"no-blending", "distance-based"},
     "baselines/gps_gaussian/stereo.py": GPS_GAUSSIAN,
-    "baselines/mvsplat/depth.py": {"mvsplat"},
-    "baselines/mvsnerf/volume.py": {"mvsnerf"},
+    "contrib/more_baselines/mvsplat/depth.py": {"mvsplat"},
+    "contrib/more_baselines/mvsnerf/volume.py": {"mvsnerf"},
     "baselines/view_interpolation.py": {"interpolation"},
     "gaussians/harmonics.py": {"mvsplat"} | FITTED,
     "pipelines/online/unet.py": LEARNED,
@@ -101,17 +113,26 @@ STALE: dict[str, set[str]] = {
     "metrics/image/lpips_network.py": LPIPS,
     "metrics/time/strred.py": STED | {"ceilings"},
     "metrics/time/tcc.py": with_parts("TCC") | {"ceilings"},
-    "metrics/image/dists.py": with_parts("DISTS"),
+    "contrib/more_metrics/dists.py": with_parts("DISTS"),
     "metrics/time/flicker.py": FLICKER,
     "metrics/image/regions.py": REGIONS | STEADY,
     "metrics/image/sharpness.py": STEADY | {"Sharpness"} | PATHS,
     "metrics/time/temporal_variation.py": STEADY,
     "metrics/time/depth_variation.py": set(),
-    "metrics/path/colmap_worker.py": {"path with COLMAP"},
+    "contrib/more_metrics/colmap_worker.py": {"path with COLMAP"},
     "metrics/noise/estimate.py": {"ceilings"},
     "metrics/noise/recording.py": {"ceilings"},
     "metrics/path/view_switch.py": PATHS,
     "metrics/stream.py": ALL_SCORES - PATHS,
+    "built_in.py": set(),
+    "plugins.py": set(),
+    "datasets/dynerf.py": set(),
+    "contrib/cluster/dask_engine.py": set(),
+    "contrib/cluster/plan.py": set(),
+    "contrib/export/tracking.py": set(),
+    "contrib/export/gltf_reading.py": set(),
+    "contrib/more_metrics/perceptual_conventions.py": set(),
+    "contrib/study/command.py": set(),
     "errors.py": set(),
     "progress.py": set(),
     "metrics/registry.py": set(),
@@ -264,15 +285,36 @@ def test_every_kind_of_job_is_tried(installed):
     assert installed.keys() == ALL_METHODS | ALL_SCORES | ALL_DEPTH
 
 
-def test_a_new_metric_makes_no_other_stale(installed, tmp_path):
-    """A metric in a file of its own and its line in the registry leave every score that is there."""
-    tree = copy_package(tmp_path)
+@pytest.mark.parametrize("table", TABLES)
+def test_a_new_entry_makes_no_other_stale(table, installed, copied):
+    """A module of its own and its line in the table of its kind leave every job that is there as it was."""
+    file = copied.folder / "built_in.py"
+    text = file.read_text(encoding="utf-8")
+    (copied.folder / "added.py").write_text("from ggvs_eval.metrics.image.psnr import psnr\n", encoding="utf-8")
+    with changed_line(copied, "built_in.py"):
+        file.write_text(f'{text}\n{table}["added"] = "ggvs_eval.added:psnr"\n', encoding="utf-8")
+        assert codes_of(copied) == installed
+    (copied.folder / "added.py").unlink()
 
-    (tree.folder / "metrics/niqe.py").write_text("from ggvs_eval.metrics.image.psnr import psnr\n")
-    registry = tree.folder / "metrics/registry.py"
-    registry.write_text(registry.read_text() + "from ggvs_eval.metrics import niqe\n")
 
-    assert codes_of(tree) == installed
+@pytest.mark.parametrize(("name", "changed"), [("warp/step.py", "on a GPU"), ("export/gltf_reading.py", "room.glb")])
+def test_what_a_table_loads_counts_where_it_renders(name, changed, copied):
+    """A step on another device counts there alone, the reader of a file of Gaussians where such a file is rendered."""
+    specs = {
+        "on the CPU": METHODS["ours"],
+        "on a GPU": METHODS["ours"].on("cuda"),
+        **{name: StoredSplats.of("splats", Path(name)) for name in ("room.glb", "room.ply")},
+    }
+
+    def codes() -> dict[str, str]:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(identity, "installed_code", lambda: copied)
+            return {label: method_code(spec) for label, spec in specs.items()}
+
+    before = codes()
+    with changed_line(copied, f"contrib/{name}"):
+        after = codes()
+    assert {label for label in specs if before[label] != after[label]} == {changed}
 
 
 def load_setup() -> ModuleType:

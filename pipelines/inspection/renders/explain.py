@@ -6,28 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 
-from ggvs_eval.built_in import PATH_METRICS
-from ggvs_eval.errors import MetricError, did_you_mean
+from ggvs_eval.built_in import CONVENTIONS, PATH_METRICS
+from ggvs_eval.errors import AbsentPartError, MetricError, did_you_mean
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
-from ggvs_eval.pipelines.inspection.renders.frame_conventions import error_conventions, lpips_conventions, psnr_conventions
-from ggvs_eval.pipelines.inspection.renders.perceptual_conventions import (
-    dists_conventions,
-    flip_conventions,
-    iv_psnr_conventions,
-    vdp_conventions,
-    vmaf_conventions,
-)
 from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS, MaskReader, Recomputed
-from ggvs_eval.pipelines.inspection.renders.ssim_conventions import ssim_conventions
-from ggvs_eval.pipelines.inspection.renders.steadiness import mtv_conventions, warping_conventions
-from ggvs_eval.pipelines.inspection.renders.time_conventions import (
-    sdt_conventions,
-    sdv_conventions,
-    sted_conventions,
-    tcc_conventions,
-)
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 from ggvs_eval.pipelines.inspection.table import WIDTH, text_table
+from ggvs_eval.plugins import Registry
 
 # Single and double precision disagree by this share of a value; a quoted one may come from either.
 ROUNDING = 5e-6
@@ -38,26 +23,7 @@ MOST_DIGITS = 100  # before or behind the point of a printed number
 PRINTED = re.compile(r"(?P<number>[+-]?\d+(?:[.,]\d+)?)\s*(?P<unit>dB|%)?")
 OF_NO_VIEW = {"path": "a camera path", "depth": "depth videos"}
 Masks = Mapping[str, MaskReader]
-FAMILIES: Mapping[str, Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = {
-    "psnr": psnr_conventions,
-    "iv-psnr": iv_psnr_conventions,
-    "ssim": ssim_conventions,
-    "ms-ssim": ssim_conventions,
-    "dssim": ssim_conventions,
-    "lpips": lpips_conventions,
-    "dists": dists_conventions,
-    "flip": flip_conventions,
-    "vmaf": vmaf_conventions,
-    "cvvdp": vdp_conventions,
-    "l1": error_conventions,
-    "rmse": error_conventions,
-    "tcc": tcc_conventions,
-    "sted": sted_conventions,
-    "sdt": sdt_conventions,
-    "sdv": sdv_conventions,
-    "mtv": mtv_conventions,
-    "e_warp": warping_conventions,
-}
+FAMILIES: Registry[Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = Registry("conventions", CONVENTIONS)
 
 
 @dataclass(frozen=True)
@@ -122,6 +88,8 @@ def metric_family(metric: str) -> str:
         raise MetricError(
             f"{one.name} is of {OF_NO_VIEW[one.kind]}, and numbers are recomputed from test views; see {one.reference}"
         )
+    if reason := FAMILIES.why_absent(family):
+        raise AbsentPartError(reason)
     if family not in FAMILIES:
         families = ", ".join(FAMILIES)
         raise MetricError(f"no conventions known of {metric!r}; there are {families}{did_you_mean(family, FAMILIES)}")

@@ -4,11 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ggvs_eval.metrics.image.iv_psnr import iv_psnr, psnr_ycbcr
 from ggvs_eval.metrics.image.psnr import PSNR_CEILING_DB, psnr
+from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, spread
 
 FRAMES_PER_VIEW = 3
+FORGIVING, PLAIN = "IV_PSNR", "PSNR_YCbCr"
 
 
 def forgiven_error(views: Mapping[str, ViewFrames]) -> str:
@@ -18,8 +19,12 @@ def forgiven_error(views: Mapping[str, ViewFrames]) -> str:
         views: name -> rendered and captured frames, of which a few are read.
 
     Returns:
-        A sentence with both numbers; empty where no frame has the size of its truth, or all are the truth itself.
+        A sentence with both numbers; empty where no frame has the size of its truth, all are the truth itself, or the metric is
+        not installed.
     """
+    if FORGIVING not in METRICS or PLAIN not in METRICS:
+        return ""
+    iv_psnr, psnr_ycbcr = METRICS[FORGIVING].function, METRICS[PLAIN].function
     pairs = (pair for view in views.values() for pair in view.pairs(spread(view.frames, FRAMES_PER_VIEW)))
     alike = (pair for pair in pairs if pair[0].shape == pair[1].shape)
     values = np.array([(psnr_ycbcr(*pair), iv_psnr(*pair), psnr(*pair)) for pair in alike])

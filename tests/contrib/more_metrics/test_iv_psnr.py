@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ggvs_eval import kernels
+from ggvs_eval.contrib.more_metrics.iv_psnr import iv_psnr, psnr_ycbcr
 from ggvs_eval.errors import MetricError
 from ggvs_eval.kernels import _iv_psnr
-from ggvs_eval.metrics.image.iv_psnr import iv_psnr, psnr_ycbcr
 from helpers.places import DATA_FOLDER
 from helpers.twins.iv_psnr import iv_psnr_twin, ycbcr_twin
 

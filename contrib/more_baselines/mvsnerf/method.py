@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ggvs_eval.baselines.mvsnerf.network import VIEWS, Networks, RadianceNetwork, load_mvsnerf
-from ggvs_eval.baselines.mvsnerf.volume import Volume, encode_volume
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
+from ggvs_eval.contrib.more_baselines.mvsnerf.network import VIEWS, Networks, RadianceNetwork, load_mvsnerf
+from ggvs_eval.contrib.more_baselines.mvsnerf.volume import Volume, encode_volume
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Instant, Rendering
 

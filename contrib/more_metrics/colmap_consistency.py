@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.more_metrics import colmap_worker
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import Image
 from ggvs_eval.metrics.metric import Value
-from ggvs_eval.metrics.path import colmap_worker
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, whole_path, write_view
 from ggvs_eval.metrics.path.warping_error import PATH_SHARPNESS
 

@@ -9,10 +9,17 @@ import torch
 from torch import nn
 
 from ggvs_eval.baselines.learned import FULL
-from ggvs_eval.baselines.mvsplat.backbone import SCALE, Backbone
-from ggvs_eval.baselines.mvsplat.beginning import begin_as_plane_sweep
-from ggvs_eval.baselines.mvsplat.depth import OFFSET, QUATERNION, REFINEMENT_LEVELS, SCALES, DepthPredictor, PixelMaps
-from ggvs_eval.baselines.mvsplat.views import Views
+from ggvs_eval.contrib.more_baselines.mvsplat.backbone import SCALE, Backbone
+from ggvs_eval.contrib.more_baselines.mvsplat.beginning import begin_as_plane_sweep
+from ggvs_eval.contrib.more_baselines.mvsplat.depth import (
+    OFFSET,
+    QUATERNION,
+    REFINEMENT_LEVELS,
+    SCALES,
+    DepthPredictor,
+    PixelMaps,
+)
+from ggvs_eval.contrib.more_baselines.mvsplat.views import Views
 from ggvs_eval.files.weights_file import configuration_of, load_strict, read_tensors
 
 OF = "MVSplat (re10k.ckpt)"
@@ -29,7 +36,7 @@ class MvsplatOptions:
         candidates: planes of a cost volume.
         cost_width: channels of the cost volume's U-Net.
         refinement_width: channels of the U-Net at full resolution.
-        published: whether Gaussians are read as the authors' code does, see `ggvs_eval.baselines.mvsplat.gaussians`.
+        published: whether Gaussians are read as the authors' code does, see `ggvs_eval.contrib.more_baselines.mvsplat.gaussians`.
     """
 
     stages: tuple[int, int, int] = (64, 96, 128)

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ggvs_eval.baselines.mvsplat.backbone import SCALE
-from ggvs_eval.baselines.mvsplat.unet import UNet
-from ggvs_eval.baselines.mvsplat.views import Views
+from ggvs_eval.contrib.more_baselines.mvsplat.backbone import SCALE
+from ggvs_eval.contrib.more_baselines.mvsplat.unet import UNet
+from ggvs_eval.contrib.more_baselines.mvsplat.views import Views
 
 OFFSET, SCALES, QUATERNION = 2, 3, 4  # channels of a Gaussian before those of its colour
 COST_LEVELS, REFINEMENT_LEVELS = 3, 5  # of the U-Nets

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from ggvs_eval.baselines.mvsplat.gaussians import pixel_cloud, rendered_part
-from ggvs_eval.baselines.mvsplat.network import MvsplatNetwork, load_network
-from ggvs_eval.baselines.mvsplat.views import see_views
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
+from ggvs_eval.contrib.more_baselines.mvsplat.gaussians import pixel_cloud, rendered_part
+from ggvs_eval.contrib.more_baselines.mvsplat.network import MvsplatNetwork, load_network
+from ggvs_eval.contrib.more_baselines.mvsplat.views import see_views
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians.cloud import GaussianCloud
 from ggvs_eval.gaussians.render import render_gaussians

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.nn import functional
 
-from ggvs_eval.baselines.mvsplat.depth import OFFSET, QUATERNION, SCALES, PixelMaps
-from ggvs_eval.baselines.mvsplat.views import Views
+from ggvs_eval.contrib.more_baselines.mvsplat.depth import OFFSET, QUATERNION, SCALES, PixelMaps
+from ggvs_eval.contrib.more_baselines.mvsplat.views import Views
 from ggvs_eval.gaussians.cloud import GaussianCloud
 from ggvs_eval.gaussians.harmonics import coefficients_of, turned
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera, translated_path
+from ggvs_eval.contrib.more_metrics.colmap_consistency import NAMES, colmap_consistency
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import quantise
-from ggvs_eval.metrics.path.colmap_consistency import NAMES, colmap_consistency
 from ggvs_eval.metrics.path.rendered_path import PathPose
 from ggvs_eval.metrics.path_scores import score_path
 from helpers.epi_scenes import Plane, look

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from ggvs_eval.baselines.learned import TrainingRecipe
-from ggvs_eval.baselines.mvsplat.gaussians import pixel_cloud
-from ggvs_eval.baselines.mvsplat.method import instant_cloud
-from ggvs_eval.baselines.mvsplat.network import MvsplatNetwork
-from ggvs_eval.baselines.mvsplat.views import Views, see_views
+from ggvs_eval.contrib.more_baselines.mvsplat.gaussians import pixel_cloud
+from ggvs_eval.contrib.more_baselines.mvsplat.method import instant_cloud
+from ggvs_eval.contrib.more_baselines.mvsplat.network import MvsplatNetwork
+from ggvs_eval.contrib.more_baselines.mvsplat.views import Views, see_views
 from ggvs_eval.gaussians.render import render_gaussians
 from ggvs_eval.method import Instant
 from ggvs_eval.training.instant_samples import InstantSample

@@ -7,12 +7,12 @@ from PIL import Image
 from skimage import data
 from skimage.metrics import structural_similarity
 
+from ggvs_eval.contrib.more_metrics.colour_video_vdp import load_package
+from ggvs_eval.contrib.more_metrics.dists import dists
+from ggvs_eval.contrib.more_metrics.fetch_dists import dists_weights_path
+from ggvs_eval.contrib.more_metrics.iv_psnr import WEIGHTS
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image.dists import dists
-from ggvs_eval.metrics.image.fetch_dists import dists_weights_path
 from ggvs_eval.metrics.image.fetch_lpips import weights_path
-from ggvs_eval.metrics.image.iv_psnr import WEIGHTS
-from ggvs_eval.metrics.time.colour_video_vdp import load_package
 from ggvs_eval.pipelines.inspection.renders.explain import explain
 from ggvs_eval.pipelines.inspection.renders.forgiven_error import forgiven_error
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
@@ -91,7 +91,7 @@ def test_dists_of_half_size_is_told():
 def test_vmafs_models_and_averages_are_told_apart():
     """The harmonic mean of the values that one frame after another gets."""
     pytest.importorskip("imageio_ffmpeg")
-    from ggvs_eval.metrics.time.vmaf import vmaf
+    from ggvs_eval.contrib.more_metrics.vmaf import vmaf
 
     values = np.array(vmaf(zip(RENDERED, TRUTH, strict=True)))
     assert matching("vmaf", values.mean())["vmaf_v0.6.1, BT.709, mean over frames"]

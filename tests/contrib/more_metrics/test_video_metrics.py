@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from skimage import data
 
+from ggvs_eval.contrib.more_metrics import colour_video_vdp as vdp
+from ggvs_eval.contrib.more_metrics import vmaf as vmaf_module
+from ggvs_eval.contrib.more_metrics.vmaf import vmaf
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.stream import score_view
-from ggvs_eval.metrics.time import colour_video_vdp as vdp
-from ggvs_eval.metrics.time import vmaf as vmaf_module
-from ggvs_eval.metrics.time.vmaf import vmaf
 from helpers.refusals import refused
 
 FRAMES, HEIGHT, WIDTH = 6, 120, 160

@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor, nn
 
-from ggvs_eval.baselines.mvsplat.backbone import AttentionLayer, Backbone
-from ggvs_eval.baselines.mvsplat.depth import OFFSET, QUATERNION, SCALES, DepthPredictor
+from ggvs_eval.contrib.more_baselines.mvsplat.backbone import AttentionLayer, Backbone
+from ggvs_eval.contrib.more_baselines.mvsplat.depth import OFFSET, QUATERNION, SCALES, DepthPredictor
 
 FEATURE_GAIN = 10.0  # of the random features, so that their products outweigh those of positions
 SHARPNESS = 0.6  # of the softmax over depths

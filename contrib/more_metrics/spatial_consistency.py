@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.more_metrics.local_poses import bends_px, depth_layers, find_matches, lift, local_pose, match_grid, project
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import to_8_bit
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.kernels.portable import transformed
 from ggvs_eval.metrics.inputs import Image
 from ggvs_eval.metrics.metric import Value
-from ggvs_eval.metrics.path.local_poses import bends_px, depth_layers, find_matches, lift, local_pose, match_grid, project
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, whole_path
 from ggvs_eval.metrics.path.steps import Pose, checked_depth
 from ggvs_eval.metrics.path.warping_error import PATH_SHARPNESS

@@ -32,7 +32,7 @@ SCRIPT_SIDE_PX = 256
 
 def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """IV-PSNR on the YCbCr that a video file would hold, and the PSNR of YCbCr that its program prints beside it."""
-    from ggvs_eval.metrics.image.iv_psnr import iv_psnr, psnr_ycbcr
+    from ggvs_eval.contrib.more_metrics.iv_psnr import iv_psnr, psnr_ycbcr
 
     def of_video(matrix: str, headroom: bool, chroma: int) -> FrameMeasure:
         return lambda rendered, truth: iv_psnr(
@@ -70,7 +70,7 @@ def _coarse(plane: NDArray[np.float64], side: int) -> NDArray[np.float64]:
 
 def dists_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """DISTS at the frames' own size, and after the shrinking of its authors' script."""
-    from ggvs_eval.metrics.image.dists import dists
+    from ggvs_eval.contrib.more_metrics.dists import dists
 
     def of_script(rendered: Image8, truth: Image8) -> float:
         return dists(_shrunk(rendered), _shrunk(truth))
@@ -99,7 +99,7 @@ def _shrunk(image: Image8) -> Image8:
 
 def flip_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """FLIP's mean and median, and its mean under other viewing conditions."""
-    from ggvs_eval.metrics.image.flip import flip, flip_map
+    from ggvs_eval.contrib.more_metrics.flip import flip, flip_map
 
     def on_full_hd(rendered: Image8, truth: Image8) -> float:
         return float(flip_map(rendered, truth, 33.51).mean())
@@ -117,7 +117,7 @@ def flip_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
 
 def vmaf_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """VMAF of each model that this ffmpeg has and either matrix, its frames averaged in three ways."""
-    from ggvs_eval.metrics.time.vmaf import MODEL, MODEL_V1, vmaf
+    from ggvs_eval.contrib.more_metrics.vmaf import MODEL, MODEL_V1, vmaf
 
     averages: Mapping[str, Callable[[NDArray[np.float64]], float]] = {
         "mean over frames": lambda values: float(values.mean()),
@@ -142,7 +142,7 @@ def vmaf_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
 
 def vdp_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """ColorVideoVDP on two displays and at three rates."""
-    from ggvs_eval.metrics.time.colour_video_vdp import colour_video_vdp
+    from ggvs_eval.contrib.more_metrics.colour_video_vdp import colour_video_vdp
 
     rows = []
     for display, rate in (("standard_4k", 30), ("standard_fhd", 30), ("standard_4k", 24), ("standard_4k", 60)):

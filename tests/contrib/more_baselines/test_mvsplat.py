@@ -8,14 +8,14 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ggvs_eval.baselines.mvsplat.backbone import window_blocks
-from ggvs_eval.baselines.mvsplat.depth import correlations
-from ggvs_eval.baselines.mvsplat.gaussians import pixel_cloud
-from ggvs_eval.baselines.mvsplat.method import Mvsplat, instant_cloud
-from ggvs_eval.baselines.mvsplat.network import MvsplatNetwork, load_network
-from ggvs_eval.baselines.mvsplat.training import DEPTH_STEPS, MvsplatRecipe
-from ggvs_eval.baselines.mvsplat.views import Views, see_views
 from ggvs_eval.compute_device import one_thread
+from ggvs_eval.contrib.more_baselines.mvsplat.backbone import window_blocks
+from ggvs_eval.contrib.more_baselines.mvsplat.depth import correlations
+from ggvs_eval.contrib.more_baselines.mvsplat.gaussians import pixel_cloud
+from ggvs_eval.contrib.more_baselines.mvsplat.method import Mvsplat, instant_cloud
+from ggvs_eval.contrib.more_baselines.mvsplat.network import MvsplatNetwork, load_network
+from ggvs_eval.contrib.more_baselines.mvsplat.training import DEPTH_STEPS, MvsplatRecipe
+from ggvs_eval.contrib.more_baselines.mvsplat.views import Views, see_views
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.files.weights_file import CONFIGURATION_NOTE
 from ggvs_eval.gaussians.projection import rotations

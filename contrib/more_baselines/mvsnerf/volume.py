@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from ggvs_eval.baselines.mvsnerf.network import FEATURE_WIDTH, VIEWS, Encoding
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.more_baselines.mvsnerf.network import FEATURE_WIDTH, VIEWS, Encoding
 from ggvs_eval.method import SourceView
 
 PLANES = 128

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera, translated_path
+from ggvs_eval.contrib.more_metrics.local_poses import WINDOWS
+from ggvs_eval.contrib.more_metrics.spatial_consistency import NAMES, spatial_consistency
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels.portable import rotation_by
-from ggvs_eval.metrics.path.local_poses import WINDOWS
 from ggvs_eval.metrics.path.rendered_path import PathPose
-from ggvs_eval.metrics.path.spatial_consistency import NAMES, spatial_consistency
 from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.synthetic.film.film import Footage, lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions

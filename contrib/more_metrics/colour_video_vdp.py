@@ -9,10 +9,10 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.contrib.more_metrics.spooled_frames import SpooledFrames
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import check_pair, require_finite
 from ggvs_eval.metrics.metric import FURTHER, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
-from ggvs_eval.metrics.time.spooled_frames import SpooledFrames
 
 if TYPE_CHECKING:
     import torch

@@ -7,6 +7,6 @@ BASELINE = LearnedBaseline(
     title="MVSNeRF",
     source="Chen et al., ICCV 2021",
     checkpoint="ckpts/mvsnerf-v0.tar of apchenstu/mvsnerf",
-    method="ggvs_eval.baselines.mvsnerf.method:MvsNerf",
+    method="ggvs_eval.contrib.more_baselines.mvsnerf.method:MvsNerf",
     renditions=(Rendition("MVSNeRF", "radiance in a feature volume of three views, by the authors' weights"),),
 )

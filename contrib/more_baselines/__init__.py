@@ -1,0 +1,1 @@
+"""Baselines beyond the usual ones: MVSplat and MVSNeRF."""
