@@ -1,8 +1,11 @@
 """The verbs of the command line that question frames: doctor and explain."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import tyro
@@ -37,7 +40,7 @@ def doctor(
         renders: frames in any form that `score` takes, with --capture; or a run folder, whose methods are all examined.
         capture: what was rendered.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
-        run: run folder to make or to go on with; scores/CAPTURE by default.
+        run: run folder to make or to go on with; a temporary one by default, under the protocol of scores/CAPTURE if any.
         first_frame: number of the protocol's first frame in the names of the frames, as of `score`.
         reading: how the capture is read.
         jobs: processes.
@@ -48,15 +51,15 @@ def doctor(
     from ggvs_eval.pipelines.inspection.renders.view_frames import cameras_of_run, views_of_run
     from ggvs_eval.pipelines.run.references import find_seen_views
 
-    folder, labels = _rendered(renders, capture, protocol, run, first_frame, reading, jobs)
     certain = False
-    for label in labels:
-        views = views_of_run(folder, label)
-        findings = [*examine(views, cameras_of_run(folder)), *find_seen_views(folder, label)]
-        certain |= any(finding.verdict == "certain" for finding in findings)
-        print(f"{label}\n{faults_table(findings)}")
-        for line in filter(None, (forgiven_error(views), steadiness_line(views))):
-            print(line)
+    with _rendered(renders, capture, protocol, run, first_frame, reading, jobs) as (folder, labels):
+        for label in labels:
+            views = views_of_run(folder, label)
+            findings = [*examine(views, cameras_of_run(folder)), *find_seen_views(folder, label)]
+            certain |= any(finding.verdict == "certain" for finding in findings)
+            print(f"{label}\n{faults_table(findings)}")
+            for line in filter(None, (forgiven_error(views), steadiness_line(views))):
+                print(line)
     if certain:
         sys.exit(1)
 
@@ -82,7 +85,7 @@ def explain(
         method: which method of a run folder; needed where it has several.
         capture: what was rendered.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
-        run: run folder to make or to go on with; scores/CAPTURE by default.
+        run: run folder to make or to go on with; a temporary one by default, under the protocol of scores/CAPTURE if any.
         first_frame: number of the protocol's first frame in the names of the frames, as of `score`.
         reading: how the capture is read.
         jobs: processes.
@@ -93,13 +96,14 @@ def explain(
 
     metric_family(metric)  # a mistyped name or number shows before anything is read
     printed(quoted)
-    folder, labels = _rendered(renders, capture, protocol, run, first_frame, reading, jobs)
-    if method is None and len(labels) != 1:
-        raise RenderError(f"{folder.root}: has {', '.join(labels)}; say which with --method")
-    views = views_of_run(folder, method or labels[0], as_measured=True)
-    print(explanation_table(metric, quoted, recompute(metric, quoted, views)))
+    with _rendered(renders, capture, protocol, run, first_frame, reading, jobs) as (folder, labels):
+        if method is None and len(labels) != 1:
+            raise RenderError(f"{folder.root}: has {', '.join(labels)}; say which with --method")
+        views = views_of_run(folder, method or labels[0], as_measured=True)
+        print(explanation_table(metric, quoted, recompute(metric, quoted, views)))
 
 
+@contextmanager
 def _rendered(
     renders: Path,
     capture: Path | None,
@@ -108,16 +112,22 @@ def _rendered(
     first_frame: int | None,
     reading: ReadingOptions,
     jobs: int,
-) -> tuple[RunFolder, list[str]]:
-    """A run folder with the frames in question, and what they are called there."""
+) -> Iterator[tuple[RunFolder, list[str]]]:
+    """A run folder with the frames in question, and what they are called there; it goes where none is named."""
     if (renders / "protocol.toml").is_file():
         folder = RunFolder(renders)
-        return folder, folder.labels()
+        yield folder, folder.labels()
+        return
     from ggvs_eval.pipelines.run.import_renders import import_renders
-    from ggvs_eval.pipelines.run.run_for import named_renders, run_for
+    from ggvs_eval.pipelines.run.run_for import SCORES_ROOT, named_renders, run_for
 
-    folder = run_for(run, partial(reading.open, capture) if capture else None, protocol, jobs)
-    ((label, path),) = named_renders((str(renders),)).items()
-    for note in import_renders(folder, label, path, workers=jobs, first_frame=first_frame)["notes"]:
-        print(f"{label}: {note}", file=sys.stderr)
-    return folder, [label]
+    scored = RunFolder(SCORES_ROOT / capture.resolve().name).protocol_file if capture else Path()
+    if run is None and protocol is None and scored.is_file():
+        protocol = str(scored)
+    with TemporaryDirectory(prefix="ggvs-eval-") as scratch:
+        root = Path(scratch) / "run" if run is None and capture else run
+        folder = run_for(root, partial(reading.open, capture) if capture else None, protocol, jobs)
+        ((label, path),) = named_renders((str(renders),)).items()
+        for note in import_renders(folder, label, path, workers=jobs, first_frame=first_frame)["notes"]:
+            print(f"{label}: {note}", file=sys.stderr)
+        yield folder, [label]

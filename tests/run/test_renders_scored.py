@@ -310,3 +310,20 @@ def test_renders_that_were_moved_are_named(tmp_path):
             call()
     import_renders(run, "b", tmp_path / "moved")
     assert score(run).table.equals(table)
+
+
+def test_doctor_leaves_no_trace(coffee_folder, protocol_path, theirs, tmp_path, monkeypatch):
+    """Without --run nothing is written where `score` writes, be it that the call fails; a run there lends its protocol."""
+    monkeypatch.chdir(tmp_path)
+    place = ("--capture", coffee_folder, "--jobs", "1")
+    with pytest.raises(SystemExit):
+        command("doctor", tmp_path / "nowhere", *place, "--protocol", protocol_path)
+    with pytest.raises(SystemExit):  # these frames were made of the captured ones, and it says so
+        command("doctor", theirs, *place, "--protocol", protocol_path)
+    assert not (tmp_path / "scores").exists()
+
+    command("score", "--renders", f"mine={theirs}", *place, "--protocol", protocol_path)
+    before = sorted(tmp_path.glob("scores/*/renders/*"))
+    with pytest.raises(SystemExit):
+        command("doctor", theirs, *place)
+    assert sorted(tmp_path.glob("scores/*/renders/*")) == before
