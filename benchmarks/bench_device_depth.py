@@ -29,7 +29,6 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import clock_s, compute_device, describe_device, rendering_on
 from ggvs_eval.geometry.rectification import rectify
-from ggvs_eval.method import Rendering
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.device_maps import finisher
 from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvsRig
@@ -200,10 +199,9 @@ def _time_chain(options: IterMvs, rig: Rig) -> dict[str, Any]:
     live = OnlineSynthesizer(rig.cameras, K, 1.0, "ours", options.device, depth=DepthOptions(matcher=options))
     target = replace(camera_at(*TARGET_PLACE).resized(*rig.cameras[0].size), name="target")
     images = {camera.name: image for camera, image in zip(rig.cameras, rig.images, strict=True)}
-    shown: list[Rendering] = []
-    times = _host_times(lambda: shown.append(live.step(images, None, target)), torch.device(options.device))
-    depth_ms = 1e3 * _median([each.seconds["depth"] for each in shown[-len(times) :]])
-    return {**_percentiles(times), "depth_ms": depth_ms, "method": type(live._method).__name__}
+    seconds = [live.step(images, None, target).seconds["depth"] for _ in range(WARM_UP)]
+    times = _host_times(lambda: live.show(images, None, target), torch.device(options.device))
+    return {**_percentiles(times), "depth_ms": 1e3 * seconds[-1], "method": type(live._method).__name__}
 
 
 def _one_by_one(options: IterMvs, rig: Rig) -> list[Tensor]:

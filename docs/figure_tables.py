@@ -34,7 +34,6 @@ DEPTH_ROWS = {  # shown: name of the figure without its matcher
 }
 SAME_VIEWS = "## Validation on the views of all cards"
 AS_MANY_PIXELS = "## With as many pixels as each baseline"
-DEVICE_PARTS = ("exposure", "registration", "splat", "network and composition")
 SPEED_ROWS = {  # shown: first part of the figures' names
     "1352x1014, K = 4, network": "online_step",
     "1352x1014, K = 4, geometric weights": "online_geometric_step",
@@ -114,19 +113,24 @@ def device_table() -> str:
     measured = _read(OUT / "device.json")
     sizes, found = list(measured["figures"]), list(measured["figures"].values())
     depths = [measured["depth"][size] for size in sorted(measured["depth"], key=lambda size: int(size.partition("x")[0]))]
-    parts = [each["times"]["parts_ms"] for each in found]
+    times, kernels = ([each[name] for each in found] for name in ("times", "kernels"))
     scoring = measured["scoring"]["frame_ms"]
     rows: dict[str, list[float]] = {
-        "step without transfers, median": [each["times"]["p50_ms"] for each in found],
-        "– 95th percentile": [each["times"]["p95_ms"] for each in found],
-        "– in which kernels compute": [each["times"]["busy_ms"] for each in found],
-        **{f"– {part}": [each[part] for each in parts] for part in DEVICE_PARTS},
-        "up and down": [each["upload"] + each["download"] for each in parts],
+        "a step, median": [each["p50_ms"] for each in times],
+        "– 95th percentile": [each["p95_ms"] for each in times],
+        "– where the target moves at every step": [each["moving_p50_ms"] for each in times],
+        "– in which kernels compute": [each["busy_ms"] for each in kernels],
+        "– gaps between them": [each["gaps_ms"] for each in kernels],
+        "– launches, a number": [each["launches"] for each in kernels],
+        "from arrays to an 8-bit picture, median": [each["call_p50_ms"] for each in times],
+        "– 95th percentile, of that": [each["call_p95_ms"] for each in times],
+        "until another size is recorded": [each["recording_ms"] for each in times],
+        "the step launched call by call": [sum(each["launched_ms"].values()) for each in times],
         "learned depth (larger: 1345x1008): network, both directions": [each["network_ms"] for each in depths],
         "– a map from four partners": [each["map_ms"] for each in depths],
     }
     lines = [f"{measured['machine']}:", "", f"| ms | {' | '.join(sizes)} |", "| --- |" + " ---: |" * len(sizes)]
-    lines += [f"| {name} | {' | '.join(f'{value:.1f}' for value in values)} |" for name, values in rows.items()]
+    lines += [f"| {name} | {' | '.join(f'{value:.{1 + (value < 10)}f}' for value in values)} |" for name, values in rows.items()]
     lines.append(f"| scoring a frame, all metrics (LPIPS) | | {scoring['all eight']:.1f} ({scoring['LPIPS']:.1f}) |")
     return "\n".join(lines)
 

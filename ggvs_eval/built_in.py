@@ -323,6 +323,7 @@ CONVENTIONS = {
     "e_warp": f"{_RENDERS}.steadiness:warping_conventions",
 }
 
-# The online step and training samples where another device computes them.
+# The online step, the finish of found depth, and training samples, where another device computes them.
 DEVICE_STEPS = {"warp": "ggvs_eval.contrib.warp.step:DeviceGuided"}
+DEVICE_FINISHES = {"warp": "ggvs_eval.contrib.warp.depth:finish_maps"}
 DEVICE_SAMPLES = {"warp": "ggvs_eval.contrib.warp.sampling:sampled_maps"}

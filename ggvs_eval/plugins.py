@@ -183,6 +183,8 @@ def use_file(path: Path) -> None:
         PluginError: no such file, one that cannot be imported, or one without a table.
     """
     file = path.resolve()
+    if os.pathsep in str(file):
+        raise PluginError(f"{file}: wanted a path without {os.pathsep!r}, by which such files are listed; move or rename it")
     module = _module_of(file)
     if not any(isinstance(getattr(module, kind.upper(), None), Mapping) for kind in get_args(Kind)):
         raise PluginError(

@@ -3,8 +3,10 @@
 import json
 import os
 import platform
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,8 +25,24 @@ INSTRUCTION_SETS = (
     *("ATEN_CPU_CAPABILITY", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR", "GLIBC_TUNABLES"),
 )
 COLUMNS = ("dataset", "scene", "method", "variant", "view", "frame", "metric", "value")
+MOVING_NUMBERS = (  # packages whose version can
+    *("ggvs-eval", "numpy", "opencv-python-headless", "torch", "scipy", "pyrtools", "av", "pandas", "pillow", "pycolmap"),
+    *("flip-evaluator", "imageio-ffmpeg", "cvvdp", "torchvision"),
+)
 TABLE_FILE = "results.parquet"
 PROVENANCE_FILE = "results.json"
+# Fault of renders -> what it looks like, to follow the method's name.
+SYMPTOMS = {
+    "reversed time": "shows the frames in reversed order",
+    "channel order": "has its colour channels in another order",
+    "mirrored": "is mirrored",
+    "wrong camera": "shows another camera",
+    "wrong size": "has frames of another size",
+    "blank frames": "has frames that show nothing",
+    "repeated frames": "repeats frames while the scene moves",
+    "truth copied in": "holds pixels of the captured frames",
+    "test view seen": "has seen the test view",
+}
 
 
 class Absence(NamedTuple):
@@ -56,8 +74,18 @@ class Fault(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The fault in short, e.g. ``late: certain frame offset``."""
-        return f"{self.called or 'fault'}: {self.verdict} {self.question}"
+        """The fault as it follows the method's name, e.g. ``shows every frame one instant late``."""
+        if self.called:
+            lag = re.search(r"t[+-](\d+)", self.measured)
+            instants = f"{lag[1]} instants" if lag and lag[1] != "1" else "one instant"
+            return f"shows every frame {instants} {self.called}"
+        return SYMPTOMS.get(self.question, f"has a fault: {self.question}")
+
+    @property
+    def remedy(self) -> str:
+        """First thing to do about it, one sentence, e.g. ``Renumber the frames by -1.``; empty where none is known."""
+        first = re.match(r"[^:;?]+\??", self.advice)
+        return f"{first[0][0].upper()}{first[0][1:]}{'' if first[0].endswith('?') else '.'}" if first else ""
 
 
 @dataclass(frozen=True)
@@ -133,16 +161,16 @@ class Results:
 
     @property
     def spoilt(self) -> dict[str, str]:
-        """Methods with a certain fault in their renders -> it in short; their numbers are shown and compared with no other."""
+        """Methods with a certain fault in their renders -> it, as it follows their name; they are compared with no other."""
         return {one.label: one.words for one in reversed(self.faults) if one.is_certain}
 
     @property
     def set_aside(self) -> dict[str, str]:
-        """Methods that are not ranked -> why: partial ones, and those whose renders have a certain fault."""
-        return self.spoilt | self.provenance.get("partial", {})
+        """Methods that are not ranked -> why, as it follows their name: partial ones, and those with a certain fault."""
+        return {label: f"is {mark}" for label, mark in self.provenance.get("partial", {}).items()} | self.spoilt
 
     def fault_lines(self, names: Mapping[str, str] | None = None) -> list[str]:
-        """One sentence for each fault of a method, with the views that have it, what was measured in the first, and the mend.
+        """Each fault of a method, with the views that have it, the measurement in the first one, and what to do.
 
         Args:
             names: label -> name to show, where these differ.
@@ -151,8 +179,8 @@ class Results:
         for one in self.faults:
             views.setdefault((one.label, one.words), []).append(one)
         return [
-            f"{(names or {}).get(label, label)}{' is not ranked,' if found[0].is_certain else ','} {words} "
-            f"({', '.join(one.view for one in found)}: {found[0].measured}); {found[0].advice}"
+            f"{(names or {}).get(label, label)} {words}{', so it is not ranked' if found[0].is_certain else ''} "
+            f"({found[0].verdict}; {', '.join(one.view for one in found)}: {found[0].measured}). {found[0].remedy}".strip()
             for (label, words), found in views.items()
         ]
 
@@ -202,6 +230,11 @@ def split_label(label: str) -> tuple[str, str]:
     return method, variant
 
 
+def without_labels(results: Results, labels: Collection[str]) -> Results:
+    """The results without some methods."""
+    return replace(results, table=results.table[[label not in labels for label in results.row_labels]]) if labels else results
+
+
 def make_table(rows: Iterable[Sequence[Any]]) -> "pd.DataFrame":
     """Build the tidy table from rows in the order of `COLUMNS`."""
     import pandas as pd
@@ -212,24 +245,32 @@ def make_table(rows: Iterable[Sequence[Any]]) -> "pd.DataFrame":
 
 def installed_versions() -> dict[str, str]:
     """Versions of everything that can move a number."""
-    packages = ("ggvs-eval", "numpy", "opencv-python-headless", "torch", "scipy", "pyrtools", "av", "pandas")
-    return {name: metadata.version(name) for name in packages}
+    found: dict[str, str] = {}
+    for name in MOVING_NUMBERS:
+        with suppress(metadata.PackageNotFoundError):  # of an extra that is not installed
+            found[name] = metadata.version(name)
+    return found
 
 
 def describe_machine() -> dict[str, str]:
     """The processor, and the instruction sets by which each library chooses its code; results may depend on them in places."""
     import cv2
-    import torch
 
     from ggvs_eval import kernels
 
+    try:
+        import torch
+
+        torch_sets = torch.backends.cpu.get_cpu_capability()
+    except (ImportError, OSError) as error:  # no memory for it, say; numbers that are there need none
+        torch_sets = f"cannot be imported: {error}"
     numpy_sets = np.show_config(mode="dicts")["SIMD Extensions"]
     return {
         "processor": _processor_name(),
         "kernels of ggvs-eval": kernels.get_simd_level(),
         "NumPy": ", ".join(numpy_sets.get("found", [])) or "baseline",
         "OpenCV": cv2.getCPUFeaturesLine(),
-        "torch": torch.backends.cpu.get_cpu_capability(),
+        "torch": torch_sets,
         **{name: os.environ[name] for name in INSTRUCTION_SETS if name in os.environ},
     }
 

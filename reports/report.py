@@ -1,7 +1,7 @@
 """A report of one or several runs: the page, the tables in four formats, and the figures."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,12 +9,11 @@ from ggvs_eval.files.atomic import write_text
 from ggvs_eval.reports.figures.crop_figure import draw_crops, draw_failures
 from ggvs_eval.reports.figures.curves import draw_curves
 from ggvs_eval.reports.figures.k_figure import draw_k
-from ggvs_eval.reports.figures.paper_figures import first_choice
 from ggvs_eval.reports.figures.regions import RULES, Rule, find_regions
 from ggvs_eval.reports.figures.slices import draw_slices
 from ggvs_eval.reports.figures.stream_figure import draw_rates
 from ggvs_eval.reports.model.table import Table
-from ggvs_eval.reports.page.page import render_page
+from ggvs_eval.reports.page.page import page_numbers, render_page
 from ggvs_eval.reports.page.sweep_section import is_sweep, sweep_runs, sweep_section
 from ggvs_eval.reports.run_groups import RunGroup, RunSection, read_groups
 from ggvs_eval.reports.tables.excel import has_excel, write_excel
@@ -111,27 +110,28 @@ def write_report(
     swept = [sweep_section(sweep, sections[0].run.metrics, runs_follow=sweep in sweeps) for sweep in (*sweeps, *tables_of)]
     page = out / "index.html"
     write_text(page, render_page(groups, reproduced, swept, None if standalone else out))
+    numbers = page_numbers(groups, swept)
     if with_figures:
         for index, section in enumerate(sections):
-            _draw_figures(section, out / "figures" / (f"run{index}" if len(sections) > 1 else ""))
+            _draw_figures(section, out / "figures" / (f"run{index}" if len(sections) > 1 else ""), numbers)
         for index, sweep in enumerate((*sweeps, *tables_of)):
             if swept[index].panels:
-                draw_k(sweep, out / "figures" / f"k{index or ''}.png")
+                draw_k(sweep, out / "figures" / f"k{index or ''}.png", numbers=numbers)
             if swept[index].rates:
-                draw_rates(swept[index].rates, out / "figures" / f"stream{index or ''}.png")
+                draw_rates(swept[index].rates, out / "figures" / f"stream{index or ''}.png", numbers)
     return page
 
 
-def _draw_figures(section: RunSection, folder: Path) -> None:
+def _draw_figures(section: RunSection, folder: Path, numbers: Mapping[str, int]) -> None:
     for slices in section.slices:
         draw_slices(slices, folder / ("epi.png" if slices.kind == "epi" else f"x-t_{slices.view}.png"))
     if section.run.pictured:
-        label = first_choice(section.run)
+        label = section.run.ours_first[0]
         rule: Rule = "different" if len(section.run.pictured) > 1 else "worst"
         regions = find_regions(section.run, rule, label, 2)
         draw_crops(section.run, [folder / "crops.png"], regions, RULES[rule].format(name=section.run.name(label)))
         draw_failures(section.run, [folder / "failures.png"], label)
     if section.rate_panels:
-        draw_rates(section.rate_panels, folder / "stream.png")
+        draw_rates(section.rate_panels, folder / "stream.png", numbers)
     for metric in dict.fromkeys(panel.metric for panel in section.panels):
-        draw_curves([panel for panel in section.panels if panel.metric == metric], folder / f"curves_{metric}.png")
+        draw_curves([panel for panel in section.panels if panel.metric == metric], folder / f"curves_{metric}.png", numbers)

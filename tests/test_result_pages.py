@@ -141,13 +141,17 @@ def test_every_table_of_the_pages_is_made_by_a_measurement():
 
 
 def test_the_gpu_table_is_what_the_benchmark_wrote(tmp_path, monkeypatch):
-    """A column per size, both transfers in one row, learned depth of the smaller size first, scoring of the larger one alone."""
-    times = {"parts_ms": dict.fromkeys(figure_tables.DEVICE_PARTS, 5.0) | {"upload": 1.0, "download": 2.5}}
+    """A column per size, kernels and calls in rows of their own, depth of the smaller size first, scoring of the larger alone."""
+    names = ("moving_p50_ms", "call_p50_ms", "call_p95_ms", "recording_ms")
+    times = {"launched_ms": {"a": 1.0, "b": 2.5}} | dict.fromkeys(names, 5.0)
     sizes = {"480x360": (10.0, 12.0, 4.0), "1352x1014": (20.0, 24.0, 8.0)}
     record = {
         "machine": "cuda: some GPU",
         "figures": {
-            size: {"times": times | dict(zip(("p50_ms", "p95_ms", "busy_ms"), values, strict=True))}
+            size: {
+                "times": times | dict(zip(("p50_ms", "p95_ms"), values, strict=False)),
+                "kernels": {"busy_ms": values[2], "gaps_ms": 0.5, "launches": 300.0},
+            }
             for size, values in sizes.items()
         },
         "depth": {"1345x1008": {"network_ms": 9.0, "map_ms": 90.0}, "480x360": {"network_ms": 3.0, "map_ms": 30.0}},
@@ -158,8 +162,9 @@ def test_the_gpu_table_is_what_the_benchmark_wrote(tmp_path, monkeypatch):
     table = figure_tables.device_table()
     for row in (
         "| ms | 480x360 | 1352x1014 |",
-        "median | 10.0 | 20.0 |",
-        "| up and down | 3.5 | 3.5 |",
+        "| a step, median | 10.0 | 20.0 |",
+        "| the step launched call by call | 3.50 | 3.50 |",
+        "| – in which kernels compute | 4.00 | 8.00 |",
         "partners | 30.0 | 90.0 |",
         "| | 100.0 (70.0) |",
     ):

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.ledger import LostJob
-from ggvs_eval.jobs.process_engine import GUARD
+from ggvs_eval.jobs.process_engine import start_remedy
 from ggvs_eval.jobs.processes import default_workers, share_cpus
 
 CONNECT_S = 30
@@ -113,7 +113,7 @@ def _local_cluster(distributed: Any, workers: int) -> Iterator[Any]:
                 n_workers=workers, threads_per_worker=1, dashboard_address=None, security=security, scheduler_kwargs=closed
             )
         except RuntimeError as error:
-            raise RenderError(f"dask's workers cannot start: {_root(error)}; {GUARD}") from error
+            raise RenderError(f"dask's workers cannot start: {_root(error)}; {start_remedy()}") from error
         yield stack.enter_context(cluster)
 
 

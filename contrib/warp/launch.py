@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -31,6 +32,22 @@ def launch(kernel: Any, size: int | Sequence[int], *arguments: Any, block: int =
         wp.launch_tiled(kernel, dim=size, inputs=values, block_dim=block, device=there, record_tape=False)
     else:
         wp.launch(kernel, dim=size, inputs=values, device=there, record_tape=False)
+
+
+@contextmanager
+def on_current_stream(device: torch.device) -> Iterator[None]:
+    """Within, Warp launches on torch's current stream of a GPU, which may be recorded; nothing on the CPU."""
+    if device.type == "cpu":
+        yield
+        return
+    with wp.ScopedStream(_of_warp(device, torch.cuda.current_stream(device).cuda_stream), sync_enter=False):
+        yield
+
+
+@lru_cache(maxsize=64)
+def _of_warp(device: torch.device, handle: int) -> Any:
+    """Warp's name of a stream, made before anything is recorded there."""
+    return wp.Stream(wp.device_from_torch(device), cuda_stream=handle)
 
 
 def sort_pairs(keys: Tensor, values: Tensor, count: int, bits: int) -> None:

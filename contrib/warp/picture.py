@@ -437,3 +437,18 @@ def blend_views(network: DeviceNetwork, maps: DeviceMaps, registered: bool, c: S
     shares = torch.empty_like(depths[:-1])
     launch(share_out, shares.shape[1:], small, means, places, shares)
     return network.refined(image, spread, seen, logarithm, maps.fused, small), shares
+
+
+@wp.kernel
+def write_pixels(picture: wp.array3d[wp.float32], image: wp.array3d[wp.float32], levels: wp.array3d[wp.uint8]):
+    """A picture (3, H, W) pixel by pixel, and in 8 bit."""
+    y, x = wp.tid()
+    for c in range(3):
+        value = picture[c, y, x]
+        image[y, x, c] = value
+        levels[y, x, c] = wp.uint8(wp.int32(wp.rint(wp.clamp(value, 0.0, 1.0) * 255.0)))
+
+
+def show_picture(picture: Tensor, image: Tensor, levels: Tensor) -> None:
+    """Write a picture (3, H, W) in [0, 1] as the host takes it, (H, W, 3), float32 and uint8."""
+    launch(write_pixels, picture.shape[1:], picture, image, levels)

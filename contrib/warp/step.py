@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-import warp as wp
 from torch import Tensor
 
 from ggvs_eval.arrays import Image8, Map
@@ -21,10 +20,10 @@ from ggvs_eval.contrib.warp import exposure as exposures
 from ggvs_eval.contrib.warp.constants import Remembered, StepConstants
 from ggvs_eval.contrib.warp.exposure import ExposureState
 from ggvs_eval.contrib.warp.filter import filter_views, trust_past, weigh_depths
-from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, WorkStream, launch
+from ggvs_eval.contrib.warp.launch import WorkStream
 from ggvs_eval.contrib.warp.march import march
 from ggvs_eval.contrib.warp.network import DeviceNetwork
-from ggvs_eval.contrib.warp.picture import DeviceMaps, blend_views
+from ggvs_eval.contrib.warp.picture import DeviceMaps, blend_views, show_picture
 from ggvs_eval.contrib.warp.registration import register_views, settle_depth
 from ggvs_eval.contrib.warp.splat import DeviceSplats, splat_views
 from ggvs_eval.contrib.warp.stillness import Output, rate_stillness, recur, remember_background
@@ -35,8 +34,6 @@ from ggvs_eval.method import Instant, Rendering, SourceView
 from ggvs_eval.pipelines.online.blend_maps import Guidance, nearness
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
-
-wp.set_module_options(MODULE_OPTIONS)
 
 PAIRS_PER_GAUSSIAN = 3.2  # pairs of a Gaussian and a tile that there is room for at first
 ROOM = 1.25  # times what was needed when it was not enough
@@ -104,16 +101,6 @@ class Results:
         return cls(image, image.to(torch.uint8), image[..., 0].clone(), maps, torch.zeros(1, device=device))
 
 
-@wp.kernel
-def show(picture: wp.array3d[wp.float32], image: wp.array3d[wp.float32], levels: wp.array3d[wp.uint8]):
-    """A picture (3, H, W) pixel by pixel, and in 8 bit."""
-    y, x = wp.tid()
-    for c in range(3):
-        value = picture[c, y, x]
-        image[y, x, c] = value
-        levels[y, x, c] = wp.uint8(wp.int32(wp.rint(wp.clamp(value, 0.0, 1.0) * 255.0)))
-
-
 class Program:
     """All that a step of given sizes needs, at fixed places: inputs, constants, tables, two states and results.
 
@@ -150,7 +137,7 @@ class Program:
         with torch.cuda.stream(self._copies) if self._on_gpu else nullcontext():
             for k, (source, (width, height)) in enumerate(zip(sources, self.sizes.views, strict=True)):
                 self._copy(torch.from_numpy(np.ascontiguousarray(source.image)), images[k, :height, :width], k, "_images")
-                depth = source.depth
+                depth: Any = source.depth
                 if not isinstance(depth, Tensor):
                     depth = torch.from_numpy(np.ascontiguousarray(depth, np.float32))
                 self._copy(depth, depths[k, :height, :width], k, "_depths")
@@ -414,7 +401,7 @@ class DeviceGuided:
         if options.temporal and options.recurrent_limit > 0:
             recur(picture, cells.still, before.output, options.recurrent_limit, c, t, out.output)
             picture = out.output.picture
-        launch(show, picture.shape[1:], picture, results.image, results.levels)
+        show_picture(picture, results.image, results.levels)
         self._leave(results, surface, splats, {"coverage": cells.coverage, "depth": cells.depth, "weights": shares})
         results.diagnostics["motion"].copy_(cells.still).neg_().add_(1)
 

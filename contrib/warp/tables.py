@@ -89,6 +89,7 @@ class Tables:
         self.area_cells = cache(self.area_cells)  # type: ignore[method-assign]
         self.between_cells = cache(self.between_cells)  # type: ignore[method-assign]
         self.middles = cache(self.middles)  # type: ignore[method-assign]
+        self.past_size(*sizes.whole)  # made now: a first instant may read a state of another size
         self.widening = cache(self.widening)  # type: ignore[method-assign]
         self.pooling = cache(self.pooling)  # type: ignore[method-assign]
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.plain import ffmpeg_name
 from ggvs_eval.files.video import VideoFrames
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def read_coding(path: Path, frames: range) -> Coding:
 
     size = VideoFrames(path).size
     try:
-        with av.open(str(path), metadata_errors="replace") as container:
+        with av.open(ffmpeg_name(path), metadata_errors="replace") as container:
             frame = next(container.decode(video=0))
             beside = cast("Sequence[SideData]", frame.side_data)  # declared as a mapping
             notes = [bytes(beside[index]) for index in range(len(beside)) if beside[index].type == Type.SEI_UNREGISTERED]

@@ -118,3 +118,8 @@ def why_unread(error: OSError) -> str:
 
 def _refused(path: Path, reason: str) -> NotPlainError:
     return NotPlainError(errno.EINVAL, reason, str(path))
+
+
+def ffmpeg_name(path: Path) -> str:
+    """A path as FFmpeg takes it: what stands before a colon in a relative one would be a protocol."""
+    return os.path.abspath(path)

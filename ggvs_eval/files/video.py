@@ -15,7 +15,7 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.picture_header import conversions_to_rgb8
-from ggvs_eval.files.plain import check_plain, why_unread
+from ggvs_eval.files.plain import check_plain, ffmpeg_name, why_unread
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -46,7 +46,7 @@ def write_video(path: Path, frames: Iterable[Image8], fps: float, crf: float = 1
 
     with (
         atomic_file(path) as temporary,
-        av.open(str(temporary), "w", format="mp4", options={"fflags": "+bitexact"}) as container,
+        av.open(ffmpeg_name(temporary), "w", format="mp4", options={"fflags": "+bitexact"}) as container,
     ):
         _encode(container, path, frames, fps, crf, settings)
 
@@ -302,7 +302,7 @@ class VideoFrames:
         except OSError as error:
             raise CaptureError(f"{self.path}: wanted a video, got {why_unread(error)}; restore it or drop its camera") from error
         try:
-            container = av.open(str(self.path), metadata_errors="replace")
+            container = av.open(ffmpeg_name(self.path), metadata_errors="replace")
         except av.error.FFmpegError as error:
             content = f"{self.path.stat().st_size} bytes that do not open ({error.strerror}), 0 frames can be decoded"
             raise CaptureError(

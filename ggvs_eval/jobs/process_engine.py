@@ -23,6 +23,8 @@ LOOK_AGAIN_S = 0.5  # while a job waits for memory
 STDERR = 2  # its file descriptor
 MESSAGE_LETTERS = 300
 GUARD = 'a script that works in processes calls its functions below `if __name__ == "__main__":`'
+FEWER = "use fewer --jobs, and see how much memory and how many processes this machine allows (ulimit -a)"
+COMMAND_LINE = ("ggvs-eval", "ggvs-eval.exe", "__main__.py")  # the file of the main module
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -107,11 +109,17 @@ def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
                 text = errors.read().decode(errors="replace")
                 sys.stderr.write(text)
             if exit_code and exit_code > 0 and (reason := last_error(text)):
-                raise RenderError(f"worker processes cannot start: {reason}; {GUARD}")
+                raise RenderError(f"worker processes cannot start: {reason}; {start_remedy()}")
     if exit_code and exit_code > 0:
         last = "".join(text.strip().splitlines()[-1:]) or "it printed nothing"
         return LostJob(f"its process ended by itself {TRIES_ALONE + 1} times, at last with status {exit_code} ({last})")
     return LostJob(f"its process was killed {TRIES_ALONE + 1} times, at last alone on the machine; it may need more memory")
+
+
+def start_remedy() -> str:
+    """What to do where processes do not start: a script may lack its guard, the command line has one."""
+    main = getattr(sys.modules["__main__"], "__file__", None) or ""
+    return FEWER if os.path.basename(main) in COMMAND_LINE else GUARD
 
 
 def last_error(text: str) -> str:

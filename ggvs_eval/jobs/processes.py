@@ -1,7 +1,9 @@
 """Worker processes that share the CPUs evenly and do not outlive the process that started them."""
 
+import errno
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
@@ -13,19 +15,28 @@ from typing import Any
 
 from ggvs_eval.progress import track
 
+# What a /dev/shm that is read-only, full, absent or forbidden makes of a semaphore.
+NO_SEMAPHORES = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOSYS, errno.ENOSPC)
+
 
 def default_workers() -> int:
     """Processes that suit this machine: one per CPU that we may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
-def worker_pool(workers: int) -> ProcessPoolExecutor:
-    """A pool of fresh processes, each with its share of the CPUs.
+def worker_pool(workers: int) -> Executor:
+    """A pool of fresh processes, each with its share of the CPUs; this very process where there can be no other.
 
     Processes are spawned, not forked: threads and libraries of the parent would not survive a fork.
     """
     threads = max(default_workers() // workers, 1)
-    return _WorkerPool(workers, get_context("spawn"), initializer=_start_worker, initargs=(threads,))
+    try:
+        return _WorkerPool(workers, get_context("spawn"), initializer=_start_worker, initargs=(threads,))
+    except (OSError, NotImplementedError) as error:
+        if isinstance(error, OSError) and error.errno not in NO_SEMAPHORES:
+            raise
+        print(f"ggvs-eval: {error or 'no semaphores'} (/dev/shm): one process does the work of all", file=sys.stderr)
+        return _ThisProcess()
 
 
 @contextmanager
@@ -44,7 +55,7 @@ def kept_workers() -> Iterator[None]:
 
 
 @contextmanager
-def borrowed_pool(workers: int, most: int) -> Iterator[ProcessPoolExecutor]:
+def borrowed_pool(workers: int, most: int) -> Iterator[Executor]:
     """A pool of so many processes: the one that is kept, if any, or one of its own that ends with the block."""
     if _keeper is None:
         with worker_pool(workers) as pool:
@@ -58,9 +69,9 @@ class _Keeper:
 
     def __init__(self, stack: ExitStack) -> None:
         self._stack = stack
-        self._pools: dict[int, ProcessPoolExecutor] = {}
+        self._pools: dict[int, Executor] = {}
 
-    def lend(self, workers: int) -> Iterator[ProcessPoolExecutor]:
+    def lend(self, workers: int) -> Iterator[Executor]:
         """Yield a whole pool; one that breaks meanwhile is not lent again."""
         if workers not in self._pools:
             self._pools[workers] = self._stack.enter_context(worker_pool(workers))
@@ -72,6 +83,19 @@ class _Keeper:
 
 
 _keeper: _Keeper | None = None
+
+
+class _ThisProcess(Executor):
+    """Does all work at once, when it is submitted."""
+
+    def submit(self, work: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        """See `Executor`."""
+        done: Future[Any] = Future()
+        try:
+            done.set_result(work(*arguments, **named))
+        except Exception as error:
+            done.set_exception(error)
+        return done
 
 
 class _WorkerPool(ProcessPoolExecutor):

@@ -1,6 +1,7 @@
 // What is kept is bounded twice: by its size, and by how many other arrays were made since it was last in use.
 #include "memory.hpp"
 
+#include <algorithm>
 #include <cstdint>
 #include <cstdlib>
 #include <deque>
@@ -16,7 +17,7 @@ namespace {
 namespace py = pybind11;
 
 constexpr size_t kLeast = size_t(1) << 18;     // bytes: below, the allocator does as well
-constexpr size_t kMostIdle = size_t(1) << 29;  // bytes
+constexpr size_t kMostIdle = size_t(1) << 29;  // bytes; more where more was in use at once: a large step wants all of it again
 constexpr uint64_t kMostTurns = 256;
 constexpr size_t kAlignment = 64, kHugePage = size_t(1) << 21;
 
@@ -30,7 +31,9 @@ struct Block {
 class Idle {
 public:
     Block take(size_t bytes) {
-        ++turn_;
+        if (++turn_ % kMostTurns == 0) most_used_ = used_;
+        used_ += bytes;
+        most_used_ = std::max(most_used_, used_);
         for (auto block = blocks_.rbegin(); block != blocks_.rend(); ++block) {  // the last in use is the likeliest in the cache
             if (block->bytes != bytes) continue;
             const Block found = *block;
@@ -46,7 +49,8 @@ public:
         block.turn = turn_;
         blocks_.push_back(block);
         bytes_ += block.bytes;
-        drop([this](const Block&) { return bytes_ > kMostIdle; });
+        used_ -= block.bytes;
+        drop([this](const Block&) { return bytes_ > std::max(kMostIdle, most_used_); });
     }
 
     size_t bytes() const { return bytes_; }
@@ -72,7 +76,7 @@ private:
     }
 
     std::deque<Block> blocks_;
-    size_t bytes_ = 0;
+    size_t bytes_ = 0, used_ = 0, most_used_ = 0;  // kept; given out, now and at most since a while
     uint64_t turn_ = 0;
 };
 

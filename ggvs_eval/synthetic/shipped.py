@@ -15,6 +15,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.files.plain import ffmpeg_name
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -52,14 +53,14 @@ def _path_frames(video: Path) -> Iterator[Image8]:
 def _opened(video: Path) -> "Iterator[InputContainer]":
     import av
 
-    with av.open(str(video)) as container:
+    with av.open(ffmpeg_name(video)) as container:
         yield container
 
 
 def _write_path_frames(video: Path, images: list[Path]) -> None:
     import av
 
-    with av.open(str(video), "w", options={"fflags": "+bitexact"}) as container:
+    with av.open(ffmpeg_name(video), "w", options={"fflags": "+bitexact"}) as container:
         stream = container.add_stream("libx264rgb", rate=Fraction(30))
         stream.height, stream.width = read_image(images[0]).shape[:2]
         stream.pix_fmt, stream.options = "rgb24", {"crf": "0", "preset": "slow", "threads": "1"}

@@ -245,10 +245,12 @@ def protocol(
         unfinished.write_text(chosen.to_toml(), encoding="utf-8")
     print(text_table({"cameras": 0, "why they are held out, or not": 1}, _together(proposal.reasons)))
     print(f"{out}: {len(chosen.views.test)} test views, K = {chosen.synthesis.k}, {chosen.frames.count} frames")
+    published: dict[str, list[str]] = {}
     for other in published_protocols(opened):
-        views, lacking = ", ".join(other.views.test), other.frames.numbers.stop - opened.n_frames
-        count = f"{other.frames.count} frames" + (f", {lacking} more than there are" if lacking > 0 else "")
-        print(f"if this is {other.dataset}: --protocol {other.name} evaluates as published, {views} held out, {count}")
+        held = f"{other.name} ({', '.join(other.views.test)} held out, {other.frames.count} frames)"
+        published.setdefault(other.dataset, []).append(held)
+    for dataset, choices in published.items():
+        print(f"if this is {dataset}: --protocol {' or '.join(choices)} evaluates as published")
 
 
 def _together(reasons: Mapping[str, str]) -> list[tuple[str, str]]:

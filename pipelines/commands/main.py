@@ -1,6 +1,8 @@
 """The command line. Errors of the user and of the machine are one line and exit code 1; our bugs keep their traceback."""
 
+import codecs
 import inspect
+import io
 import os
 import re
 import sys
@@ -25,6 +27,7 @@ Commands = Mapping[str, "Command | Commands"]
 COMMANDS: Registry["Command | Commands"] = Registry("commands", {name: verb.target for name, verb in VERBS.items()})
 WIDEST = 100  # of the overview's lines, in signs
 PLUGIN = "--plugin"  # of any verb: a file with metrics, methods or layouts of the user's own
+PLAIN, PLAIN_SIGNS = "ggvs-eval-plain", str.maketrans("─━–—−±×·", "-----~x.")  # how stdout writes what it cannot
 CONTINUED = re.compile(r"\n {12,}(?=\S)")  # the second and later lines of an argument in a docstring
 ABOUT = {
     "ggvs-eval": "How good and how steady, over views and over time, is a method on a multi-view capture - and why? "
@@ -36,6 +39,9 @@ ABOUT = {
 def run_command(arguments: list[str] | None = None) -> None:
     """Parse the command line and do what it says."""
     warnings.showwarning = _show_warning
+    codecs.register_error(PLAIN, _plain)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors=PLAIN)  # of cron and containers, which may know ASCII alone
     try:
         call_command("ggvs-eval", COMMANDS, _without_plugins(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()
@@ -48,6 +54,12 @@ def run_command(arguments: list[str] | None = None) -> None:
         except OSError:  # the full disk is that of our output
             _forget_output()
         sys.exit(f"ggvs-eval: {mendable(error)}")
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    """Write what a terminal lacks by what is nearest to it."""
+    assert isinstance(error, UnicodeEncodeError)
+    return error.object[error.start : error.end].translate(PLAIN_SIGNS).encode("ascii", "replace").decode(), error.end
 
 
 def _show_warning(

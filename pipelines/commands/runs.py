@@ -26,7 +26,6 @@ from ggvs_eval.pipelines.commands.captures import (
     ReadingOptions,
     Run,
 )
-from ggvs_eval.pipelines.commands.print_plan import print_plan
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods, weights_takers
 from ggvs_eval.pipelines.methods.splats import named_splats, splats_notes
@@ -37,6 +36,32 @@ from ggvs_eval.protocol import Protocol
 if TYPE_CHECKING:  # they import pandas
     from ggvs_eval.pipelines.sweep.demo_runs import Film
     from ggvs_eval.pipelines.sweep.run_sweep import SweepPlan
+
+
+def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool = False) -> None:
+    """Tell what runs will do, as a few lines; nothing where all is done.
+
+    Args:
+        plans: of the runs.
+        jobs: processes.
+        folder: where they go.
+        dry_run: nothing will follow: say so even where all is done.
+
+    Raises:
+        ProtocolError: they need more room than the disk has.
+    """
+    from ggvs_eval.pipelines.run.work_left import count_work
+    from ggvs_eval.pipelines.sweep.demo_plan import renders_first
+
+    if not plans:
+        return
+    work = count_work(plans, folder, jobs)
+    notes = [note for plan in plans for note in plan.capture.notes if note not in plan.request.capture.notes]
+    lines = [*dict.fromkeys(notes), *renders_first(plan.request.capture for plan in plans), *work.describe().splitlines()]
+    if lines or dry_run:
+        print("\n".join(lines) or f"{folder}: nothing is left to do", file=sys.stdout if dry_run else sys.stderr)
+    work.require_disk()
+
 
 Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)},splats:PATH}}")]
 Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE ...", help_behavior_hint=NONE)]

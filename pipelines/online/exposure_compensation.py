@@ -23,6 +23,7 @@ PRIOR = 1e-3  # weight of "no gain" beside the share of the look-ups that two so
 LARGEST_LOG_GAIN = 0.5
 GAUGE_POWER = 2  # of the views' weights, by which their gains are averaged into the target's
 MEMORY = 10  # instants that a ratio is the mean of, at most
+UNKNOWN = (0, np.zeros(3), 0.0)  # of a ratio: instants, mean, weight
 LIKE = 0.2  # colours of a surface are alike where their log ratio is as near to the pair's, or they are DARK levels apart
 ODD, COMMON = 0.2, 0.5  # share of alike looks below which a source is left out, if another pair has more than the second
 
@@ -109,7 +110,7 @@ class ExposureCompensation:
             share = len(looks) / (samples[j] + samples[k])
             self._remember(sources[j].camera.name, sources[k].camera.name, np.median(ratios, axis=0), share)
         for j, k in combinations(range(len(sources)), 2):
-            ratio, weight = self._remembered(sources[j].camera.name, sources[k].camera.name)
+            _, ratio, weight = self._ratios.get((sources[j].camera.name, sources[k].camera.name), UNKNOWN)
             normal[[j, k], [j, k]] += weight
             normal[[j, k], [k, j]] -= weight
             right[j] += weight * ratio
@@ -118,19 +119,10 @@ class ExposureCompensation:
 
     def _remember(self, first: str, second: str, ratio: Array, weight: float) -> None:
         """Take a log ratio of two cameras into their mean, in which the last instants count most."""
-        mean, _ = self._remembered(first, second)
-        count = min(self._ratios.get(_in_order(first, second), (0,))[0] + 1, self._memory)
+        count, mean, _ = self._ratios.get((first, second), UNKNOWN)
+        count = min(count + 1, self._memory)
         mean = mean + (ratio - mean) / count
-        self._ratios[_in_order(first, second)] = (count, -mean if first > second else mean, weight)
-
-    def _remembered(self, first: str, second: str) -> tuple[Array, float]:
-        """The log ratio of two cameras and its weight, 0 where it was never measured."""
-        _, mean, weight = self._ratios.get(_in_order(first, second), (0, np.zeros(3), 0.0))
-        return -mean if first > second else mean, weight
-
-
-def _in_order(first: str, second: str) -> tuple[str, str]:
-    return min(first, second), max(first, second)
+        self._ratios |= {(first, second): (count, mean, weight), (second, first): (count, -mean, weight)}
 
 
 def odd_ones(likeness: Array) -> NDArray[np.bool_]:

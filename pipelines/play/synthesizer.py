@@ -11,6 +11,7 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, RenderError
+from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.geometry.source_views import ChosenSource, SourceChoice, choose_sources
 from ggvs_eval.method import Instant, LookaheadMethod, Method, Rendering, SourceView
@@ -137,6 +138,25 @@ class OnlineSynthesizer:
             RenderError: an image that is missing or does not fit its camera.
             DepthError: depth that is missing, does not fit its camera, is negative or not finite.
         """
+        instant, seconds = self._instant(images_by_camera, depths_by_camera, target)
+        rendering = self._method.step(instant)
+        self._index += 1
+        return replace(rendering, seconds={**seconds, **rendering.seconds}) if seconds else rendering
+
+    def show(
+        self, images_by_camera: Mapping[str, Image8], depths_by_camera: Mapping[str, Map | DepthMap] | None, target: Camera
+    ) -> Image8:
+        """As `step`, the picture alone, in 8 bit, (H, W, 3): a method on a GPU then brings nothing else from there."""
+        if not hasattr(self._method, "show"):
+            return quantise(self.step(images_by_camera, depths_by_camera, target).image)
+        picture: Image8 = self._method.show(self._instant(images_by_camera, depths_by_camera, target)[0])
+        self._index += 1
+        return picture
+
+    def _instant(
+        self, images_by_camera: Mapping[str, Image8], depths_by_camera: Mapping[str, Map | DepthMap] | None, target: Camera
+    ) -> tuple[Instant, dict[str, float]]:
+        """What the method is shown, and the seconds of depth that had to be found."""
         chosen = choose_sources(target, self.cameras, self.k, self._choice)
         names = [each.camera.name for each in chosen]
         _check_names(images_by_camera, names, target, "an image")
@@ -147,9 +167,7 @@ class OnlineSynthesizer:
         for view in views:
             if isinstance(view.depth, np.ndarray):
                 self._doubts.look_at_depth(view.camera, view.depth)
-        rendering = self._method.step(Instant(self._index, target, views, self.units_per_metre))
-        self._index += 1
-        return replace(rendering, seconds={**seconds, **rendering.seconds}) if seconds else rendering
+        return Instant(self._index, target, views, self.units_per_metre), dict(seconds)
 
     def _finder(self) -> RigDepth:
         """Return what finds depth, made when it is first asked for."""

@@ -13,19 +13,67 @@ from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.merged_results import join_versions
-from ggvs_eval.metrics.registry import METRICS, derived_rows, pooling_records, select_metrics
+from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
 from ggvs_eval.pipelines.inspection.renders.seen import COMPARED
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
-from ggvs_eval.pipelines.methods.registry import METHODS
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method
+from ggvs_eval.pipelines.methods.spec import LEARNED, MethodSpec, OnlineMethod, digest_weights
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.run.references import ceiling_jobs, find_seen_view, read_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.pipelines.run.screens import Clock, read_clocks, screens_of, write_screens
-from ggvs_eval.pipelines.run.shown_names import write_shown_names
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table, split_label
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
+
+GIVEN = "weights that were given"
+
+
+def write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> None:
+    """Write titles of methods, what differs between them by design, and notes on metrics."""
+    specs = {label: spec for label in labels if (spec := _method_of(label))}
+    given = [
+        label
+        for label, spec in specs.items()
+        if isinstance(spec, OnlineMethod) and _has_given_weights(run, protocol, label, spec)
+    ]
+    titles = {label: _title(specs[label], label in given) if label in specs else label for label in labels}
+    looks = [label for label in specs if not specs[label].online]
+    write_json(
+        run.root / "methods.json",
+        {
+            "labels": list(labels),
+            "names": titles,
+            "ours": [label for label in specs if specs[label].ours],
+            "from_sources": [label for label in specs if isinstance(specs[label], OnlineMethod)],
+            "declared": {label: spec.declared | ({LEARNED: GIVEN} if label in given else {}) for label, spec in specs.items()},
+            **({"look_ahead": looks} if looks else {}),
+        },
+    )
+    notes = metric_notes(protocol.measurement.metrics, metric_options(protocol.measurement))
+    write_json(run.root / "metrics.json", notes)
+
+
+def _method_of(label: str) -> MethodSpec | None:
+    """Entry of the registry under a label; None for frames that were rendered elsewhere."""
+    try:
+        return find_method(label)
+    except RenderError:
+        return None
+
+
+def _has_given_weights(run: RunFolder, protocol: Protocol, label: str, spec: OnlineMethod) -> bool:
+    """Tell whether renders are of a file that the user gave, and not of the weights that ship."""
+    files = (run.renders(label, view) / JOB_FILE for view in protocol.views.test)
+    identities = [read_json(file).get("identity", {}) for file in files if file.is_file()]
+    shipped = [digest_weights(file) for file in spec.weights if file.is_file()]
+    return any(identity.get("weights", shipped) != shipped for identity in identities)
+
+
+def _title(spec: MethodSpec, is_given: bool) -> str:
+    return spec.title_from or spec.title if is_given and isinstance(spec, OnlineMethod) else spec.title
+
 
 METRICS_ON_DEVICE = "metrics"  # stands among the renders that are not the CPU's
 

@@ -6,13 +6,14 @@ from itertools import pairwise
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.units import DEMO_NOTES
-from ggvs_eval.errors import CameraError
+from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.geometry.sight import LEAST_SHOWN, shown_share
 from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol, packaged_protocols
 
 DEMO = "demo"  # what the names of protocols of demo captures begin with
 MOST_VIEWS, MOST_FRAMES = 9, 100
+FEWEST_CAMERAS = 2
 BY_AUTHORS = "chosen by the authors"  # what `views.chosen_by` of published tables begins with
 SAME_SHAPE = 0.01  # of width over height
 HAND_HELD = ("rgbd",)  # layouts of one camera that moves
@@ -49,6 +50,10 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
         doubts: camera -> what is wrong with it, as `ggvs_eval.pipelines.inspection.capture.check.read_doubts` gives it.
     """
     doubts = doubts or {}
+    if len(capture.cameras) < FEWEST_CAMERAS:
+        raise CaptureError(
+            f"{capture.path}: wanted two cameras or more, got {len(capture.cameras)}: nothing can be held out; add cameras"
+        )
     for name in (DEMO, f"{DEMO}-{capture.layout}", capture.layout):
         if name in packaged_protocols() and _fits(capture, load_protocol(name)):
             protocol = load_protocol(name)
@@ -76,7 +81,7 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
 
 
 def published_protocols(capture: Capture) -> list[Protocol]:
-    """Packaged protocols of published tables whose test views and shape of images a capture has; frames may be too few."""
+    """Packaged protocols of published tables whose test views, frames and shape of images a capture has."""
     width, height = capture.cameras[0].size
     loaded = [load_protocol(name) for name in packaged_protocols()]
     return [
@@ -84,6 +89,7 @@ def published_protocols(capture: Capture) -> list[Protocol]:
         for each in loaded
         if each.views.chosen_by.startswith(BY_AUTHORS)
         and set(each.views.test) <= set(capture.camera_names)
+        and each.frames.numbers.stop <= capture.n_frames
         and abs(each.synthesis.width * height / (each.synthesis.height * width) - 1) <= SAME_SHAPE
     ]
 

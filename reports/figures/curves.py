@@ -1,7 +1,7 @@
 """Error curves along time: one small panel per metric and view, every method in it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -41,10 +41,9 @@ def save_figure(figure: "Figure", out: Path) -> Path:
 
 @dataclass(frozen=True)
 class Curve:
-    """One method: `number` counts the methods of the run, so that it looks the same in every panel."""
+    """One method, by the name that is shown."""
 
     name: str
-    number: int
     frames: tuple[int, ...]
     values: tuple[float, ...]
 
@@ -95,6 +94,11 @@ class Panel:
         return [(self.x(frame), str(frame)) for frame in dict.fromkeys((first, (first + last) // 2, last))]
 
 
+def method_numbers(names: Iterable[str]) -> dict[str, int]:
+    """Number of each method by the name that is shown; it chooses the colour on every tab of a page and in its figures."""
+    return {name: number for number, name in enumerate(dict.fromkeys(names))}
+
+
 def round_ticks(low: float, high: float) -> list[tuple[float, str]]:
     """Two to seven round numbers from `low` to `high`, each with its text.
 
@@ -129,13 +133,12 @@ def _metric_panels(run: MeasuredRun, metric: str) -> list[Panel]:
 
 def _curves(run: MeasuredRun, metric: str, view: str) -> tuple[Curve, ...]:
     """Finite values of every method, in the order of the methods."""
-    values, curves = run.results.per_frame(metric, view), []
+    values, curves = run.results.per_frame(metric, view), {}
     for method, variant in cast("list[tuple[str, str]]", list(values.columns)):
         series = values[(method, variant)].replace([math.inf, -math.inf], math.nan).dropna().sort_index()
         label = label_of(method, variant)
-        number = run.labels.index(label) if label in run.labels else len(run.labels)
-        curves.append(Curve(run.name(label), number, tuple(series.index.astype(int)), tuple(map(float, series))))
-    return tuple(sorted(curves, key=lambda curve: curve.number))
+        curves[label] = Curve(run.name(label), tuple(series.index.astype(int)), tuple(map(float, series)))
+    return tuple(curves[label] for label in dict.fromkeys([*run.labels, *curves]) if label in curves)
 
 
 def with_margin(low: float, high: float) -> tuple[float, float]:
@@ -144,16 +147,17 @@ def with_margin(low: float, high: float) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def draw_curves(panels: Sequence[Panel], out: Path) -> Path:
-    """Draw the panels of one metric beside each other, for print."""
+def draw_curves(panels: Sequence[Panel], out: Path, numbers: Mapping[str, int] | None = None) -> Path:
+    """Draw the panels of one metric beside each other, for print, in the colours of `numbers`, see `method_numbers`."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(max(3.4, 2.6 * len(panels)), 2.6), layout="constrained")
     axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    numbers = numbers or method_numbers(curve.name for panel in panels for curve in panel.curves)
     for axis, panel in zip(axes, panels, strict=True):
         for curve in panel.curves:
-            dashes = [float(length) / 2 for length in DASHES[curve.number % len(DASHES)].split()]
-            colour = COLOURS[curve.number % len(COLOURS)]
+            dashes = [float(length) / 2 for length in DASHES[numbers[curve.name] % len(DASHES)].split()]
+            colour = COLOURS[numbers[curve.name] % len(COLOURS)]
             axis.plot(curve.frames, curve.values, color=colour, linewidth=1.1, label=curve.name, dashes=dashes or (None, None))
         axis.set_title(panel.view, fontsize=8)
         axis.set_xlabel("frame", fontsize=7)

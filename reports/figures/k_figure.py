@@ -1,13 +1,14 @@
 """Quality and time over the number of source views K, from the table of a sweep."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import merge_results
-from ggvs_eval.reports.figures.curves import COLOURS, save_figure
+from ggvs_eval.reports.figures.curves import COLOURS, method_numbers, save_figure
 from ggvs_eval.reports.figures.look import USUAL, FigureLook
 from ggvs_eval.reports.model.measured import read_scores
 from ggvs_eval.run_folder import RunFolder
@@ -68,7 +69,13 @@ def interval_widths(sweep: Path, metric: str) -> dict[tuple[int, float], float]:
     return widths
 
 
-def draw_k(sweep: Path, out: Path, metrics: tuple[str, ...] = (), look: FigureLook | None = None) -> Path:
+def draw_k(
+    sweep: Path,
+    out: Path,
+    metrics: tuple[str, ...] = (),
+    look: FigureLook | None = None,
+    numbers: Mapping[str, int] | None = None,
+) -> Path:
     """A panel per metric and one for the time of a frame, a line per method; each K that was evaluated is a marker.
 
     Bars are 95 % intervals, as in the tables of the single runs.
@@ -77,6 +84,7 @@ def draw_k(sweep: Path, out: Path, metrics: tuple[str, ...] = (), look: FigureLo
         sweep: folder that ``ggvs-eval sweep`` has made.
         metrics: which; PSNR and LPIPS, where they were measured, by default.
         look: width.
+        numbers: name of a method -> number of its colour; those of the table in their order, where None.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
@@ -89,10 +97,11 @@ def draw_k(sweep: Path, out: Path, metrics: tuple[str, ...] = (), look: FigureLo
     panels = (*names, *((SECONDS,) if SECONDS in table and SECONDS not in names else ()))
     width = look.width_in if look else PANEL_IN[0] * len(panels)
     figure = Figure(figsize=(width, PANEL_IN[1]), layout="constrained")
+    numbers = numbers or method_numbers(table.index.get_level_values("method"))
     for axes, metric in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         widths = {} if metric == SECONDS else interval_widths(sweep, metric)
-        for number, method in enumerate(dict.fromkeys(table.index.get_level_values("method"))):
-            values = table.loc[method, metric].dropna()
+        for method in dict.fromkeys(table.index.get_level_values("method")):
+            number, values = numbers[method], table.loc[method, metric].dropna()
             style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)], "markersize": 4}
             bars = [widths.get((int(k), round(value, DIGITS)), 0.0) for k, value in values.items()]
             line = LINES[number % len(LINES)]

@@ -11,7 +11,7 @@ from ggvs_eval.reports.figures.regions import RULES, Rule, Square, find_regions,
 from ggvs_eval.reports.figures.side_by_side import write_side_by_side
 from ggvs_eval.reports.figures.slices import draw_slices, slices_of
 from ggvs_eval.reports.figures.stream_figure import draw_rates, rate_panels
-from ggvs_eval.reports.model.measured import MeasuredRun, read_run
+from ggvs_eval.reports.model.measured import read_run
 
 FigureKind = Literal["crops", "failures", "epi", "time", "k", "stream", "video"]
 BOTH = (".png", ".pdf")
@@ -42,7 +42,7 @@ def write_figure(
             ``stream``: quality on the screen over pictures per second, or a ``video`` of the methods beside each other.
         out: file to write; without a suffix both a PNG and a PDF.
         rule: by which crops are chosen, see `ggvs_eval.reports.figures.regions.RULES`.
-        method: label whose worst squares are shown; ours, or the first, where None.
+        method: label whose worst squares are shown; ours without a variant, or the first, where None.
         metrics: panels of ``k``, scores of the others.
         methods: labels of those that are shown, in this order; all by default.
         squares: of crops, instead of those that the rule finds.
@@ -68,17 +68,15 @@ def write_figure(
         return tuple(draw_slices(slices, file, look, scores) for file in files)
     if kind == "stream":
         return tuple(draw_rates(rate_panels([run]), file) for file in files)
-    label = method or first_choice(run)
+    if not run.pictured:
+        why = "; ".join(f"{label} {reason}" for label, reason in run.results.set_aside.items())
+        raise ResultsError(
+            f"{run.folder.root}: no method has every frame, and only such are shown: {why}; render what is missing"
+        )
+    label = method or run.ours_first[0]
     if kind == "failures":
         return draw_failures(run, files, label, boxes, look)
     if squares:
         return draw_crops(run, files, given_regions(run, squares, view, frame), "chosen by eye", look, scores)
     regions = find_regions(run, rule, label, boxes, view=view, frame=frame)
     return draw_crops(run, files, regions, RULES[rule].format(name=run.name(label)), look, scores)
-
-
-def first_choice(run: MeasuredRun) -> str:
-    """The method that a figure is about by default: ours, or the first."""
-    if not run.pictured:
-        raise ResultsError(f"{run.folder.root}: no method has whole renders to show; run `ggvs-eval render` again")
-    return next((label for label in run.pictured if label in run.ours), run.pictured[0])

@@ -1,7 +1,7 @@
 """Crop regions, chosen by rule: the squares in which a method fails most, or in which methods differ most."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.model.measured import MeasuredRun
@@ -20,6 +21,11 @@ ErrorMaps = dict[str, NDArray[np.float32]]  # label -> (H, W), mean absolute dif
 SIDE_SHARE = 0.16  # of the width
 ERROR_FULL_SCALE = 64.0  # grey levels: the brightest colour of an error map
 FRAMES_AT_MOST = 10  # looked at in each view
+RIM_SHARE = 0.02  # of the width: nearer to the border nothing is chosen
+DARK_255 = 16  # level above which a pixel of the truth is not black
+TEXTURE_255 = 8.0  # deviation of levels within a few pixels that counts in full
+PLAIN_SHARE = 0.2  # of that, what a pixel without texture counts
+COVERED_SHARE = 0.98  # of a square that all methods must show
 RULES = {
     "worst": "where the mean absolute error of {name} is largest",
     "different": "where the mean absolute errors of the methods lie farthest apart",
@@ -125,13 +131,39 @@ def given_regions(
 
 def read_errors(run: MeasuredRun, view: str, frame: int) -> ErrorMaps:
     """Error of each method in each pixel of a frame."""
-    folders = run.frame_folders(view)
-    truth = read_image(frame_path(folders["truth"], frame))
-    return {
-        label: cv2.absdiff(read_image(frame_path(folder, frame)), truth).mean(axis=2, dtype=np.float32)
-        for label, folder in folders.items()
-        if label != "truth"
-    }
+    return _errors(_read_frames(run, view, frame))
+
+
+def _read_frames(run: MeasuredRun, view: str, frame: int) -> dict[str, Image8]:
+    return {label: read_image(frame_path(folder, frame)) for label, folder in run.frame_folders(view).items()}
+
+
+def _errors(images: Mapping[str, Image8]) -> ErrorMaps:
+    differences = {label: cv2.absdiff(image, images["truth"]) for label, image in images.items() if label != "truth"}
+    return {label: difference.mean(axis=2, dtype=np.float32) for label, difference in differences.items()}
+
+
+def comparison_weight(truth: Image8, images: Iterable[Image8]) -> NDArray[np.float32]:
+    """Weight of each pixel in a comparison of pictures, (H, W), 0 to 1.
+
+    Args:
+        truth: or, on a virtual path, the mean of the methods.
+        images: of the methods that are shown, (H, W, 3).
+
+    Reading:
+        0 at the border, and where a method is black and the truth is not: there it shows nothing. Elsewhere more where the truth
+        has texture, since a difference on a plain wall says little. Where nothing is left every pixel counts the same.
+    """
+    levels = truth.astype(np.float32).mean(axis=2)
+    variance = cv2.blur(levels * levels, (7, 7)) - np.square(cv2.blur(levels, (7, 7)))
+    texture = np.minimum(np.sqrt(np.maximum(variance, 0.0)) / TEXTURE_255, 1.0)
+    weight = np.asarray(PLAIN_SHARE + (1.0 - PLAIN_SHARE) * texture, np.float32)
+    rim = max(1, round(RIM_SHARE * truth.shape[1]))
+    inner = np.zeros_like(weight)
+    inner[rim:-rim, rim:-rim] = weight[rim:-rim, rim:-rim]
+    for image in images:
+        inner[(image.max(axis=2) == 0) & (truth.max(axis=2) > DARK_255)] = 0.0
+    return inner if inner.any() else np.ones_like(weight)
 
 
 def score_map(errors: ErrorMaps, rule: Rule, label: str) -> NDArray[np.float32]:
@@ -160,10 +192,13 @@ def _mean_of_squares(values: NDArray[np.float32], side: int) -> NDArray[np.float
 
 
 def _search(run: MeasuredRun, rule: Rule, label: str, view: str, frame: int, count: int) -> tuple[Region, ...]:
-    """The square of the largest score in a frame, and the next ones that overlap none of those before."""
-    errors = read_errors(run, view, frame)
+    """The square of the largest weighted score in a frame, and the next ones that overlap none of those before."""
+    images = _read_frames(run, view, frame)
+    shown = [image for key, image in images.items() if key != "truth" and (rule == "different" or key == label)]
+    errors, weight = _errors(images), comparison_weight(images["truth"], shown)
     scores, side = score_map(errors, rule, label), square_side(errors[label].shape)
-    left_over = scores.copy()
+    is_shown = _mean_of_squares((weight > 0).astype(np.float32), side) >= COVERED_SHARE
+    left_over = np.where(is_shown if is_shown.any() else True, scores * _mean_of_squares(weight, side), -np.inf)
     regions: list[Region] = []
     while len(regions) < count and np.isfinite(left_over).any():
         top, left = (int(at) for at in np.unravel_index(int(np.argmax(left_over)), left_over.shape))

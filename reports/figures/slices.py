@@ -14,6 +14,7 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.reports.figures.curves import save_figure
 from ggvs_eval.reports.figures.look import FULL_LOOK, FigureLook
+from ggvs_eval.reports.figures.regions import comparison_weight
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.run_folder import frame_path, require_frames
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 SliceKind = Literal["epi", "time"]
 INDICES_AT_MOST = 10  # of frames or poses that are looked at for the row in which methods differ most
 CONTEXT_SHARE = 0.35
+NO_PATH = "Imported frames have none; `ggvs-eval figure time` cuts over time, and `ggvs-eval run` renders a path"
 NO_TRUTH = "no truth on a virtual path"
 
 
@@ -115,7 +117,7 @@ def most_textured_row(images: Iterable[Image8]) -> int:
 
 
 def most_different_row(folders: Mapping[str, Path], indices: range) -> int | None:
-    """The row in which the methods' mean absolute errors lie farthest apart; None where fewer than two differ.
+    """The row in which the methods' weighted absolute errors lie farthest apart; None where fewer than two differ.
 
     Args:
         folders: label -> frames, those of the truth as ``truth``; without it the mean of the methods stands for it.
@@ -129,7 +131,8 @@ def most_different_row(folders: Mapping[str, Path], indices: range) -> int | Non
     for index in indices[:: -(-len(indices) // INDICES_AT_MOST)]:
         images = np.stack([read_image(frame_path(folders[label], index)).astype(np.float32) for label in labels])
         truth = read_image(frame_path(folders["truth"], index)) if "truth" in folders else images.mean(axis=0)
-        errors = np.abs(images - truth).mean(axis=(2, 3))
+        weight = comparison_weight(truth, images)  # (H, W)
+        errors = (np.abs(images - truth).mean(axis=3) * weight).mean(axis=2)
         totals, apart = totals + errors, apart + errors.mean(axis=0)
     if "truth" in folders:
         apart = np.ptp(totals, axis=0)
@@ -231,9 +234,7 @@ def slices_of(run: MeasuredRun, kind: SliceKind, row: int | None, view: str | No
     """
     slices = path_slices(run, row) if kind == "epi" else time_slices(run, view or run.protocol.views.test[0], row)
     if slices is None:
-        raise ResultsError(
-            f"{run.folder.root}: no frames along a camera path under path/, wanted for an EPI; run `ggvs-eval render` again"
-        )
+        raise ResultsError(f"{run.folder.root}: no method has frames along a camera path. {NO_PATH}")
     return slices
 
 

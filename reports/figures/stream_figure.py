@@ -2,13 +2,13 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import ON_SCREEN
-from ggvs_eval.reports.figures.curves import COLOURS, Panel, save_figure, with_margin
+from ggvs_eval.reports.figures.curves import COLOURS, Panel, method_numbers, save_figure, with_margin
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.results import label_of
 from ggvs_eval.run_folder import read_json
@@ -30,10 +30,9 @@ class Mark:
 
 @dataclass(frozen=True)
 class Family:
-    """A method at all sizes and K, slowest first; `number` chooses its colour."""
+    """A method at all sizes and K, slowest first."""
 
     name: str
-    number: int
     marks: tuple[Mark, ...]
 
 
@@ -90,8 +89,7 @@ def _panel(runs: Sequence[MeasuredRun], metric: str, fps: float) -> RatePanel | 
     if not every:
         return None
     families = [
-        Family(names[label], number, tuple(sorted(of_family, key=lambda mark: mark.per_second)))
-        for number, (label, of_family) in enumerate(marks.items())
+        Family(names[label], tuple(sorted(of_family, key=lambda mark: mark.per_second))) for label, of_family in marks.items()
     ]
     rates = [fps, *(mark.per_second for mark in every)]
     values = [value for mark in every for value in (mark.seen, mark.waited)]
@@ -116,8 +114,8 @@ def _marks(run: MeasuredRun, metric: str, several: bool) -> list[tuple[str, Mark
     return found
 
 
-def draw_rates(panels: Sequence[RatePanel], out: Path) -> Path:
-    """Draw the panels beside each other, for print.
+def draw_rates(panels: Sequence[RatePanel], out: Path, numbers: Mapping[str, int] | None = None) -> Path:
+    """Draw the panels beside each other, for print, in the colours of `numbers`, see `method_numbers`.
 
     Raises:
         ResultsError: no panels.
@@ -127,11 +125,12 @@ def draw_rates(panels: Sequence[RatePanel], out: Path) -> Path:
     if not panels:
         raise ResultsError(f"{out}: no method is on a screen in these runs; {AN_EXAMPLE}")
     figure = Figure(figsize=(PANEL_IN[0] * len(panels), PANEL_IN[1]), layout="constrained")
+    numbers = numbers or method_numbers(family.name for panel in panels for family in panel.families)
     for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         axes.set_xscale("log")
         axes.axvline(panel.fps, color="#999999", linewidth=0.8, linestyle=":", label="rate of the cameras")
         for family in panel.families:
-            colour, rates = COLOURS[family.number % len(COLOURS)], [mark.per_second for mark in family.marks]
+            colour, rates = COLOURS[numbers[family.name] % len(COLOURS)], [mark.per_second for mark in family.marks]
             axes.plot(
                 rates, [mark.seen for mark in family.marks], "o-", color=colour, markersize=4, label=family.name, linewidth=1
             )

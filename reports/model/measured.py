@@ -12,11 +12,12 @@ from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.reports.model.table import Cell, Row, RowKind, format_value
-from ggvs_eval.results import Results
+from ggvs_eval.results import Results, without_labels
 from ggvs_eval.run_folder import RunFolder, missing_frames, read_json, require_frames
 
 REFERENCES_FILE = "references.json"
 METHODS_FILE = "methods.json"
+FAULTY = " (faulty)"  # behind the name of a method whose renders have a certain fault
 PARTIAL = " (partial)"  # behind the name of a method whose renders lack views or frames
 
 
@@ -197,14 +198,15 @@ class MeasuredRun:
     def name(self, label: str) -> str:
         """Name of a method to show; ``truth`` has one too, and renders that are partial or have a certain fault say so."""
         name = "Truth" if label == "truth" else self.names.get(label, label)
-        fault = self.results.spoilt.get(label, "").partition(":")[0]
-        return f"{name}{PARTIAL}" if label in self.partial else f"{name} ({fault})" if fault else name
+        return f"{name}{PARTIAL if label in self.partial else FAULTY if label in self.results.spoilt else ''}"
 
-    def row(self, label: str, cells: Sequence[Cell]) -> Row:
-        """A method's row of a table, of the kind that its name says too."""
+    def row(self, label: str, cells: Sequence[Cell], results: Results | None = None) -> Row:
+        """A method's row of a table, of the kind that its name says too; `results` are those of a table of several runs."""
+        marks = self.results if results is None else results
         usual: RowKind = "ours" if label in self.ours else "measured"
-        kind: RowKind = "partial" if label in self.partial else "faulty" if label in self.results.spoilt else usual
-        return Row(self.name(label), tuple(cells), kind)
+        partial = label in marks.provenance.get("partial", {})
+        kind: RowKind = "partial" if partial else "faulty" if label in marks.spoilt else usual
+        return Row(self.name(label), tuple(cells), kind, label)
 
     def frame_folders(self, view: str) -> dict[str, Path]:
         """Folder of the captured frames of a view (key ``truth``, first) and of every method's that has all of them."""
@@ -280,13 +282,6 @@ def find_replicas(labels: Sequence[str]) -> dict[str, tuple[str, ...]]:
         if first != label and first in labels:
             replicas[first] = (*replicas.get(first, ()), label)
     return replicas
-
-
-def without_labels(results: Results, labels: Collection[str]) -> Results:
-    """The results without some methods."""
-    if not labels:
-        return results
-    return replace(results, table=results.table[[label not in labels for label in results.row_labels]])
 
 
 def distinct_names(roots: Sequence[Path]) -> list[str]:

@@ -1,13 +1,16 @@
 """A table before it has a format: every cell is a value with its text and standing, or the reason why there is none."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from ggvs_eval.statistics.intervals import LEVEL, Interval
+from ggvs_eval.statistics.paired import Judgement
 
 SIGNIFICANT = 4
+SHORT = "†"  # behind an interval of a clip too short for it
+SHORT_MEANS = f"{SHORT}: the clip is short for the correlation of its errors, and the interval may cover less than it says."
 
 ENDINGS = {"static": "static", "moving": "moving", "disoccluded": "disoccluded", "cc": "colour-corrected"}
 
@@ -57,15 +60,17 @@ class Cell:
     Attributes:
         text: rounded value and nothing else, or the reason why there is none; never empty.
         value: unrounded; None where there is none.
-        best: no measured row of this column is better, as far as is known.
+        best: its column's judgement marks it: the best, or not worse than that.
         shade: strength of the blue behind it, 0 to 1.
-        spread: rounded half width of its interval, ``± 0.21``; empty where there is none.
+        spread: rounded half width of its interval, ``± 0.21``, with `SHORT` where it is not to be relied on; empty where there is
+            none.
         low: lower bound of the interval, unrounded; None where there is none.
         high: upper bound; None where `low` is.
         note: what the interval takes as given, or why there is none.
         bound: ``at most`` or ``at least``, before the value, where it is a bound.
         beside: text behind the value, such as a percentile.
-        unranked: why the value is neither marked as best nor kept from it by others; empty where it competes.
+        unranked: why the value is neither marked as best nor kept from it by others, as it follows the method's name; empty where
+            it competes.
     """
 
     text: str
@@ -86,11 +91,16 @@ class Cell:
         return " ".join(filter(None, (self.bound, self.text, self.beside)))
 
     @property
+    def is_short(self) -> bool:
+        """True where the clip is too short for the interval."""
+        return self.spread.endswith(SHORT)
+
+    @property
     def hint(self) -> str:
         """One line about the interval, or why there is no value or rank; empty where nothing is known of these."""
         if self.value is None:
             return self.note
-        unranked = f"not ranked: {self.unranked}" if self.unranked else ""
+        unranked = f"not ranked: it {self.unranked}" if self.unranked else ""
         if self.low is None or self.high is None:
             return "; ".join(filter(None, (f"no interval: {self.note}" if self.note else "", unranked)))
         interval = f"{100 * LEVEL:.0f} % interval {self.low:.6g} to {self.high:.6g}"
@@ -99,11 +109,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """One method, measured or published, or a reference that is no method."""
+    """One method, measured or published, or a reference that is no method; ``label`` is that of a measured method."""
 
     name: str
     cells: tuple[Cell, ...]
     kind: RowKind = "measured"
+    label: str = ""
 
     @property
     def is_grey(self) -> bool:
@@ -127,7 +138,7 @@ class Table:
         rows: measured rows first, published ones last.
         dataset: what was measured on.
         notes: how it was made and what does not compare, in as many sentences as it takes.
-        undecided: name of a column -> why no best is named in it.
+        judgements: name of a column -> who is better than whom in it.
     """
 
     key: str
@@ -137,7 +148,7 @@ class Table:
     rows: tuple[Row, ...]
     dataset: str = ""
     notes: tuple[str, ...] = ()
-    undecided: Mapping[str, str] = field(default_factory=dict)
+    judgements: Mapping[str, Judgement] = field(default_factory=dict)
 
 
 def join_tables(tables: Sequence[Table], names: Sequence[str]) -> tuple[Table, ...]:
@@ -156,17 +167,17 @@ def join_tables(tables: Sequence[Table], names: Sequence[str]) -> tuple[Table, .
 def _joined(tables: Sequence[Table], names: Sequence[str]) -> Table:
     """Tables of one data set as one; a row that lacks a column has a dash there."""
     places = [(table, at) for name in names for table in tables for at, column in enumerate(table.columns) if column.name == name]
-    kinds = {row.name: row.kind for table in tables for row in table.rows}
+    kinds = {row.name: (row.kind, row.label) for table in tables for row in table.rows}
     cells = {(table.key, row.name): row.cells for table in tables for row in table.rows}
     rows = []
-    for name in sorted(kinds, key=lambda name: kinds[name] in GREY):  # stable: grey rows last
-        row = Row(name, tuple(_cell_at(cells.get((table.key, name)), at) for table, at in places), kinds[name])
+    for name in sorted(kinds, key=lambda name: kinds[name][0] in GREY):  # stable: grey rows last
+        row = Row(name, tuple(_cell_at(cells.get((table.key, name)), at) for table, at in places), *kinds[name])
         if not row.is_grey or any(cell.value is not None for cell in row.cells):
             rows.append(row)
     notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
     columns = tuple(table.columns[at] for table, at in places)
-    undecided = {name: why for table in tables for name, why in table.undecided.items() if name in names}
-    return Table("results", "Results", tables[0].caption, columns, tuple(rows), tables[0].dataset, notes, undecided)
+    judgements = {name: one for table in tables for name, one in table.judgements.items() if name in names}
+    return Table("results", "Results", tables[0].caption, columns, tuple(rows), tables[0].dataset, notes, judgements)
 
 
 def _cell_at(cells: Sequence[Cell] | None, at: int) -> Cell:
@@ -179,7 +190,8 @@ def measured_cell(value: float | None, reason: str, interval: Interval | None = 
         return Cell(f"not computed: {reason}")
     if interval is None:
         return Cell(format_value(value, decimals), value)
-    spread = "" if interval.half_width is None else f"± {format_half_width(value, interval.half_width, decimals)}"
+    half = interval.half_width
+    spread = "" if half is None else spread_text(value, half, decimals, interval.is_short)
     return Cell(format_value(value, decimals), value, False, 0.0, spread, interval.low, interval.high, interval.note)
 
 
@@ -188,6 +200,21 @@ def format_value(value: float, decimals: int | None = None) -> str:
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
     return f"{value:.{_decimals(value, decimals)}f}"
+
+
+def signed(value: float, decimals: int | None = None) -> str:
+    """A difference with its sign, rounded as `format_value` does.
+
+    Examples:
+        >>> signed(0.25, 2), signed(-0.25, 2), signed(0.0, 2)
+        ('+0.25', '−0.25', '0.00')
+    """
+    return f"{'+' if value > 0 else ''}{format_value(value, decimals)}".replace("-", "−")
+
+
+def spread_text(value: float, half_width: float, decimals: int | None = None, is_short: bool = False) -> str:
+    """An interval behind its value, ``± 0.21``, marked where the clip is too short for it."""
+    return f"± {format_half_width(value, half_width, decimals)}{SHORT if is_short else ''}"
 
 
 def format_half_width(value: float, half_width: float, decimals: int | None = None) -> str:
@@ -207,41 +234,26 @@ def _decimals(value: float, decimals: int | None) -> int:
     return max(0, SIGNIFICANT - 1 - magnitude) if magnitude > -SIGNIFICANT else 2 * SIGNIFICANT
 
 
-def rank(columns: Sequence[Column], rows: Sequence[Row], told: Sequence[frozenset[int] | None] = ()) -> tuple[Row, ...]:
-    """Mark the best measured value of each column and shade the better half; grey rows are left alone.
-
-    Where all would be marked, none is.
+def rank(columns: Sequence[Column], rows: Sequence[Row], marked: Sequence[Collection[str]] = ()) -> tuple[Row, ...]:
+    """Shade the better half of each column and mark what its judgement marks; grey rows are left alone.
 
     Args:
-        told: per column the indices of the rows that are best or cannot be told from the best, to which those are added that
-            print the same digits as the best; None, or nothing at all, leaves it at the printed digits.
+        marked: per column the labels to mark, see `ggvs_eval.statistics.paired.Judgement`; nothing marks none.
     """
     ranked = [list(row.cells) for row in rows]
     competing = [index for index, row in enumerate(rows) if row.competes]
     for at, column in enumerate(columns):
-        having = [index for index in competing if ranked[index][at].value is not None and not ranked[index][at].unranked]
+        having = {i: v for i in competing if (v := ranked[i][at].value) is not None and not ranked[i][at].unranked}
         if column.higher_is_better is None or len(having) < 2:
             continue
-        among = (told[at] if told else None) or frozenset()
-        cells = _ranked([ranked[i][at] for i in having], column.higher_is_better)
-        best = {index for index, cell in zip(having, cells, strict=True) if cell.best or index in among}
-        for index, cell in zip(having, cells, strict=True):
-            ranked[index][at] = replace(cell, best=index in best and len(best) < len(having))
+        low, high = min(having.values()), max(having.values())
+        spread = high - low if math.isfinite(high - low) else 0.0
+        for index, value in having.items():
+            standing = (value - low) / spread if spread else 0.0
+            standing = 1.0 - standing if spread and not column.higher_is_better else standing
+            best = bool(marked) and rows[index].label in marked[at]
+            ranked[index][at] = replace(ranked[index][at], best=best, shade=shade(standing, column.higher_is_better))
     return tuple(replace(row, cells=tuple(cells)) for row, cells in zip(rows, ranked, strict=True))
-
-
-def _ranked(cells: list[Cell], higher_is_better: bool) -> list[Cell]:
-    values = [cell.value for cell in cells if cell.value is not None]
-    low, high = min(values), max(values)
-    best = cells[values.index(high if higher_is_better else low)].text
-    spread = high - low
-    standings = [(value - low) / spread if spread and math.isfinite(spread) else 0.0 for value in values]
-    if not higher_is_better and spread:
-        standings = [1.0 - standing for standing in standings]
-    return [
-        replace(cell, best=cell.text == best, shade=shade(standing, higher_is_better))
-        for cell, standing in zip(cells, standings, strict=True)
-    ]
 
 
 def shade(standing: float, higher_is_better: bool) -> float:

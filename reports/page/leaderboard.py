@@ -10,6 +10,7 @@ from ggvs_eval.reports.model.measured import MeasuredRun, distinct_names, read_s
 from ggvs_eval.reports.page.page import TEMPLATES, page_script, script_digest, template_environment
 from ggvs_eval.reports.run_groups import runs_by_protocol
 from ggvs_eval.reports.tables.report_tables import main_tables
+from ggvs_eval.reports.tables.verdict import evaluate_verdict
 
 FIRST_SCRIPTS = ("theme",)
 SCRIPTS = ("picture_grid", "sortable_table", "leaderboard")
@@ -43,9 +44,13 @@ def write_leaderboard(runs: Sequence[Path], out: Path) -> Path:
 
 
 def _section(runs: Sequence[MeasuredRun]) -> dict[str, Any]:
+    results = merge_results([run.results for run in runs])
+    tables = main_tables(runs, results)
+    verdict = evaluate_verdict(runs, results, tables)
     return {
+        "nothing": "" if verdict.column else f"{verdict.headline}. {verdict.margin}",
         "protocol": runs[0].protocol,
         "scenes": list(dict.fromkeys(run.scene for run in runs)),
-        "tables": main_tables(runs, merge_results([run.results for run in runs])),
+        "tables": tables,
         "runs": distinct_names([run.folder.root for run in runs]),
     }

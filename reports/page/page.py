@@ -16,7 +16,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import read_image
 from ggvs_eval.geometry.source_views import CHOSEN_AS
-from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE, round_ticks
+from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE, method_numbers, round_ticks
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, find_regions
 from ggvs_eval.reports.figures.slices import NO_TRUTH, Slices
 from ggvs_eval.reports.model.measured import MeasuredRun
@@ -27,7 +27,7 @@ from ggvs_eval.reports.page.heat_map import HeatMap, heat_colours, heat_maps
 from ggvs_eval.reports.page.sequences import PathPictures, PictureRoom, method_videos, path_pictures, share_room
 from ggvs_eval.reports.page.sweep_section import SweepSection
 from ggvs_eval.reports.run_groups import RunGroup, RunSection
-from ggvs_eval.reports.tables.leaders import leaders
+from ggvs_eval.reports.tables.certainty import leaders
 from ggvs_eval.reports.tables.published import CAVEATS, PAPER
 from ggvs_eval.reports.tables.reproduction import MEANING, Reproduction
 from ggvs_eval.reports.tables.reproduction_formats import HEADS, blocks, count_words, paper_tables
@@ -127,8 +127,9 @@ def render_page(
     Returns:
         The whole page; equal inputs give equal text.
     """
+    plot = PLOT | {"numbers": page_numbers(groups, sweeps)}
     scripts = {"first": page_script(FIRST_SCRIPTS), "last": page_script()}
-    contexts = _groups(groups, folder)
+    contexts = _groups(groups, folder, plot)
     return (
         template_environment()
         .get_template("page.html.j2")
@@ -141,7 +142,7 @@ def render_page(
             groups=contexts,
             refers=any(section["data"]["full"] for group in contexts for section in group["sections"]),
             sweeps=[{"id": f"sweep{at}", "title": sweep.title, **vars(sweep)} for at, sweep in enumerate(sweeps)],
-            plot=PLOT,
+            plot=plot,
             caveats=CAVEATS,
             reproduction={
                 "heads": HEADS,
@@ -158,12 +159,31 @@ def render_page(
     )
 
 
+def page_numbers(groups: Sequence[RunGroup], sweeps: Sequence[SweepSection]) -> dict[str, int]:
+    """Number of each method of a page by its name, the same on all tabs and in the figures beside the page."""
+    sections = [section for group in groups for section in group.sections]
+    rates = [*(panel for one in sections for panel in one.rate_panels), *(panel for one in sweeps for panel in one.rates)]
+    names = [section.run.name(label) for section in sections for label in section.run.labels]
+    names += [row.name for group in groups for table in group.tables for row in table.rows if row.label]
+    names += [curve.name for sweep in sweeps for panel in sweep.panels for curve in panel.curves]
+    return method_numbers([*names, *(family.name for panel in rates for family in panel.families)])
+
+
 def template_environment() -> "Environment":
     """Return the templates' environment: everything is escaped, and what is not given is an error."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     loader = FileSystemLoader(TEMPLATES)
-    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    made.filters["coded"] = _coded
+    return made
+
+
+def _coded(text: str) -> str:
+    """Text for HTML in which what stands between backticks is code."""
+    from markupsafe import Markup, escape
+
+    return Markup(re.sub(r"`([^`]*)`", r"<code>\1</code>", str(escape(text))))
 
 
 def run_address(root: Path, folder: Path | None) -> str:
@@ -177,7 +197,7 @@ def run_address(root: Path, folder: Path | None) -> str:
     return "" if parts.count("..") > UPS_AT_MOST else "/".join(map(quote, parts))
 
 
-def _groups(groups: Sequence[RunGroup], folder: Path | None) -> list[dict[str, Any]]:
+def _groups(groups: Sequence[RunGroup], folder: Path | None, plot: dict[str, Any]) -> list[dict[str, Any]]:
     """Build the template context of each group; places have the same names in all groups, behind the group's own."""
     rooms = enumerate(share_room([section.run for group in groups for section in group.sections]))
     names = _tab_names(groups)
@@ -199,27 +219,19 @@ def _groups(groups: Sequence[RunGroup], folder: Path | None) -> list[dict[str, A
             "sources": _sources([section.run for section in group.sections]),
             "leaders": leaders(group.tables),
             "verdict": verdicts[at],
-            "headline": _headline(group, verdicts[at]),
             "parts": _parts(group),
             "several_datasets": len({table.dataset for table in group.tables}) > 1,
             "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
             "has_paper_rows": any(row.name.endswith(PAPER) for table in group.tables for row in table.rows),
-            "sections": [_section(*next(rooms), *next(tabs), section, verdicts[at], folder) for section in group.sections],
+            "sections": [_section(*next(rooms), *next(tabs), section, verdicts[at], folder, plot) for section in group.sections],
         }
         for at, group in enumerate(groups)
     ]
 
 
-def _verdict(group: RunGroup) -> Verdict | None:
+def _verdict(group: RunGroup) -> Verdict:
     budgets = [table for section in group.sections for table in section.view_tables]
     return evaluate_verdict([section.run for section in group.sections], group.results, group.tables, budgets)
-
-
-def _headline(group: RunGroup, verdict: Verdict | None) -> str:
-    """The verdict's, and every method that has no part in it because of a certain fault; empty where there are neither."""
-    names = {label: section.run.names.get(label, label) for section in group.sections for label in section.run.labels}
-    faults = [f"{names[label]} is not ranked, {words}" for label, words in group.results.spoilt.items() if label in names]
-    return "; ".join([*([verdict.headline] if verdict else []), *faults])
 
 
 def _sources(runs: Sequence[MeasuredRun]) -> str:
@@ -279,7 +291,14 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
 
 
 def _section(
-    index: int, room: PictureRoom, title: str, address: str, section: RunSection, verdict: Verdict | None, folder: Path | None
+    index: int,
+    room: PictureRoom,
+    title: str,
+    address: str,
+    section: RunSection,
+    verdict: Verdict,
+    folder: Path | None,
+    plot: dict[str, Any],
 ) -> dict[str, Any]:
     """Build the template context of one run, pictures as data URIs."""
     run, maps = section.run, heat_maps(section.run)
@@ -287,7 +306,7 @@ def _section(
     path = path_pictures(run, room.path)
     capture = run.folder.capture_record()
     fps = float(capture.get("fps") or 0)
-    opening = ("truth", *(verdict.shown(run) if verdict else run.ours_first[:2]))
+    opening = ("truth", *(verdict.shown(run) or run.ours_first[:2]))
     row = next((slices.row for slices in section.slices if slices.kind == "time"), comparison.full_size[1] // 2)
     return {
         "id": f"run{index}",
@@ -313,7 +332,7 @@ def _section(
         "follows_rows": path is not None or len(run.frames) > 1,
         "has_path": any(slices.kind == "epi" for slices in section.slices),
         "panels": section.panels,
-        "plot": PLOT,
+        "plot": plot,
     }
 
 

@@ -1,5 +1,6 @@
 """A sweep in a report: its table, and quality and time over the number of source views K."""
 
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -94,12 +95,17 @@ def _table(sweep: Path, notes: Mapping[str, MetricNote], caption: str) -> Table:
     columns = tuple(_column(metric, notes) for metric in metrics)
     rows = [
         Row(
-            ", ".join(str(line[level]) for level in levels if line[level] != ""),
+            ", ".join(_level_words(str(line[level])) for level in levels if line[level] != ""),
             tuple(_cell(line[metric], notes.get(metric)) for metric in metrics),
         )
         for _, line in lines.iterrows()
     ]
     return Table("sweep", f"Sweep {sweep.name}", caption, columns, tuple(rows), sweep.name)
+
+
+def _level_words(level: str) -> str:
+    """A variant over K as a reader knows it, ``K = 2`` of ``k2``; anything else as it is."""
+    return re.sub(r"^k(\d+)$", r"K = \1", level)
 
 
 def _column(metric: str, notes: Mapping[str, MetricNote]) -> Column:
@@ -119,9 +125,9 @@ def _panel(over_k: pd.DataFrame, metric: str, notes: Mapping[str, MetricNote]) -
     """One metric over K, a curve per method; time begins at 0."""
     column = _column(metric, notes)
     curves = []
-    for number, method in enumerate(dict.fromkeys(over_k.index.get_level_values("method"))):
+    for method in dict.fromkeys(over_k.index.get_level_values("method")):
         values = over_k.loc[method, metric].dropna()
-        curves.append(Curve(str(method), number, tuple(map(int, values.index)), tuple(map(float, values))))
+        curves.append(Curve(str(method), tuple(map(int, values.index)), tuple(map(float, values))))
     low, high = with_margin(*_ends([value for curve in curves for value in curve.values]))
     ks = over_k.index.get_level_values("K")
     bounds = (int(min(ks)), int(max(ks)), 0.0 if metric == SECONDS else low, high)

@@ -6,8 +6,8 @@ from ggvs_eval.geometry.source_views import CHOSEN_AS
 from ggvs_eval.merged_results import BETWEEN
 from ggvs_eval.progress import counted
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.reports.model.measured import PARTIAL, MeasuredRun, without_labels
-from ggvs_eval.results import Results
+from ggvs_eval.reports.model.measured import PARTIAL, MeasuredRun
+from ggvs_eval.results import Results, without_labels
 
 OWN_PACKAGE = "ggvs-eval"  # what its version changes is measured again
 INTERCHANGE = (
@@ -34,7 +34,7 @@ def main_captions(
     sources = _sources(runs, names)
     partial = results.provenance.get("partial", {})
     marks = [f"{names.get(label, label).removesuffix(PARTIAL)} is {mark}; it is not ranked." for label, mark in partial.items()]
-    marks += [f"{line.removesuffix('?')}." for line in results.fault_lines(names)]
+    marks += results.fault_lines(names)
     whole = without_labels(results, partial)
     lacking = [*_fewer_frames(whole, metrics, protocol), *_fewer_views(whole, metrics, names)]
     shared = [INTERCHANGE] if sources and may_interchange(protocol) else []

@@ -1,6 +1,6 @@
 """Paired comparison of two runs, or two methods of one run: differences, and whether they are significant."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,7 @@ from ggvs_eval.reports.model.measured import METHODS_FILE
 from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json
-from ggvs_eval.statistics.intervals import LEVEL
-from ggvs_eval.statistics.paired import Comparison, compare, holm
+from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Judgement, compare, decide, judge
 
 SIDES = ("first", "second")
 
@@ -40,9 +39,8 @@ class Difference:
         view: test view; empty for the mean over all.
         first: number of the first method.
         second: of the second.
-        comparison: first minus second.
-        p_value: after Holm's correction for the metrics, or for the views of one metric; None where nothing could be compared.
-        spoilt: certain fault of the renders of either, in words; empty where there is none.
+        comparison: first minus second, decided together with those in the other metrics, or in the other views of one metric.
+        set_aside: why either may not be ranked, in words; empty where both may.
     """
 
     note: MetricNote
@@ -50,8 +48,7 @@ class Difference:
     first: float
     second: float
     comparison: Comparison
-    p_value: float | None
-    spoilt: str = ""
+    set_aside: str = ""
 
     @property
     def metric(self) -> str:
@@ -60,23 +57,21 @@ class Difference:
 
     @property
     def is_significant(self) -> bool:
-        """True where the difference is significant at the level of the intervals, on a clip long enough to decide."""
-        return not self.spoilt and not self.comparison.short and self.p_value is not None and self.p_value < 1.0 - LEVEL
+        """True where one is judged better than the other."""
+        return not self.set_aside and self.comparison.outcome in ("better", "worse")
 
     @property
     def verdict(self) -> str:
         """The better method and whether that is more than chance, in words."""
-        if self.spoilt:
-            return f"not compared, {self.spoilt}"
-        difference = self.comparison.difference
-        if difference == 0.0:
-            return "equal"
-        better = SIDES[0] if (difference > 0) == self.note.higher_is_better else SIDES[1]
-        if self.p_value is None:
-            return f"{better} better, not tested: {self.comparison.note}"
-        if self.comparison.short:
-            return f"no winner: {self.comparison.short}"
-        return f"{better} better" if self.is_significant else "not to be told apart"
+        outcome = self.comparison.outcome
+        if self.set_aside:
+            return f"not compared: {self.set_aside}"
+        ahead = SIDES[0] if (self.comparison.difference > 0) == self.note.higher_is_better else SIDES[1]
+        if self.is_significant:
+            return f"{ahead} better"
+        if outcome == "untested":
+            return f"{ahead} ahead, not tested: {self.comparison.note}"
+        return f"{ahead} ahead, {self.comparison.short}" if outcome == "too short" else OUTCOMES[outcome]
 
 
 def method_sides(run: Path, first: str, second: str) -> tuple[Side, Side]:
@@ -116,38 +111,50 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
         other: the second.
     """
     both = _both(one, other)
-    faults = zip(SIDES, (one.results.spoilt.get(one.label), other.results.spoilt.get(other.label)), strict=True)
-    spoilt = "; ".join(f"{side} is {words}" for side, words in faults if words)
+    reasons = zip(SIDES, (one.results.set_aside.get(one.label), other.results.set_aside.get(other.label)), strict=True)
+    set_aside = "; ".join(f"{side} {why}" for side, why in reasons if why)
     dataset = str(both.table["dataset"].iloc[0])
     notes = read_metric_notes(run)
     shared = [metric for metric in notes if all((side.results.table["metric"] == metric).any() for side in (one, other))]
-    whole = {}
-    for metric in shared:
-        having = both.table[both.table["metric"] == metric]["method"].unique()
-        if len(having) == len(SIDES):
-            whole[metric] = compare(both, metric, *SIDES, dataset)
-    p_values = _corrected(whole)
+    having = {metric: both.table[both.table["metric"] == metric]["method"].nunique() == len(SIDES) for metric in shared}
+    whole = {metric: compare(both, metric, *SIDES, dataset) for metric in shared if having[metric]}
+    means = both.summary().loc[dataset]
+    is_one_run = one.results is other.results
+    judged, labels = (one.results, (one.label, other.label)) if is_one_run else (both, SIDES)
+    own = read_json(run / METHODS_FILE).get("ours", ()) if is_one_run else ()
     rows: list[Difference] = []
-    for metric, comparison in whole.items():
-        means = both.summary().loc[dataset][metric]
-        numbers = float(means[SIDES[0], ""]), float(means[SIDES[1], ""])
-        rows.append(Difference(notes[metric], "", *numbers, comparison, p_values[metric]))
-        rows += _per_view(both, dataset, notes[metric])
-    return tuple(replace(row, spoilt=spoilt) for row in rows)
+    for metric, comparison in decide(whole, higher_is_better=True).items():  # the verdict knows each metric's direction
+        note = notes[metric]
+        judgement = judge(judged, metric, note.higher_is_better, dataset, own=own)
+        unranked = dict(zip(SIDES, map(judgement.unranked.get, labels), strict=True))
+        why = set_aside or "; ".join(f"{side} {reason}" for side, reason in unranked.items() if reason)
+        first, second = (float(means[metric][side, ""]) for side in SIDES)
+        rows.append(Difference(note, "", first, second, _no_bolder(comparison, judgement, labels), why))
+        rows += _per_view(both, dataset, note, why)
+    return tuple(rows)
 
 
-def _per_view(both: Results, dataset: str, note: MetricNote) -> list[Difference]:
+def _no_bolder(comparison: Comparison, judgement: Judgement, labels: Sequence[str]) -> Comparison:
+    """The comparison of two methods; where either is the best of its table, by no smaller a p value than there."""
+    found = next((judgement.comparisons.get(label) for label in labels if label != judgement.best), None)
+    if judgement.best not in labels or found is None or comparison.outcome not in ("better", "worse"):
+        return comparison
+    outcome = comparison.outcome if found.outcome in ("better", "worse") else found.outcome
+    corrected = max(found.corrected or 0.0, comparison.corrected or 0.0)
+    return replace(comparison, corrected=corrected, outcome=outcome, short=found.short)
+
+
+def _per_view(both: Results, dataset: str, note: MetricNote, set_aside: str) -> list[Difference]:
     """The same in each test view by itself; nothing for what belongs to the whole rig or to the camera path."""
     means = both.per_view(note.name)
     test_views = both.provenance.get("protocol", {}).get("views", {}).get("test", means.columns)
     compared = {
         str(view): compare(_view_alone(both, view), note.name, *SIDES, dataset) for view in test_views if view in means.columns
     }
-    p_values = _corrected(compared)
     numbers = {view: means[view].loc[[(side, "") for side in SIDES]].astype(float).tolist() for view in compared}
+    decided = decide(compared, note.higher_is_better)
     return [
-        Difference(note, view, numbers[view][0], numbers[view][1], comparison, p_values[view])
-        for view, comparison in compared.items()
+        Difference(note, view, numbers[view][0], numbers[view][1], comparison, set_aside) for view, comparison in decided.items()
     ]
 
 
@@ -168,12 +175,6 @@ def what_else_differs(first: Path, second: Path) -> list[str]:
     labels = _labels(Results.read(first)), _labels(Results.read(second))
     alone = [(first, set(labels[0]) - set(labels[1])), (second, set(labels[1]) - set(labels[0]))]
     return lines + [f"only in {run}: {', '.join(sorted(own))}" for run, own in alone if own]
-
-
-def _corrected(comparisons: Mapping[str, Comparison]) -> dict[str, float | None]:
-    tested = {name: one.p_value for name, one in comparisons.items() if one.p_value is not None}
-    corrected: dict[str, float | None] = dict(zip(tested, holm(list(tested.values())), strict=True))
-    return {name: corrected.get(name) for name in comparisons}
 
 
 def _both(one: Side, other: Side) -> Results:

@@ -1,12 +1,10 @@
 """Differences of two methods as text and CSV."""
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ggvs_eval.files.atomic import write_text
-from ggvs_eval.reports.model.table import format_value
+from ggvs_eval.reports.model.table import format_value, signed
 from ggvs_eval.reports.tables.compare_runs import (
     Difference,
     differences,
@@ -15,6 +13,7 @@ from ggvs_eval.reports.tables.compare_runs import (
     run_sides,
     what_else_differs,
 )
+from ggvs_eval.reports.tables.table_formats import csv_text
 
 HEADS = ("metric", "view", "first", "second", "difference", "95 % interval", "p (Holm)", "verdict")
 CSV_HEAD = (
@@ -28,23 +27,27 @@ def differences_text(differences: Sequence[Difference]) -> str:
     rows = [HEADS, *map(_line, differences)]
     widths = [max(len(row[at]) for row in rows) for at in range(len(HEADS))]
     lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    given = dict.fromkeys(
-        one.comparison.note for one in differences if one.p_value is not None and not one.view and one.comparison.note
+    given: dict[str, list[str]] = {}
+    for one in differences:
+        if one.comparison.p_value is not None and not one.view and one.comparison.note:
+            given.setdefault(one.comparison.note, []).append(one.metric)
+    notes = [f"Intervals of the means of {', '.join(metrics)}: {note}." for note, metrics in given.items()]
+    return "\n".join(
+        [*lines, *notes, *(["Intervals of single views: given the view."] if any(one.view for one in differences) else [])]
     )
-    return "\n".join([*lines, *(f"Intervals of the means: {note}; of single views: given the view." for note in given)])
 
 
 def differences_csv(differences: Mapping[str, Sequence[Difference]]) -> str:
     """One line per pair of methods, metric and view, numbers unrounded."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_HEAD)
+    rows: list[list[object]] = []
     for name, one in ((name, one) for name, several in differences.items() for one in several):
-        bounds = ["" if value is None else repr(value) for value in (one.comparison.low, one.comparison.high, one.p_value)]
+        bounds = [
+            "" if value is None else repr(value) for value in (one.comparison.low, one.comparison.high, one.comparison.corrected)
+        ]
         numbers = [repr(value) for value in (one.first, one.second, one.comparison.difference)]
         head = [name, one.metric, one.note.unit, one.view]
-        writer.writerow([*head, *numbers, *bounds, one.is_significant, one.verdict, one.comparison.note])
-    return text.getvalue()
+        rows.append([*head, *numbers, *bounds, one.is_significant, one.verdict, one.comparison.note])
+    return csv_text(CSV_HEAD, rows)
 
 
 def write_comparison(first: str, second: str, run: Path | None, views: bool = False, out: Path | None = None) -> str:
@@ -69,11 +72,8 @@ def write_comparison(first: str, second: str, run: Path | None, views: bool = Fa
 def _line(one: Difference) -> tuple[str, ...]:
     low, high = one.comparison.low, one.comparison.high
     shown = [format_value(value, one.note.decimals) for value in (one.first, one.second)]
-    interval = "none" if low is None or high is None else f"{_signed(one, low)} to {_signed(one, high)}"
-    p_value = "none" if one.p_value is None else f"{one.p_value:.4f}"
+    digits = one.note.decimals
+    interval = "none" if low is None or high is None else f"{signed(low, digits)} to {signed(high, digits)}"
+    p_value = "none" if one.comparison.corrected is None else f"{one.comparison.corrected:.4f}"
     name = f"{one.metric} ({one.note.unit})" if one.note.unit else one.metric
-    return name, one.view or "all", *shown, _signed(one, one.comparison.difference), interval, p_value, one.verdict
-
-
-def _signed(one: Difference, value: float) -> str:
-    return f"{'+' if value > 0 else ''}{format_value(value, one.note.decimals)}"
+    return name, one.view or "all", *shown, signed(one.comparison.difference, digits), interval, p_value, one.verdict

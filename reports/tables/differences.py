@@ -21,7 +21,7 @@ def differences_table(run: MeasuredRun) -> Table | None:
     rows = [
         run.row(label, [Cell(declared.get(label, {}).get(column.name, UNKNOWN)) for column in COLUMNS]) for label in run.labels
     ]
-    caption = f"The same for all: {_same(run.protocol)}. What stays different:"
+    caption = f"What no protocol can make alike. The same for all: {_same(run.protocol)}."
     return Table("differences", "What differs between the methods", caption, COLUMNS, tuple(rows), run.scene)
 
 

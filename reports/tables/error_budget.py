@@ -1,4 +1,4 @@
-"""Error budget of each method: over views or over time; unseen, in wide light and colour, misplaced, or in detail."""
+"""Error budget of each method: over views or over time; unseen, in colour, of wrong surfaces, misplaced, or in detail."""
 
 import math
 import os
@@ -10,7 +10,7 @@ from functools import partial
 import cv2
 import numpy as np
 
-from ggvs_eval.arrays import Array32, Image8, Map, Mask
+from ggvs_eval.arrays import Array, Array32, Image8, Map, Mask
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.model.measured import MeasuredRun
@@ -31,7 +31,11 @@ VARIANCE_COLUMNS: tuple[tuple[Column, str, Callable[[TwoWay], float]], ...] = (
     (Column("time", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["time"]),
     (Column("rest", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["rest"]),
 )
-WIDE_SHARE = 0.03  # of the width: standard deviation of the Gaussian that tells colour and light from detail
+WIDE_SHARE = 0.03  # of the width: standard deviation of the Gaussian that tells wrong surfaces from detail
+FITTED_WIDTH = 160  # pixels of the pictures that the colour map is fitted to
+ROUNDS = 12  # of the fit, each with weights by the errors of the one before
+LEAST_ERROR_255 = 0.5  # in those weights
+SMOOTH_PX = 3.0  # blur before the fit: a gain that takes noise or texture away is no colour
 MOVED_WIDTH = 320  # pixels of the pictures whose windows are moved
 MOVES = (-3, -2, -1, 0, 1, 2, 3)  # pixels of them, across and down
 WINDOW = 7  # pixels of them
@@ -40,14 +44,17 @@ BUDGET_KEY = "error_budget"  # of the table
 FRAMES_AT_MOST = 4  # of each view, evenly spaced
 CAPTION = (
     "Mean squared error of single frames, taken apart. Unseen: pixels that no source view covers, where methods must invent. "
-    f"Wide: what would be gone without the error's mean over {100 * WIDE_SHARE:.0f} % of the width, colour and light above all. "
+    "Colour: what a smooth colour map of the whole picture removes (gain, offset, a slope and a curve over the picture, in each "
+    "channel), as of cameras that differ. Wrong surface: what would then be gone without the error's mean over "
+    f"{100 * WIDE_SHARE:.0f} % of the width: what is missing, or stands in place of something else. "
     "Misplaced: what would be gone if windows of 2 % of the width moved by up to 1 %, where that halves their error: edges in "
     "the wrong place, by wrong depth, poses or motion. Detail: the rest: blur, noise, what belongs elsewhere altogether."
 )
 COLUMNS = (
     Column("squared error", "grey levels² of 255", higher_is_better=False),
     Column("unseen", "%"),
-    Column("wide", "%"),
+    Column("colour", "%"),
+    Column("wrong surface", "%"),
     Column("misplaced", "%"),
     Column("detail", "%"),
 )
@@ -77,20 +84,22 @@ class ErrorBudget:
 
     Attributes:
         unseen: of pixels that no source view covers; None where these are not known, and counted with the others.
-        wide: of the other pixels, what removing the wide error would take away.
+        colour: of the other pixels, what a smooth colour map of the whole picture would take away.
+        surface: of what that leaves, what removing the wide error would take away.
         misplaced: of what that leaves, what moving small windows would take away.
-        detail: of the other pixels, what both would leave.
+        detail: of the other pixels, what all three would leave.
     """
 
     unseen: float | None
-    wide: float
+    colour: float
+    surface: float
     misplaced: float
     detail: float
 
     @property
     def total(self) -> float:
         """The mean squared error."""
-        return (self.unseen or 0.0) + self.wide + self.misplaced + self.detail
+        return (self.unseen or 0.0) + self.colour + self.surface + self.misplaced + self.detail
 
 
 def error_budget(image: Image8, truth: Image8, unseen: Mask | None) -> ErrorBudget:
@@ -102,23 +111,69 @@ def error_budget(image: Image8, truth: Image8, unseen: Mask | None) -> ErrorBudg
         unseen: true where no source view covers the pixel, (H, W); None where that is not known.
 
     Reading:
-        The wide error is the Gaussian mean of the difference over the seen pixels alone. Taking it off leaves less of the squared
-        error, unless there is next to nothing to take. A best move is found for any error, so that moves count only where they
-        halve it: a texture in the wrong place is explained to 89 %, blur to 2 %, noise not at all. Moves are sought in pictures
-        of 320 columns, which have less noise: what they explain is a lower bound.
+        Only what one smooth map explains is called colour: a body that is missing is as wide as a camera's other white balance.
+        The map is fitted by least absolute errors, so that such a body does not bend it. The wide error of a wrong surface is the
+        Gaussian mean of the difference over the seen pixels alone. Taking it off leaves less of the squared error, unless there
+        is next to nothing to take. A best move is found for any error, so that moves count only where they halve it: a texture in
+        the wrong place is explained to 89 %, blur to 2 %, noise not at all. Moves are sought in pictures of 320 columns, which
+        have less noise: what they explain is a lower bound.
     """
-    difference = image.astype(np.float32) - truth.astype(np.float32)
     coverage = np.ones(truth.shape[:2], np.float32) if unseen is None else (~unseen).astype(np.float32)
-    sigma = WIDE_SHARE * truth.shape[1]
-    shown = difference * coverage[..., None]
-    blurred = (cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REFLECT) for values in (shown, coverage))
-    mean = next(blurred) / np.maximum(next(blurred), np.float32(1e-6))[..., None]
-    squared = np.square(difference).mean(axis=2, dtype=np.float64)
-    left = np.square(difference - mean).mean(axis=2, dtype=np.float64)
+    squared = np.square(image.astype(np.float32) - truth).mean(axis=2, dtype=np.float64)
     hidden = None if unseen is None else float((squared * unseen).mean())
-    fine = float((left * coverage).mean())
-    misplaced = min(_misplaced(image - mean, truth, coverage), fine)
-    return ErrorBudget(hidden, float((squared * coverage).mean()) - fine, misplaced, fine - misplaced)
+    shown = float((squared * coverage).mean())
+    mapped = smooth_colour_map(image, truth, coverage)
+    recoloured = float((np.square(mapped - truth).mean(axis=2, dtype=np.float64) * coverage).mean())
+    if recoloured >= shown:
+        mapped, recoloured = image.astype(np.float32), shown
+    difference = mapped - truth
+    sigma = WIDE_SHARE * truth.shape[1]
+    blurred = (
+        cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+        for values in (difference * coverage[..., None], coverage)
+    )
+    mean = next(blurred) / np.maximum(next(blurred), np.float32(1e-6))[..., None]
+    fine = float((np.square(difference - mean).mean(axis=2, dtype=np.float64) * coverage).mean())
+    misplaced = min(_misplaced(mapped - mean, truth, coverage), fine)
+    return ErrorBudget(hidden, shown - recoloured, recoloured - fine, misplaced, fine - misplaced)
+
+
+def smooth_colour_map(image: Image8, truth: Image8, coverage: Map) -> Array32:
+    """Map an image to the colours of another by a gain, an offset and a quadratic over the picture in each channel.
+
+    Args:
+        image: (H, W, 3).
+        truth: (H, W, 3).
+        coverage: weight of each pixel in the fit, (H, W).
+
+    Returns:
+        (H, W, 3), grey levels; the map of least absolute errors, which a wrong part of the picture does not bend.
+    """
+    scale = min(1.0, FITTED_WIDTH / truth.shape[1])
+    size = (max(1, round(scale * truth.shape[1])), max(1, round(scale * truth.shape[0])))
+    small, target, weight = (
+        cv2.GaussianBlur(cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA), (0, 0), SMOOTH_PX)
+        for values in (image, truth, coverage)
+    )
+    places, whole = _quadratics(size), _quadratics(truth.shape[1::-1])
+    mapped = image.astype(np.float32)
+    for channel in range(truth.shape[2]):
+        levels = small[..., channel].ravel().astype(np.float64)
+        design = np.concatenate([levels[:, None] - levels.mean(), places], axis=1)
+        values, weights = target[..., channel].ravel() - levels, weight.ravel().astype(np.float64)
+        change = np.zeros(design.shape[1])
+        for _ in range(ROUNDS):
+            weighted = design.T * (weights / np.maximum(np.abs(design @ change - values), LEAST_ERROR_255))
+            change = np.linalg.lstsq(weighted @ design, weighted @ values, rcond=1e-6)[0]
+        field = (whole @ change[1:]).reshape(truth.shape[:2])
+        mapped[..., channel] += (change[0] * (mapped[..., channel] - levels.mean()) + field).astype(np.float32)
+    return mapped
+
+
+def _quadratics(size: tuple[int, int]) -> Array:
+    """Monomials up to the second degree at each pixel of a picture of (W, H), (W H, 6), places from -1 to 1."""
+    x, y = np.meshgrid(*(np.linspace(-1, 1, count) for count in size))
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1).reshape(-1, 6)
 
 
 def _misplaced(image: Array32, truth: Image8, coverage: Map) -> float:
@@ -178,7 +233,7 @@ def _share_cells(budgets: Sequence[ErrorBudget]) -> tuple[Cell, ...]:
     total = float(np.mean([each.total for each in budgets]))
     told = [each.unseen for each in budgets if each.unseen is not None]
     unseen = _share(float(np.mean(told)), total) if len(told) == len(budgets) else NOT_TOLD
-    parts = (float(np.mean([getattr(each, part) for each in budgets])) for part in ("wide", "misplaced", "detail"))
+    parts = (float(np.mean([getattr(each, part) for each in budgets])) for part in ("colour", "surface", "misplaced", "detail"))
     return Cell(f"{total:.1f}", total), unseen, *(_share(part, total) for part in parts)
 
 

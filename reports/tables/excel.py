@@ -85,7 +85,8 @@ def _number_format(cell: Cell) -> str:
     sign = cell.text[0] if cell.text[0] in "+−" else ""
     before = f"{cell.bound} {sign}" if cell.bound else sign
     behind = "".join(f" {words}" for words in (cell.beside, cell.spread) if words)
-    number = f"0.{'0' * decimals}" if decimals else "0"
+    whole = "#,##0" if "," in cell.text else "0"
+    number = f"{whole}.{'0' * decimals}" if decimals else whole
     shown = "".join((f'"{before}"' if before else "", number, f'"{behind}"' if behind else ""))
     return f"{shown};{shown}" if sign == "−" else shown  # in a part of its own a negative number has no other sign
 

@@ -4,15 +4,24 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun
 from ggvs_eval.reports.model.metric_note import MetricNote
-from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_half_width, format_value
+from ggvs_eval.reports.model.table import (
+    SHORT_MEANS,
+    Cell,
+    Column,
+    Row,
+    Table,
+    format_half_width,
+    format_value,
+    signed,
+    spread_text,
+)
 from ggvs_eval.reports.tables.timing import TOTAL, render_records, timing_table
 from ggvs_eval.results import Results, label_of
 from ggvs_eval.run_folder import read_json
 from ggvs_eval.statistics.intervals import LEVEL
-from ggvs_eval.statistics.paired import compare
+from ggvs_eval.statistics.paired import OUTCOMES, Comparison, judge_against
 
 MEGABYTE = 1e6
 NOT_FITTED = "not fitted"
@@ -165,37 +174,40 @@ def _seed_cell(note: MetricNote, values: Sequence[float]) -> Cell:
 
 
 def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, ...]:
-    """Price of being online: every fitted method minus ours, per dataset; nothing where either is missing."""
-    fitted = list(dict.fromkeys(label for run in runs for label in fit_records(run)))
-    ours = [label for label in runs[0].ours_first if label in runs[0].ours and label not in fitted]
+    """Price of being online: every fitted method minus ours, per dataset; nothing where either is missing or set aside."""
+    labels = [label for run in runs for label in run.ours_first if label not in results.set_aside]
+    fitted = list(dict.fromkeys(label for run in runs for label in fit_records(run) if label in labels))
+    ours = [label for label in labels if label in runs[0].ours and label not in fitted]
     if not fitted or not ours:
         return ()
     notes = list(runs[0].metrics.values())
     tables = []
     for dataset in dict.fromkeys(str(name) for name in results.table["dataset"]):
-        cells = {label: tuple(difference_cell(note, results, label, ours[0], dataset) for note in notes) for label in fitted}
+        cells: dict[str, list[Cell]] = {label: [] for label in fitted}
+        for note in notes:
+            found = judge_against(results, note.name, note.higher_is_better, dataset, ours[0], fitted)
+            for label, of_label in cells.items():
+                of_label.append(difference_cell(note, found.get(label), results.why_absent(note.name, label)))
         columns = tuple(Column(f"{note.name} {note.arrow}", note.unit, None, note.describe) for note in notes)
         name, k = runs[0].name(ours[0]), runs[0].protocol.synthesis.k
         caption = (
             f"Each fitted method minus {name}, which sees {k} views and nothing of the future; "
-            f"±: {100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted method is better."
+            f"±: {100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted method is better; "
+            f"bold: significantly, among all fits. {SHORT_MEANS}"
         )
-        rows = tuple(Row(runs[0].name(label), of_label) for label, of_label in cells.items())
+        rows = tuple(Row(runs[0].name(label), tuple(of_label), label=label) for label, of_label in cells.items())
         tables.append(Table("price", "Price of being online", caption, columns, rows, dataset))
     return tuple(tables)
 
 
-def difference_cell(note: MetricNote, results: Results, label: str, other: str, dataset: str) -> Cell:
-    """A method minus another with the interval of the paired difference, or why there is none."""
-    try:
-        comparison = compare(results, note.name, label, other, dataset)
-    except ResultsError as refusal:
-        return Cell("not computed", note=str(refusal))
-    value = comparison.difference
-    if value != value:
-        return Cell("not computed", note=results.why_absent(note.name, label) or "no value")
-    text = f"{'+' if value > 0 else ''}{format_value(value, note.decimals)}".replace("-", "−")
+def difference_cell(note: MetricNote, comparison: Comparison | None, why_absent: str = "") -> Cell:
+    """A decided difference with its interval and what may be said of it, or why there is none."""
+    if comparison is None or comparison.difference != comparison.difference:
+        return Cell("not computed", note=why_absent or "no value")
+    value, text = comparison.difference, signed(comparison.difference, note.decimals)
     if comparison.high is None:
-        return Cell(text, value, note=comparison.note)
-    half = format_half_width(value, comparison.high - value, note.decimals)
-    return Cell(text, value, False, 0.0, f"± {half}", comparison.low, comparison.high, comparison.note)
+        return Cell(text, value, note="; ".join(filter(None, (OUTCOMES[comparison.outcome], comparison.note))))
+    spread = spread_text(value, comparison.high - value, note.decimals, bool(comparison.short))
+    outcome = "" if comparison.outcome in ("better", "worse") else OUTCOMES[comparison.outcome]
+    remark = "; ".join(filter(None, (outcome, comparison.note)))
+    return Cell(text, value, comparison.outcome == "better", 0.0, spread, comparison.low, comparison.high, remark)

@@ -15,13 +15,14 @@ from ggvs_eval.reports.model.measured import (
     shared_references,
 )
 from ggvs_eval.reports.model.metric_note import MetricNote, note_groups
-from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, join_tables, measured_cell, rank
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table, join_tables, measured_cell, rank
 from ggvs_eval.reports.tables.captions import main_captions
-from ggvs_eval.reports.tables.certainty import Certainty, assess, certainty_captions
+from ggvs_eval.reports.tables.certainty import certainty_captions
 from ggvs_eval.reports.tables.community import community_rows, describe_published
 from ggvs_eval.reports.tables.comparable_runs import why_not_beside
 from ggvs_eval.reports.tables.published import paper_dataset, published_rows
 from ggvs_eval.results import Results, label_of
+from ggvs_eval.statistics.paired import Judgement, judge
 
 PUBLISHED_GROUPS = ("quality", "consistency")
 ALONG_PATH = "path"  # table whose reference row is the captured images
@@ -60,19 +61,22 @@ def _main_table(
     here = cast(pd.DataFrame, summary.xs(dataset, level="dataset"))
     references = shared_references(runs)
     captured = captured_values(references) if key == ALONG_PATH else {}
-    certain = {note.name: assess(note, results, dataset, captured.get(note.name)) for note in notes}
-    rows = measured_rows(runs, here, metrics, notes, results, certain)
-    told = [_told_rows(certain[metric], row_labels(runs, here)) for metric in metrics]
-    ranked = rank(columns, rows, told)
+    own = frozenset().union(*(run.ours for run in runs))
+    judgements = {
+        note.name: judge(results, note.name, note.higher_is_better, dataset, captured=captured.get(note.name), own=own)
+        for note in notes
+        if note.name in here and here[note.name].notna().any()
+    }
+    rows = measured_rows(runs, here, metrics, notes, results, judgements)
+    marked = [judgements[name].marked if name in judgements else () for name in metrics]
     published, remarks = _published(key, dataset, metrics, runs)
     grey = reference_rows(references, key, notes) + published
-    names = dict(zip(row_labels(runs, here), (row.name for row in rows), strict=True))
+    names = {row.label: row.name for row in rows}
     means, *terms = main_captions(key, runs, results, names, metrics)
-    marks, found = certainty_captions(certain, names, _undifferentiated(columns, ranked))
+    marks, found = certainty_captions(judgements, names, results.set_aside)
     caption = " ".join([means, *marks])
     below = (*terms, *found, *reference_remarks(references, key, notes), *remarks)
-    undecided = {metric: certainty.undecided for metric, certainty in certain.items()}
-    return Table(key, title, caption, columns, ranked + grey, dataset, below, undecided)
+    return Table(key, title, caption, columns, rank(columns, rows, marked) + grey, dataset, below, judgements)
 
 
 def _published(key: str, dataset: str, metrics: Sequence[str], runs: Sequence[MeasuredRun]) -> tuple[tuple[Row, ...], list[str]]:
@@ -88,22 +92,6 @@ def _published(key: str, dataset: str, metrics: Sequence[str], runs: Sequence[Me
     return published_rows(key, dataset, metrics) + rows, remarks
 
 
-def _told_rows(certainty: Certainty, labels: Sequence[str]) -> frozenset[int] | None:
-    """Places of the best and its ties among the rows."""
-    told = certainty.marked
-    return None if told is None else frozenset(at for at, label in enumerate(labels) if label in told)
-
-
-def _undifferentiated(columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
-    """Columns in which several methods are ranked and none is marked."""
-    found = []
-    for at, column in enumerate(columns):
-        cells = [row.cells[at] for row in rows if row.competes]
-        ranked = [cell for cell in cells if cell.value is not None and not cell.unranked]
-        found += [column.name] if len(ranked) > 1 and not any(cell.best for cell in ranked) else []
-    return found
-
-
 def view_tables(run: MeasuredRun) -> tuple[Table, ...]:
     """One table per metric that has a value in each view: mean over frames, one column per view."""
     tables = []
@@ -115,7 +103,8 @@ def view_tables(run: MeasuredRun) -> tuple[Table, ...]:
         columns = tuple(Column(view, note.unit, note.higher_is_better) for view in views)
         rows = rank(columns, measured_rows([run], values, views, (note,) * len(views), run.results))
         unit = f", {note.unit}" if note.unit else ""
-        caption = f"Mean over frames in each test view; {'higher' if note.higher_is_better else 'lower'} is better."
+        caption = f"Mean over frames in each test view; {'higher' if note.higher_is_better else 'lower'} is better. "
+        caption += "Shaded by the numbers alone; `ggvs-eval compare --views` tests single views."
         tables.append(Table(f"view-{metric}", f"{metric}{unit}", caption, columns, rows, run.scene))
     return tuple(tables)
 
@@ -137,7 +126,7 @@ def measured_rows(
     keys: Sequence[str],
     notes: Sequence[MetricNote],
     results: Results,
-    certain: Mapping[str, Certainty] | None = None,
+    judgements: Mapping[str, Judgement] | None = None,
 ) -> tuple[Row, ...]:
     """A row per method, in the order of the runs' methods.
 
@@ -145,28 +134,25 @@ def measured_rows(
         values: rows (method, variant).
         keys: columns of `values` to show.
         results: knows why a value may be absent.
-        certain: metric -> what is known of its numbers; None shows numbers alone.
+        judgements: metric -> what is known of its numbers; None shows numbers alone.
     """
     by_label: dict[str, Any] = {label_of(*names): values.loc[names] for names in values.index}
-    partial, spoilt = results.provenance.get("partial", {}), results.spoilt
     rows = []
     for label in row_labels(runs, values):
         names = next((run for run in runs if label in run.labels), runs[0])
         values_of = by_label.get(label, {})
         cells = [
-            _cell(note, key, values_of.get(key), results, label, certain[note.name] if certain else None)
+            _cell(note, key, values_of.get(key), results, label, (judgements or {}).get(note.name))
             for key, note in zip(keys, notes, strict=True)
         ]
-        usual: RowKind = "ours" if label in names.ours else "measured"
-        kind: RowKind = "partial" if label in partial else "faulty" if label in spoilt else usual
-        rows.append(Row(names.name(label), tuple(cells), kind))
+        rows.append(names.row(label, cells, results))
     return tuple(rows)
 
 
-def _cell(note: MetricNote, key: str, value: float | None, results: Results, label: str, certainty: Certainty | None) -> Cell:
+def _cell(note: MetricNote, key: str, value: float | None, results: Results, label: str, judgement: Judgement | None) -> Cell:
     is_partial = label in results.provenance.get("partial", {})
     absent = "partial renders" if is_partial else "no value in the results; run `ggvs-eval score` again"
     reason = results.why_absent(note.name, label, "" if key == note.name else key) or absent
-    interval = certainty.interval(label) if certainty else None
+    interval = judgement.interval(label) if judgement else None
     cell = measured_cell(None if value is None else float(value), reason, interval, note.decimals)
-    return replace(cell, unranked=certainty.unranked.get(label) or results.spoilt.get(label, "")) if certainty else cell
+    return replace(cell, unranked=judgement.unranked.get(label, "")) if judgement else cell

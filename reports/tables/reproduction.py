@@ -130,9 +130,7 @@ def _evaluate_metric(comparable: ComparableRuns, label: str, metric: str, paper:
     marked = comparable.results.set_aside.get(label)
     interval = None if marked else intervals(comparable.results, metric, name).get(label)
     if interval is None or math.isnan(interval.value):
-        reason = (
-            f"{label} is {marked}" if marked else comparable.results.why_absent(metric, label) or f"{metric} was not asked for"
-        )
+        reason = f"{label} {marked}" if marked else comparable.results.why_absent(metric, label) or f"{metric} was not asked for"
         return NOT_MEASURED, "not run", f"no value: {reason}"
     digits = comparable.runs[0].metrics[metric].decimals
     cell = measured_cell(interval.value, "", interval, digits)

@@ -1,7 +1,5 @@
 """The paper's values beside ours as Markdown, CSV and as blocks of a page."""
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +7,7 @@ from dataclasses import dataclass, replace
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, rank
 from ggvs_eval.reports.tables.published import CAVEATS, SOURCE, is_higher_better
 from ggvs_eval.reports.tables.reproduction import MEANING, STATUSES, TABLES, Reproduction
-from ggvs_eval.reports.tables.table_formats import escape_markdown, markdown_table
+from ggvs_eval.reports.tables.table_formats import csv_text, escape_markdown, markdown_table
 
 HEADS = ("Paper's table", "Method", "Metric", "Paper", "Ours here", "Status", "Why")
 WORDS = (0, 1, 2, 5, 6)  # columns without numbers
@@ -82,16 +80,14 @@ def reproduction_markdown(entries: Sequence[Reproduction]) -> str:
 
 def reproduction_csv(entries: Sequence[Reproduction]) -> str:
     """One line per value; ours, its bounds and its difference unrounded, and empty where nothing was measured."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_HEAD)
+    rows = []
     for entry in entries:
         ours = entry.ours
         difference = None if ours.value is None else ours.value - float(entry.paper)
         numbers = ["" if number is None else repr(number) for number in (ours.value, ours.low, ours.high, difference)]
         head = (entry.table, entry.dataset, entry.method, entry.metric, entry.unit, entry.paper)
-        writer.writerow([*head, *numbers, entry.status, entry.why])
-    return text.getvalue()
+        rows.append([*head, *numbers, entry.status, entry.why])
+    return csv_text(CSV_HEAD, rows)
 
 
 def _words(title: str, line: Line) -> tuple[str, ...]:
@@ -103,8 +99,8 @@ def paper_tables(entries: Sequence[Reproduction]) -> tuple[Table, ...]:
     """One table per table of the paper and data set.
 
     Returns:
-        Grey rows with the paper's values, ranked and shaded among themselves, each followed by a row of ours, which says the
-        status where nothing was measured.
+        Grey rows with the paper's values, shaded among themselves, the best bold as the paper prints them, each followed by a
+        row of ours, which says the status where nothing was measured.
     """
     return tuple(_table(block.entries) for block in blocks(entries))
 
@@ -114,14 +110,25 @@ def _table(entries: Sequence[Reproduction]) -> Table:
     columns = tuple(_column(entry) for entry in {entry.metric: entry for entry in entries}.values())
     methods = dict.fromkeys(entry.method for entry in entries)
     entry_of = {(entry.method, entry.metric): entry for entry in entries}
-    published = [Row(name, tuple(_paper_cell(entry_of.get((name, column.name))) for column in columns)) for name in methods]
+    published = [
+        Row(name, tuple(_paper_cell(entry_of.get((name, column.name))) for column in columns), label=name) for name in methods
+    ]
     rows: list[Row] = []
-    for name, row in zip(methods, rank(columns, published), strict=True):
+    best = [_best(published, at, column) for at, column in enumerate(columns)]
+    for name, row in zip(methods, rank(columns, published, best), strict=True):
         here = tuple(_our_cell(entry_of.get((name, column.name))) for column in columns)
         rows += [replace(row, name=f"{name} (paper)", kind="published"), Row(f"{name}, here", here)]
     summary = count_words(entries)
     caption = f"{summary[0].upper()}{summary[1:]}; reproduction.csv says why. Paper: {SOURCE}."
     return Table(f"reproduction-{table}", f"{TABLES[table]}, the paper's and ours", caption, columns, tuple(rows), dataset)
+
+
+def _best(rows: Sequence[Row], at: int, column: Column) -> set[str]:
+    """Methods of the best published value, which has no interval; none where all are the same."""
+    values = {row.label: value for row in rows if (value := row.cells[at].value) is not None}
+    top = (max if column.higher_is_better else min)(values.values(), default=None)
+    best = {label for label, value in values.items() if value == top}
+    return best if len(best) < len(values) else set()
 
 
 def _column(entry: Reproduction) -> Column:

@@ -23,6 +23,7 @@ LATEX_SPECIAL = {
     ">": r"\textgreater{}",
     "×": r"$\times$",
     "±": r"$\pm$",
+    "†": r"$\dagger$",
     "−": "$-$",
     "∞": r"$\infty$",
     "↑": r"$\uparrow$",
@@ -40,7 +41,7 @@ LATEX_HEAD = r"""% \usepackage{booktabs}
 % \usepackage[table]{xcolor}
 % \usepackage{graphicx}
 % Blue: the better half of each column, proportional to its standing, on the scale of the paper's tables.
-% Bold: the best, and what cannot be told from it.
+% Bold: the best, and what is not significantly worse.
 % Grey: published values, measured by others on other terms.
 \providecommand{\fittowidth}[1]{\sbox0{#1}\ifdim\wd0>\linewidth\resizebox{\linewidth}{!}{\usebox0}\else\usebox0\fi}
 """
@@ -76,17 +77,37 @@ def to_csv(groups: Sequence[tuple[Protocol | None, Sequence[Table]]]) -> str:
     Args:
         groups: a protocol, or None, and the tables of what was measured under it; values of different protocols do not compare.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_HEAD)
+    rows: list[Sequence[object]] = []
     for protocol, tables in groups:
         terms = (protocol.name, protocol.synthesis.k, protocol.sha256) if protocol else ("", "", "")
         for table in tables:
             for row in table.rows:
                 for column, cell in zip(table.columns, row.cells, strict=True):
                     head = [table.key, table.dataset, row.name, row.kind, column.name, column.unit, column.higher_is_better]
-                    writer.writerow([*head, *_csv_cell(cell), *terms])
+                    rows.append([*head, *_csv_cell(cell), *terms])
+    return csv_text(CSV_HEAD, rows)
+
+
+def csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    r"""Lines of CSV; a text that a spreadsheet would compute, as a method called ``=A1``, has an apostrophe before it.
+
+    Examples:
+        >>> csv_text(["name", "shown"], [["=A1", "-0.5"]])
+        "name,shown\n'=A1,-0.5\n"
+    """
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head, *(map(_plain_cell, row) for row in rows)])
     return text.getvalue()
+
+
+def _plain_cell(cell: object) -> object:
+    if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
 
 
 def _csv_cell(cell: Cell) -> list[object]:
@@ -139,7 +160,9 @@ def _latex_table(table: Table) -> str:
 def _latex_cell(row: Row, cell: Cell) -> str:
     text = _latex_text(row, cell.shown)
     text = rf"\textbf{{{text}}}" if cell.best else text
-    text += rf" {{\scriptsize {escape_latex(cell.spread)}}}" if cell.spread else ""
+    spread = escape_latex(cell.spread)
+    spread = rf"\textcolor{{gray}}{{{spread}}}" if cell.is_short else spread
+    text += rf" {{\scriptsize {spread}}}" if cell.spread else ""
     if not cell.shade:
         return text
     channel = 1.0 - 0.25 * cell.shade

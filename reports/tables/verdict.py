@@ -2,21 +2,17 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from typing import cast
 
-import pandas as pd
-
 from ggvs_eval.progress import counted
-from ggvs_eval.reports.model.measured import MeasuredRun, without_labels
-from ggvs_eval.reports.model.table import Cell, Column, Table, format_value
+from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.reports.model.table import Cell, Column, Table, format_value, signed, spread_text
 from ggvs_eval.reports.tables.absolute import describe_absolute
-from ggvs_eval.reports.tables.certainty import Certainty, assess
-from ggvs_eval.reports.tables.leaders import HEADLINES, Leader, leaders
-from ggvs_eval.reports.tables.report_tables import row_labels
+from ggvs_eval.reports.tables.certainty import HEADLINES, Leader, leaders
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.intervals import LEVEL
-from ggvs_eval.statistics.paired import Comparison, compare
+from ggvs_eval.statistics.paired import Comparison, Judgement
 
 PLAIN = {
     "PSNR": "how close each picture comes to the recorded one",
@@ -31,7 +27,6 @@ class Contender:
     """One method in the headline metric.
 
     Attributes:
-        number: counts the methods of the group, so that it has the colour of its curves.
         place: of the value in the drawing, per cent from the left; None where it is not finite.
         span: ends of the interval in the same way; None where there is none.
         worth: of a variant of ours, its difference to ours in words; empty otherwise.
@@ -39,7 +34,6 @@ class Contender:
 
     label: str
     name: str
-    number: int
     cell: Cell
     place: float | None
     span: tuple[float, float] | None
@@ -51,11 +45,11 @@ class Verdict:
     """The answer of a group of runs.
 
     Attributes:
-        headline: who is best, or that none can be named.
-        margin: by how much, with its interval.
+        headline: who is best, or why none can be named, and which methods are set aside.
+        margin: by how much, with its interval; or what to do, where nothing is ranked.
         absolute: the first's number beside the capture's ceiling and published ones, and where its error lies; empty where
             there is nothing to hold it against.
-        column: the metric that this is in.
+        column: the metric that this is in; None where nothing is ranked.
         meaning: what it measures, in plain words.
         contenders: every method that competes, the best first; of ours the method itself, unless ours alone were measured.
         parts: variants of ours, with what each lacks or adds.
@@ -65,13 +59,13 @@ class Verdict:
 
     headline: str
     margin: str
-    absolute: str
-    column: Column
-    meaning: str
-    contenders: tuple[Contender, ...]
-    parts: tuple[Contender, ...]
-    others: dict[str, list[str]]
-    tied: tuple[str, ...]
+    absolute: str = ""
+    column: Column | None = None
+    meaning: str = ""
+    contenders: tuple[Contender, ...] = ()
+    parts: tuple[Contender, ...] = ()
+    others: dict[str, list[str]] = field(default_factory=dict)
+    tied: tuple[str, ...] = ()
 
     def shown(self, run: MeasuredRun) -> tuple[str, ...]:
         """Methods whose pictures say most of a run: the best, and ours beside it, or the runner-up where ours is the best."""
@@ -80,140 +74,96 @@ class Verdict:
         return tuple(dict.fromkeys([*labels[:1], *beside, *labels[1:]]))[:2]
 
 
-@dataclass(frozen=True)
-class _Field:
-    """Contenders in a metric.
-
-    Attributes:
-        dataset: that the table is of.
-        ranked: label, name and cell of each contender, the best first.
-        parts: the same of ours' variants.
-        certainty: standing of the contenders alone.
-    """
-
-    column: Column
-    dataset: str
-    ranked: list[tuple[str, str, Cell]]
-    parts: list[tuple[str, str, Cell]]
-    certainty: Certainty
-
-    @property
-    def ties(self) -> list[str]:
-        """Names of those that cannot be distinguished from the first."""
-        told = self.certainty.told
-        return [name for label, name, _ in self.ranked[1:] if told is None or label in told]
-
-
 def evaluate_verdict(
     runs: Sequence[MeasuredRun], results: Results, tables: Sequence[Table], budgets: Sequence[Table] = ()
-) -> Verdict | None:
-    """Say who is best in the first headline metric; None where nothing is ranked.
+) -> Verdict:
+    """Say who is best in the first headline metric, or that nothing is ranked, why, and what to do about it.
 
     Reading:
         The paper names no single measure of quality. The first one of its own tables that was measured is the headline (PSNR,
-        if it was), and who leads the others is said beside it. A method does not compete with its own ablations: of ours the one
-        without a variant stands for all, and the others say what each part is worth.
+        if it was), and who leads the others is said beside it. All of it is read from the judgements of the tables.
     """
-    all_leaders = leaders(tables)
+    all_leaders, causes, remedies = leaders(tables), *_set_aside(runs, results)
     if not all_leaders:
-        return None
+        return Verdict(f"Nothing is ranked: {'; '.join(causes) or _nothing(results)}", " ".join(remedies))
     first = min(all_leaders, key=lambda one: HEADLINES.index(one.column.name) if one.column.name in HEADLINES else len(HEADLINES))
-    fields = [_field(leader, runs, results, tables) for leader in all_leaders]
-    field = fields[all_leaders.index(first)]
-    table = _table_of(first, tables)
-    at, labels = table.columns.index(first.column), _labels(runs, results, first.dataset)
-    places = _Scale([cell for *_, cell in (*field.ranked, *field.parts)])
-    contenders, parts = (
-        tuple(
-            Contender(label, name, labels.index(label), cell, places.at(cell.value), places.span(cell))
-            for label, name, cell in side
-        )
-        for side in (field.ranked, field.parts)
-    )
-    parts = tuple(replace(part, worth=_worth(part, contenders, first, runs, results)) for part in parts)
-    alone = sum(not row.is_grey and row.cells[at].value is not None for row in table.rows) == 1
-    headline, margin = _words(field, contenders, runs, alone)
+    table = next(one for one in tables if one.dataset == first.dataset and first.column in one.columns)
+    judgement, at = first.judgement, table.columns.index(first.column)
+    rows = {row.label: row for row in table.rows if row.label}
+    sign = 1.0 if first.column.higher_is_better else -1.0
+    ranked = sorted((judgement.best, *judgement.comparisons), key=lambda label: -sign * cast(float, rows[label].cells[at].value))
+    places = _Scale([rows[label].cells[at] for label in ranked])
+    decimals = runs[0].metrics[first.column.name].decimals
+    contenders: list[Contender] = []
+    parts: list[Contender] = []
+    for label in ranked:
+        cell = rows[label].cells[at]
+        worth = _worth(judgement.variants[label], decimals) if label in judgement.variants else ""
+        one = Contender(label, rows[label].name, cell, places.at(cell.value), places.span(cell), worth)
+        (parts if label in judgement.variants else contenders).append(one)
+    headline, margin = _words(first, judgement, contenders, runs, results)
     others: dict[str, list[str]] = {}
-    for each in fields:
-        if each is not field and len(each.ranked) > 1:
-            others.setdefault("" if each.certainty.undecided or each.ties else each.ranked[0][1], []).append(each.column.name)
+    for each in all_leaders:
+        if each is not first and each.judgement.rivals and not {*judgement.rivals} & each.judgement.unranked.keys():
+            others.setdefault(each.name if each.judgement.winner else "", []).append(each.column.name)
     tied = tuple(others.pop("", ()))
     meaning = PLAIN.get(first.column.name, first.column.describe)
-    absolute = describe_absolute(contenders[0].name, contenders[0].cell, first.column, table, budgets)
-    return Verdict(headline, margin, absolute, first.column, meaning, contenders, parts, others, tied)
+    absolute = describe_absolute(contenders[0].name, contenders[0].cell, first.column, table, budgets, runs)
+    headline, margin = "; ".join([headline, *causes]), " ".join(filter(None, (f"{margin}.", *remedies)))
+    return Verdict(headline, margin, absolute, first.column, meaning, tuple(contenders), tuple(parts), others, tied)
 
 
-def _table_of(leader: Leader, tables: Sequence[Table]) -> Table:
-    return next(one for one in tables if one.dataset == leader.dataset and leader.column in one.columns)
-
-
-def _labels(runs: Sequence[MeasuredRun], results: Results, dataset: str) -> list[str]:
-    return row_labels(runs, cast(pd.DataFrame, results.summary().xs(dataset, level="dataset")))
-
-
-def _field(leader: Leader, runs: Sequence[MeasuredRun], results: Results, tables: Sequence[Table]) -> _Field:
-    """Contenders in a column, ours represented by one."""
-    table, column = _table_of(leader, tables), leader.column
-    at, labels = table.columns.index(column), _labels(runs, results, leader.dataset)
-    competing = [
-        (label, row.name, row.cells[at])
-        for label, row in zip(labels, table.rows, strict=False)
-        if row.competes and row.cells[at].value is not None and not row.cells[at].unranked
+def _set_aside(runs: Sequence[MeasuredRun], results: Results) -> tuple[list[str], list[str]]:
+    """Methods that are not ranked, in words, and what to do about each."""
+    names = {label: run.names.get(label, label) for run in runs for label in run.labels}
+    here = {label: results.set_aside[label] for label in names if label in results.set_aside}
+    faults = {one.label: one for one in reversed(results.faults) if one.is_certain}
+    remedies = [
+        faults[label].remedy if label in faults else f"Render what is missing of {names[label]} and score again."
+        for label in here
     ]
-    sign = 1.0 if column.higher_is_better else -1.0
-    competing.sort(key=lambda one: -sign * cast(float, one[2].value))  # stable
-    variants = _variants([label for label, *_ in competing], frozenset().union(*(run.ours for run in runs)))
-    ranked = [one for one in competing if one[0] not in variants]
-    own = without_labels(results, set(results.row_labels) - {label for label, *_ in ranked})
-    certainty = assess(runs[0].metrics[column.name], own, leader.dataset)
-    return _Field(column, leader.dataset, ranked, [one for one in competing if one[0] in variants], certainty)
+    return [f"{names[label]} {why}" for label, why in here.items()], list(dict.fromkeys(filter(None, remedies)))
 
 
-def _variants(competing: Sequence[str], ours: frozenset[str]) -> frozenset[str]:
-    """Labels of ours that another one stands for: the plainest, where there are others to compete with."""
-    own = [label for label in competing if label in ours]
-    if len(own) == len(competing):
-        return frozenset()
-    plainest = min(own, key=lambda label: ("+" in label, len(label)), default="")
-    return frozenset(own) - {plainest}
+def _nothing(results: Results) -> str:
+    """Why there is no number, where no method is to blame."""
+    reasons = [f"{metric} was not computed, {why}" for metric, why in results.not_computed.items()]
+    return reasons[0] if reasons else "nothing was measured; score the run"
 
 
-def _worth(part: Contender, contenders: Sequence[Contender], first: Leader, runs: Sequence[MeasuredRun], results: Results) -> str:
-    """Difference of a variant to ours, with its interval where there is one."""
-    main = next(one for one in contenders if any(one.label in run.ours for run in runs))
-    difference = compare(results, first.column.name, part.label, main.label, first.dataset)
-    decimals = runs[0].metrics[first.column.name].decimals
-    sign = "\N{MINUS SIGN}" if difference.difference < 0 else "+"
-    worth = f"{sign}{format_value(abs(difference.difference), decimals)}"
-    if difference.low is None or difference.high is None:
-        return worth
-    return f"{worth} ± {format_value((difference.high - difference.low) / 2, decimals)}"
+def _worth(one: Comparison, decimals: int | None) -> str:
+    """Difference of a variant to the method itself, with its interval where there is one."""
+    worth = signed(one.difference, decimals)
+    half = None if one.high is None else one.high - one.difference
+    return worth if half is None else f"{worth} {spread_text(one.difference, half, decimals, bool(one.short))}"
 
 
-def _words(field: _Field, contenders: Sequence[Contender], runs: Sequence[MeasuredRun], alone: bool) -> tuple[str, str]:
-    best, column, decimals = contenders[0], field.column, runs[0].metrics[field.column.name].decimals
-    unit = f" {column.unit}" if column.unit else ""
-    if len(contenders) == 1:
+def _words(
+    leader: Leader, judgement: Judgement, contenders: Sequence[Contender], runs: Sequence[MeasuredRun], results: Results
+) -> tuple[str, str]:
+    best, unit = contenders[0], f" {leader.column.unit}" if leader.column.unit else ""
+    decimals = runs[0].metrics[leader.column.name].decimals
+    if not judgement.rivals:
         number = f"{best.cell.shown} {best.cell.spread}".strip() + unit
-        if alone:
+        if not judgement.unranked:
             return f"{best.name} was measured alone", number
-        if any(label in run.results.spoilt for run in runs for label in run.labels):
+        if judgement.unranked.keys() <= results.set_aside.keys():
             return f"Only {best.name} is ranked", number
         return "No winner can be named", f"{best.name} has {number}; the others were measured on other scenes, views or frames"
-    rival = next((one for one in contenders[1:] if one.name in field.ties), contenders[1])
-    standing = field.certainty.standing
-    comparison = standing.comparisons.get(rival.label) if standing else None
-    if comparison is None:
+    level = {*leader.ties, *leader.short}
+    rival = next((one for one in contenders[1:] if one.name in level), contenders[1])
+    comparison = judgement.comparisons[rival.label]
+    if comparison.outcome == "equal":
         return f"{best.name} and {rival.name} are equal", f"{best.cell.shown}{unit} each"
     second = f"“{rival.name}”" if "," in rival.name else rival.name
     by = f"{format_value(abs(comparison.difference), decimals)}{unit}"
-    interval = _interval(comparison, bool(column.higher_is_better), decimals, unit)
-    if field.certainty.undecided:
+    interval = _interval(comparison, bool(leader.column.higher_is_better), decimals, unit)
+    if judgement.undecided:
         frames, views = runs[0].protocol.frames.count, len(runs[0].protocol.views.test)
         looked_at = f"{counted(frames, 'frame')} of {counted(views, 'view')}"
-        return f"No winner can be named from {looked_at}", f"{best.name} is {by} ahead of {second}; {field.certainty.undecided}"
-    if field.ties:
-        rivals = rival.name if len(field.ties) == 1 else f"{len(field.ties)} others"
+        return f"No winner can be named from {looked_at}", f"{best.name} is {by} ahead of {second}; {judgement.undecided}"
+    if leader.ties:
+        rivals = rival.name if len(leader.ties) == 1 else f"{len(leader.ties)} others"
         return (
             f"{best.name} and {rivals} tie",
             f"{by} between {best.name} and {second} is too little to tell them apart{interval}",

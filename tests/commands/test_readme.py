@@ -46,7 +46,7 @@ def test_what_is_printed_is_what_the_page_shows(walk):
     printed = scored.rpartition("mine ")[2].split()
     assert len(numbers) == 5
     for text in (shown, scored):
-        assert "late is not ranked, late: certain frame offset" in text
+        assert "late shows every frame one instant late, so it is not ranked" in text
     for number, own in zip(numbers, printed, strict=False):
         assert abs(float(number) - float(own)) <= 0.002 * abs(float(own)) + 0.002
     assert (folder / reported).is_file()

@@ -73,7 +73,7 @@ def test_folders_are_scored(folder):
     assert values == pytest.approx(summary.round(4).to_dict(), abs=1e-9)
     assert values["mended"] > values["late"] + 2
     assert re.search(r"^SSIM +mended +0\.\d+ \+- \d\S* +given this scene", out, re.MULTILINE), out
-    assert "late is not ranked, late: certain frame offset" in out
+    assert "late shows every frame one instant late, so it is not ranked" in out
     assert (folder / out.splitlines()[-1]).is_file()
 
 

@@ -20,6 +20,7 @@ from ggvs_eval.pipelines.inspection.renders.explain import (
     tolerance,
 )
 from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS
+from ggvs_eval.pipelines.inspection.renders.ssim_conventions import frame_measures
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
 pytestmark = pytest.mark.slow
@@ -76,7 +77,7 @@ def grey(image, weights=(0.299, 0.587, 0.114)) -> np.ndarray:
 
 
 def inner(image) -> np.ndarray:
-    rows, columns = round(0.1 * SHAPE[0]), round(0.1 * SHAPE[1])
+    rows, columns = int(0.1 * SHAPE[0]), int(0.1 * SHAPE[1])
     return image[rows:-rows, columns:-columns]
 
 
@@ -198,7 +199,12 @@ SSIM = {
     "Gaussian 11 x 11, valid positions, range 1, grey of 8 bit": ssim_of(
         gaussian, 5, prepare=lambda image: grey_of_8_bit(image) / 255
     ),
-    "uniform 7 x 7, range 1, without a border of 10 % (ENeRF)": ssim_of(box, 3, 1, SAMPLE, lambda image: inner(image) / 255),
+    "uniform 7 x 7, range 1, without a border of 10 % (ENeRF, later code)": ssim_of(
+        box, 3, 1, SAMPLE, lambda image: inner(image) / 255
+    ),
+    "uniform 7 x 7, range 2, without a border of 10 % (ENeRF as published)": ssim_of(
+        box, 3, 2, SAMPLE, lambda image: inner(image) / 255
+    ),
 }
 
 
@@ -210,6 +216,19 @@ def test_conventions_of_ssim(name):
     assert name in names
     # The photograph fills its range but for a few levels, which only the range of the true frame can be confused with.
     assert {other for other in names if "true frame" not in other} == {name}
+
+
+def test_enerfs_and_mvsnerfs_ssim_is_that_of_float_pictures_without_a_range():
+    """Their evaluators hand float pictures to scikit-image, whose default range of these was 2; a tenth is cut, rounded down."""
+    from skimage.metrics import structural_similarity
+
+    rendered, truth = large_pair((187, 339))  # of which a tenth is 18.7 and 33.9
+    large = [cv2.resize(image, (960, 640), interpolation=cv2.INTER_AREA) for image in (rendered, truth)]
+    for frames, rows, columns, name in ((large, 64, 96, "MVSNeRF on LLFF"), ((rendered, truth), 18, 33, "ENeRF as published")):
+        first, second = (image[rows:-rows, columns:-columns].astype(np.float32) / np.float32(255) for image in frames)
+        known = structural_similarity(first, second, channel_axis=2, data_range=2.0)
+        (found,) = [measure(rendered, truth) for key, measure in frame_measures().items() if f"({name})" in key]
+        assert found == pytest.approx(known, abs=1e-5)
 
 
 @pytest.mark.parametrize(("divisor", "formula"), [(1, "1 - SSIM"), (2, "DSSIM = (1 - SSIM) / 2")])
@@ -389,7 +408,9 @@ def test_a_wrong_value_is_explained_by_nothing():
     sentence = " ".join(text.partition("\n\n")[0].split())
 
     assert not any(one.matches for one in tried)
-    assert sentence.startswith(f"none of mine gives PSNR {value:.3f}: {everywhere} conventions over all views, and {len(tried)}")
+    assert sentence.startswith(
+        f"no known convention gives PSNR {value:.3f}: {everywhere} conventions over all views, and {len(tried)}"
+    )
     assert sentence.endswith("each is off by more than 0.00067")
     assert "nearest" not in text
     assert max(map(len, text.splitlines())) <= 130
@@ -413,9 +434,9 @@ def test_a_match_that_chance_would_give_as_well_is_none():
     others = [Convention(f"way {i}", ALL_VIEWS, 28.52 + 0.1 * i, i == 14, False) for i in range(30)]
     row = [Convention("first way", ALL_VIEWS, 35.0, False, True), *others]
 
-    assert explanation_table("psnr", "29.9", row).startswith("none of mine gives PSNR 29.9 but as chance would: way 14")
+    assert explanation_table("psnr", "29.9", row).startswith("only chance matches for PSNR 29.9: way 14")
     assert explanation_table("psnr", "30.0", [*ours, *others[:14], *others[15:]]).startswith(
-        "PSNR 30.0 is first way, as in our tables"
+        "PSNR 30.0 is first way, as this tool measures"
     )
 
 
@@ -484,4 +505,4 @@ def test_the_table_marks_matches_and_ours():
     body = text.splitlines()[4:]
 
     assert text.startswith("PSNR 2.000 is second way")
-    assert [("=" in line, "ours" in line) for line in body] == [(True, False), (False, True)]
+    assert [("=" in line, "this tool" in line) for line in body] == [(True, False), (False, True)]

@@ -1,11 +1,13 @@
 """Engines: wherever jobs run, whoever kills their processes, the same results come out."""
 
+import errno
 import os
 import signal
 import subprocess
 import sys
 import time
 from functools import partial
+from multiprocessing import synchronize
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs import free_memory
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
+from ggvs_eval.jobs.process_engine import start_remedy
 from ggvs_eval.jobs.processes import kept_workers
 
 pytestmark = pytest.mark.slow
@@ -252,3 +255,44 @@ def test_peak_memory_is_of_the_block_alone():
     with free_memory.PeakMemory(Path("/nowhere")) as unknown:
         pass
     assert unknown.bytes is None
+
+
+def test_the_command_line_names_no_script(monkeypatch):
+    """Where workers cannot start, `ggvs-eval` says what its caller can change; a script learns of its guard."""
+    main = sys.modules["__main__"]
+    for file, remedy in (("/usr/bin/ggvs-eval", "fewer --jobs"), ("mine.py", "__name__"), (None, "__name__")):
+        monkeypatch.setattr(main, "__file__", file, raising=False)
+        assert remedy in start_remedy()
+
+
+def test_without_semaphores_one_process_does_all(monkeypatch, tmp_path, capsys):
+    """Where /dev/shm cannot be written jobs are done one after the other in this process, failures included; a line says so."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(synchronize.SemLock, "__init__", refuse)
+    jobs = [square_job(tmp_path, number) for number in range(3)]
+    broken = Job("n", tmp_path / "n", {}, fail_here)
+
+    attempt = attempt_jobs([*jobs, broken], 2, "")
+
+    assert attempt.done == 3
+    assert all(job.is_done() for job in jobs)
+    assert "not here" in str(attempt.failures[0])
+    assert "one process does the work of all" in capsys.readouterr().err
+
+
+def test_too_many_open_files_are_still_told(monkeypatch, tmp_path):
+    """What a user can mend by fewer processes is no reason to go on slowly in silence."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(synchronize.SemLock, "__init__", refuse)
+    with pytest.raises(OSError, match="Too many open files"):
+        attempt_jobs([square_job(tmp_path, number) for number in range(3)], 2, "")
+
+
+def fail_here(_: Path) -> dict:
+    raise RenderError("cam00 is not here")

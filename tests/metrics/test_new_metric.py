@@ -19,7 +19,7 @@ from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.statistics.intervals import intervals, measure_spread
-from ggvs_eval.statistics.paired import rank_methods
+from ggvs_eval.statistics.paired import judge
 from ggvs_eval.statistics.pooled import PooledScene
 from ggvs_eval.statistics.pooling import powers_of_means
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_folders
@@ -149,7 +149,7 @@ def test_its_interval_is_that_of_a_ratio(scored_run):
     assert found.value == pytest.approx(by_hand.value, rel=1e-12)
     assert found.half_width == pytest.approx(measure_spread([by_hand]).half_width(0.95), rel=1e-9)
     assert found.half_width != pytest.approx(measure_spread([of_a_mean]).half_width(0.95), rel=1e-3)
-    assert rank_methods(results, "Relative_error", False, "Tiny room").comparisons["late"].p_value is not None
+    assert judge(results, "Relative_error", False, "Tiny room").comparisons["late"].p_value is not None
 
 
 def test_what_has_no_parts_gets_no_interval_by_a_guess(scored_run):

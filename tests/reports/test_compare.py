@@ -11,7 +11,7 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.tables.compare_runs import differences, method_sides, run_sides
 from ggvs_eval.results import Results
-from ggvs_eval.statistics.paired import compare
+from ggvs_eval.statistics.paired import compare, decide
 from helpers.command_line import refusal
 from helpers.run_folders import RunShape, write_run
 
@@ -72,13 +72,13 @@ def test_a_run_equals_itself(runs):
 
 
 def test_methods_of_one_run_are_compared_by_the_statistics_package(runs):
-    """The mean's difference, bounds and p value are those of `statistics.paired.compare`; p is corrected for three metrics."""
+    """Difference, bounds and p value are those of `statistics.paired.compare`; p is corrected by Holm."""
     labels = ("no-blending", "ours-geometric+no-temporal")
     found = [one for one in differences(*method_sides(runs["plain"], *labels), runs["plain"]) if not one.view]
     expected = {one.metric: compare(Results.read(runs["plain"]), one.metric, *labels, "Demo room") for one in found}
-    assert all(one.comparison == expected[one.metric] for one in found)
-    smallest = min(found, key=lambda one: one.comparison.p_value)
-    assert smallest.p_value == min(1.0, 3 * smallest.comparison.p_value)
+    assert all(replace(one.comparison, corrected=None, outcome="untested") == expected[one.metric] for one in found)
+    smallest = min(found, key=lambda one: one.comparison.p_value).comparison
+    assert smallest.corrected == min(1.0, 3 * smallest.p_value)
 
 
 def test_direction_is_the_metrics(runs):
@@ -86,24 +86,26 @@ def test_direction_is_the_metrics(runs):
     for metric, better in (("PSNR", "first better"), ("L1", "second better")):
         (one, other), *_ = run_sides(runs["better"], runs["plain"])
         whole = next(found for found in differences(one, other, runs["plain"]) if found.metric == metric and not found.view)
-        comparison = replace(whole.comparison, difference=1.0)
-        assert replace(whole, comparison=comparison, p_value=0.001).verdict == better
+        comparison = replace(whole.comparison, difference=1.0, p_value=0.001)
+        decided = decide({"": comparison}, whole.note.higher_is_better)[""]
+        assert replace(whole, comparison=decided).verdict == better
 
 
 def test_a_clip_too_short_for_its_correlation_has_no_winner(runs):
     """Whatever its p value, a difference that the clip is too short for is not significant, and the verdict says why."""
     (one, other), *_ = run_sides(runs["better"], runs["plain"])
     whole = next(found for found in differences(one, other, runs["plain"]) if found.metric == "PSNR" and not found.view)
-    why = "clip too short: 3 frames, wanted 4 independent ones"
-    short = replace(whole, comparison=replace(whole.comparison, short=why), p_value=0.001)
-    assert (short.is_significant, short.verdict) == (False, f"no winner: {why}")
+    why = "clip too short: it has 3 frames, and 8 independent ones are wanted"
+    comparison = decide({"": replace(whole.comparison, short=why, p_value=0.001)}, True)[""]
+    short = replace(whole, comparison=comparison)
+    assert (short.is_significant, short.verdict) == (False, f"first ahead, {why}")
 
 
 def test_one_frame_gives_a_difference_without_significance(tmp_path):
     """A single frame has a difference, no interval, and the verdict says why it was not tested."""
     run = write_values(tmp_path / "run", shape=replace(SHAPE, frames=Frames(0, 1), metrics=("PSNR",)))
     found = differences(*method_sides(run, "no-blending", "ours-geometric"), run)
-    assert all(one.p_value is None and not one.is_significant for one in found if one.view)
+    assert all(one.comparison.corrected is None and not one.is_significant for one in found if one.view)
     assert "not tested: 1 frame; an interval needs 2" in found[1].verdict
 
 
@@ -143,7 +145,7 @@ def test_command_line_tells_what_differs(runs, tmp_path, capsys):
     assert len(lines) == 3 * 3 * (1 + 6)
     for line in lines:
         assert float(line["difference"]) == pytest.approx(float(line["first"]) - float(line["second"]), abs=1e-9)
-        assert (line["significant"] == "True") == (float(line["p_value"]) < 0.05)
+        assert (line["significant"] == "True") == (float(line["p_value"]) < 0.05 and "too short" not in line["verdict"])
 
 
 def test_one_capture_in_folders_of_two_names_compares(tmp_path):

@@ -12,7 +12,7 @@ from skimage import data
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.reports.model.measured import read_run
-from ggvs_eval.reports.tables.error_budget import NOT_TOLD, budget_table, error_budget
+from ggvs_eval.reports.tables.error_budget import NOT_TOLD, budget_table, error_budget, smooth_colour_map
 from ggvs_eval.run_folder import frame_path
 from helpers.run_folders import LABELS, RunShape, write_run
 
@@ -26,10 +26,38 @@ def photograph() -> np.ndarray:
     return np.ascontiguousarray(data.astronaut()[40:280, 60:380])
 
 
-def test_another_brightness_is_wide():
-    """A picture that is 10 levels brighter throughout has a squared error of 100, all of it wide."""
+def test_another_brightness_is_colour():
+    """A picture that is 10 levels brighter throughout has a squared error of 100, all of it colour."""
     budget = error_budget(GREY + np.uint8(10), GREY, np.zeros((60, 80), bool))
-    assert (budget.unseen, budget.wide, budget.misplaced, budget.detail) == pytest.approx((0, 100, 0, 0), abs=1e-3)
+    assert (budget.unseen, budget.colour, budget.surface, budget.misplaced, budget.detail) == pytest.approx(
+        (0, 100, 0, 0, 0), abs=1e-3
+    )
+
+
+@pytest.mark.parametrize("body", [np.s_[100:380, 200:320], np.s_[120:240, 20:300]])
+def test_a_missing_body_is_a_wrong_surface_and_no_colour(body):
+    """Exact colours but for a body of 120 x 280 pixels that shows what is behind it: at most 10 % is colour."""
+    truth = cv2.resize(data.astronaut(), (640, 480), interpolation=cv2.INTER_AREA)
+    image = truth.copy()
+    truth[body] = truth[body] // 4 + np.array((120, 40, 10), np.uint8)
+    budget = error_budget(image, truth, None)
+    assert budget.colour <= 0.1 * budget.total
+    assert budget.surface > 0.6 * budget.total
+
+
+@pytest.mark.parametrize("tint", [(1.05, 1.05, 1.05), (1.1, 1.0, 0.9)])
+def test_another_gain_or_vignette_is_colour(photograph, tint):
+    """Another exposure, white balance or falloff: above 80 % is colour, by a map that a missing body does not bend."""
+    truth = photograph // 2 + 40
+    y, x = np.mgrid[-1:1:240j, -1:1:320j]
+    for light in (np.ones((240, 320, 1)), (1 - 0.1 * (x * x + y * y))[..., None]):
+        image = np.rint(truth * light * tint).astype(np.uint8)
+        budget = error_budget(image, truth, None)
+        assert budget.colour > 0.8 * budget.total
+        patched = truth.copy()
+        patched[60:160, 100:140] = 255 - patched[60:160, 100:140]
+        mapped = smooth_colour_map(image, patched, np.ones((240, 320), np.float32))
+        assert np.abs(mapped - truth).mean() < 0.3 * np.abs(image.astype(float) - truth).mean()
 
 
 def test_a_checkered_error_is_detail():
@@ -37,7 +65,7 @@ def test_a_checkered_error_is_detail():
     signs = np.where(np.indices((60, 80)).sum(axis=0) % 2, 10, -10)[..., None]
     budget = error_budget((GREY + signs).astype(np.uint8), GREY, None)
     assert budget.unseen is None
-    assert (budget.wide, budget.detail) == pytest.approx((0, 100), abs=0.5)
+    assert (budget.colour, budget.surface, budget.detail) == pytest.approx((0, 0, 100), abs=1)
 
 
 def test_a_texture_in_the_wrong_place_is_misplaced(photograph):
@@ -52,10 +80,11 @@ def test_a_texture_in_the_wrong_place_is_misplaced(photograph):
 
 
 def test_what_no_camera_sees_counts_apart():
-    """An error of 10 levels in the unseen half is unseen alone, and does not leak into the wide error of the other half."""
+    """An error of 10 levels in the unseen half is unseen alone, and does not leak into the errors of the other half."""
     image = np.where(LEFT[..., None], GREY + np.uint8(10), GREY)
     budget = error_budget(image, GREY, LEFT)
-    assert (budget.unseen, budget.wide, budget.misplaced, budget.detail) == pytest.approx((50, 0, 0, 0), abs=1e-6)
+    parts = (budget.unseen, budget.colour, budget.surface, budget.misplaced, budget.detail)
+    assert parts == pytest.approx((50, 0, 0, 0, 0), abs=1e-6)
 
 
 @given(st.integers(0, 2**32 - 1), st.booleans())

@@ -1,6 +1,7 @@
 """Figures for papers: squares found where errors were planted, curves over K, files that are what their suffix says."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,16 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import Frames
+from ggvs_eval.reports import report
+from ggvs_eval.reports.figures import paper_figures
 from ggvs_eval.reports.figures.k_figure import draw_k, read_k_table
 from ggvs_eval.reports.figures.look import FigureLook, parse_width
 from ggvs_eval.reports.figures.paper_figures import write_figure
 from ggvs_eval.reports.figures.regions import Square, find_regions, read_errors, square_side
 from ggvs_eval.reports.figures.side_by_side import STRIP
+from ggvs_eval.reports.figures.slices import most_different_row
 from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.results import Results
 from ggvs_eval.statistics.intervals import intervals
 from helpers.command_line import refusal
 from helpers.refusals import refused
@@ -76,6 +81,57 @@ def test_methods_differ_most_where_one_alone_fails(planted):
     (found,) = find_regions(read_run(planted), "different", "ours-geometric", 1)
     assert (found.view, found.frame, found.top, found.left, found.side) == ("cam03", 3, 30, 41, SIDE)
     assert found.score == pytest.approx(60.0)
+
+
+def paint_with_holes(label: str, view: str, index: int) -> np.ndarray:
+    """A textured picture, of which one method lacks a black edge; they differ a little on a plain patch and on texture."""
+    y, x = np.mgrid[:48, :64]
+    image = np.repeat((100 + 60 * ((x // 2 + y // 2) % 2)).astype(np.uint8)[..., None], 3, axis=2)
+    image[14:30, 4:28] = 120
+    if label == "no-blending":
+        image[:6], image[-3:], image[:, -7:] = 0, 0, 0
+        image[16:28, 8:24] += 30
+        image[34:42, 36:48] += 25
+    return image
+
+
+def test_regions_rows_and_failures_lie_where_all_methods_have_pixels_and_texture(tmp_path):
+    """The black frame edge of one method, the largest difference, is chosen by no rule; texture goes before a plain patch."""
+    run = read_run(write_run(tmp_path / "run", SHAPE, paint_with_holes))
+    for region in find_regions(run, "different", "no-blending", 2):
+        rows, columns = slice(region.top, region.top + region.side), slice(region.left, region.left + region.side)
+        picture = paint_with_holes("no-blending", "cam00", 2)[rows, columns]
+        assert (picture.max(axis=2) > 0).mean() > 0.97
+    (best,) = find_regions(run, "different", "no-blending", 1)
+    assert (best.top in range(30, 43), best.left in range(30, 49)) == (True, True)
+    (worst,) = find_regions(run, "worst", "no-blending", 1)
+    assert worst.top >= 6
+    assert worst.left + worst.side <= 58
+    assert most_different_row(run.frame_folders("cam00"), run.frames) in range(6, 45)
+
+
+def test_the_figure_of_failures_is_about_our_method_itself(tmp_path, monkeypatch):
+    """An ablation that stands first in the run is not taken for ours, by the command or by the report."""
+    labels = ("ours-geometric+no-temporal", "ours-geometric", "no-blending")
+    root = write_run(tmp_path / "run", replace(SHAPE, labels=labels))
+    asked: list[str] = []
+    for module in (paper_figures, report):
+        monkeypatch.setattr(module, "draw_failures", lambda run, files, label, *rest: asked.append(label) or tuple(files))
+    write_figure(root, "failures", tmp_path / "failures.png")
+    report.write_report([root], tmp_path / "report")
+    assert asked == ["ours-geometric"] * 2
+
+
+def test_figures_of_partial_or_imported_frames_name_a_way_out(tmp_path):
+    """Without a path: `figure time`; with no whole method: what each lacks."""
+    root = write_run(tmp_path / "run", replace(SHAPE, poses=0))
+    with refused(ResultsError, "no method has frames along a camera path", "ggvs-eval figure time"):
+        write_figure(root, "epi", tmp_path / "epi.png")
+    results = Results.read(root)
+    marks = {label: "partial in room: 1 of 2 views" for label in SHAPE.labels}
+    replace(results, provenance=results.provenance | {"partial": marks}).write(root)
+    with refused(ResultsError, "no-blending is partial in room: 1 of 2 views", "render what is missing"):
+        write_figure(root, "crops", tmp_path / "crops.png")
 
 
 def test_failures_are_one_per_view_the_worst_first(planted):

@@ -157,8 +157,9 @@ def in_format(value: object, number_format: str) -> str:
     parts = number_format.split(";")
     part, sign = (parts[1], "") if value < 0 and len(parts) > 1 else (parts[0], "-" if value < 0 else "")
     shown = ""
-    for words, digits in re.findall(r'"([^"]*)"|(0(?:\.0+)?)', part):
-        shown += words if not digits else f"{sign}{abs(value):.{len(digits.partition('.')[2])}f}"
+    for words, digits in re.findall(r'"([^"]*)"|((?:#,##)?0(?:\.0+)?)', part):
+        comma = "," if digits.startswith("#,") else ""
+        shown += words if not digits else f"{sign}{abs(value):{comma}.{len(digits.partition('.')[2])}f}"
     return shown
 
 

@@ -14,14 +14,15 @@ import pytest
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import Frames
-from ggvs_eval.reports.model.table import Cell, Column, Row, Table, rank
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.page.leaderboard import write_leaderboard
 from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.run_groups import read_groups
-from ggvs_eval.reports.tables.leaders import leaders
+from ggvs_eval.reports.tables.certainty import leaders
 from ggvs_eval.reports.tables.verdict import evaluate_verdict
 from ggvs_eval.results import Results
+from ggvs_eval.statistics.paired import Comparison, Judgement, Outcome
 from helpers.page_reader import PageReader
 from helpers.refusals import refused
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
@@ -212,39 +213,38 @@ def test_versions_that_a_table_mixes_are_named(tmp_path):
     assert all("several versions: torch 2.3.0 and 2.4.1." in " ".join(table.notes) for table in group.tables)
 
 
-def made_table(*values: tuple[float, float], kinds: tuple[str, ...] = ()) -> Table:
-    """A ranked table of PSNR and of something that nobody asked for, methods a, b, ...; `kinds` of rows, measured by default."""
-    columns = (Column("PSNR", "dB", True), Column("Other", "", False))
-    kinds += ("measured",) * (len(values) - len(kinds))
+def made_table(psnr: dict[str, tuple[float, Outcome]], kinds: tuple[str, ...] = ()) -> Table:
+    """A table of PSNR of methods with their outcomes against the first, which is the best."""
+    column = Column("PSNR", "dB", True)
+    kinds += ("measured",) * (len(psnr) - len(kinds))
     rows = [
-        Row(name, tuple(Cell(f"{value:.1f}", value, spread="± 0.1") for value in pair), kind)
-        for name, pair, kind in zip("abcd", values, kinds, strict=False)
+        Row(name, (Cell(f"{value:.1f}", value, spread="± 0.1"),), kind, name)
+        for (name, (value, _)), kind in zip(psnr.items(), kinds, strict=True)
     ]
-    return Table("quality", "Quality", "", columns, rank(columns, rows), "room")
+    best, *others = (name for name, kind in zip(psnr, kinds, strict=True) if kind == "measured")
+    short = {name: "clip too short" if psnr[name][1] == "too short" else "" for name in others}
+    decided = {name: Comparison(-1.0, None, None, 0.5, "", short[name], outcome=psnr[name][1]) for name in others}
+    return Table(
+        "quality", "Quality", "", (column,), tuple(rows), "room", judgements={"PSNR": Judgement(best, decided, {}, {}, {})}
+    )
 
 
-def test_leaders_are_the_best_and_its_ties():
-    """The best of each headline metric in its direction, with its cell; who prints the same digits is named as a tie."""
-    table = made_table((30.01, 5.0), (31.04, 3.0), (31.02, 4.0))
+def test_leaders_are_the_judgements_best_and_its_ties():
+    """The best, with its cell; what is as good and what the clip is too short for are told apart, and worse is neither."""
+    table = made_table({"a": (31.0, "equal"), "b": (30.9, "as good"), "c": (30.8, "too short"), "d": (20.0, "worse")})
     (psnr,) = leaders([table])
-    assert (psnr.column.name, psnr.name, psnr.ties, psnr.cell.text, psnr.cell.spread) == ("PSNR", "b", ("c",), "31.0", "± 0.1")
-    assert [leader.name for leader in leaders([table], ["Other"])] == ["b"]
-    assert [leader.column.name for leader in leaders([table], ["absent"])] == ["PSNR", "Other"]
-
-
-def test_a_leader_by_a_clip_too_short_says_why_it_is_none():
-    """The reason that a table gives for naming nobody goes with its leader, unless that is alone."""
-    why = "clip too short: 24 frames, wanted 4 independent ones"
-    table = replace(made_table((31.04, 5.0), (31.02, 3.0)), undecided={"PSNR": why})
-    assert [leader.undecided for leader in leaders([table])] == [why]
-    assert [leader.undecided for leader in leaders([replace(made_table((31.0, 1.0)), undecided={"PSNR": why})])] == [""]
+    assert (psnr.column.name, psnr.name, psnr.cell.text, psnr.cell.spread) == ("PSNR", "a", "31.0", "± 0.1")
+    assert (psnr.ties, psnr.short, psnr.judgement.winner, psnr.judgement.undecided) == (("b",), ("c",), "", "clip too short")
+    (sure,) = leaders([made_table({"a": (31.0, "equal"), "d": (20.0, "worse")})])
+    assert (sure.ties, sure.short, sure.judgement.winner, sure.judgement.undecided) == ((), (), "a", "")
+    assert [leader.column.name for leader in leaders([table], ["absent"])] == ["PSNR"]
 
 
 def test_one_method_leads_alone_and_grey_rows_never():
     """With a single method its values are told; published and partial rows are never called the best."""
-    (psnr,) = leaders([made_table((30.0, 1.0), (99.0, 0.1), (98.0, 0.1), kinds=("measured", "published", "partial"))])
-    assert (psnr.name, psnr.ties) == ("a", ())
-    assert leaders([made_table((99.0, 1.0), kinds=("published",))]) == ()
+    values = {"a": (30.0, "equal"), "paper": (99.0, "equal"), "b": (98.0, "equal")}
+    (psnr,) = leaders([made_table(values, kinds=("measured", "published", "partial"))])
+    assert (psnr.name, psnr.ties, psnr.judgement.winner) == ("a", (), "")
     assert leaders([]) == ()
 
 
@@ -252,13 +252,10 @@ def test_the_first_screen_has_the_best_with_its_interval(report):
     """Above the sections of a group stand the best value of each headline metric and its method; short clips name no winner."""
     text = (report / "index.html").read_text(encoding="utf-8")
     bold = [row for row in rows_of(report) if row["table"] in ("quality", "consistency") and row["best"] == "True"]
-    best = [row for row in bold if row["method"] == NAMES[LABELS[2]]]
-    assert len(best) == 4
     summaries = re.findall(r'<table class="leaders">.*?</table>', text, re.DOTALL)
     assert len(summaries) == 2
     told = "".join(summaries)
-    assert all(row["shown"] in told and NAMES[LABELS[2]] in told for row in best)
-    ties = len(bold) > len(best)
-    assert ("no winner: clip too short: " in told) == ties
-    assert ties == ("No winner in " in (report / "tables.md").read_text(encoding="utf-8"))
-    assert told.count("±") == sum(1 for row in best if row["lo"])
+    assert all(row["shown"] in told for row in bold if row["method"] in told)
+    assert told.count("<b>") == len({(row["protocol"], row["column"]) for row in bold})
+    assert "no winner: nothing could be compared (" in told
+    assert "Nothing is bold in " in (report / "tables.md").read_text(encoding="utf-8")

@@ -13,10 +13,10 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import read_run
-from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_half_width, format_value, rank, shade
+from ggvs_eval.reports.model.table import SHORT, Cell, Column, Row, Table, format_half_width, format_value, rank, shade
 from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.tables.certainty import leaders
 from ggvs_eval.reports.tables.error_budget import decomposition_table
-from ggvs_eval.reports.tables.leaders import leaders
 from ggvs_eval.reports.tables.published import published_rows, read_published
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.table_formats import escape_latex, to_latex, to_markdown
@@ -124,34 +124,33 @@ def test_missing_metric_says_why(tmp_path):
         assert not re.search(r"<td[^>]*>\s*</td>|\| +\||& +&|\bnan\b", text, re.IGNORECASE)
 
 
-def test_best_is_bold_and_the_better_half_blue():
-    """The best printed value is marked, ties together; published rows take no part, however good they are."""
-    cells = [Cell("1.0", 1.0), Cell("2.0", 2.0), Cell("3.0", 2.98), Cell("3.0", 3.0)]
-    rows = [Row(str(index), (cell,)) for index, cell in enumerate(cells)] + [Row("paper", (Cell("9.0", 9.0),), "published")]
-    ranked = [row.cells[0] for row in rank([Column("PSNR", "dB", True)], rows)]
-    assert [cell.best for cell in ranked] == [False, False, True, True, False]
+def labelled(*values: float, kind: str = "measured") -> list[Row]:
+    """Rows of one column whose labels are their numbers."""
+    return [Row(f"{value}", (Cell(f"{value:.1f}", value),), kind, f"{value}") for value in values]
+
+
+def test_bold_is_the_judgements_and_the_better_half_blue():
+    """What the judgement marks is bold and nothing else, whatever the digits; published rows take no part in either."""
+    rows = [*labelled(1.0, 2.0, 2.98, 3.0), *labelled(9.0, kind="published")]
+    column = [Column("PSNR", "dB", True)]
+    ranked = [row.cells[0] for row in rank(column, rows, [{"3.0", "2.0", "9.0"}])]
+    assert [cell.best for cell in ranked] == [False, True, False, True, False]
     assert [cell.shade > 0 for cell in ranked] == [False, False, True, True, False]
-    falling = [row.cells[0] for row in rank([Column("L1", "", False)], rows)]
-    assert [cell.best for cell in falling] == [True, False, False, False, False]
+    assert not any(row.cells[0].best for row in rank(column, rows))
+    falling = [row.cells[0].shade for row in rank([Column("L1", "", False)], rows)]
+    assert (max(falling), falling[3]) == (falling[0], 0.0)
 
 
-def test_where_nothing_is_told_apart_nothing_is_bold():
-    """Cells that all tie, by their digits or by a test, are none of them marked; what is not ranked takes no part."""
-    column = [Column("SDT", "", False)]
-    rows = [Row(str(value), (Cell(f"{value:.1f}", value),)) for value in (1.0, 2.0, 3.0)]
-    assert not any(row.cells[0].best for row in rank(column, rows, [frozenset({0, 1, 2})]))
-    same = [Row(name, (Cell("1.0", 1.0),)) for name in "ab"]
-    assert not any(row.cells[0].best for row in rank(column, same))
-    better = replace(rows[0], cells=(replace(rows[0].cells[0], unranked="better than real"),))
-    assert [(row.cells[0].best, row.cells[0].shade > 0) for row in rank(column, [better, *rows[1:]])] == [
-        (False, False),
-        (True, True),
-        (False, False),
-    ]
+def test_what_is_not_ranked_is_neither_bold_nor_shaded():
+    """A number better than real keeps its digits and takes no part in the scale."""
+    rows = labelled(1.0, 2.0, 3.0)
+    better = replace(rows[0], cells=(replace(rows[0].cells[0], unranked="is better than real"),))
+    ranked = rank([Column("SDT", "", False)], [better, *rows[1:]], [{"2.0"}])
+    assert [(row.cells[0].best, row.cells[0].shade > 0) for row in ranked] == [(False, False), (True, True), (False, False)]
 
 
 def test_a_blurred_truth_wins_no_metric_of_the_path(tmp_path):
-    """Numbers better than those of the captured images are shown and not ranked; the best up to there is marked."""
+    """Numbers better than those of the captured images are shown and not ranked; the best up to there leads, untested."""
     metrics = ("PSNR", "reprojection", "E_warp")
     root = write_run(tmp_path / "run", RunShape(metrics=metrics, poses=0))
     found = Results.read(root)
@@ -169,17 +168,18 @@ def test_a_blurred_truth_wins_no_metric_of_the_path(tmp_path):
     (path,) = [table for table in main_tables([run], run.results) if table.key == "path"]
     assert [[cell.best for cell in row.cells] for row in path.rows] == [
         [False, False],
-        [True, True],
+        [False, False],
         [False, False],
         [False, False],
     ]
+    assert [path.judgements[name].best for name in metrics[1:]] == ["ours-geometric"] * 2
     assert path.rows[0].cells[0].value == 0.46
     assert not path.rows[0].cells[0].shade
-    assert "not ranked: better than the captured images" in path.rows[0].cells[0].hint
-    assert "Not ranked: No Blending in reprojection, No Blending in E_warp, better than the captured images" in " ".join(
+    assert "not ranked: it is better than the captured images" in path.rows[0].cells[0].hint
+    assert "Not ranked: No Blending in reprojection, No Blending in E_warp, which is better than the captured images" in " ".join(
         path.notes
     )
-    assert all(leader.undecided for leader in leaders([path], metrics))
+    assert all(leader.judgement.undecided for leader in leaders([path], metrics))
 
 
 def test_where_test_views_are_sources_the_caption_says_so(tmp_path):
@@ -198,17 +198,6 @@ def test_where_test_views_are_sources_the_caption_says_so(tmp_path):
     assert "source" not in caption
     mixed = main_tables([replace(foreign, from_sources=frozenset(LABELS[1:]))], run.results)[0].caption
     assert f"K = 2 source views, but for {NAMES[LABELS[0]]}." in mixed
-
-
-def test_told_ties_are_bold_beside_equal_digits():
-    """Rows that cannot be told from the best are marked like it, and so is what prints the same; shades stay by value."""
-    rows = [Row(str(index), (Cell(f"{value:.1f}", value),)) for index, value in enumerate((1.0, 2.8, 2.98, 3.0))]
-    column = [Column("PSNR", "dB", True)]
-    assert [row.cells[0].best for row in rank(column, rows, [frozenset({1, 3})])] == [False, True, True, True]
-    assert [row.cells[0].best for row in rank(column, rows, [frozenset({3})])] == [False, False, True, True]
-    assert [row.cells[0].best for row in rank(column, rows, [None])] == [False, False, True, True]
-    shades = [[row.cells[0].shade for row in rank(column, rows, told)] for told in ((), [frozenset({0, 3})])]
-    assert shades[0] == shades[1]
 
 
 def test_blue_is_the_papers():
@@ -336,11 +325,14 @@ def test_intervals_stand_in_every_format(whole_run, report):
         assert row["note"] == interval.note
         assert interval.note.startswith("given this scene, these 2 views")
         half = format_half_width(interval.value, interval.half_width, METRICS[row["column"]].decimals)
+        half += SHORT * interval.is_short
         bold = row["best"] == "True"
         assert f"± {half}" in page.texts
         assert f"| {'**' if bold else ''}{row['shown']}{'**' if bold else ''} ± {half} |" in markdown
-        assert rf"{row['shown']}{'}' if bold else ''} {{\scriptsize $\pm$ {half}}}" in latex
-    for said in ("given this scene, these 2 views.", "Bold: best, and what cannot be told from it (paired, 95 %)."):
+        spread = rf"$\pm$ {half.removesuffix(SHORT)}"
+        spread = rf"\textcolor{{gray}}{{{spread}$\dagger$}}" if interval.is_short else spread
+        assert rf"{row['shown']}{'}' if bold else ''} {{\scriptsize {spread}}}" in latex
+    for said in ("given this scene, these 2 views.", "Bold: best, and what is not significantly worse (paired, 95 %)."):
         assert said in markdown
         assert said.replace("%", r"\%") in latex
         assert any(said in text for text in page.texts)
@@ -378,24 +370,24 @@ def test_where_a_clip_is_too_short_nothing_is_bold(tmp_path):
     run = read_run(root)
     (table,) = main_tables([run], run.results)
 
-    assert table.undecided["PSNR"].startswith("clip too short")
+    assert table.judgements["PSNR"].undecided.startswith("clip too short")
     assert not any(row.cells[0].best for row in table.rows)
-    assert any(sentence.startswith("No winner in PSNR, so nothing is bold: clip too short") for sentence in table.notes)
+    assert any(sentence.startswith("Nothing is bold in PSNR: clip too short") for sentence in table.notes)
     assert not any("can be told from the best" in sentence for sentence in table.notes)
 
 
 def test_what_has_no_interval_says_why(tmp_path):
-    """With one frame the best is bold to the printed digits, no cell has bounds, and caption, page and CSV say why."""
+    """With one frame nothing could be compared, so nothing is bold, no cell has bounds, and caption, page and CSV say why."""
     shape = RunShape(frames=Frames(0, 1), metrics=("PSNR", "SSIM"), poses=0)
     report = write_report([write_run(tmp_path / "run", shape)]).parent
     markdown = (report / "tables.md").read_text(encoding="utf-8")
     assert "No interval for PSNR, SSIM: 1 frame; an interval needs 2." in markdown
-    assert "Bold in PSNR, SSIM: best to the printed digits, nothing could be compared" in markdown
+    assert "Nothing is bold in PSNR, SSIM: nothing could be compared (1 frame; an interval needs 2)." in markdown
     assert "±" not in markdown
     assert 'title="no interval: 1 frame; an interval needs 2"' in (report / "index.html").read_text(encoding="utf-8")
     main = [row for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8")) if row["table"] == "quality"]
     assert {(row["lo"], row["hi"], row["note"]) for row in main} == {("", "", "no interval: 1 frame; an interval needs 2")}
-    assert sum(row["best"] == "True" for row in main) == 2
+    assert not any(row["best"] == "True" for row in main)
 
 
 def test_a_method_measured_on_other_frames_is_not_called_worse_or_equal(tmp_path):
@@ -408,7 +400,7 @@ def test_a_method_measured_on_other_frames_is_not_called_worse_or_equal(tmp_path
     cells = {row.name: row.cells[0] for row in main_tables([run], run.results)[0].rows}
     other = cells[NAMES["no-blending"]]
     assert other.spread
-    assert "not ranked: measured on other views or frames" in other.hint
+    assert "not ranked: it was measured on other views or frames" in other.hint
     assert (cells[NAMES["ours-geometric"]].best, other.best, other.shade) == (True, False, 0.0)
 
 

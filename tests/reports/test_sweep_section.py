@@ -35,7 +35,7 @@ def test_a_sweep_stands_for_its_runs(sweep, page):
 def test_table_and_curves_hold_what_was_swept(sweep, page):
     """Every line of the sweep is a row, unranked; each K is a dot of each method, higher where the value is, time from 0 on."""
     section = sweep_section(sweep, read_run(sweep / "k2").metrics)
-    assert [row.name for row in section.table.rows] == [f"{method}, {variant}" for variant, method, *_ in LINES]
+    assert [row.name for row in section.table.rows] == [f"{method}, K = {variant[1:]}" for variant, method, *_ in LINES]
     assert [[cell.value for cell in row.cells] for row in section.table.rows] == [list(line[2:]) for line in LINES]
     assert not any(cell.best for row in section.table.rows for cell in row.cells)
     psnr, seconds = section.panels
@@ -69,3 +69,20 @@ def test_a_sweep_may_stand_without_its_runs(sweep, tmp_path):
     assert f"ggvs-eval report {sweep}" in page
     assert "protocol tiny: 4 frames of" in page
     assert (tmp_path / "report" / "figures" / "k.png").is_file()
+
+
+def test_a_method_has_one_colour_on_the_whole_page(page):
+    """First screen, curves over time and curves over K draw a method in the same colour; no backtick is left on the page."""
+    colours: dict[str, set[str]] = {}
+    for name, colour in re.findall(r'<th scope="row">([^<]+)</th>\s*<td class="track (c\d)"', page):
+        colours.setdefault(name, set()).add(colour)
+    for colour, name in re.findall(r'<line class="(c\d)"[^>]*/></svg>([^<]+)</li>', page):
+        colours.setdefault(name, set()).add(colour)
+    for colour, name in re.findall(r'<polyline class="(c\d)"[^>]*><title>([^<]+)</title>', page):
+        colours.setdefault(name, set()).add(colour)
+    assert {"Ours", "No Blending"} < set(colours)
+    assert all(len(of_name) == 1 for of_name in colours.values()), colours
+    assert colours["Ours"] != colours["No Blending"]
+    shown = re.sub(r"<(script|style|pre)\b.*?</\1>", "", page, flags=re.DOTALL)
+    assert "`" not in shown
+    assert "Ours, k2" not in shown

@@ -1,5 +1,6 @@
 """Tables as other programs read them: LaTeX that compiles, a workbook that pandas and Excel open."""
 
+import csv
 import re
 import shutil
 import subprocess
@@ -14,7 +15,7 @@ from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.excel import write_excel
 from ggvs_eval.reports.tables.reproduction import reproduce
 from ggvs_eval.reports.tables.reproduction_formats import paper_tables
-from ggvs_eval.reports.tables.table_formats import to_latex
+from ggvs_eval.reports.tables.table_formats import to_csv, to_latex
 from helpers.run_folders import RunShape, write_run
 
 pytestmark = pytest.mark.slow
@@ -103,6 +104,23 @@ def test_workbook_holds_the_tables_numbers(report):
     place = openpyxl.load_workbook(report / "tables.xlsx")["quality DyNeRF"]
     best = next(row for row in place.iter_rows(min_row=2) if row[0].value == "Without")
     assert (best[1].font.bold, best[1].fill.fgColor.rgb, best[1].number_format.split('"')[0]) == (True, "FFBFBFFF", "0.00")
+
+
+def test_no_cell_of_a_csv_is_a_formula():
+    """A data set, method or note that begins as a formula has an apostrophe before it; numbers have none."""
+    cells = (Cell("-0.5", -0.5, low=-1.0, high=0.0, note="@note"), Cell("+cmd|' /C calc'!A0"))
+    table = Table("t", "T", "", (Column("PSNR"), Column("=x")), (Row('=HYPERLINK("a")', cells),), "-data set")
+    for line in csv.reader(to_csv([(None, [table])]).splitlines()):
+        assert not any(re.match(r"[=+@\t\r]|-[^\d]", cell) for cell in line), line
+    assert "-0.5,-1.0,0.0,-0.5" in to_csv([(None, [table])])
+
+
+def test_workbook_has_the_commas_of_the_other_formats(tmp_path):
+    """1,535 is shown as 1,535 and stays a number."""
+    openpyxl = pytest.importorskip("openpyxl", reason="no openpyxl, by which pandas writes workbooks")
+    table = Table("t", "T", "", (Column("images seen"),), (Row("a", (Cell("1,535", 1535.0),)),))
+    place = openpyxl.load_workbook(write_excel([table], {}, tmp_path / "a.xlsx"))["t"].cell(2, 2)
+    assert (place.value, place.number_format) == (1535, "#,##0")
 
 
 def test_workbook_takes_names_literally(tmp_path):

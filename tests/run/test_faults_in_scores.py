@@ -29,7 +29,11 @@ from ggvs_eval.synthetic.quick import LATE, MENDED, PROTOCOL, ROOM, quick_protoc
 
 pytestmark = pytest.mark.slow
 
-SPOILT = {"late": "late: certain frame offset", "bgr": "fault: certain channel order", "flipped": "fault: certain mirrored"}
+SPOILT = {
+    "late": "shows every frame one instant late",
+    "bgr": "has its colour channels in another order",
+    "flipped": "is mirrored",
+}
 
 
 @pytest.fixture(scope="module")
@@ -73,15 +77,15 @@ def test_a_spoilt_row_says_so_and_is_compared_with_no_other(run):
 
     headline = page.split('<p class="headline">')[1].split("</p>")[0]
     assert headline.startswith("Only mine is ranked; ")
+    assert "Renumber the frames by -1." in page.split('<p class="margin">')[1].split("</p>")[0]
     for label, words in SPOILT.items():
-        name = f"{label} ({words.partition(':')[0]})"
-        rows = [line for line in lines if line.startswith(f"| {name} |")]
+        rows = [line for line in lines if line.startswith(f"| {label} (faulty) |")]
         assert len(rows) >= 3
         assert not any("**" in row for row in rows)
-        assert f"{label} is not ranked, {words}" in headline
-        assert any(f"{name} is not ranked, {words} (" in line for line in lines)
+        assert f"{label} {words}" in headline
+        assert any(f"{label} (faulty) {words}, so it is not ranked (certain; cam00" in line for line in lines)
     verdicts = {row.verdict for row in differences(*method_sides(run.root, "late", "mine"), run.root)}
-    assert verdicts == {"not compared, first is late: certain frame offset"}
+    assert verdicts == {"not compared: first shows every frame one instant late"}
 
 
 def test_the_faults_survive_a_merge_and_a_score_that_finds_nothing_new(run, monkeypatch):
@@ -183,15 +187,20 @@ def test_renders_better_than_a_perfect_one_have_seen_the_view(quick, tmp_path):
 
 
 def test_words_of_a_fault():
-    """An offset is called by its direction, all else a fault; likely ones are told and spoil nothing."""
+    """Every fault is a sentence about the method, with what to do; likely ones are told and spoil nothing."""
     likely = Fault("mine", "room", "cam00", "tone curve", "likely", "a power", "look")
-    early = likely._replace(label="other", question="frame offset", verdict="certain", called="early")
+    early = Fault(
+        "late", "room", "cam00", "frame offset", "certain", "frame t shows instant t+2: x", "renumber by +2: y?", "early"
+    )
     columns = ("dataset", "scene", "method", "variant", "view", "frame", "metric", "value")
     import pandas as pd
 
     results = Results(pd.DataFrame(columns=columns), {"protocol_sha256": "0", "faults": [list(likely), list(early)]})
-    assert results.spoilt == {"other": "early: certain frame offset"}
+    assert results.spoilt == {"late": "shows every frame 2 instants early"}
     assert results.fault_lines() == [
-        "mine, fault: likely tone curve (cam00: a power); look",
-        "other is not ranked, early: certain frame offset (cam00: a power); look",
+        "mine has a fault: tone curve (likely; cam00: a power). Look.",
+        "late shows every frame 2 instants early, so it is not ranked (certain; cam00: frame t shows instant t+2: x). "
+        "Renumber by +2.",
     ]
+    assert Fault("a", "b", "c", "JPEG", "likely", "d", "").remedy == ""
+    assert early._replace(advice="is time handed to the renderer? more").remedy == "Is time handed to the renderer?"

@@ -18,8 +18,7 @@ from ggvs_eval.jobs.shard import Shard
 from ggvs_eval.jobs.status import describe_status
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.run.evaluate import measure, render
-from ggvs_eval.pipelines.run.fit import FitClock
-from ggvs_eval.pipelines.run.footage import fold_footage
+from ggvs_eval.pipelines.run.fit import FitClock, fold_footage
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work

@@ -67,9 +67,10 @@ def test_a_doubtful_camera_among_many_gives_its_place_to_a_neighbour():
 
 
 def test_published_protocols_are_those_whose_cameras_a_capture_has():
-    """A capture of the cameras and the shape of Neural 3D Video is offered its protocols, whatever its layout and length."""
+    """A capture of the cameras, frames and shape of Neural 3D Video is offered its protocols, a shorter one none."""
     cameras = [camera.resized(1344, 1008) for camera in rig_of([f"cam{number:02d}" for number in range(21)]).cameras]
-    alike = replace(rig_of(), cameras=tuple(cameras), n_frames=1)
+    alike = replace(rig_of(), cameras=tuple(cameras), n_frames=300)
+    assert not published_protocols(replace(alike, n_frames=40))
     assert {each.name for each in published_protocols(alike)} == {"n3v_3dgstream", "n3v_4dgs", "n3v_queen", "n3v_stg"}
     wide = replace(alike, cameras=tuple(camera.resized(1920, 1080) for camera in cameras))
     assert {each.name for each in published_protocols(wide)} == {"meetroom_3dgstream"}
@@ -140,3 +141,9 @@ def test_the_command_writes_a_file_that_run_takes(dynerf, tmp_path, capsys):
     assert json.dumps(str(tmp_path)) not in file.read_text()
     with pytest.raises(ProtocolError, match="one frame or more"):
         written.shortened(0, None)
+
+
+def test_a_capture_of_one_camera_is_refused():
+    """Nothing can be held out of it: one line, not a division by 0."""
+    with refused(CaptureError, "wanted two cameras or more, got 1", "nothing can be held out"):
+        propose_protocol(rig_of(["cam00"]))

@@ -5,7 +5,7 @@ import pytest
 from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import digest_weights
-from ggvs_eval.pipelines.run.shown_names import write_shown_names
+from ggvs_eval.pipelines.run.score import write_shown_names
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 from helpers.run_folders import RunShape, make_protocol, write_run
 

@@ -44,6 +44,23 @@ def test_intervals_hold_no_drift_where_there_is_none(frames, correlation):
     assert 0.9 <= np.mean([abs(drift.slope) <= drift.half_width for drift in drifts]) <= 0.985
 
 
+@pytest.mark.parametrize(("frames", "correlation"), [(100, 0.0), (100, 0.8), (100, 0.9), (100, 0.95), (150, 0.95), (300, 0.95)])
+def test_no_more_alarms_than_chance_among_what_is_not_marked(frames, correlation):
+    """At every length that the table shows (from 100): at most 6 % of unmarked intervals exclude 0, give or take 300 series."""
+    random = np.random.default_rng(5)
+    drifts = [measure_drift(wandering(random, frames, correlation)) for _ in range(300)]
+    unmarked = [abs(drift.slope) > drift.half_width for drift in drifts if not drift.short]
+    assert np.sum(unmarked) <= 0.06 * len(unmarked) + 2 * np.sqrt(0.06 * len(unmarked))
+
+
+def test_a_clear_drift_is_not_marked():
+    """A slope of ten times its error is called, though its own line makes the series look slow."""
+    random = np.random.default_rng(6)
+    drift = measure_drift(wandering(random, 120, 0.5) + 0.2 * np.arange(120))
+    assert drift.short == ""
+    assert drift.slope - drift.half_width > 0
+
+
 def test_a_clip_that_is_short_for_its_correlation_says_so():
     """Errors that last for its whole length leave too few independent frames."""
     assert "clip too short" in measure_drift(np.sin(np.linspace(0, 2.5 * np.pi, 60))).short

@@ -1,13 +1,15 @@
 """Paired comparisons: what both methods share cancels, ties are marked, many comparisons raise the bar."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.results import without_labels
 from ggvs_eval.statistics.intervals import intervals
-from ggvs_eval.statistics.paired import compare, holm, rank_methods
+from ggvs_eval.statistics.paired import compare, holm, judge
 from helpers.refusals import refused
 from helpers.tidy_tables import autoregressive, make_results, make_rows, make_spread_rows, make_sted_rows
 
@@ -58,12 +60,13 @@ def test_comparison_is_antisymmetric(results):
 
 def test_best_and_ties(results):
     """The best and what cannot be told from it are found in either direction."""
-    assert rank_methods(results, "PSNR", True, "Demo").ties == {"a", "b+fast"}
-    assert rank_methods(results, "PSNR", False, "Demo").ties == {"c"}
-    standing = rank_methods(results, "PSNR", True, "Demo")
-    assert len(standing.best) == 1
-    assert standing.untested == {}
-    assert set(standing.comparisons) == {"a", "b+fast", "c"} - standing.best
+    assert judge(results, "PSNR", True, "Demo").marked == {"a", "b+fast"}
+    lowest = judge(results, "PSNR", False, "Demo")
+    assert (lowest.marked, lowest.winner) == ({"c"}, "c")
+    judgement = judge(results, "PSNR", True, "Demo")
+    assert judgement.winner == ""
+    assert judgement.having("as good") == tuple({"a", "b+fast"} - {judgement.best})
+    assert judgement.having("worse") == ("c",)
 
 
 def test_false_alarms_are_as_rare_as_promised():
@@ -88,18 +91,19 @@ def make_slow_pair(better_db: float):
 
 
 def test_a_clip_too_short_for_its_correlation_names_no_winner():
-    """A difference that drifts through the clip keeps its numbers; where the drift may be all of it the two tie, as is said."""
+    """A difference that drifts through the clip keeps its numbers; where the drift may be all of it none wins and none ties."""
     slow = make_slow_pair(0.3)
     found = compare(slow, "PSNR", "a", "b", "Demo")
     assert found.difference == pytest.approx(0.3, abs=0.01)
     assert found.low < found.difference < found.high
     assert found.p_value < 0.05
-    assert re.fullmatch(r"clip too short: .* 24 frames say no more than [123] independent ones?, wanted 4", found.short)
-    assert found.short in found.note
-    standing = rank_methods(slow, "PSNR", True, "Demo")
-    assert (standing.best, standing.ties, standing.short) == ({"a"}, {"a", "b"}, found.short)
-    clear = rank_methods(make_slow_pair(2.0), "PSNR", True, "Demo")
-    assert (clear.ties, clear.short) == ({"a"}, "")
+    assert re.fullmatch(r"clip too short: its 24 frames are worth [123] independent ones?, .*", found.short)
+    assert "clip too short: its 24 frames are worth" in found.note
+    open_ = judge(slow, "PSNR", True, "Demo")
+    assert (open_.best, open_.winner, open_.having("too short"), open_.having("as good")) == ("a", "", ("b",), ())
+    assert (open_.undecided, open_.marked) == (found.short, frozenset())
+    clear = judge(make_slow_pair(2.0), "PSNR", True, "Demo")
+    assert (clear.winner, clear.marked, clear.undecided) == ("a", {"a"}, "")
 
 
 def test_numbers_that_are_no_means_are_compared_too():
@@ -107,12 +111,26 @@ def test_numbers_that_are_no_means_are_compared_too():
     base = make_noise(4, 1.0) + np.arange(6.0)[:, None] + 10.0
     rows = make_spread_rows("steady", base) + make_spread_rows("shaky", 10.0 + 1.6 * (base - 10.0) + make_noise(5, 0.2))
     rows += make_sted_rows("steady", base, base) + make_sted_rows("shaky", 1.3 * base, 1.3 * base)
+    rows += make_rows("steady", "PSNR", 30.0 + base) + make_rows("shaky", "PSNR", 29.5 + base)
     results = make_results(rows)
     for metric in ("SDT", "SDV", "STED"):
         found = compare(results, metric, "shaky", "steady", "Demo")
         assert found.low > 0.0
         assert found.difference > 0.0
-        assert rank_methods(results, metric, False, "Demo").ties == {"steady"}
+        assert judge(results, metric, False, "Demo").winner == "steady"
+
+
+def test_even_badness_wins_no_metric_of_evenness():
+    """A method 3 dB behind is not ranked in SDT and SDV, however even, nor is one without a PSNR; STED ranks both."""
+    base = make_noise(4, 1.0) + np.arange(6.0)[:, None] + 10.0
+    rows = make_spread_rows("good", base) + make_spread_rows("bad", 10.0 + 0.3 * (base - 10.0))
+    rows += make_rows("good", "PSNR", 30.0 + 0.1 * base)
+    behind = make_rows("bad", "PSNR", 27.0 + 0.1 * base)
+    for results, why in ((make_results(rows + behind), "1 dB behind the best PSNR"), (make_results(rows), "has no PSNR")):
+        for metric in ("SDT", "SDV"):
+            judgement = judge(results, metric, False, "Demo")
+            assert (judgement.best, judgement.winner, list(judgement.unranked)) == ("good", "", ["bad"])
+            assert why in judgement.unranked["bad"]
 
 
 def test_holm_corrects_for_the_number_of_comparisons():
@@ -124,36 +142,66 @@ def test_holm_corrects_for_the_number_of_comparisons():
 
 def test_more_rivals_make_ties_more_likely(results):
     """The p value against the best grows with the number of methods in the table."""
-    alone = rank_methods(results, "PSNR", True, "Demo")
+    alone = judge(results, "PSNR", True, "Demo")
     rivals = [row for seed in range(4) for row in make_rows(f"d{seed}", "PSNR", make_shared() - 0.1 + make_noise(9 + seed, 0.6))]
-    crowd = rank_methods(
-        make_results([tuple(row) for row in results.table.itertuples(index=False)] + rivals), "PSNR", True, "Demo"
-    )
+    crowd = judge(make_results([tuple(row) for row in results.table.itertuples(index=False)] + rivals), "PSNR", True, "Demo")
     assert crowd.best == alone.best
-    assert crowd.p_values["c"] > alone.p_values["c"]
+    assert crowd.comparisons["c"].corrected > alone.comparisons["c"].corrected
 
 
 def test_methods_on_other_frames_are_not_compared():
-    """Methods that were not measured alike have a reason instead of a p value, and only an equal number is a tie."""
+    """Methods that were not measured alike are not ranked, and say so; compared by name they have a reason and no p value."""
     values = make_noise(1, 1.0)
     rows = make_rows("a", "PSNR", values + 1.0) + make_rows("b", "PSNR", values[:, :50]) + make_rows("c", "PSNR", values + 1.0)
-    rows += make_rows("d", "PSNR", values, scene="hall")
-    standing = rank_methods(make_results(rows), "PSNR", True, "Demo")
-    assert standing.ties == {"a", "c"}
-    assert "not the same views and frames (6 x 50 and 6 x 60)" in standing.untested["b"]
-    assert "not measured on the same scenes" in standing.untested["d"]
-    found = standing.comparisons["b"]
+    results = make_results(rows)
+    judgement = judge(results, "PSNR", True, "Demo")
+    assert (judgement.best, judgement.having("equal"), judgement.winner) == ("a", ("c",), "")
+    assert "other views or frames" in judgement.unranked["b"]
+    found = compare(results, "PSNR", "b", "a", "Demo")
     assert (found.low, found.high, found.p_value) == (None, None, None)
+    assert "not the same views and frames (6 x 50 and 6 x 60)" in found.note
+    elsewhere = make_results(rows + make_rows("d", "PSNR", values, scene="hall"))
+    assert "not measured on the same scenes" in compare(elsewhere, "PSNR", "d", "a", "Demo").note
 
 
 def test_a_single_frame_has_no_test():
-    """With one frame the best is known and nothing else; two infinite values are equal, not NaN."""
+    """With one frame nothing is tested, so nothing is marked; two infinite values are equal, not NaN."""
     rows = make_rows("a", "PSNR", [[30.0], [31.0]]) + make_rows("b", "PSNR", [[29.0], [31.0]])
-    standing = rank_methods(make_results(rows), "PSNR", True, "Demo")
-    assert (standing.ties, standing.untested) == ({"a"}, {"b": "1 frame; an interval needs 2"})
+    judgement = judge(make_results(rows), "PSNR", True, "Demo")
+    assert (judgement.best, judgement.winner, judgement.marked) == ("a", "", frozenset())
+    assert judgement.undecided == "nothing could be compared (1 frame; an interval needs 2)"
     perfect = make_results(make_rows("a", "PSNR", [[np.inf, 1.0]]) + make_rows("b", "PSNR", [[np.inf, 2.0]]))
     assert compare(perfect, "PSNR", "a", "b", "Demo").difference == 0.0
-    assert rank_methods(perfect, "PSNR", True, "Demo").ties == {"a", "b"}
+    assert judge(perfect, "PSNR", True, "Demo").having("equal") == ("b",)
+
+
+def test_variants_are_no_rivals_of_their_method():
+    """An ablation that is as good, or better, keeps its method from no victory and wins none; alone they compete."""
+    shared = make_shared()
+    values = {"x": shared - 0.5, "own": shared, "own+less": shared + 0.3}
+    rows = [row for at, (label, one) in enumerate(values.items()) for row in make_rows(label, "PSNR", one + make_noise(at, 0.1))]
+    judgement = judge(make_results(rows), "PSNR", True, "Demo", own=("own", "own+less"))
+    assert (judgement.winner, judgement.rivals, judgement.marked) == ("own", ("x",), {"own", "own+less"})
+    assert judgement.variants["own+less"].outcome == "better"
+    alone = judge(make_results(rows[len(rows) // 3 :]), "PSNR", True, "Demo", own=("own", "own+less"))
+    assert (alone.winner, alone.variants) == ("own+less", {})
+
+
+def test_a_certain_fault_wins_nowhere():
+    """A faulty or partial method is not ranked, whatever its number; of these alone nothing is best."""
+    rows = (
+        make_rows("a", "PSNR", make_shared())
+        + make_rows("late", "PSNR", make_shared() + 9)
+        + make_rows("b", "PSNR", make_shared() - 1)
+    )
+    found = make_results(rows)
+    fault = ["late", "room", "cam00", "frame offset", "certain", "frame t shows instant t-1", "renumber", "late"]
+    spoilt = replace(found, provenance=found.provenance | {"faults": [fault], "partial": {"b": "partial: 1 of 2 views"}})
+    judgement = judge(spoilt, "PSNR", True, "Demo")
+    assert (judgement.best, judgement.winner, judgement.comparisons, judgement.marked) == ("a", "", {}, frozenset())
+    assert judgement.unranked == {"late": "shows every frame one instant late", "b": "is partial: 1 of 2 views"}
+    nothing = judge(without_labels(spoilt, ["a"]), "PSNR", True, "Demo")
+    assert (nothing.best, nothing.comparisons, nothing.marked, nothing.winner) == ("", {}, frozenset(), "")
 
 
 def test_unknown_names_are_refused(results):
@@ -161,4 +209,4 @@ def test_unknown_names_are_refused(results):
     with refused(ResultsError, "PSNR of x", "Demo", "a, b+fast, c"):
         compare(results, "PSNR", "a", "x", "Demo")
     with refused(ResultsError, "SSIM", "Demo"):
-        rank_methods(results, "SSIM", True, "Demo")
+        judge(results, "SSIM", True, "Demo")

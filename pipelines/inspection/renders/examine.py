@@ -3,18 +3,190 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ggvs_eval.pipelines.inspection.finding import Finding
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.arrays import Array32, Image8
+from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
-from ggvs_eval.pipelines.inspection.renders.flicker import find_flicker
 from ggvs_eval.pipelines.inspection.renders.identity import CameraPictures, find_identity, remember
-from ggvs_eval.pipelines.inspection.renders.jpeg import find_jpeg
 from ggvs_eval.pipelines.inspection.renders.placement import find_placement, shared_shift
 from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, check_sample
 from ggvs_eval.pipelines.inspection.renders.repeats import resized, scan_frames
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
-from ggvs_eval.pipelines.inspection.renders.upscaling import find_upscaling
-from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, longest_run
+from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, longest_run, spread
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
+
+INSTANTS = 3  # of a view that are looked at
+BLOCK_PX = 8
+CROP_PX = 1024
+FREQUENCIES = tuple((u, v) for u in range(BLOCK_PX) for v in range(BLOCK_PX) if 0 < u + v < BLOCK_PX)
+# Share of the frequencies that need not show a comb: at high quality the lowest have steps of one level, which rounding hides.
+UNTOLD_SHARE = 0.6
+STEPS = np.arange(2.0, 40.5, 0.5)
+# Pictures that never were JPEG had 0.04 at most, quality 95 gives 0.39 and 90 gives 0.5. Quality 98 cannot be detected.
+LIKELY_COMB, CERTAIN_COMB = 0.15, 0.35
+FEWEST_BLOCKS = 40
+
+
+def find_jpeg(name: str, view: ViewFrames) -> list[Finding]:
+    """Look for coefficients of 8 x 8 blocks that are multiples of a step on JPEG's grid, and not on a grid half a block off."""
+    combs = [comb_strength(view.rendered(index)) for index in spread(view.frames, INSTANTS)]
+    strength = min(comb[0] for comb in combs)
+    if strength < LIKELY_COMB:
+        return []
+    step = float(np.median([comb[1] for comb in combs]))
+    measured = f"block coefficients come in steps (about {step:g} levels): comb {strength:.2f} on the 8 x 8 grid, 0 without JPEG"
+    verdict = verdict_of(strength > CERTAIN_COMB)
+    values = {"comb": strength, "step_255": step}
+    return [Finding(name, "JPEG", verdict, measured, values, "write PNG: JPEG costs decibels, or hides noise and gains some")]
+
+
+def comb_strength(image: Image8) -> tuple[float, float]:
+    """Measure how clearly block coefficients are quantised, 0 to 1, and the median step; 0 where too few are large enough."""
+    crop = image[:CROP_PX, :CROP_PX].astype(np.float32)
+    luma = crop @ np.array([0.299, 0.587, 0.114], np.float32) - 128
+    on, off = (_coefficients(luma[start:, start:]) for start in (0, BLOCK_PX // 2))
+    combs = [_comb(on[:, u, v], off[:, u, v]) for u, v in FREQUENCIES]
+    told = [one for one in combs if one is not None]
+    if not told:
+        return 0.0, 0.0
+    strength = float(np.quantile([value for value, _ in told], UNTOLD_SHARE))
+    return max(strength, 0.0), float(np.median([step for value, step in told if value >= strength]))
+
+
+def _coefficients(luma: Array32) -> NDArray[np.float64]:
+    """Orthonormal discrete cosine transform of all whole blocks, (blocks, 8, 8)."""
+    rows, columns = (size // BLOCK_PX for size in luma.shape)
+    blocks = luma[: rows * BLOCK_PX, : columns * BLOCK_PX].reshape(rows, BLOCK_PX, columns, BLOCK_PX).swapaxes(1, 2)
+    index = np.arange(BLOCK_PX)
+    basis = np.cos(np.pi * (2 * index[None] + 1) * index[:, None] / (2 * BLOCK_PX)) * np.sqrt(2 / BLOCK_PX)
+    basis[0] /= np.sqrt(2)
+    return np.asarray(np.einsum("ux,nxy,vy->nuv", basis, blocks.reshape(-1, BLOCK_PX, BLOCK_PX), basis, optimize=True))
+
+
+def _comb(on: NDArray[np.float64], off: NDArray[np.float64]) -> tuple[float, float] | None:
+    """Measure how much better the best step fits on the grid than off it, less its gain the other way round by chance."""
+    differences: list[float] = []
+    for step in STEPS:
+        # Coefficients that would be rounded to zero fit any large step.
+        used_on, used_off = (values[np.abs(values) > 0.5 * step] for values in (on, off))
+        if min(len(used_on), len(used_off)) < FEWEST_BLOCKS:
+            break
+        fits = [float(np.cos(2 * np.pi * used / step).mean()) for used in (used_on, used_off)]
+        differences.append(fits[0] - fits[1])
+    if not differences:
+        return None
+    best = int(np.argmax(differences))
+    return differences[best] - max(-min(differences), 0.0), float(STEPS[best])
+
+
+# Period of the traces, px, and the factors that leave them; a rational factor p/q repeats after p pixels.
+PERIODS_PX = {2.0: "2", 3.0: "3 or 1.5", 4.0: "4 or 1.33", 2.5: "2.5 or 1.67", 5.0: "5 or 1.25"}
+# Renders had 2.6 at most; linear interpolation gives 3.7 to 50, cubic by 2 leaves no period and looks like blur.
+LIKELY_PEAK, CERTAIN_PEAK = 4.5, 9.0
+# Energy above the smaller picture's finest frequencies relative to the truth's; honest blur also lowers it, without a period.
+LARGEST_FINE_SHARE = 0.35
+# Repeated pixels have edges of their own, but also peaks of 90 and more.
+PLAIN_PEAK = 40.0
+
+
+def find_upscaling(name: str, view: ViewFrames) -> list[Finding]:
+    """Look for periods in the curvature along rows and columns, as interpolation leaves them, where fine detail is missing."""
+    peaks: list[dict[float, float]] = []
+    shares: list[float] = []
+    for rendered, truth in view.pairs(spread(view.frames, INSTANTS)):
+        peaks.append(period_peaks(rendered))
+        shares.append(fine_energy(rendered) / max(fine_energy(truth), 1e-9))
+    strength = {period: min(peak[period] for peak in peaks) for period in PERIODS_PX}
+    period = max(strength, key=lambda key: strength[key])
+    share = float(np.median(shares))
+    if strength[period] < LIKELY_PEAK or (share > LARGEST_FINE_SHARE and strength[period] < PLAIN_PEAK):
+        return []
+    verdict = verdict_of(strength[period] > CERTAIN_PEAK)
+    measured = (
+        f"interpolated by {PERIODS_PX[period]}: period of {period:g} px {strength[period]:.0f} times the usual, "
+        f"{share:.0%} of the finest detail is left"
+    )
+    values = {"period_px": period, "peak": strength[period], "fine_share": share}
+    advice = "rendered at a smaller size and enlarged? render at the full size"
+    return [Finding(name, "up-scaled", verdict, measured, values, advice)]
+
+
+def period_peaks(image: Image8) -> dict[float, float]:
+    """For each period the weaker of its peaks along both axes, relative to the spectrum around it."""
+    grey = image.astype(np.float32).mean(axis=-1)
+    both = [_axis_peaks(plane) for plane in (grey, grey.T)]
+    return {period: min(peaks[period] for peaks in both) for period in PERIODS_PX}
+
+
+def fine_energy(image: Image8) -> float:
+    """Mean squared second difference along both axes, mostly of the finest frequencies."""
+    grey = image.astype(np.float32).mean(axis=-1)
+    return float(np.mean([np.square(np.diff(grey, 2, axis=axis)).mean() for axis in (0, 1)]))
+
+
+def _axis_peaks(plane: NDArray[np.float32]) -> dict[float, float]:
+    """Peaks in the spectrum of the mean slope or curvature of each column, relative to the usual of that spectrum.
+
+    Curvature has the period of linear and cubic interpolation, but for a factor of 2, which only the slope shows.
+    """
+    both = [_spectrum_peaks(np.abs(np.diff(plane, order, axis=1)).mean(axis=0)) for order in (1, 2)]
+    return {period: max(peaks[period] for peaks in both) for period in PERIODS_PX}
+
+
+def _spectrum_peaks(profile: NDArray[np.float32]) -> dict[float, float]:
+    level = np.log(profile + 0.05)
+    # Only what changes within a few pixels; the picture itself changes slowly.
+    fine = level - np.convolve(np.pad(level, 4, mode="edge"), np.ones(9) / 9, mode="valid")
+    windowed = fine * np.hanning(len(fine))
+    positions = np.arange(len(fine))
+    usual = float(np.median(np.abs(np.fft.rfft(windowed))[len(fine) // 8 :])) + 1e-9
+    return {period: float(abs((windowed * np.exp(-2j * np.pi * positions / period)).sum())) / usual for period in PERIODS_PX}
+
+
+FEWEST_FRAMES = 5
+CELLS = 48
+REGIONS = 4
+# Added to both levels, so that their ratio means something in the dark.
+DARK_255 = 4.0
+# Usual change of the gain from one frame to the next, as the standard deviation of gains that do not depend on each other: honest
+# renders had 0.1 % at most, random gains within 3 % have 1.7 %.
+LEAST_FLICKER = 0.01
+# Part of the change that sixteen regions have alike: 0.3 at most in honest renders, 1 where a frame is multiplied.
+LEAST_COMMON = 0.7
+
+
+def find_flicker(name: str, view: ViewFrames) -> list[Finding]:
+    """Compare the gain of neighbouring frames; a drift, as by the exposure of the true camera, does not count."""
+    if len(view.frames) < FEWEST_FRAMES:
+        return []
+    gains = np.stack([region_gains(*pair) for pair in view.pairs(list(view.frames))])  # (T, regions), logarithms
+    jumps = np.diff(gains, axis=0) / np.sqrt(2)
+    whole = np.diff(np.median(gains, axis=1)) / np.sqrt(2)
+    size = float(np.sqrt(np.square(whole).mean()))
+    common = size / max(float(np.sqrt(np.square(jumps).mean())), 1e-9)
+    if size < LEAST_FLICKER or common < LEAST_COMMON:
+        return []
+    largest = float(np.abs(whole).max() * np.sqrt(2))
+    measured = (
+        f"whole frames are brighter or darker by {size:.1%} (standard deviation), from one to the next by up to {largest:.1%}"
+    )
+    values = {"flicker_share": size, "largest_jump_share": largest, "common_share": common}
+    advice = "write all frames with one exposure: is each normalised by its own minimum, maximum or mean?"
+    return [Finding(name, "flicker", "likely", measured, values, advice)]
+
+
+def region_gains(rendered: Image8, truth: Image8) -> NDArray[np.float64]:
+    """Logarithm of the usual ratio of rendered and true levels in each of 4 x 4 regions, (16,)."""
+    ours, theirs = (
+        cv2.resize(image.mean(axis=-1, dtype=np.float32), (CELLS, CELLS), interpolation=cv2.INTER_AREA) + DARK_255
+        for image in (rendered, truth)
+    )
+    side = CELLS // REGIONS
+    cells = np.log(ours / theirs).reshape(REGIONS, side, REGIONS, side).swapaxes(1, 2)
+    return np.asarray(np.median(cells.reshape(REGIONS**2, -1), axis=1), dtype=np.float64)
 
 
 def examine(

@@ -148,7 +148,7 @@ def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention
     """Write the result as text: a sentence, and the conventions over all views, with those over one view that match."""
     shown = [one for one in conventions if one.views == ALL_VIEWS or one.matches]
     rows = [
-        ("=" if one.matches else "", "ours" if one.is_ours else "", f"{one.value:.6g}", one.views, one.name)
+        ("=" if one.matches else "", "this tool" if one.is_ours else "", f"{one.value:.6g}", one.views, one.name)
         for one in sorted(shown, key=lambda one: (not one.matches, one.views != ALL_VIEWS, not one.is_ours))
     ]
     table = text_table({"": 0, " ": 0, metric.upper(): 0, "over": 0, "convention": 1}, rows, width)
@@ -167,16 +167,16 @@ def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> st
     count = f"{len(everywhere)} conventions over all views" + (
         f", and {len(conventions)} with those over single views," if len(conventions) > len(everywhere) else ""
     )
-    return f"none of mine gives {metric} {quoted}: {count} were tried, and each is off by more than {half_digit:.2g}"
+    return f"no known convention gives {metric} {quoted}: {count} were tried, and each is off by more than {half_digit:.2g}"
 
 
 def _matching(metric: str, quoted: str, matching: Sequence[Convention], share: float) -> str:
     is_ours = any(one.is_ours and one.views == ALL_VIEWS for one in matching)
     if share > WEAK_CHANCE and not is_ours:
         names = _full_name(matching[0]) if len(matching) == 1 else f"{len(matching)} conventions"
-        return f"none of mine gives {metric} {quoted} but as chance would: {names}, which needs more digits to be told"
+        return f"only chance matches for {metric} {quoted}: {names}; quote more digits"
     if len(matching) == 1:
-        return f"{metric} {quoted} is {_full_name(matching[0])}{', as in our tables' if is_ours else ''}"
+        return f"{metric} {quoted} is {_full_name(matching[0])}{', as this tool measures' if is_ours else ''}"
     return f"{metric} {quoted} is what {len(matching)} conventions give; more digits or other frames would tell them apart"
 
 

@@ -25,6 +25,7 @@ CROPPED_SHARE = 0.1
 Planes = NDArray[np.float64]
 Preparation = Callable[[Image8, Image8], tuple[Planes, Planes]]
 CEILING_DB = 100.0
+LLFF_SIZE = (960, 640)
 
 
 def _rgb(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
@@ -41,8 +42,8 @@ def _video_luma(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
 
 
 def cropped(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
-    """Both frames without a tenth of their size at every side."""
-    rows, columns = (round(size * CROPPED_SHARE) for size in truth.shape[:2])
+    """Both frames without a tenth of their size at every side, rounded down as ENeRF and MVSNeRF do."""
+    rows, columns = (int(size * CROPPED_SHARE) for size in truth.shape[:2])
     inner = slice(rows, truth.shape[0] - rows), slice(columns, truth.shape[1] - columns)
     return rendered[inner], truth[inner]
 
@@ -55,6 +56,12 @@ def grey(image: Image8) -> Image8:
 def halved(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
     """Both frames at half their size, box averages of 8 bit."""
     return _half(rendered), _half(truth)
+
+
+def at_llff_size(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
+    """Both frames at 960 x 640, at which MVSNeRF and ENeRF evaluate LLFF."""
+    first, second = (cv2.resize(image, LLFF_SIZE, interpolation=cv2.INTER_AREA) for image in (rendered, truth))
+    return np.asarray(first, np.uint8), np.asarray(second, np.uint8)
 
 
 def half_truth(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
@@ -92,6 +99,7 @@ PREPARATIONS: Mapping[str, Preparation] = {
     "RGB, both at half size": lambda rendered, truth: _rgb(*halved(rendered, truth)),
     "RGB, truth of half size enlarged": lambda rendered, truth: _rgb(*half_truth(rendered, truth)),
     "RGB without a border of 10 %": lambda rendered, truth: _rgb(*cropped(rendered, truth)),
+    "RGB, both at 960 x 640, without a border of 10 %": lambda *pair: _rgb(*cropped(*at_llff_size(*pair))),
     "RGB after the best affine colour map": _colour_corrected,
 }
 OUR_PSNR = "RGB, mean of the frames' PSNR"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.metrics.image.ms_ssim import SMALLEST_PX, ms_ssim
 from ggvs_eval.metrics.image.ssim_variants import ssim_variant
-from ggvs_eval.pipelines.inspection.renders.frame_conventions import BT601, cropped, grey, half_truth, halved
+from ggvs_eval.pipelines.inspection.renders.frame_conventions import BT601, at_llff_size, cropped, grey, half_truth, halved
 from ggvs_eval.pipelines.inspection.renders.recompute import FrameMeasure, MaskReader, Recomputed, frame_means, mean_over_views
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
@@ -53,7 +53,11 @@ def frame_measures() -> dict[str, FrameMeasure]:
         "uniform 7 x 7, range 1, luma": partial(similarity, luma=True),
         UNIFORM_11: partial(similarity, win_size=11),
         "uniform 11 x 11, population covariance, range 1": partial(similarity, win_size=11, use_sample_covariance=False),
-        "uniform 7 x 7, range 1, without a border of 10 % (ENeRF)": lambda *pair: similarity(*cropped(*pair)),
+        "uniform 7 x 7, range 1, without a border of 10 % (ENeRF, later code)": lambda *pair: similarity(*cropped(*pair)),
+        "uniform 7 x 7, range 2, without a border of 10 % (ENeRF as published)": partial(_prepared, cropped, data_range=2.0),
+        "uniform 7 x 7, range 2, both at 960 x 640, without a border of 10 % (MVSNeRF on LLFF)": partial(
+            _prepared, lambda *pair: cropped(*at_llff_size(*pair)), data_range=2.0
+        ),
     }
     sized: dict[str, FrameMeasure] = {
         f"{window}, {size}": partial(_prepared, prepare, **options)
@@ -71,6 +75,7 @@ PREPARATIONS: Mapping[str, Preparation] = {
     "grey of 8 bit": lambda rendered, truth: (grey(rendered), grey(truth)),
     "both at half size": halved,
     "truth of half size enlarged": half_truth,
+    "both at 960 x 640": at_llff_size,
 }
 
 

@@ -23,7 +23,7 @@ from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.live import LiveEstimator, LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
-from ggvs_eval.pipelines.offline.stereo.pairwise import PairwiseEstimator
+from ggvs_eval.pipelines.offline.stereo.pairwise import PairwiseEstimator, SharedMatches
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
 STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews what has changed by what stands here
@@ -144,10 +144,16 @@ class DepthEstimator:
 
     Args:
         pairs: those of them that are matched pair by pair, where a network sees more; found here by default.
+        shared: see `PairwiseEstimator`.
     """
 
     def __init__(
-        self, camera: Camera, partners: Sequence[Camera], options: DepthOptions, pairs: Sequence[Camera] | None = None
+        self,
+        camera: Camera,
+        partners: Sequence[Camera],
+        options: DepthOptions,
+        pairs: Sequence[Camera] | None = None,
+        shared: SharedMatches | None = None,
     ) -> None:
         if not partners:
             raise DepthError(f"camera {camera.name}: depth needs at least one other camera to match with, got none")
@@ -157,9 +163,9 @@ class DepthEstimator:
         if pairs is None:
             pairs = pairs_of(camera, partners, options.partners) if isinstance(options.filler, IterMvs) else partners
         self.pairs = tuple(pairs)
-        self._raw = _estimator(camera, self.pairs, options.matcher, options) if pairs else None
+        self._raw = _estimator(camera, self.pairs, options.matcher, options, shared) if pairs else None
         asked = self.partners if isinstance(options.filler, IterMvs) else self.pairs
-        self._guess = None if options.filler is None else (asked, _estimator(camera, asked, options.filler, options))
+        self._guess = None if options.filler is None else (asked, _estimator(camera, asked, options.filler, options, shared))
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Depth at one instant.
@@ -196,7 +202,11 @@ class DepthEstimator:
 
 
 def _estimator(
-    camera: Camera, partners: Sequence[Camera], matcher: StereoMatcher | PlaneSweep | IterMvs, options: DepthOptions
+    camera: Camera,
+    partners: Sequence[Camera],
+    matcher: StereoMatcher | PlaneSweep | IterMvs,
+    options: DepthOptions,
+    shared: SharedMatches | None,
 ) -> Estimator:
     if isinstance(matcher, IterMvs):
         from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvsEstimator
@@ -206,7 +216,7 @@ def _estimator(
         return PlaneSweepEstimator(camera, partners, matcher)
     if isinstance(matcher, LiveMatcher):
         return LiveEstimator(camera, partners, matcher, options.error_px)
-    return PairwiseEstimator(camera, partners, matcher, options.error_px, options.time.warm)
+    return PairwiseEstimator(camera, partners, matcher, options.error_px, options.time.warm, shared)
 
 
 def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:

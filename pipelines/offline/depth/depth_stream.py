@@ -13,6 +13,7 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import can_rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.stereo.pairwise import SharedMatches
 
 CONTEXT_PX = 48  # what a matcher sees around the window that it computes again
 GRID_PX = 64  # windows start and end on multiples of it, so that their estimators can be kept
@@ -26,16 +27,21 @@ class DepthStream:
     What it returns depends on the instants since the last keyframe alone, and keyframes lie where the frame number is a multiple
     of `keyframe_every`: a killed run goes on from the keyframe before, with equal bits.
 
+    Args:
+        shared: see `PairwiseEstimator`.
+
     Reading:
         Whether something has changed is asked of the camera's own picture since its depth was computed, not since the frame
         before: slow changes add up. A partner that is newly covered does not change what the camera sees.
     """
 
-    def __init__(self, camera: Camera, partners: Sequence[Camera], options: DepthOptions) -> None:
+    def __init__(
+        self, camera: Camera, partners: Sequence[Camera], options: DepthOptions, shared: SharedMatches | None = None
+    ) -> None:
         self.camera = camera
         self.partners = tuple(partners)
         self.options = options
-        self._whole = DepthEstimator(camera, partners, options)
+        self._whole = DepthEstimator(camera, partners, options, shared=shared)
         self._windows: dict[tuple[int, int, int, int], DepthEstimator] = {}
         self._reference: tuple[NDArray[np.float32], DepthMap] | None = None
 

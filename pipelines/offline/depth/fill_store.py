@@ -1,6 +1,6 @@
 """Fill a depth store: every camera and instant that the online part will ask for."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -20,6 +20,7 @@ from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.sensor.registered_capture import registered
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
+from ggvs_eval.pipelines.offline.stereo.pairwise import SharedMatches
 
 Item = TypeVar("Item")
 MOST_TOGETHER = 12  # cameras whose depth one process computes at once: it holds the maps of all their pairs
@@ -189,8 +190,23 @@ def prepare_depth(
     unchecked = [each for job in missing for each in (job.unchecked, *job.checked_with)]
     if isinstance(options.matcher, LiveMatcher) and options.time.keyframe_every == 1:
         _share_pairs(capture, unchecked, frames, store, options, workers)
-    _in_workers(_run, capture, unchecked, frames, store, options, workers, "depth maps per camera")
-    _in_workers(_check, capture, checked, frames, store, options, workers, "depth held against other cameras")
+    lacking = [job for job in dict.fromkeys(unchecked) if _missing(store, job.key, frames)]
+    groups = _by_camera(lacking, options, as_engine(workers).jobs)
+    run_all(partial(_run, capture, frames, store, options), groups, workers, "depth maps per camera")
+    lacking = [job for job in dict.fromkeys(checked) if _missing(store, job.key, frames)]
+    run_all(partial(_check, capture, frames, store, options), lacking, workers, "depth held against other cameras")
+
+
+def _by_camera(jobs: Sequence[DepthJob], options: DepthOptions, processes: int) -> list[list[DepthJob]]:
+    """Jobs that match one camera together, so that they share its pairs; each by itself where instants depend on each other.
+
+    So are they where there are more processes than cameras: they would wait.
+    """
+    groups: dict[str, list[DepthJob]] = {}
+    for job in jobs:
+        groups.setdefault(job.camera_name if job.partner_names else job.key, []).append(job)
+    shares = options.time.keyframe_every == 1 and not options.time.warm
+    return list(groups.values()) if shares and len(groups) >= processes else [[job] for job in jobs]
 
 
 def _share_pairs(
@@ -234,21 +250,6 @@ def _run_together(
                 store.write(job.key, frame, finish(depth_map, options))
 
 
-def _in_workers(
-    work: Callable[[Capture, Sequence[int], DepthStore, DepthOptions, DepthJob], None],
-    capture: Capture,
-    jobs: Sequence[DepthJob],
-    frames: Sequence[int],
-    store: DepthStore,
-    options: DepthOptions,
-    workers: Workers,
-    title: str,
-) -> None:
-    """Do the missing parts of some jobs, one process each."""
-    missing = [job for job in dict.fromkeys(jobs) if _missing(store, job.key, frames)]
-    run_all(partial(work, capture, frames, store, options), missing, workers, title)
-
-
 def _check(capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
     """Hold what was found for one camera against the others; runs in a worker."""
     key = store.write_spec(job.spec)
@@ -263,30 +264,34 @@ def _check(capture: Capture, frames: Sequence[int], store: DepthStore, options: 
         store.write(key, frame, checked)
 
 
-def _run(capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
-    """Compute the missing frames of one job; runs in a worker."""
-    key = store.write_spec(job.spec)
-    missing = _missing(store, key, frames)
-    if not missing:
+def _run(capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, jobs: Sequence[DepthJob]) -> None:
+    """Compute the missing frames of jobs of one camera, each partner matched once an instant; runs in a worker."""
+    missing = {job: _missing(store, store.write_spec(job.spec), frames) for job in jobs}
+    wanted = set().union(*missing.values())
+    if not wanted:
         return
-    names = (job.camera_name, *job.partner_names)
-    camera, *partners = (capture.camera(name) for name in names)
-    sensor = None if partners else _sensor(capture, camera.name, options)
-    if sensor is not None:
-        for frame in sorted(missing):
-            store.write(key, frame, sensor.at(frame, capture.frame(camera.name, frame)))
+    camera = capture.camera(jobs[0].camera_name)
+    if not jobs[0].partner_names:
+        sensor = _sensor(capture, camera.name, options)
+        for frame in sorted(wanted):
+            nothing = np.zeros((2, camera.height, camera.width), np.float32)
+            found = sensor.at(frame, capture.frame(camera.name, frame)) if sensor else DepthMap(*nothing)
+            store.write(jobs[0].key, frame, found)
         return
-    if not partners:
-        for frame in sorted(missing):
-            store.write(key, frame, DepthMap(*np.zeros((2, camera.height, camera.width), np.float32)))
-        return
-    stream = DepthStream(camera, partners, options)
-    start, stop = options.time.first_needed(min(missing)), max(missing) + 1
+    shared: SharedMatches | None = {} if len(jobs) > 1 else None
+    streams = {job: DepthStream(camera, [capture.camera(name) for name in job.partner_names], options, shared) for job in jobs}
+    names = list(dict.fromkeys([camera.name, *(name for job in jobs for name in job.partner_names)]))
+    start, stop = options.time.first_needed(min(wanted)), max(wanted) + 1
     decoded = [capture.frames(name, start, stop) for name in names]
-    for frame, (image, *partner_images) in zip(range(start, stop), zip(*decoded, strict=True), strict=True):
-        depth_map = stream.step(frame, image, partner_images) if options.time.keyframe_every > 1 or frame in missing else None
-        if depth_map is not None and frame in missing:
-            store.write(key, frame, depth_map)
+    for frame, pictures in zip(range(start, stop), zip(*decoded, strict=True), strict=True):
+        images = dict(zip(names, pictures, strict=True))
+        if shared is not None:
+            shared.clear()
+        for job, stream in streams.items():
+            if options.time.keyframe_every > 1 or frame in missing[job]:
+                depth_map = stream.step(frame, images[camera.name], [images[name] for name in job.partner_names])
+                if frame in missing[job]:
+                    store.write(job.key, frame, depth_map)
 
 
 def _missing(store: DepthStore, key: str, frames: Sequence[int]) -> set[int]:

@@ -7,9 +7,13 @@ import numpy as np
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import RectifiedPair, depth_from_disparity, rectify_each
 from ggvs_eval.pipelines.offline.stereo.fusion import fuse
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
+
+# Depth, confidence and disparity that a matcher found with a partner, by the names of both.
+SharedMatches = dict[tuple[str, str], tuple[Map, Map, Map]]
 
 
 class PairwiseEstimator:
@@ -19,15 +23,25 @@ class PairwiseEstimator:
         partners: those that cannot be rectified with the camera have no opinion.
         error_px: estimates of two partners agree when disparity errors of this size explain their difference.
         warm: tell the matcher of each pair what it found at the call before; the calls must then be consecutive instants.
+        shared: what was found of this instant and camera, by other estimators too; whoever fills it empties it for the next one.
     """
 
     def __init__(
-        self, camera: Camera, partners: Sequence[Camera], matcher: StereoMatcher, error_px: float, warm: bool = False
+        self,
+        camera: Camera,
+        partners: Sequence[Camera],
+        matcher: StereoMatcher,
+        error_px: float,
+        warm: bool = False,
+        shared: SharedMatches | None = None,
     ) -> None:
+        if warm and shared is not None:
+            raise DepthError(f"camera {camera.name}: matches that start from the instant before are not shared; warm is set")
         self.matcher = matcher
         self.error_px = error_px
         self.warm = warm
         self._pairs = rectify_each(camera, partners)
+        self._names, self._shared = [partner.name for partner in partners], shared
         self.forget()
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
@@ -46,6 +60,14 @@ class PairwiseEstimator:
 
     def _match(self, index: int, pair: RectifiedPair, image: Image8, partner_image: Image8) -> tuple[Map, Map, Map]:
         """One partner's depth, confidence and disparity at the camera's pixels, (H, W) each."""
+        if self._shared is None:
+            return self._found(index, pair, image, partner_image)
+        key = self.matcher.name, self._names[index]
+        if key not in self._shared:
+            self._shared[key] = self._found(index, pair, image, partner_image)
+        return self._shared[key]
+
+    def _found(self, index: int, pair: RectifiedPair, image: Image8, partner_image: Image8) -> tuple[Map, Map, Map]:
         left, right = pair.warp_left(image), pair.warp_right(partner_image)
         disparity, confidence = self.matcher.match(left, right, pair.d_min, pair.d_max, self._previous.get(index))
         if self.warm:

@@ -528,10 +528,12 @@ class HostReads(TorchDispatchMode):
 
 def test_nothing_is_read_back_before_the_picture(monkeypatch):
     """Between upload and picture no value and no array goes to the host, nor comes from it, once the tables are made."""
-    method, reads, warm = DeviceGuided(), HostReads(), []
+    method, reads = DeviceGuided(), HostReads()
     compute = DeviceGuided._compute
 
     def watched(*arguments):
+        _, program, before, after, _ = arguments
+        warm = program.warm and before is program.states[1 - after]  # what a GPU records
         with monkeypatch.context() as patch, reads:
             for name in ("numpy", "cpu", "tolist", "item", "__bool__", "__int__", "__float__"):
                 patch.setattr(torch.Tensor, name, lambda *_, name=name, **__: reads.names.append(name))
@@ -541,9 +543,10 @@ def test_nothing_is_read_back_before_the_picture(monkeypatch):
             return compute(*arguments)
 
     monkeypatch.setattr(DeviceGuided, "_compute", watched)
-    for instant in room_instants():
+    for instant in [*room_instants(), *walks()["another size"], *walks()["a lost source"]]:
         method.step(instant)
-        warm.append(instant)
+    for index, instant in enumerate(room_instants(), 3):
+        method.step(replace(instant, index=index, target=instant.target.resized(75, 50)))
     assert reads.names == []
     with reads:  # it would have been seen
         values = torch.arange(3)
@@ -598,8 +601,12 @@ def test_a_gpu_is_given_the_whole_step(gpu_is_the_cpu, monkeypatch, on_device):
         images, depths = ({view.camera.name: getattr(view, what) for view in instant.sources} for what in ("image", "depth"))
         shown = synthesizer.step(images, depths, instant.target)
         np.testing.assert_array_equal(shown.image, there.image)
+    synthesizer.restart()
+    for instant, there in zip(instants, on_device, strict=True):
+        images, depths = ({view.camera.name: getattr(view, what) for view in instant.sources} for what in ("image", "depth"))
+        np.testing.assert_array_equal(synthesizer.show(images, depths, instant.target), quantise(there.image))
     with monkeypatch.context() as patch:
-        patch.setattr(ours, "ON_DEVICE", ())  # contrib/warp was taken away
+        patch.setattr(ours, "STEPS", {})  # contrib/warp was taken away
         assert isinstance(find_method("ours", on_gpu).make(), GeometryGuided)
     monkeypatch.setattr(ours, "find_spec", lambda name: None)
     assert isinstance(find_method("ours", on_gpu).make(), GeometryGuided)

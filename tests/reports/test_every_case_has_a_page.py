@@ -1,0 +1,125 @@
+"""A page in every case: whatever a run lacks, all outputs are written, and the headline says what happened and what to do."""
+
+import html
+import importlib.util
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import pytest
+
+from ggvs_eval.errors import GgvsError
+from ggvs_eval.protocol import Frames
+from ggvs_eval.reports.figures.paper_figures import write_figure
+from ggvs_eval.reports.page.leaderboard import write_leaderboard
+from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.tracking import track_results
+from ggvs_eval.results import Results
+from helpers.run_folders import RunShape, write_run
+
+pytestmark = pytest.mark.slow
+
+LABELS = ("late", "ours-geometric")
+NAMES = (("late", "late"), ("ours-geometric", "Ours (geometric weights)"))
+WHOLE = RunShape(frames=Frames(0, 4), labels=LABELS, names=NAMES, metrics=("PSNR", "SSIM", "TCC", "SDT", "SDV"))
+LATE = ("frame offset", "certain", "frame t shows instant t-1: motion", "renumber the frames by -1: counted from 0?", "late")
+
+
+def mark_faulty(results: Results) -> Results:
+    """Every method with a certain fault."""
+    faults = [[label, "room", "cam00", *LATE] for label in dict.fromkeys(results.row_labels)]
+    return replace(results, provenance=results.provenance | {"faults": faults})
+
+
+def mark_partial(results: Results) -> Results:
+    """Every method without some frames."""
+    marks = {label: "partial in room: 1 of 2 views complete" for label in dict.fromkeys(results.row_labels)}
+    return replace(results, provenance=results.provenance | {"partial": marks})
+
+
+def measure_nothing(results: Results) -> Results:
+    """No value of any metric."""
+    reasons = dict.fromkeys(WHOLE.metrics, "its weights are absent")
+    return replace(results, table=results.table.iloc[:0], not_computed=reasons)
+
+
+def keep(results: Results) -> Results:
+    return results
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a run lacks: its shape, what is done to its results, and what the headline must say."""
+
+    shape: dict[str, object]
+    edit: Callable[[Results], Results] = keep
+    headline: str = ""
+
+
+CASES = {
+    "all at fault": Case({}, mark_faulty, "Nothing is ranked: late shows every frame one instant late"),
+    "all partial": Case({}, mark_partial, "Nothing is ranked: late is partial in room: 1 of 2 views complete"),
+    "one frame": Case({"frames": Frames(0, 1)}),
+    "one view": Case({"views": ("cam00",)}),
+    "one method": Case({"labels": ("late",)}),
+    "nothing measured": Case({}, measure_nothing, "Nothing is ranked: PSNR was not computed, its weights are absent"),
+    "no path": Case({"poses": 0}),
+}
+EDITS = ("all at fault", "all partial", "nothing measured")
+
+
+def crosses() -> list[tuple[str, ...]]:
+    """Each case alone, each two that can meet, and a still of one view by one method."""
+    pairs = [pair for pair in combinations(CASES, 2) if not {*pair} <= {*EDITS}]
+    return (
+        [(name,) for name in CASES]
+        + pairs
+        + [("one frame", "one view", "one method", "no path", *each) for each in ((), *zip(EDITS))]
+    )
+
+
+@pytest.mark.parametrize("names", crosses(), ids=" + ".join)
+def test_every_output_is_written_and_says_what_happened(tmp_path, names):
+    """Page, Markdown, LaTeX, CSV, Excel, leaderboard, trackers; a figure is drawn, or refused with a reason in one line."""
+    shape = WHOLE
+    for name in names:
+        shape = replace(shape, **CASES[name].shape)
+    root = write_run(tmp_path / "run", shape)
+    results = Results.read(root)
+    for name in names:
+        results = CASES[name].edit(results)
+    results.write(root)
+
+    page = write_report([root])
+    text = html.unescape(page.read_text(encoding="utf-8"))
+    headline = re.search(r'<p class="headline">(.*?)</p>', text, re.DOTALL)[1]
+    assert headline
+    for name in names:
+        assert CASES[name].headline in headline
+    if "all at fault" in names:
+        assert '<p class="margin">Renumber the frames by -1.</p>' in text
+        assert "is best" not in headline
+    for kind in ("md", "tex", "csv"):
+        assert (page.parent / f"tables.{kind}").stat().st_size > 0
+    if importlib.util.find_spec("openpyxl"):
+        assert (page.parent / "tables.xlsx").stat().st_size > 0
+    board = html.unescape(write_leaderboard([root], tmp_path / "board.html").read_text(encoding="utf-8"))
+    assert "Nothing is ranked" in board if headline.startswith("Nothing is ranked") else "<table" in board
+    if importlib.util.find_spec("tensorboardX"):
+        track_results([root], "tensorboard", tmp_path / "tracked")
+    for kind in ("crops", "failures", "epi", "time"):
+        with refused_in_one_line():
+            assert write_figure(root, kind, tmp_path / f"{kind}.png", rule="worst")[0].is_file()
+
+
+@contextmanager
+def refused_in_one_line() -> Iterator[None]:
+    """What cannot be done is refused in one line with something to do."""
+    refusal = ""
+    try:
+        yield
+    except GgvsError as error:
+        refusal = str(error)
+    assert re.fullmatch(r"(.+[;.] .+)?", refusal)
