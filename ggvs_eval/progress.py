@@ -24,7 +24,8 @@ def track(items: Iterable[Item], description: str, total: int | None = None) -> 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"))
     console = Console(stderr=True)
     if total == 0 or (isinstance(items, Sized) and not len(items)):
-        return  # a bar or a line of nothing says nothing
+        yield from items  # in silence: a line of nothing says nothing, and a count may have been rounded down
+        return
     if not console.is_terminal:
         yield from _with_lines(items, description, len(items) if total is None and isinstance(items, Sized) else total)
         return

@@ -10,12 +10,12 @@ from itertools import combinations
 
 import pytest
 
+from ggvs_eval.contrib.export.tracking import track_results
 from ggvs_eval.errors import GgvsError
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.figures.paper_figures import write_figure
 from ggvs_eval.reports.page.leaderboard import write_leaderboard
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.tracking import track_results
 from ggvs_eval.results import Results
 from helpers.run_folders import RunShape, write_run
 
