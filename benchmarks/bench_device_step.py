@@ -156,7 +156,7 @@ def _least_bytes(method: DeviceGuided, instants: Sequence[Instant], numbers: Ite
 
 @contextmanager
 def _watched(seen: Callable[[str, list[torch.Tensor]], None]) -> Iterator[None]:
-    """Within, every launch of the package's kernels is told."""
+    """Within, `seen` hears of every launch of the package's kernels."""
     import importlib
     import pkgutil
 
@@ -164,13 +164,13 @@ def _watched(seen: Callable[[str, list[torch.Tensor]], None]) -> Iterator[None]:
     users = [module for module in modules if hasattr(module, "launch")]
     launch = users[0].launch
 
-    def told(kernel: Any, size: Any, *arguments: Any, **options: Any) -> None:
+    def watched(kernel: Any, size: Any, *arguments: Any, **options: Any) -> None:
         places = {each.data_ptr(): each for each in arguments if isinstance(each, torch.Tensor)}
         seen(kernel.key, list(places.values()))
         launch(kernel, size, *arguments, **options)
 
     for module in users:
-        module.launch = told  # type: ignore[attr-defined]
+        module.launch = watched  # type: ignore[attr-defined]
     try:
         yield
     finally:

@@ -1,6 +1,6 @@
 """Finish and cross-check of found depth, a kernel for each thought; `device_maps` of the package is the same in torch.
 
-Maps are stacks (K, H, W), 0 where depth is unknown. Points that meet in a pixel are told apart by the smallest depth, whose bits
+Maps are stacks (K, H, W), 0 where depth is unknown. Points that meet in a pixel are decided by the smallest depth, whose bits
 sort as the numbers do: whichever comes first, the outcome is the same.
 """
 
@@ -11,6 +11,7 @@ import warp as wp
 from torch import Tensor
 
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch, on_current_stream
+from ggvs_eval.contrib.warp.registration import is_inside
 from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 
@@ -121,12 +122,6 @@ def moved(m: wp.array[wp.float32], u: wp.float32, v: wp.float32, depth: wp.float
     return wp.vec3f(x / z, y / z, z)
 
 
-@wp.func
-def inside(at: wp.vec3f, width: wp.int32, height: wp.int32) -> wp.bool:
-    """Tell whether a point lies before a camera, and in its image."""
-    return at[2] > 0.0 and at[0] >= 0.0 and at[0] < wp.float32(width) and at[1] >= 0.0 and at[1] < wp.float32(height)
-
-
 @wp.struct
 class Limits:
     """What counts as agreement, see `ConsistencyOptions`."""
@@ -197,7 +192,7 @@ def evaluate(
     for shift in range(1, views):
         other = (k + shift) % views
         at = moved(between[k, other], u, v, depth)
-        if depth > 0.0 and inside(at, width, height):
+        if depth > 0.0 and is_inside(at, width, height):
             there = look_up(maps[other], at, limits.error_share)
             if there > 0.0:
                 back = moved(between[other, k], at[0], at[1], there)
@@ -262,7 +257,7 @@ def project(maps: wp.array3d[wp.float32], between: wp.array3d[wp.float32], layer
     other = (k + n + 1) % maps.shape[0]
     depth = maps[other, y, x]
     at = moved(between[other, k], wp.float32(x) + 0.5, wp.float32(y) + 0.5, depth)
-    if depth > 0.0 and inside(at, maps.shape[2], maps.shape[1]):
+    if depth > 0.0 and is_inside(at, maps.shape[2], maps.shape[1]):
         wp.atomic_min(layers, n, k, wp.int32(at[1]), wp.int32(at[0]), wp.cast(at[2], wp.int32))
 
 

@@ -242,6 +242,18 @@ def block_median(
     return median
 
 
+@wp.func
+def weight_in_round(r: wp.int32, residual: wp.float64):
+    """A look's weight in a round of robust least squares: all alike first, then Huber's up to four times the noise."""
+    weight = wp.float64(1.0)
+    if r > 0:
+        size = wp.abs(residual)
+        weight = wp.float64(1e-9)
+        if size < wp.float64(4.0) * _NOISE:
+            weight = _NOISE / wp.max(size, _NOISE)
+    return weight
+
+
 @wp.kernel
 def pair_slopes(
     looks: wp.array3d[wp.float32], flags: wp.array2d[wp.int32], lens: wp.array[wp.float64], out: wp.array2d[wp.float64]
@@ -272,12 +284,7 @@ def pair_slopes(
             if flags[pair, i] == 2:
                 x = wp.float64(looks[pair, 3, i]) / lens[0]
                 y = wp.float64(combined(looks, pair, 3, 0.0, i)) - median
-                w = wp.float64(1.0)
-                if r > 0:
-                    residual = wp.abs((y - mean_y) - slope * (x - mean_x))
-                    w = wp.float64(1e-9)
-                    if residual < wp.float64(4.0) * _NOISE:
-                        w = _NOISE / wp.max(residual, _NOISE)
+                w = weight_in_round(r, (y - mean_y) - slope * (x - mean_x))
                 s0 += w
                 sx += w * x
                 sy += w * y
@@ -293,12 +300,7 @@ def pair_slopes(
             if flags[pair, i] == 2:
                 x = wp.float64(looks[pair, 3, i]) / lens[0]
                 y = wp.float64(combined(looks, pair, 3, 0.0, i)) - median
-                w = wp.float64(1.0)
-                if r > 0:
-                    residual = wp.abs((y - mean_y) - slope * (x - mean_x))
-                    w = wp.float64(1e-9)
-                    if residual < wp.float64(4.0) * _NOISE:
-                        w = _NOISE / wp.max(residual, _NOISE)
+                w = weight_in_round(r, (y - mean_y) - slope * (x - mean_x))
                 sxx += w * (x - new_x) * (x - new_x)
                 sxy += w * (x - new_x) * (y - new_y)
         txx = wp.tile_sum(wp.tile(sxx))

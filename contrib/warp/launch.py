@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-wp.config.log_level = wp.LOG_WARNING  # it tells of its devices otherwise, into whatever a command prints
+wp.config.log_level = wp.LOG_WARNING  # otherwise it lists its devices in whatever a command prints
 wp.init()
 
 # No gradients pass, and products are rounded before they are added, as the compiled kernels do: ties are then decided alike.
@@ -84,7 +84,7 @@ class WorkStream:
 
     @contextmanager
     def recording(self, graph: torch.cuda.CUDAGraph, pool: Any) -> Iterator[None]:
-        """Within, what is launched is recorded and not run; Warp is told, so that its sorts allocate within the graph."""
+        """Within, what is launched is recorded and not run; Warp knows it, so that its sorts allocate within the graph."""
         with torch.cuda.graph(graph, pool=pool, stream=self.stream, capture_error_mode="thread_local"):
             wp.capture_begin(stream=self._of_warp, external=True)
             try:

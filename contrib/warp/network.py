@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch, vec8, wide_access
+from ggvs_eval.contrib.warp.tables import corners_around, enlarged_place
 from ggvs_eval.pipelines.online import refiner as rules
 from ggvs_eval.pipelines.online.blend_network import BlendNetwork
 from ggvs_eval.pipelines.online.unet import LEVELS, margins
@@ -167,21 +168,14 @@ def kernels_of(kind: Any) -> SimpleNamespace:
             out[y, x, c] = kind(normal(wp.float32(skip[row, column, c]), skip_stats, skip_gains, c))
         else:
             d = c - skip.shape[2]
-            v = wp.max(0.5 * wp.float32(row) - 0.25, 0.0)
-            u = wp.max(0.5 * wp.float32(column) - 0.25, 0.0)
-            y0 = wp.int32(v)
-            x0 = wp.int32(u)
-            y1 = wp.min(y0 + 1, below.shape[0] - 1)
-            x1 = wp.min(x0 + 1, below.shape[1] - 1)
-            fy = v - wp.float32(y0)
-            fx = u - wp.float32(x0)
-            a = normal(wp.float32(below[y0, x0, d]), below_stats, below_gains, d)
-            b = normal(wp.float32(below[y0, x1, d]), below_stats, below_gains, d)
-            e = normal(wp.float32(below[y1, x0, d]), below_stats, below_gains, d)
-            f = normal(wp.float32(below[y1, x1, d]), below_stats, below_gains, d)
-            upper = (1.0 - fx) * a + fx * b
-            lower = (1.0 - fx) * e + fx * f
-            out[y, x, c] = kind((1.0 - fy) * upper + fy * lower)
+            n = corners_around(enlarged_place(row, 0.5), enlarged_place(column, 0.5), below.shape[0], below.shape[1])
+            a = normal(wp.float32(below[n.y0, n.x0, d]), below_stats, below_gains, d)
+            b = normal(wp.float32(below[n.y0, n.x1, d]), below_stats, below_gains, d)
+            e = normal(wp.float32(below[n.y1, n.x0, d]), below_stats, below_gains, d)
+            f = normal(wp.float32(below[n.y1, n.x1, d]), below_stats, below_gains, d)
+            upper = (1.0 - n.fx) * a + n.fx * b
+            lower = (1.0 - n.fx) * e + n.fx * f
+            out[y, x, c] = kind((1.0 - n.fy) * upper + n.fy * lower)
 
     @wp.kernel(module="unique")
     def small_outputs(
@@ -281,20 +275,13 @@ def kernels_of(kind: Any) -> SimpleNamespace:
         front[4] = wp.clamp(_DEPTH_GAIN / 2.0 * (high5 - low5), -1.0, 1.0)
         front[5] = wp.clamp(_CONTRAST_GAIN * (high - low), -1.0, 1.0)
         per = 1.0 / wp.float32(scale)
-        sv = wp.max((wp.float32(y) + 0.5) * per - 0.5, 0.0)
-        su = wp.max((wp.float32(x) + 0.5) * per - 0.5, 0.0)
-        y0 = wp.int32(sv)
-        x0 = wp.int32(su)
-        y1 = wp.min(y0 + 1, small.shape[0] - 1)
-        x1 = wp.min(x0 + 1, small.shape[1] - 1)
-        fy = sv - wp.float32(y0)
-        fx = su - wp.float32(x0)
+        n = corners_around(enlarged_place(y, per), enlarged_place(x, per), small.shape[0], small.shape[1])
         back = vec8()
         for c in range(8):
             s = first + c
-            upper = (1.0 - fx) * small[y0, x0, s] + fx * small[y0, x1, s]
-            lower = (1.0 - fx) * small[y1, x0, s] + fx * small[y1, x1, s]
-            value = (1.0 - fy) * upper + fy * lower
+            upper = (1.0 - n.fx) * small[n.y0, n.x0, s] + n.fx * small[n.y0, n.x1, s]
+            lower = (1.0 - n.fx) * small[n.y1, n.x0, s] + n.fx * small[n.y1, n.x1, s]
+            value = (1.0 - n.fy) * upper + n.fy * lower
             if c < 2:
                 front[6 + c] = value
             else:

@@ -10,7 +10,7 @@ from ggvs_eval.contrib.warp.constants import FAR, StepConstants
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch
 from ggvs_eval.contrib.warp.network import DeviceNetwork
 from ggvs_eval.contrib.warp.splat import DeviceSplats
-from ggvs_eval.contrib.warp.tables import Tables, masked_median
+from ggvs_eval.contrib.warp.tables import Corners, Tables, corners_around, enlarged_place, masked_median
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.pipelines.online import refiner
 from ggvs_eval.pipelines.online.blend_network import SURE
@@ -297,6 +297,13 @@ def mean_of_views(
     covered[y, x] = covers
 
 
+@wp.func
+def blended(small: wp.array3d[wp.float32], q: Corners, channel: wp.int32):
+    """A channel of a small map (h, w, C) between the four corners."""
+    upper = (1.0 - q.fy) * (1.0 - q.fx) * small[q.y0, q.x0, channel] + (1.0 - q.fy) * q.fx * small[q.y0, q.x1, channel]
+    return upper + q.fy * (1.0 - q.fx) * small[q.y1, q.x0, channel] + q.fy * q.fx * small[q.y1, q.x1, channel]
+
+
 @wp.kernel
 def compose(
     colours: wp.array4d[wp.float32],
@@ -316,18 +323,7 @@ def compose(
     y, x = wp.tid()
     views = coverage.shape[0]
     per = 1.0 / wp.float32(scale)
-    sv = wp.max((wp.float32(y) + 0.5) * per - 0.5, 0.0)
-    su = wp.max((wp.float32(x) + 0.5) * per - 0.5, 0.0)
-    y0 = wp.int32(sv)
-    x0 = wp.int32(su)
-    y1 = wp.min(y0 + 1, small.shape[0] - 1)
-    x1 = wp.min(x0 + 1, small.shape[1] - 1)
-    fy = sv - wp.float32(y0)
-    fx = su - wp.float32(x0)
-    a = (1.0 - fy) * (1.0 - fx)
-    b = (1.0 - fy) * fx
-    c = fy * (1.0 - fx)
-    d = fy * fx
+    q = corners_around(enlarged_place(y, per), enlarged_place(x, per), small.shape[0], small.shape[1])
     total = wp.float32(0.0)
     visible = wp.float32(0.0)
     shown = wp.float32(0.0)
@@ -335,7 +331,7 @@ def compose(
     for k in range(views):
         n = places[k]
         if n >= 0:
-            w = a * small[y0, x0, n] + b * small[y0, x1, n] + c * small[y1, x0, n] + d * small[y1, x1, n]
+            w = blended(small, q, n)
             w *= coverage[k, y, x]
             total += w
             shown += coverage[k, y, x]
@@ -343,12 +339,12 @@ def compose(
             sums += w * wp.vec3f(colours[k, 0, y, x], colours[k, 1, y, x], colours[k, 2, y, x])
     bounded = wp.max(total, _LEAST_WEIGHT)
     unseen = wp.clamp(1.0 - wp.min(visible, 1.0), _SURE, 1.0 - _SURE)
-    sure = a * small[y0, x0, views] + b * small[y0, x1, views] + c * small[y1, x0, views] + d * small[y1, x1, views]
+    sure = blended(small, q, views)
     behind = 1.0 / (1.0 + wp.exp(-(sure + wp.log(unseen / (1.0 - unseen)))))
     here = wp.vec3f()
     for i in range(3):
         s = views + 1 + i
-        change = a * small[y0, x0, s] + b * small[y0, x1, s] + c * small[y1, x0, s] + d * small[y1, x1, s]
+        change = blended(small, q, s)
         other = wp.clamp(background[i, y, x] + change, 0.0, 1.0)
         front = sums[i] / bounded
         here[i] = front + behind * (other - front)
@@ -357,7 +353,7 @@ def compose(
     for k in range(views):
         n = places[k]
         if n >= 0:
-            w = a * small[y0, x0, n] + b * small[y0, x1, n] + c * small[y1, x0, n] + d * small[y1, x1, n]
+            w = blended(small, q, n)
             off = wp.vec3f(colours[k, 0, y, x], colours[k, 1, y, x], colours[k, 2, y, x]) - here
             squares += w * coverage[k, y, x] * (wp.dot(off, off) / 3.0)
     spread[y, x] = _COLOUR_GAIN * wp.sqrt(squares / bounded)

@@ -11,7 +11,7 @@ from ggvs_eval.contrib.warp.constants import SAME_SURFACE, SHOWN, StepConstants
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch
 from ggvs_eval.contrib.warp.registration import is_inside, surface_in_view, visibility_of
 from ggvs_eval.contrib.warp.splat import DeviceSplats
-from ggvs_eval.contrib.warp.tables import Tables, enlarged, falling, masked_median
+from ggvs_eval.contrib.warp.tables import Corners, Tables, corners_around, enlarged, falling, masked_median
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.pipelines.online import recurrent_output, remembered_background
 from ggvs_eval.pipelines.online import stillness as rules
@@ -83,31 +83,12 @@ def take_depths(
     out[k, y, x] = depths[k, rows[k, y], columns[k, x]]
 
 
-@wp.struct
-class Corners:
-    """The four pixels around a place in an image, and its share of the right and of the lower ones."""
-
-    x0: wp.int32
-    x1: wp.int32
-    y0: wp.int32
-    y1: wp.int32
-    fx: wp.float32
-    fy: wp.float32
-
-
 @wp.func
 def corners_of(at: wp.vec3f, width: wp.int32, height: wp.int32) -> Corners:
     """Corners for a bilinear look-up; the border is repeated."""
     column = wp.min(wp.max(at[0] - 0.5, 0.0), wp.float32(width - 1))
     row = wp.min(wp.max(at[1] - 0.5, 0.0), wp.float32(height - 1))
-    found = Corners()
-    found.x0 = wp.int32(column)
-    found.y0 = wp.int32(row)
-    found.x1 = wp.min(found.x0 + 1, width - 1)
-    found.y1 = wp.min(found.y0 + 1, height - 1)
-    found.fx = column - wp.float32(found.x0)
-    found.fy = row - wp.float32(found.y0)
-    return found
+    return corners_around(row, column, height, width)
 
 
 @wp.func

@@ -192,17 +192,43 @@ def falling(value: wp.float32, first: wp.float32, last: wp.float32) -> wp.float3
     return wp.clamp((last - value) / (last - first), 0.0, 1.0)
 
 
+@wp.struct
+class Corners:
+    """The four pixels around a place in an image, and its share of the right and of the lower ones."""
+
+    x0: wp.int32
+    x1: wp.int32
+    y0: wp.int32
+    y1: wp.int32
+    fx: wp.float32
+    fy: wp.float32
+
+
+@wp.func
+def corners_around(row: wp.float32, column: wp.float32, height: wp.int32, width: wp.int32) -> Corners:
+    """Corners of a place in pixels, 0 in the middle of the first; the last pixel repeats beyond the image."""
+    found = Corners()
+    found.y0 = wp.min(wp.int32(row), height - 1)
+    found.x0 = wp.min(wp.int32(column), width - 1)
+    found.y1 = wp.min(found.y0 + 1, height - 1)
+    found.x1 = wp.min(found.x0 + 1, width - 1)
+    found.fy = row - wp.float32(found.y0)
+    found.fx = column - wp.float32(found.x0)
+    return found
+
+
+@wp.func
+def enlarged_place(pixel: wp.int32, step: wp.float32) -> wp.float32:
+    """Where a pixel of an enlarged image lies in the small one, whose pixels are `step` of those apart, as torch enlarges."""
+    return wp.max((wp.float32(pixel) + 0.5) * step - 0.5, 0.0)
+
+
 @wp.func
 def enlarged(maps: wp.array2d[wp.float32], h: wp.int32, w: wp.int32, y: wp.int32, x: wp.int32, height: wp.int32, width: wp.int32):
     """Bilinear value of a small map (h, w) at a pixel of a larger one (height, width), as torch enlarges."""
-    v = wp.max((wp.float32(y) + 0.5) * (wp.float32(h) / wp.float32(height)) - 0.5, 0.0)
-    u = wp.max((wp.float32(x) + 0.5) * (wp.float32(w) / wp.float32(width)) - 0.5, 0.0)
-    y0 = wp.min(wp.int32(v), h - 1)
-    x0 = wp.min(wp.int32(u), w - 1)
-    y1 = wp.min(y0 + 1, h - 1)
-    x1 = wp.min(x0 + 1, w - 1)
-    fy = v - wp.float32(y0)
-    fx = u - wp.float32(x0)
-    upper = (1.0 - fx) * maps[y0, x0] + fx * maps[y0, x1]
-    lower = (1.0 - fx) * maps[y1, x0] + fx * maps[y1, x1]
-    return (1.0 - fy) * upper + fy * lower
+    v = enlarged_place(y, wp.float32(h) / wp.float32(height))
+    u = enlarged_place(x, wp.float32(w) / wp.float32(width))
+    n = corners_around(v, u, h, w)
+    upper = (1.0 - n.fx) * maps[n.y0, n.x0] + n.fx * maps[n.y0, n.x1]
+    lower = (1.0 - n.fx) * maps[n.y1, n.x0] + n.fx * maps[n.y1, n.x1]
+    return (1.0 - n.fy) * upper + n.fy * lower

@@ -121,5 +121,5 @@ def _refused(path: Path, reason: str) -> NotPlainError:
 
 
 def ffmpeg_name(path: Path) -> str:
-    """A path as FFmpeg takes it: what stands before a colon in a relative one would be a protocol."""
+    """A path as FFmpeg takes it: what precedes a colon in a relative one would be a protocol."""
     return os.path.abspath(path)
