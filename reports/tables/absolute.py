@@ -79,7 +79,9 @@ def _conditions(run: MeasuredRun) -> list[Condition]:
     found = []
     if agreeing := _agreeing_shares(run):
         apart = 1.0 - float(np.mean(agreeing))
-        found.append(Condition(apart, 0.1, 0.25, f"{apart:.0%} of the pixels have no depth that the other cameras confirm"))
+        found.append(
+            Condition(apart, 0.1, 0.25, f"{100 * apart:.0f} % of the pixels have no depth that the other cameras confirm")
+        )
     file = run.folder.capture_path() / "calibration.json" if "path" in run.capture else None
     calibration = read_json(file) if file and file.is_file() else {}
     if points := calibration.get("n_points"):
@@ -91,7 +93,7 @@ def _conditions(run: MeasuredRun) -> list[Condition]:
     masks = [read_image(frame_path(folder, first[0])) > 0 for folder in folders if not missing_frames(folder, first)]
     if masks:
         unseen = float(np.mean([mask.mean() for mask in masks]))
-        found.append(Condition(unseen, 0.05, 0.15, f"{unseen:.0%} of the test views are seen by no source camera"))
+        found.append(Condition(unseen, 0.05, 0.15, f"{100 * unseen:.0f} % of the test views are seen by no source camera"))
     return found
 
 

@@ -105,11 +105,11 @@ def test_a_number_stands_beside_what_is_known(tmp_path):
 @pytest.mark.parametrize(
     ("agreeing", "points", "off_px", "unseen", "words"),
     [
-        (0.95, 5000, 0.4, 0, "Depth and cameras are good: 5% of the pixels"),
+        (0.95, 5000, 0.4, 0, "Depth and cameras are good: 5 % of the pixels"),
         (0.95, 5000, 0.9, 0, "Depth and cameras are fair: the calibration leaves 0.90 px."),
         (0.95, 212, 0.4, 0, "Depth and cameras are poor: the cameras were calibrated from 212 points."),
-        (0.69, 5000, 0.4, 0, "Depth and cameras are poor: 31% of the pixels have no depth that the other cameras confirm."),
-        (0.95, 5000, 0.4, 255, "Depth and cameras are poor: 100% of the test views are seen by no source camera."),
+        (0.69, 5000, 0.4, 0, "Depth and cameras are poor: 31 % of the pixels have no depth that the other cameras confirm."),
+        (0.95, 5000, 0.4, 255, "Depth and cameras are poor: 100 % of the test views are seen by no source camera."),
     ],
 )
 def test_a_word_for_what_pictures_were_made_from_has_its_reason(tmp_path, agreeing, points, off_px, unseen, words):
