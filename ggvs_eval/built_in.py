@@ -324,6 +324,8 @@ CONVENTIONS = {
 }
 
 # The online step, the finish of found depth, and training samples, where another device computes them.
-DEVICE_STEPS = {"warp": "ggvs_eval.contrib.warp.step:DeviceGuided"}
-DEVICE_FINISHES = {"warp": "ggvs_eval.contrib.warp.depth:finish_maps"}
-DEVICE_SAMPLES = {"warp": "ggvs_eval.contrib.warp.sampling:sampled_maps"}
+DEVICE_PARTS = {
+    "online step": "ggvs_eval.contrib.warp.step:DeviceGuided",
+    "depth finish": "ggvs_eval.contrib.warp.depth:finish_maps",
+    "training samples": "ggvs_eval.contrib.warp.sampling:sampled_maps",
+}

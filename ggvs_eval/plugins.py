@@ -23,6 +23,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, Literal, TypeVar, get_args
 
+from ggvs_eval.built_in import DEVICE_PARTS as SHIPPED_DEVICE_PARTS
 from ggvs_eval.built_in import Derived
 from ggvs_eval.errors import AbsentPartError, GgvsError, PluginError
 
@@ -57,6 +58,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             for itself.
         check: makes an object of what a plug-in offers; raises `TypeError` where that is of another kind.
         absent: makes of a name and the reason what stands in for one that is not installed; without, that is an error.
+        needs: the module of another project that what ships here imports.
     """
 
     def __init__(
@@ -65,11 +67,13 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         shipped: Mapping[str, Any],
         check: Callable[[str, Any], Entry] | None = None,
         absent: Callable[[str, str], Entry] | None = None,
+        needs: str = "",
     ) -> None:
         self.shipped = dict(shipped)
         self._kind = kind
         self._check = check
         self._absent = absent
+        self._needs = needs
         self._loaded: dict[str, Entry] = {}
         self._made: dict[Derived, Any] = {}
 
@@ -124,7 +128,11 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     def why_absent(self, name: str) -> str:
         """The reason why a name that ships is not there, in a line; empty where it is there, or does not ship."""
-        module = self.root(name) if name in self.shipped else None
+        if name not in self.shipped:
+            return ""
+        if self._needs and not is_installed(self._needs):
+            return f"{name} wants the module {self._needs}, which is not installed; install it or leave {name} out"
+        module = self.root(name)
         part = module and missing_part(module)
         return f"{name} is part of {part}, which is not installed; reinstall ggvs-eval or leave it out" if part else ""
 
@@ -201,7 +209,13 @@ def missing_part(module: str) -> str | None:
     above = module.rpartition(".")[0]
     if above and (part := missing_part(above)):
         return part
-    return None if find_spec(module) else module
+    return None if is_installed(module) else module
+
+
+def is_installed(module: str) -> bool:
+    """True if a module can be imported; a mere folder of its name, which Python takes for a namespace, is none."""
+    spec = find_spec(module)
+    return spec is not None and spec.origin is not None
 
 
 def imported(reference: str) -> Any:
@@ -279,3 +293,7 @@ def _reason(error: BaseException) -> str:
 @cache
 def _say_once(line: str) -> None:
     print(f"ggvs-eval: {line}", file=sys.stderr, flush=True)
+
+
+# What contrib's warp gives on a GPU, where NVIDIA Warp and contrib are there.
+DEVICE_PARTS: Registry[Any] = Registry("device parts", SHIPPED_DEVICE_PARTS, needs="warp")

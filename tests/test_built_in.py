@@ -96,3 +96,15 @@ def test_a_protocol_of_the_user_may_not_name_what_is_not_installed(tmp_path, mon
     file.write_text(replace(packaged, name="mine").to_toml())
     with pytest.raises(ProtocolError, match=r"mine\.toml: measurement\.metrics: PSNR_cc is part of ggvs_eval\.contrib\.wings"):
         asked_protocol(str(file))
+
+
+def test_a_folder_of_that_name_is_not_the_module_that_is_needed(tmp_path, monkeypatch):
+    """Python takes any folder on its path for a namespace package; what needs a module stays absent and says so."""
+    (tmp_path / "wings").mkdir()
+    monkeypatch.syspath_prepend(tmp_path)
+    parts = Registry("parts", {"flight": "ggvs_eval.built_in:METRICS"}, needs="wings")
+    assert "flight" not in parts
+    with pytest.raises(AbsentPartError, match="flight wants the module wings, which is not installed"):
+        parts["flight"]
+    (tmp_path / "wings" / "__init__.py").touch()
+    assert "flight" in parts

@@ -1,13 +1,11 @@
 """The paper's method and its ablations, with trained and with geometric weights."""
 
 from functools import partial
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from ggvs_eval.built_in import DEVICE_STEPS
 from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
-from ggvs_eval.plugins import Registry
+from ggvs_eval.plugins import DEVICE_PARTS
 
 if TYPE_CHECKING:
     from ggvs_eval.pipelines.online.blend_maps import Guidance
@@ -15,8 +13,7 @@ if TYPE_CHECKING:
 ONLINE = "ggvs_eval.pipelines.online"
 GEOMETRIC = (f"{ONLINE}.geometry_guided", f"{ONLINE}.blending")
 LEARNED = (f"{ONLINE}.geometry_guided", f"{ONLINE}.network_blender")
-STEPS: Registry[Any] = Registry("device steps", DEVICE_STEPS)
-ON_DEVICE = tuple(filter(None, map(STEPS.root, STEPS)))
+ON_DEVICE = tuple(filter(None, (DEVICE_PARTS.root("online step"),))) if "online step" in DEVICE_PARTS else ()
 OFFLINE = (f"{ONLINE}.whole_sequence",)
 
 # What the paper does not have, as the table of differences says it.
@@ -50,8 +47,8 @@ def _learned(options: Any = None, guidance: "Guidance" = "registered", device: s
 
     The one place that chooses: on a GPU with Warp (``ggvs-eval[gpu]``) every stage computes there, without it the network alone.
     """
-    if device != "cpu" and find_spec("warp") and "warp" in STEPS:
-        on_device = STEPS["warp"]
+    if device != "cpu" and "online step" in DEVICE_PARTS:
+        on_device = DEVICE_PARTS["online step"]
         if on_device.covers(options, guidance):
             return on_device(options, guidance, device)
     from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided

@@ -1,6 +1,5 @@
 """The training of one network as it is asked for: samples in place, steps, the card."""
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import torch
@@ -16,6 +15,7 @@ from ggvs_eval.pipelines.training.samples.sample_kinds import BlendKind
 from ggvs_eval.pipelines.training.samples.training_data import prepare_samples, sample_pools
 from ggvs_eval.pipelines.training.stereo import stereo_task
 from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
+from ggvs_eval.plugins import DEVICE_PARTS
 from ggvs_eval.training.card import write_card
 from ggvs_eval.training.loop import train
 from ggvs_eval.training.task import Schedule, Task
@@ -58,7 +58,7 @@ def planned_task(what: str, cache: Path, request: TrainingRequest) -> Task:
 
 def sample_device(request: TrainingRequest) -> str:
     """Device of the blending network's samples: that of its training if NVIDIA Warp is installed, else on the CPU."""
-    return str(compute_device(request.device)) if find_spec("warp") else "cpu"
+    return str(compute_device(request.device)) if "training samples" in DEVICE_PARTS else "cpu"
 
 
 def sample_workers(device: str) -> int:

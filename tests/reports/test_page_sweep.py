@@ -59,11 +59,11 @@ def test_table_of_a_sweep_sorts(started, page):
     """A head of its table sorts the lines best first, by quality and by time."""
     started.visit(page)
     rows = "[...document.querySelectorAll('#sweep0 tbody tr')].map(row => row.cells[0].textContent)"
-    by_quality = [f"{method}, {variant}" for variant, method, *_ in sorted(LINES, key=lambda line: -line[2])]
+    by_quality = [f"{method}, K = {variant[1:]}" for variant, method, *_ in sorted(LINES, key=lambda line: -line[2])]
     started.click("#sweep0 thead th:nth-child(2) .sort")
     assert started.run(rows) == by_quality
     started.click("#sweep0 thead th:nth-child(3) .sort")
-    assert started.run(rows)[:2] == ["Ours, k2", "No Blending, k2"]
+    assert started.run(rows)[:2] == ["Ours, K = 2", "No Blending, K = 2"]
     assert started.complaints() == []
 
 

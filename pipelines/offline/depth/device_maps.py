@@ -8,18 +8,15 @@ bits; of pixels that a comparison decides a few are decided otherwise.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec
-from typing import Any
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ggvs_eval.built_in import DEVICE_FINISHES
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import LEAST_SLOPE, UNCHECKED, ConsistencyOptions
 from ggvs_eval.pipelines.offline.itermvs.estimator import Finish
-from ggvs_eval.plugins import Registry
+from ggvs_eval.plugins import DEVICE_PARTS
 
 Maps = tuple[Tensor, Tensor]  # depth and confidence
 
@@ -29,10 +26,9 @@ def finisher(options: DepthOptions) -> Finish:
 
     On a GPU by kernels where Warp and contrib's part are there: 24 ms of four maps of 1024x768 become a few.
     """
-    finishes: Registry[Any] = Registry("device finishes", DEVICE_FINISHES)
     on_gpu = getattr(options.matcher, "device", "cpu") != "cpu"
-    by_kernels = on_gpu and find_spec("warp") and "warp" in finishes
-    return partial(finishes["warp"] if by_kernels else finish_maps, options=options)
+    by_kernels = on_gpu and "depth finish" in DEVICE_PARTS
+    return partial(DEVICE_PARTS["depth finish"] if by_kernels else finish_maps, options=options)
 
 
 def finish_maps(depth: Tensor, confidence: Tensor, between: Tensor, *, options: DepthOptions) -> Maps:

@@ -2,13 +2,11 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
-from ggvs_eval.built_in import DEVICE_SAMPLES
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.warp import warp
@@ -17,6 +15,7 @@ from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, Guidance, bl
 from ggvs_eval.pipelines.online.blending import Blended, Blender, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.network_inputs import reference_depth
+from ggvs_eval.plugins import DEVICE_PARTS
 from ggvs_eval.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
 
 IN_8_BIT = ("splats", "alphas", "warps", "visibilities")
@@ -112,7 +111,7 @@ def rendered_views(instant: Instant, device: str) -> tuple[RawViews, Map]:
         return raw_views(recorder.inputs[-1]), recorder.images[-1]
     from ggvs_eval.compute_device import compute_device
 
-    sampled_maps = resolve_name(DEVICE_SAMPLES["warp"])
+    sampled_maps = DEVICE_PARTS["training samples"]
     maps, sources, target = sampled_maps(instant, options, compute_device(device)), instant.sources, instant.target
     order = sorted(range(len(sources)), key=lambda k: nearness(sources[k].camera, target))
     cameras, shares = tuple(sources[k].camera for k in order), tuple(sources[k].share for k in order)

@@ -112,7 +112,7 @@ def test_a_training_s_device_reaches_its_samples(tmp_path, monkeypatch):
     for each in planned:
         train_one.planned_task("blend", tmp_path, each)
         train_all.prepare_all(tmp_path, each, [("blend", "registered")])
-    monkeypatch.setattr(train_one, "find_spec", lambda name: None)
+    monkeypatch.setattr(train_one, "DEVICE_PARTS", {})
     train_one.planned_task("blend", tmp_path, request)
     jobs = [[pickle.loads(pickle.dumps(job)) for job in samples.jobs()] for samples in prepared]
     assert [{job.args[1].device for job in each} for each in jobs] == [{DEVICE}] * 2 + [{"cpu"}] * 3

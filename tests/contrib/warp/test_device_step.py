@@ -605,8 +605,5 @@ def test_a_gpu_is_given_the_whole_step(gpu_is_the_cpu, monkeypatch, on_device):
     for instant, there in zip(instants, on_device, strict=True):
         images, depths = ({view.camera.name: getattr(view, what) for view in instant.sources} for what in ("image", "depth"))
         np.testing.assert_array_equal(synthesizer.show(images, depths, instant.target), quantise(there.image))
-    with monkeypatch.context() as patch:
-        patch.setattr(ours, "STEPS", {})  # contrib/warp was taken away
-        assert isinstance(find_method("ours", on_gpu).make(), GeometryGuided)
-    monkeypatch.setattr(ours, "find_spec", lambda name: None)
+    monkeypatch.setattr(ours, "DEVICE_PARTS", {})  # Warp or contrib/warp was taken away
     assert isinstance(find_method("ours", on_gpu).make(), GeometryGuided)
