@@ -95,7 +95,7 @@ def report(
     Kept is a report of which every file is as it was written.
     """
     from ggvs_eval.reports.report import write_report
-    from ggvs_eval.reports.tables.excel import has_excel
+    from ggvs_eval.reports.tables.table_formats import has_excel
 
     for run in map(RunFolder, roots):
         require_imported(run, run.labels())
