@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from ggvs_eval.baselines.fitted.hexplane import DeformationNetwork, FieldConfiguration, PlaneGrid, field_outputs, linear
 from ggvs_eval.baselines.fitted.points import Points
-from ggvs_eval.gaussians.cloud import GaussianCloud
+from ggvs_eval.gaussians import GaussianCloud
 
 MotionName = Literal["hexplane", "polynomial", "linear"]
 VELOCITY_RATE = 1.6e-4 * 3.5 * 0.5  # of Adam, extents per clip: of Spacetime Gaussians, by its rate of positions

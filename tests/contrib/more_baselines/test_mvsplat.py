@@ -18,7 +18,7 @@ from ggvs_eval.contrib.more_baselines.mvsplat.training import DEPTH_STEPS, Mvspl
 from ggvs_eval.contrib.more_baselines.mvsplat.views import Views, see_views
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.files.weights_file import CONFIGURATION_NOTE
-from ggvs_eval.gaussians.projection import rotations
+from ggvs_eval.gaussians.torch_splat import rotations
 from ggvs_eval.training.instant_samples import InstantSample
 from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER
