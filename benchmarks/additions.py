@@ -19,7 +19,7 @@ from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.splat import COVERED_ALPHA, splat_depth
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.metrics.image.colour_correction import apply_colour_map, fit_colour_map, unit_range
+from ggvs_eval.metrics.image.corrected import apply_colour_map, fit_colour_map, unit_range
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.time.flicker import flicker
 from ggvs_eval.metrics.time.strred import strred

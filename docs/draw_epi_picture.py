@@ -13,7 +13,7 @@ from ggvs_eval.camera import nearest_cameras
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry import warp
 from ggvs_eval.metrics.path.rendered_path import PathPose
-from ggvs_eval.metrics.path.view_switch import switch_steps
+from ggvs_eval.metrics.path.view_consistency import switch_steps
 from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.synthetic.film.film import Footage, lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions

@@ -114,7 +114,7 @@ class Measurement:
         width: both images are resized to this width before anything is measured; 0 keeps the rendered size.
         height: of both images, as `width`.
         resize_filter: how they are resized.
-        ssim: which SSIM, see `ggvs_eval.metrics.image.ssim_variants.SSIM_VARIANTS`.
+        ssim: which SSIM, see `ggvs_eval.metrics.image.ssim.SSIM_VARIANTS`.
         lpips_net: backbone of LPIPS v0.1; vgg-bf16 computes VGG in bfloat16, which is faster and not the same number.
         lpips_every: LPIPS looks at every so many frames, the first among them; it costs as much as all other metrics.
         sted_pairing: frame pairs of ST-RRED: ``disjoint`` (0-1, 2-3, ...) or ``consecutive``.

@@ -43,7 +43,7 @@ class MetricOptions:
     """Metric options that a protocol may set.
 
     Attributes:
-        ssim: which SSIM, see `ssim_variants.SSIM_VARIANTS`; regions and colour-corrected frames take the default one.
+        ssim: which SSIM, see `SSIM_VARIANTS`; regions and colour-corrected frames take the default one.
         lpips_net: network of LPIPS, see `lpips.lpips`.
         lpips_every: LPIPS looks at every so many frames, from the protocol's first one on.
         sted_pairing: which frames ST-RRED compares, see `strred.strred`.

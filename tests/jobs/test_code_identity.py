@@ -122,7 +122,7 @@ STALE: dict[str, set[str]] = {
     "contrib/more_metrics/colmap_worker.py": {"path with COLMAP"},
     "metrics/noise/estimate.py": {"ceilings"},
     "metrics/noise/recording.py": {"ceilings"},
-    "metrics/path/view_switch.py": PATHS,
+    "metrics/path/view_consistency.py": PATHS,
     "metrics/stream.py": ALL_SCORES - PATHS,
     "built_in.py": set(),
     "plugins.py": set(),
