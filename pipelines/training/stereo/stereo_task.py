@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.pipelines.offline.stereo.raft_start import start_from_matching
+from ggvs_eval.pipelines.offline.stereo.raft_matcher import start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss
 from ggvs_eval.raft_config import COMPACT, RaftOptions
