@@ -5,8 +5,8 @@ from typing import ClassVar
 
 from torch import Tensor
 
+from ggvs_eval.baselines.fwd.method import decode_views, warp_views
 from ggvs_eval.baselines.fwd.network import FwdNetwork
-from ggvs_eval.baselines.fwd.rendering import decode_views, warp_views
 from ggvs_eval.baselines.learned import TrainingRecipe
 from ggvs_eval.method import Instant
 from ggvs_eval.training.instant_samples import InstantSample

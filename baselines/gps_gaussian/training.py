@@ -6,9 +6,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from ggvs_eval.baselines.gps_gaussian.method import instant_gaussians
+from ggvs_eval.baselines.gps_gaussian.method import choose_pairs, instant_gaussians
 from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussianNetwork
-from ggvs_eval.baselines.gps_gaussian.rectification import choose_pairs
 from ggvs_eval.baselines.gps_gaussian.rendering import blend_gaussians
 from ggvs_eval.baselines.learned import TrainingRecipe
 from ggvs_eval.errors import RenderError, TrainingError
