@@ -9,7 +9,7 @@ from ggvs_eval.baselines.registry import TRAINED_BASELINES
 from ggvs_eval.compute_device import compute_device
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.online.blend_weights import weights_name
+from ggvs_eval.pipelines.online.blend_network import weights_name
 from ggvs_eval.pipelines.training.request import Guidance, TrainingRequest
 from ggvs_eval.pipelines.training.samples.sample_kinds import BlendKind, InstantKind
 from ggvs_eval.pipelines.training.samples.training_data import prepare_samples, sample_pools

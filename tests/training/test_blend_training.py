@@ -9,8 +9,14 @@ import torch
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetwork, BlendNetworkOptions, BlendOutputs
-from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
+from ggvs_eval.pipelines.online.blend_network import (
+    WIDTHS,
+    BlendNetwork,
+    BlendNetworkOptions,
+    BlendOutputs,
+    load_blend_network,
+    shipped_blend_weights,
+)
 from ggvs_eval.pipelines.online.network_inputs import input_channels
 from ggvs_eval.pipelines.training.blend.blend_loss import BlendLossWeights, blend_loss, depth_loss, mask_loss, structural_loss
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask, crop_arrays, mirrored, recoloured

@@ -14,8 +14,13 @@ from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.pipelines.online.blend_network import BlendNetwork, BlendNetworkOptions, compose_tensors, read_outputs
-from ggvs_eval.pipelines.online.blend_weights import weights_name
+from ggvs_eval.pipelines.online.blend_network import (
+    BlendNetwork,
+    BlendNetworkOptions,
+    compose_tensors,
+    read_outputs,
+    weights_name,
+)
 from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input_channels, reference_depth
 from ggvs_eval.pipelines.training.blend.blend_augmentation import Augmentation, augment
