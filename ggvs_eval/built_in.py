@@ -280,6 +280,18 @@ METHODS: dict[str, Derived] = {
 # Those that are rendered where none are named.
 USUAL_METHODS = ("no-blending", "distance-based", "ours+no-tsdf", "ours+no-temporal", "ours", "ours-geometric")
 
+# Depth from images: the class of a matcher; of a network what makes one of a checkpoint (empty: its own), a device, and whether
+# it fills what another one does not find.
+_OFFLINE = "ggvs_eval.pipelines.offline"
+MATCHERS = {
+    "sgbm": f"{_OFFLINE}.stereo.sgbm:SgbmMatcher",
+    "live": f"{_OFFLINE}.stereo.live:LiveMatcher",
+    "sweep": f"{_OFFLINE}.plane_sweep.planes:PlaneSweep",
+    "raft": f"{_OFFLINE}.stereo.raft_matcher:matcher_of_weights",
+    "itermvs": f"{_OFFLINE}.itermvs.estimator:matcher_of_weights",
+}
+NETWORK_MATCHERS = ("raft", "itermvs")
+
 # Where jobs run beside processes of this machine, and plans of sweeps for other schedulers.
 ENGINES = {"dask": "ggvs_eval.contrib.cluster.dask_engine:run_on_dask"}
 SWEEP_PLANS = {"commands": "ggvs_eval.contrib.cluster.plan:write_commands"}
