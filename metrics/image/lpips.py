@@ -24,17 +24,8 @@ from ggvs_eval.metrics.image.lpips_network import (
     tapped_layers,
 )
 from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite
-from ggvs_eval.metrics.metric import (
-    QUALITY,
-    ColourMap,
-    FramePair,
-    LpipsNet,
-    MetricOptions,
-    TruthFrame,
-    Value,
-    ViewMetric,
-    shared_by_parts,
-)
+from ggvs_eval.metrics.metric import QUALITY, ColourMap, FramePair, MetricOptions, TruthFrame, Value, ViewMetric, shared_by_parts
+from ggvs_eval.protocol import LpipsNet
 
 if TYPE_CHECKING:
     import torch

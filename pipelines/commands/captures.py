@@ -212,6 +212,8 @@ def protocol(
     capture: CaptureFolder,
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.toml")],
     checked: Annotated[Path | None, tyro.conf.arg(name="check")] = None,
+    test: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CAMERA ...")] = (),
+    metrics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...")] = (),
     frames: int | None = None,
     path_poses: int | None = None,
     stream: Annotated[float | None, tyro.conf.arg(metavar="FPS")] = None,
@@ -225,20 +227,29 @@ def protocol(
         capture: the capture.
         out: TOML file to write.
         checked: JSON file that `check` wrote; cameras that it found fault with are not held out, as they would be a wrong truth.
+        test: cameras to hold out as test views, in place of those that a rule chooses.
+        metrics: what to measure, in place of what the protocol of this layout does.
         frames: evaluate the first so many instants, for a first look; up to 100 by default.
         path_poses: poses of the camera path on which consistency over views is measured.
         stream: also score what is on a screen while cameras deliver so many frames per second, see `Stream` in the docs.
         reading: how the capture is read.
     """
+    from ggvs_eval.metrics.registry import select_metrics
     from ggvs_eval.pipelines.inspection.capture.check import read_doubts
     from ggvs_eval.pipelines.inspection.table import text_table
-    from ggvs_eval.pipelines.run.suggest_protocol import propose_protocol, published_protocols
+    from ggvs_eval.pipelines.run.suggest_protocol import hold_out, propose_protocol, published_protocols
 
     if out.exists():
         raise ProtocolError(f"{out}: wanted a new file for the protocol, it is there already; delete it or choose another name")
     opened = reading.open(capture)
-    proposal = propose_protocol(opened, read_doubts(checked) if checked else None)
+    doubts = read_doubts(checked) if checked else {}
+    proposal = propose_protocol(opened, doubts)
+    if test:
+        proposal = hold_out(proposal, opened, tuple(dict.fromkeys(test)), doubts)
     chosen = proposal.protocol.shortened(frames, path_poses)
+    if metrics:
+        select_metrics(metrics)
+        chosen = replace(chosen, measurement=replace(chosen.measurement, metrics=metrics))
     if stream is not None:
         chosen = checked_protocol(chosen.streamed(Stream(fps=stream)), "--stream")
     with atomic_file(out) as unfinished:

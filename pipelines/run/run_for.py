@@ -34,7 +34,7 @@ def run_for(root: Path | None, open_capture: Callable[[], Capture] | None, proto
     run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))
     own = run.protocol() if run.protocol_file.is_file() else None
     if asked:
-        require_protocol(run, asked)
+        require_protocol(run, asked.over(own.frames.numbers.stop) if own else asked)
     if capture:
         prepare_truth(run.root, capture, asked or own or suggest_protocol(capture), workers)
     return run

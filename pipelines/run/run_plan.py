@@ -254,7 +254,9 @@ def plan_run(request: RunRequest) -> RunPlan:
     run, methods = RunFolder(request.root), {label: find_method(label, request.networks) for label in request.labels}
     fitted = {label: spec.make_fitter() for label, spec in methods.items() if isinstance(spec, FittedMethod)}
     use_depth = any(spec.uses_depth for spec in methods.values())
-    request = replace(request, protocol=_state_folds(request.protocol, run, request.capture, bool(fitted)))
+    request = replace(
+        request, protocol=_state_folds(request.protocol.over(request.capture.n_frames), run, request.capture, bool(fitted))
+    )
     protocol = request.protocol
     capture, (depth, device) = fit_capture(request.capture, protocol), _depth_of(run, request)
     require_owner(run, protocol, capture)

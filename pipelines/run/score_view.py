@@ -4,7 +4,7 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
 from ggvs_eval.pipelines.inspection.renders.view_frames import frame_reader
 from ggvs_eval.pipelines.run.coverage import Coverage
 from ggvs_eval.pipelines.run.score_code import checks_code, metric_code
-from ggvs_eval.protocol import ON_SCREEN, Measurement, Protocol
+from ggvs_eval.protocol import ON_SCREEN, Measurement, MetricChoices, Protocol
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json
 
@@ -248,16 +248,8 @@ def _score_screen(
 
 def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptions:
     """Return the protocol's options of the metrics, and where those compute that can."""
-    return MetricOptions(
-        ssim=measurement.ssim,
-        lpips_net=measurement.lpips_net,
-        lpips_every=measurement.lpips_every,
-        sted_pairing=measurement.sted_pairing,
-        sted_pooling=measurement.sted_pooling,
-        colour_scope=measurement.colour_scope,
-        ddof=measurement.ddof,
-        device=device,
-    )
+    chosen = {field.name: getattr(measurement, field.name) for field in fields(MetricChoices)}
+    return MetricOptions(**chosen, device=device)
 
 
 def truth_frames(run: RunFolder, view: str, frames: range, measurement: Measurement) -> Iterator[Image8]:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.ssim_variants import ssim_variant
-from ggvs_eval.metrics.metric import StedPairing
 from ggvs_eval.metrics.time import strred
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import BT709
 from ggvs_eval.pipelines.inspection.renders.recompute import (
@@ -23,6 +22,7 @@ from ggvs_eval.pipelines.inspection.renders.recompute import (
 )
 from ggvs_eval.pipelines.inspection.renders.ssim_conventions import GAUSSIAN, similarity
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
+from ggvs_eval.protocol import StedPairing
 
 OUR_TCC = "Gaussian 11 x 11, valid positions, range 1, each channel cut off at 0"
 DIVISORS = {"ddof 1": 1, "ddof 0": 0}
