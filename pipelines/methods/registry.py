@@ -16,10 +16,8 @@ from ggvs_eval.results import split_label
 
 def _checked(name: str, offered: object) -> MethodSpec:
     """A method of a plug-in: a `MethodSpec`, or what makes an object with `Method.step`."""
-    if isinstance(offered, OnlineMethod):
-        return replace(offered, usual=False, foreign=True)
     if isinstance(offered, MethodSpec):
-        return replace(offered, usual=False)
+        return replace(offered, usual=False, foreign=True)
     if not callable(offered):
         raise TypeError(f"wanted a MethodSpec or a class with a step, got {type(offered).__name__}")
     about = (getattr(offered, "__doc__", None) or "").strip().partition("\n")[0]

@@ -4,6 +4,7 @@ import hashlib
 import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cache, partial
 from importlib import resources
@@ -13,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.arrays import read_only
-from ggvs_eval.errors import RenderError, ViewRefusedError
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import GgvsError, RenderError, ViewRefusedError
 from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.method import Instant, LookaheadMethod, Method, Rendering
 from ggvs_eval.pipelines.methods.at_scale import AtScale
@@ -44,6 +46,7 @@ class MethodSpec(ABC):
         uses_depth: whether it looks at the depth of its sources, or learns a scene from it.
         device: where its networks compute, if it has any.
         departs: what is not as its authors published it.
+        foreign: whether a plug-in offers it: what goes wrong in it refuses the view.
     """
 
     title: str
@@ -56,6 +59,7 @@ class MethodSpec(ABC):
     uses_depth: bool = True
     device: str = "cpu"
     departs: str = ""
+    foreign: bool = False
 
     @property
     @abstractmethod
@@ -100,6 +104,10 @@ class MethodSpec(ABC):
     def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
         """Render the shots of a unit, one by one."""
 
+    def guard(self, what: str, kind: type[GgvsError] = ViewRefusedError) -> AbstractContextManager[None]:
+        """Turn what its code raises in a block into an error that says what it did, where a plug-in offers it."""
+        return foreign(f"method {self.title}: {what}", kind) if self.foreign else nullcontext()
+
     def configured(self, label: str, variant: str) -> "MethodSpec":
         """The method with the options that its label names.
 
@@ -127,7 +135,6 @@ class OnlineMethod(MethodSpec):
         checkpoint: what the user can give instead of weights that ship, or has to give where none do.
         title_from: how tables call it then, if not by `title`: weights that we trained are labelled so.
         device_modules: what it renders with besides on a device that is not the CPU.
-        foreign: whether a plug-in offers it, see `ForeignMethod`.
     """
 
     maker: Callable[..., Method]
@@ -138,7 +145,6 @@ class OnlineMethod(MethodSpec):
     checkpoint: str = ""
     title_from: str = ""
     device_modules: tuple[str, ...] = ()
-    foreign: bool = False
 
     @property
     def learned_from(self) -> str:
@@ -228,18 +234,22 @@ class ForeignMethod:
             ViewRefusedError: whatever it raised, or no picture of numbers of the target's size.
         """
         with foreign(f"method {self._title}: failed at instant {instant.index}", ViewRefusedError):
-            made = self._method.step(_read_only(instant))
-            wanted = instant.target.height, instant.target.width, 3
-            if not isinstance(made, Rendering) or not isinstance(made.image, np.ndarray):
-                raise TypeError(f"wanted a Rendering with an image, got {type(getattr(made, 'image', made)).__name__}")
-            if made.image.shape != wanted or made.image.dtype.kind != "f" or not np.isfinite(made.image).all():
-                got = f"{made.image.dtype} {made.image.shape}" + (", not all finite" if made.image.shape == wanted else "")
-                raise ValueError(f"wanted an image of floats in [0, 1], {wanted}, got {got}")
-            return made
+            return _checked(self._method.step(_read_only(instant)), instant.target)
 
     def _looked_ahead(self, instants: Iterable[Instant]) -> None:
         with foreign(f"method {self._title}: failed to look ahead", ViewRefusedError):
             self._method.look_ahead(map(_read_only, instants))  # type: ignore[attr-defined]
+
+
+def _checked(made: Any, target: Camera) -> Rendering:
+    wanted = target.height, target.width, 3
+    if not isinstance(made, Rendering) or not isinstance(made.image, np.ndarray):
+        raise TypeError(f"wanted a Rendering with an image, got {type(getattr(made, 'image', made)).__name__}")
+    if made.image.shape != wanted or made.image.dtype.kind != "f" or not np.isfinite(made.image).all():
+        got = f"{made.image.dtype} {made.image.shape}" + (", not all finite" if made.image.shape == wanted else "")
+        raise ValueError(f"wanted an image of floats in [0, 1], {wanted}, got {got}")
+    sum(made.seconds.values())  # numbers, or it raises
+    return made
 
 
 def _read_only(instant: Instant) -> Instant:
@@ -270,8 +280,12 @@ class SceneMethod(MethodSpec):
 
     def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
         """Open the scene once and render every shot of it."""
-        scene = self.scene(unit)
-        return (scene.render(frame, target) for _, frame, target in unit.shots)
+        with self.guard("its scene cannot be opened"):
+            scene = self.scene(unit)
+        for _, frame, target in unit.shots:
+            with self.guard(f"failed at instant {frame}"):
+                made = scene.render(frame, target)
+                yield _checked(made, target) if self.foreign else made
 
 
 def digest_weights(file: Path) -> str:

@@ -1,30 +1,17 @@
 """Diagnostics: a method's intermediate maps, as pictures beside its frames that the page shows."""
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.colour_maps import coloured, depth_colours
-from ggvs_eval.files.images import write_image
-from ggvs_eval.run_folder import diagnostics_path
 
 # Okabe and Ito's colours, which the colour-blind tell apart: one for each source view, nearest first.
 VIEW_COLOURS = np.array(
     [(230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0), (204, 121, 167)], np.float32
 )
-
-
-def write_diagnostics(folder: Path, index: int, diagnostics: Mapping[str, Map], target: Camera) -> None:
-    """Write one picture per kind of map.
-
-    Args:
-        diagnostics: as of `Rendering`.
-    """
-    for name, values in diagnostics.items():
-        write_image(diagnostics_path(folder, name, index), diagnostics_picture(name, values, target))
 
 
 def diagnostics_picture(name: str, values: Map, target: Camera) -> Image8:

@@ -1,14 +1,17 @@
 """Fit: one scene per fold by every method that is fitted; one job per (method, seed, fold), which goes on where it was killed."""
 
+import shutil
 import sys
 import time
 from dataclasses import dataclass, field
 from functools import partial
+from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.errors import ViewRefusedError
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.free_memory import PeakMemory
 from ggvs_eval.kernels import get_threads
@@ -17,14 +20,11 @@ from ggvs_eval.pipelines.run.folds import FitPlan
 from ggvs_eval.pipelines.run.unit_job import UnitJob
 from ggvs_eval.progress import LINE_EVERY_S, duration
 from ggvs_eval.results import describe_machine
-from ggvs_eval.run_folder import read_json, write_json
-from ggvs_eval.scene_fitter import Footage, SceneFitter
-
-if TYPE_CHECKING:  # how folds are planned is no part of what they show
-    from ggvs_eval.pipelines.run.folds import FitPlan
+from ggvs_eval.run_folder import REFUSED, read_json, write_json
+from ggvs_eval.scene_fitter import Footage
 
 
-def fold_footage(capture: Capture, fit: "FitPlan", depths: DepthStore, seed: int) -> Footage:
+def fold_footage(capture: Capture, fit: FitPlan, depths: DepthStore, seed: int) -> Footage:
     """Give a fit its training cameras, one by one: what is not named here does not travel with it."""
     names = fit.fold.cameras
     training = capture.without([name for name in capture.camera_names if name not in names], "")
@@ -54,7 +54,7 @@ def fit_job(capture: Capture, fit: FitPlan, spec: FittedMethod, shared: Path) ->
     """
     footage = fold_footage(capture, fit, DepthStore(shared / "depth"), spec.seed)
     name = f"{fit.label}, {fit.fold.name}"
-    work = partial(_fit, name, spec.make_fitter(), footage, spec.device)
+    work = partial(_fit, name, spec, footage)
     folder = shared / FITS / fit.label / fit.fold.name
     return UnitJob(name, folder, _identity(capture, fit, spec), work, resumes=True, label=fit.label, units=fit.fold.units)
 
@@ -79,21 +79,27 @@ def _identity(capture: Capture, fit: FitPlan, spec: FittedMethod) -> dict[str, A
     }
 
 
-def _fit(name: str, fitter: SceneFitter, footage: Footage, device: str, folder: Path) -> dict[str, Any]:
-    """Fit, or go on; returns the record for the tables."""
-    clock = FitClock(name, folder)
-    with PeakMemory() as memory:
-        fitter.fit(footage, folder, clock.note)
+def _fit(name: str, method: FittedMethod, footage: Footage, folder: Path) -> dict[str, Any]:
+    """Fit, or go on; returns the record for the tables, or why a plug-in left no scene."""
+    fitter, clock = method.make_fitter(), FitClock(name, folder)
+    try:
+        with PeakMemory() as memory, method.guard(f"failed to fit {name}"):
+            fitter.fit(footage, folder, clock.note)
+            size_bytes = index(fitter.load(folder).size_bytes)
+    except ViewRefusedError as error:
+        shutil.rmtree(folder)
+        folder.mkdir()
+        return {REFUSED: str(error)}
     record = {
         "seconds": clock.seconds,
         "instants": len(footage.indices),
         "cameras": len(footage.cameras),
         "look_ahead": fitter.look_ahead,
         "seed": footage.seed,
-        "size_bytes": fitter.load(folder).size_bytes,
+        "size_bytes": size_bytes,
         "threads": get_threads(),
         "peak_bytes": memory.bytes,
-        "machine": _machine(device),
+        "machine": _machine(method.device),
     }
     (folder / TIME_FILE).unlink(missing_ok=True)
     return record

@@ -15,11 +15,10 @@ from ggvs_eval.jobs.free_memory import PeakMemory
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit
 from ggvs_eval.pipelines.methods.spec import MethodSpec
-from ggvs_eval.pipelines.run.coverage import REFUSED
-from ggvs_eval.pipelines.run.diagnostics import write_diagnostics
+from ggvs_eval.pipelines.run.diagnostics import diagnostics_picture
 from ggvs_eval.pipelines.run.unit_job import UnitJob
 from ggvs_eval.results import installed_versions, split_label
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
+from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, diagnostics_path, frame_path, read_json, write_json
 
 
 def render_job(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit) -> UnitJob:
@@ -59,7 +58,10 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
                 if not np.isfinite(rendering.image).all():
                     raise RenderError(f"{label}, frame {number}: wanted a picture of numbers, some are none")
                 write_image(frame_path(folder, number), quantise(rendering.image))
-                write_diagnostics(folder, number, rendering.diagnostics, target)
+                with spec.guard(f"its diagnostics of frame {number} are none"):
+                    maps = {name: diagnostics_picture(name, each, target) for name, each in rendering.diagnostics.items()}
+                for name, picture in maps.items():
+                    write_image(diagnostics_path(folder, name, number), picture)
                 seconds.append(rendering.seconds)
         except ViewRefusedError as error:  # of some poses of a path: it has no picture then
             shutil.rmtree(folder)
@@ -76,7 +78,7 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
         "versions": installed_versions(),
         **refused,
     }
-    if unit.fit is None:
+    took = read_json(unit.fit.folder / JOB_FILE) if unit.fit else {REFUSED: "no fit"}
+    if REFUSED in took:
         return record
-    took = read_json(unit.fit.folder / JOB_FILE)
     return record | {"fit": {name: value for name, value in took.items() if name not in ("sha256", "identity")}}
