@@ -20,7 +20,7 @@ from benchmarks.domain_views import ViewPlan, render_domain
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.colmap_writer import Sightings, write_model
+from ggvs_eval.datasets.colmap_model import Sightings, write_model
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.geometry.epipolar import epipolar_errors
 from ggvs_eval.jobs.processes import default_workers, finish_all, worker_pool

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.dynerf import open_path
 from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.llff import open_path
 from ggvs_eval.errors import CameraError, DepthError
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_images
 from ggvs_eval.files.video import VideoFrames

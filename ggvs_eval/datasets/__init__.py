@@ -7,11 +7,11 @@ from pathlib import Path
 
 from ggvs_eval import built_in
 from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.assemble import apply_known_traps
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
-from ggvs_eval.datasets.known_traps import apply_known_traps
+from ggvs_eval.datasets.depth_range import settle_depth_ranges
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.public_captures import locate
-from ggvs_eval.datasets.settle_depth import settle_depth_ranges
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, GgvsError, did_you_mean
 from ggvs_eval.files.listing import list_entries
@@ -74,8 +74,8 @@ def open_capture(
 
     Reading:
         What ``corrections.toml`` in the capture says is done to its frames, see `ggvs_eval.datasets.corrections`. What is known
-        to be wrong with a public scene becomes a note, see `ggvs_eval.datasets.known_traps`. Near and far of its cameras are
-        settled by `ggvs_eval.datasets.settle_depth.settle_depth_ranges`.
+        to be wrong with a public scene becomes a note, see `ggvs_eval.datasets.assemble`. Near and far of its cameras are
+        settled by `ggvs_eval.datasets.depth_range.settle_depth_ranges`.
 
     Examples:
         >>> import json, tempfile

@@ -1,21 +1,38 @@
-"""Assembly, the last step of every adapter: cameras and frames that fit each other become a `Capture`."""
+"""Assembly, the last step of every adapter: cameras and frames that fit each other become a `Capture`.
+
+Frame t of every camera shows one instant, so that counts and rates must be one; ``crop.toml`` says which part of a calibration's
+pictures the frames are; known faults of public scenes and cameras are told or left out.
+"""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import Protocol
+
+import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras, FrameSource, source_chain
 from ggvs_eval.datasets.camera_frames import listed
-from ggvs_eval.datasets.crop import describe_crop
 from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
-from ggvs_eval.datasets.instants import common_count, common_rate, uneven_notes
 from ggvs_eval.datasets.units import Units
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
 from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.lens import Lens
 
+# Image folders do not say their rate; every capture published in this layout was recorded at this one.
+FOLDER_FPS = 30.0
+# Of constant rates that are one: what averages are rounded by, a fifth of what 29.97 is off 30.
+LARGEST_DIFFERENCE = 2e-4
+LARGEST_LAG = 0.5  # steps between frames of one number, where rates vary: farther off, the next frame is nearer
+CROP_FILE = "crop.toml"
+Size = tuple[int, int]
 LARGEST_RIG = 10_000  # poses of a hand-held sequence, each of which is a camera, are some thousands
+FILE = "known_traps.toml"
 
 
 class SizedSource(FrameSource, Protocol):
@@ -138,3 +155,194 @@ def _fit_camera(camera: Camera, source: SizedSource, path: Path) -> Camera:
             f"{camera.height} that {camera.name} is calibrated for; {describe_crop((width, height), camera.size, path)}"
         )
     return camera.resized(width, height)
+
+
+def common_count(path: Path, sources: Mapping[str, FrameSource]) -> int:
+    """The number of frames of every camera."""
+    counts = {name: source.n_frames for name, source in sources.items()}
+    if len(set(counts.values())) > 1:
+        shown = listed([f"{name} {count}" for name, count in counts.items()])
+        raise CaptureError(f"{path}: wanted one frame count for all cameras, got {shown}; cut them to a common length")
+    return next(iter(counts.values()))
+
+
+def common_rate(path: Path, sources: Mapping[str, FrameSource]) -> float:
+    """The frame rate of a rig whose cameras have equally many frames.
+
+    Raises:
+        CaptureError: constant rates that differ; variable ones where frames of one number lie over half a step apart.
+
+    Reading:
+        The average of a variable rate says little: phones that are started together keep step while their averages differ. So
+        the times of equal frame numbers are compared, each camera's counted from its first frame.
+    """
+    videos = _videos(sources)
+    rates = {name: video.fps if video else FOLDER_FPS for name, video in videos.items()}
+    least, greatest = min(rates.values()), max(rates.values())
+    if greatest - least <= LARGEST_DIFFERENCE * greatest:
+        return round(rates[next(iter(rates))], 2)
+    rate, lag_s = float(np.mean(list(rates.values()))), largest_lag_s(sources)
+    is_uneven = any(video and video.uneven for video in videos.values())
+    if is_uneven and lag_s is not None and lag_s <= LARGEST_LAG / rate:
+        return round(rate, 2)
+    shown = listed([f"{name} {rate:.2f}".rstrip("0").rstrip(".") for name, rate in rates.items()])
+    apart = f" with frames of one number up to {1000 * lag_s:.0f} ms apart" if is_uneven and lag_s is not None else ""
+    raise CaptureError(f"{path}: wanted one frame rate for all cameras, got {shown}{apart}; convert them to one rate")
+
+
+def largest_lag_s(sources: Mapping[str, FrameSource]) -> float | None:
+    """The largest distance in time of frames of one number, by the videos' time stamps; None where some are no videos."""
+    times = [video.times_s for video in _videos(sources).values() if video]
+    if len(times) < len(sources):
+        return None
+    return float(np.ptp(np.stack(times), axis=0).max())
+
+
+def uneven_notes(sources: Mapping[str, FrameSource]) -> list[str]:
+    """A note about cameras of a variable frame rate, which says how far frames of one number lie apart."""
+    steps = [f"{name} ({video.uneven})" for name, video in _videos(sources).items() if video and video.uneven]
+    lag_s = largest_lag_s(sources) if steps else None
+    apart = f"; their times lie up to {1000 * lag_s:.1f} ms apart" if lag_s is not None else ""
+    taken = "frame t of each camera is taken as one instant, whatever its time"
+    return [f"variable frame rate in {listed(steps)}: {taken}{apart}"] if steps else []
+
+
+def _videos(sources: Mapping[str, FrameSource]) -> dict[str, VideoFrames | None]:
+    """The video of each camera, which may lie behind an undistortion; None where its frames are images."""
+    return {
+        name: next((each for each in source_chain(source) if isinstance(each, VideoFrames)), None)
+        for name, source in sources.items()
+    }
+
+
+@dataclass(frozen=True)
+class Crop:
+    """Offset of the frames in the calibrated picture; the whole file.
+
+    Attributes:
+        left: column of the calibrated picture that the first column of the frames shows.
+        top: row that the first row shows.
+    """
+
+    left: int
+    top: int
+
+
+def given_crop(folder: Path) -> Crop | None:
+    """Read ``crop.toml`` in a capture's folder; None without that file."""
+    file = folder / CROP_FILE
+    return build_table(Crop, read_toml(file, CaptureError), str(file), "", CaptureError) if file.exists() else None
+
+
+def write_crop(folder: Path, crop: Crop) -> Path:
+    """Write a file that `given_crop` reads back, and return it."""
+    file = folder / CROP_FILE
+    file.write_text(f"left = {crop.left}\ntop = {crop.top}\n", encoding="utf-8")
+    return file
+
+
+def crop_lens(name: str, lens: Lens, frames: Size, crop: Crop | None) -> Lens:
+    """The lens of a camera's frames; of pictures that are whole, or only scaled, the lens as it is.
+
+    Args:
+        frames: (width, height) of the frames, pixels; the crop is of pixels of the calibrated size.
+        crop: where they begin in the calibrated picture; None where that is not given.
+    """
+    if crop is None or has_shape(frames, (lens.width, lens.height)):
+        return lens
+    right, bottom = crop.left + frames[0], crop.top + frames[1]
+    if min(crop.left, crop.top) < 0 or right > lens.width or bottom > lens.height:
+        raise CameraError(
+            f"wanted a crop within the {lens.width} x {lens.height} that {name} is calibrated for, got frames of {frames[0]} x "
+            f"{frames[1]} from {crop.left} {crop.top}; correct it"
+        )
+    return lens.cropped(crop.left, crop.top, *frames)
+
+
+def describe_crop(frames: Size, calibrated: Size, path: Path) -> str:
+    """Explain frames of another shape than their calibration, and what to do; for the end of a message.
+
+    Examples:
+        >>> describe_crop((1080, 1920), (1088, 1920), Path("rig"))[:25]
+        '8 columns of it are missi'
+    """
+    columns, rows = calibrated[0] - frames[0], calibrated[1] - frames[1]
+    if min(columns, rows) < 0:
+        return "give the frames this calibration was made for, scaled but not cropped"
+    counts = [f"{count} {noun}" for count, noun in ((columns, "columns"), (rows, "rows")) if count]
+    centred = f"{columns // 2} {rows // 2}"
+    return (
+        f"{' and '.join(counts)} of it are missing. If they were cut off, say which column and row the frames begin with: "
+        f"'ggvs-eval check {path} --crop 0 0' where they are cut at the right and the bottom, as codecs do, {centred} where on "
+        "all sides ('crop' in capture.toml); if the frames were scaled unevenly, give those that were not"
+    )
+
+
+@dataclass(frozen=True)
+class KnownTrap:
+    """One trap, as the file names it.
+
+    Attributes:
+        dataset: what people call the data set.
+        reason: what is wrong, in words that follow the camera's or the scene's name.
+        scenes: folders of the scenes that it concerns, whatever the case of their letters; any when empty.
+        layout: name of the layout that it concerns; any when empty.
+        camera: the camera that it concerns; the whole scene when empty.
+        leave_out: the camera is no good as a source and left out unless it is asked for.
+        more_frames_than: it concerns captures with more frames only.
+    """
+
+    dataset: str
+    reason: str
+    source: str
+    scenes: tuple[str, ...] = ()
+    layout: str = ""
+    camera: str = ""
+    leave_out: bool = False
+    more_frames_than: int = 0
+
+    def concerns(self, capture: Capture) -> bool:
+        """Tell whether a capture is of the trap's scene and has its camera."""
+        return (
+            (not self.scenes or capture.scene.lower() in self.scenes)
+            and self.layout in ("", capture.layout)
+            and (not self.camera or self.camera in capture.camera_names)
+            and capture.n_frames > self.more_frames_than
+        )
+
+
+@dataclass(frozen=True)
+class TrapTable:
+    """The file."""
+
+    trap: tuple[KnownTrap, ...]
+
+
+def apply_known_traps(capture: Capture, leave_out: bool = True) -> Capture:
+    """Leave out cameras that are known to be faulty, and note the other known faults of a capture.
+
+    Args:
+        leave_out: leave cameras out; when False they are kept, and the note says what is wrong with them.
+    """
+    for trap in known_traps():
+        if not trap.concerns(capture):
+            continue
+        reason = f"{trap.reason} ({trap.source})"
+        if trap.leave_out and leave_out:
+            capture = capture.without([trap.camera], reason)
+        else:
+            of = f"{trap.camera} of {capture.scene}" if trap.camera else capture.scene
+            capture = capture.noted(f"known trap of {trap.dataset}, {of}{', kept' if trap.leave_out else ''}: {reason}")
+    return capture
+
+
+@cache
+def known_traps() -> tuple[KnownTrap, ...]:
+    """The traps that ship with the package.
+
+    Examples:
+        >>> [(trap.scenes, trap.camera) for trap in known_traps() if trap.leave_out]
+        [(('coffee_martini',), 'cam13')]
+    """
+    text = (resources.files("ggvs_eval.datasets") / FILE).read_text(encoding="utf-8")
+    return build_table(TrapTable, parse_toml(text, FILE, CaptureError), FILE, "", CaptureError).trap

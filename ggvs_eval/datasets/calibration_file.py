@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.assemble import CROP_FILE, assemble_capture, check_rig_size, given_crop
 from ggvs_eval.datasets.calibration_readers import (
     LARGEST_XML_BYTES,
     FileCamera,
@@ -17,7 +17,6 @@ from ggvs_eval.datasets.calibration_readers import (
 )
 from ggvs_eval.datasets.camera_frames import find_frames, instead_of_frames, listed
 from ggvs_eval.datasets.colmap_model import undistorted_sources
-from ggvs_eval.datasets.crop import CROP_FILE, given_crop
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units

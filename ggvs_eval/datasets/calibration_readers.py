@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.datasets.crop import Crop, crop_lens
-from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
+from ggvs_eval.datasets.assemble import Crop, crop_lens
+from ggvs_eval.datasets.easymocap import PIXEL_CENTRE
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, parse_xml, refused
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.plain import comma_hint, read_plain_text, why_unread

@@ -9,9 +9,8 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
-from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
+from ggvs_eval.datasets.assemble import Crop, SizedSource, assemble_capture, check_rig_size, crop_lens, given_crop
 from ggvs_eval.datasets.colmap_model import undistorted
-from ggvs_eval.datasets.crop import Crop, crop_lens, given_crop
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec

@@ -1,6 +1,12 @@
-"""LLFF pose files (``poses_bounds.npy``): N x 17 numbers, in axes of their own."""
+"""LLFF pose files (``poses_bounds.npy``), N x 17 numbers in axes of their own, and captures that are calibrated by one.
 
+DyNeRF / Neural 3D Video: ``camXX.mp4``, and the frame folders other code makes of them. MeetRoom (StreamRF, Li et al., NeurIPS
+2022): ``cam_<N>.mp4``, or a folder per instant.
+"""
+
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,14 +14,27 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.array_file import map_array
-from ggvs_eval.datasets.assemble import check_rig_size
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
+from ggvs_eval.datasets.camera_frames import CameraFrames, frames_in, listed
+from ggvs_eval.datasets.colmap import instant_pictures, numbered_folders
+from ggvs_eval.datasets.frames import ImageFrames, NumberedFrames
+from ggvs_eval.datasets.layout import DatasetSpec
+from ggvs_eval.datasets.units import GivenUnits, choose_units, read_note
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.files.listing import unread_videos
 from ggvs_eval.kernels.portable import transformed
 
 # What is beyond is damage, and no square of it is finite.
 LARGEST_NUMBER = 1e100
+POSES = "poses_bounds.npy"
+FRAME_FOLDERS = ("frames", "frames_2", "frames_4", "frames_8")
+VIDEO = re.compile(r"cam_(\d{1,4})")
+PICTURE = re.compile(r"cam(\d{1,4})")
+INSTANT = re.compile(r"(\d{4})")
+FRAMES = ("frames", ".")
 
 
 class LlffPose(NamedTuple):
@@ -47,8 +66,8 @@ def read_llff_poses(path: Path) -> list[LlffPose]:
     rows = _load_rows(path)
     spoilt = np.flatnonzero(~(np.abs(rows) < LARGEST_NUMBER).all(axis=1))
     if spoilt.size:
-        listed = ", ".join(map(str, spoilt))
-        raise CaptureError(f"{path}: wanted finite numbers, got NaN or infinity in row {listed} (from 0); calibrate again")
+        numbers = ", ".join(map(str, spoilt))
+        raise CaptureError(f"{path}: wanted finite numbers, got NaN or infinity in row {numbers} (from 0); calibrate again")
     return [_from_row(row) for row in rows]
 
 
@@ -102,3 +121,163 @@ def _to_row(pose: LlffPose) -> Array:
     centre = transformed(-pose.world_to_camera[:3, :3].T, pose.world_to_camera[:3, 3])
     matrix = np.stack([down, right, -forwards, centre, np.asarray(pose.hwf)], axis=1)  # (3, 5)
     return np.concatenate([matrix.ravel(), [pose.near, pose.far]])
+
+
+PLACES = ("CAM.mp4", "CAM/images/", *(f"{folder}/CAM/" for folder in FRAME_FOLDERS), "images/CAM/")
+STILLS = ("images/CAM.png", "images_4/CAM.png", "images_8/CAM.png")  # one picture per camera, as LLFF has them
+ARRANGEMENTS = "camXX.mp4, camXX/images/, frames/camXX/, frames_N/camXX/, images/XX/ or, of stills, images/NAME.jpg"
+
+
+def refuse_dynerf(path: Path) -> str | None:
+    """Return the reason why this folder is not a DyNeRF capture, or None if it is one."""
+    if not (path / POSES).is_file():
+        return f"no {POSES}"
+    if _find_sources(path):
+        return None
+    unread = unread_videos(path)
+    return f"{POSES}, but no frames ({unread or ARRANGEMENTS})"
+
+
+def load_dynerf(path: Path, units: GivenUnits) -> Capture:
+    """Open a DyNeRF capture with any number of cameras.
+
+    Reading:
+        Row i belongs to the i-th camera in the order of names, never to the number in a name (numbers may be missing). One focal
+        length, principal point in the image centre, both scaled from the size in the file to the size of the frames. Pictures in
+        ``images/`` alone are LLFF's: one instant, one camera each.
+    """
+    sources = _find_sources(path)
+    check_rig_size(path, len(sources))
+    poses = read_llff_poses(path / POSES)
+    if len(poses) != len(sources):
+        raise CaptureError(
+            f"{path / POSES}: wanted one row for each of the {len(sources)} cameras on disk ({_describe(list(sources))}), "
+            f"got {len(poses)} rows; restore the missing {'videos' if len(poses) > len(sources) else 'rows'}"
+        )
+    cameras = [llff_camera(pose, name, path / POSES) for pose, name in zip(poses, sources, strict=True)]
+    return assemble_capture(path, "dynerf", cameras, list(sources.values()), choose_units(path, units, cameras))
+
+
+def _find_sources(path: Path) -> dict[str, SizedSource]:
+    """The frames of each camera in the order of names, by the first arrangement that is there."""
+    for place in PLACES:
+        name = r"\d+" if place.startswith("images/") else r"cam\d+"
+        sources = dict(sorted(found for found in frames_in(path, place, even_empty=True) if re.fullmatch(name, found[0])))
+        if sources:
+            _check_name_lengths(path, list(sources))
+            return dict(sources)
+    return next((dict(sorted(stills)) for stills in (frames_in(path, place) for place in STILLS) if stills), {})
+
+
+def _check_name_lengths(path: Path, names: list[str]) -> None:
+    if len({len(name) for name in names}) > 1:
+        mismatch = f"{min(names, key=len)} and {max(names, key=len)}"
+        raise CaptureError(
+            f"{path}: wanted camera numbers of one length, got {mismatch}; add leading zeros, in the order of {POSES}"
+        )
+
+
+def _describe(names: list[str]) -> str:
+    """The names in a few words: first, last, and the numbers missing between them."""
+    if not all(name.removeprefix("cam").isdecimal() for name in names):
+        return f"{names[0]}..{names[-1]}"
+    numbers = {int(name.removeprefix("cam")) for name in names}
+    missing = sorted(set(range(min(numbers), max(numbers))) - numbers)
+    without = f" without {', '.join(map(str, missing))}" if missing else ""
+    return f"{names[0]}..{names[-1]}{without}"
+
+
+@dataclass(frozen=True)
+class CameraPath:
+    """Poses along a path and what a camera would have seen there.
+
+    Attributes:
+        cameras: one pose per image, called ``path0000``, ...
+        images: the true images; None where only the poses are known.
+        time_s: the instant of the capture that they show, as ``demo.json`` says; the first where it says nothing.
+    """
+
+    cameras: tuple[Camera, ...]
+    images: ImageFrames | None
+    time_s: float
+
+
+def open_path(capture_folder: Path) -> CameraPath | None:
+    """Open ``path/poses_bounds.npy`` and ``path/images/`` of a capture folder; None where it carries no path."""
+    poses_file = capture_folder / "path" / POSES
+    if not poses_file.is_file():
+        return None
+    poses = read_llff_poses(poses_file)
+    cameras = tuple(llff_camera(pose, f"path{index:04d}", poses_file) for index, pose in enumerate(poses))
+    time_s = read_note(capture_folder, "path_time_s") or 0.0
+    folder = capture_folder / "path" / "images"
+    if not folder.is_dir():
+        return CameraPath(cameras, None, time_s)
+    images = ImageFrames(folder)
+    if images.n_frames != len(cameras):
+        raise CaptureError(f"{folder}: wanted {len(cameras)} images, one per row of {poses_file.name}, got {images.n_frames}")
+    return CameraPath(tuple(camera.resized(*images.size) for camera in cameras), images, time_s)
+
+
+DYNERF_LAYOUT = DatasetSpec(f"poses_bounds.npy with {ARRANGEMENTS}", refuse_dynerf, load_dynerf, (POSES,))
+
+
+def refuse_meetroom(path: Path) -> str | None:
+    """Return the reason why this folder is no MeetRoom capture, or None if it is one."""
+    if _videos(path):
+        return None if (path / POSES).is_file() else f"cam_<N>.mp4, but no {POSES}"
+    return None if _instants(path) else f"neither cam_<N>.mp4 nor 0000/images/cam00.png with {POSES}"
+
+
+def load_meetroom(path: Path, units: GivenUnits) -> Capture:
+    """Open a capture in StreamRF's arrangement; its cameras are called cam00, cam01, ... by their numbers.
+
+    Args:
+        path: folder with ``poses_bounds.npy`` and ``cam_<N>.mp4``; or what StreamRF extracts of these, a folder per instant with
+            ``images/camNN.png`` and the same ``poses_bounds.npy``, in ``frames/`` or in the folder itself.
+
+    Reading:
+        Row i belongs to the i-th camera in the order of numbers: StreamRF writes cam_2 as cam02 before it sorts. One focal length
+        and a central principal point, as LLFF has it; the poses of the first instant count, which StreamRF copies to the others.
+    """
+    sources: dict[int, SizedSource] = dict(_videos(path))
+    poses_file = path / POSES
+    if not sources:
+        instants = _instants(path)
+        sources, poses_file = dict(_pictures(path, instants)), next(iter(instants.values())) / POSES
+    check_rig_size(path, len(sources))
+    poses = read_llff_poses(poses_file)
+    if len(poses) != len(sources):
+        there = listed([f"cam_{number}" for number in sorted(sources)])
+        raise CaptureError(
+            f"{poses_file}: wanted one row for each of the {len(sources)} cameras on disk ({there}), got {len(poses)}; "
+            f"restore the missing {'cameras' if len(poses) > len(sources) else 'rows'}"
+        )
+    numbers = sorted(sources)
+    cameras = [llff_camera(pose, f"cam{number:02d}", poses_file) for pose, number in zip(poses, numbers, strict=True)]
+    frames = [sources[number] for number in numbers]
+    return assemble_capture(path, "meetroom", cameras, frames, choose_units(path, units, cameras))
+
+
+def _videos(path: Path) -> dict[int, CameraFrames]:
+    """Camera number -> its video."""
+    videos = [(VIDEO.fullmatch(name), video) for name, video in frames_in(path, "CAM.mp4")]
+    return {int(match[1]): video for match, video in videos if match}
+
+
+def _instants(path: Path) -> dict[int, Path]:
+    """Folders of the instants by their numbers, in the order of time."""
+    for parent in (path / name for name in FRAMES):
+        folders = numbered_folders(parent, INSTANT)
+        if folders and (next(iter(folders.values())) / POSES).is_file():
+            return folders
+    return {}
+
+
+def _pictures(path: Path, instants: dict[int, Path]) -> dict[int, NumberedFrames]:
+    """Camera number -> its pictures."""
+    matches = [(PICTURE.fullmatch(name), files) for name, files in instant_pictures(instants).items()]
+    return {int(match[1]): NumberedFrames(path, tuple(files)) for match, files in matches if match}
+
+
+MEETROOM_LAYOUT = DatasetSpec("poses_bounds.npy with cam_N.mp4 or 0000/images/camNN.png", refuse_meetroom, load_meetroom)

@@ -10,8 +10,8 @@ import tyro
 
 from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import DATASETS, open_capture
+from ggvs_eval.datasets.assemble import Crop, write_crop
 from ggvs_eval.datasets.capture_edit import perturb_capture
-from ggvs_eval.datasets.crop import Crop, write_crop
 from ggvs_eval.datasets.public_captures import find_scene, get_capture, locate
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, CommandError, ProtocolError

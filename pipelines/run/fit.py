@@ -17,28 +17,12 @@ from ggvs_eval.jobs.free_memory import PeakMemory
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.run.folds import FitPlan
+from ggvs_eval.pipelines.run.footage import fold_footage
 from ggvs_eval.pipelines.run.unit_job import UnitJob
 from ggvs_eval.progress import LINE_EVERY_S, duration
 from ggvs_eval.results import describe_machine
 from ggvs_eval.run_folder import REFUSED, read_json, write_json
 from ggvs_eval.scene_fitter import Footage
-
-
-def fold_footage(capture: Capture, fit: FitPlan, depths: DepthStore, seed: int) -> Footage:
-    """Give a fit its training cameras, one by one: what is not named here does not travel with it."""
-    names = fit.fold.cameras
-    training = capture.without([name for name in capture.camera_names if name not in names], "")
-    return Footage(
-        cameras=training.cameras,
-        indices=fit.indices,
-        fps=training.fps,
-        units_per_metre=training.units_per_metre,
-        seed=seed,
-        frames=dict(zip(names, training.sources, strict=True)),
-        depth_keys={job.camera_name: job.key for job in fit.fold.jobs},
-        depths=depths,
-    )
-
 
 FITS = "fits"  # folder beside truth and depth
 TIME_FILE = "seconds.json"  # in the folder of a fit that is not finished

@@ -13,8 +13,8 @@ import numpy as np
 from ggvs_eval.camera import Camera, nearest_cameras, translated_path
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import listed
-from ggvs_eval.datasets.dynerf import CameraPath, open_path
 from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.llff import CameraPath, open_path
 from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.errors import CameraError, CaptureError, DepthError, ProtocolError
 from ggvs_eval.geometry.sight import require_sight

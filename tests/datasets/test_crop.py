@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.crop import Crop, crop_lens, given_crop, write_crop
+from ggvs_eval.datasets.assemble import Crop, crop_lens, given_crop, write_crop
 from ggvs_eval.errors import CameraError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.lens import Lens

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.datasets import DATASETS, open_capture
-from ggvs_eval.datasets.dynerf import open_path
+from ggvs_eval.datasets.llff import open_path
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
 from helpers.captures import (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.easymocap_yaml import read_views
+from ggvs_eval.datasets.easymocap import read_views
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import write_video
 from ggvs_eval.lens import Lens

@@ -9,7 +9,7 @@ import pytest
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.immersive import SCENE_DEPTHS_M
+from ggvs_eval.datasets.google_light_fields import SCENE_DEPTHS_M
 from ggvs_eval.files.images import write_image
 from ggvs_eval.lens import Lens
 from helpers.captures import HEIGHT, WIDTH, make_image, make_rig, mean_colours, refusal

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from ggvs_eval.datasets import DATASETS, open_capture
-from ggvs_eval.datasets.known_traps import apply_known_traps, known_traps
+from ggvs_eval.datasets.assemble import apply_known_traps, known_traps
 from helpers.captures import write_dynerf
 from helpers.community_layouts import write_immersive, write_meetroom, write_technicolor
 

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ggvs_eval.datasets import open_capture, spaces
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.google_light_fields import load_positions, refuse_spaces
 from ggvs_eval.errors import CaptureError
 from helpers.captures import make_image, refusal
 from helpers.refusals import refused
@@ -104,7 +105,7 @@ def test_intrinsics_follow_the_size_on_disk(tmp_path):
 
 def test_chosen_positions(scene):
     """Training readers take some positions only; the cameras are the same as among all, their depth range too."""
-    chosen = spaces.load_positions(scene, None, [1])
+    chosen = load_positions(scene, None, [1])
     assert chosen.camera_names == NAMES[N_CAMERAS:]
     everything = open_capture(scene)
     for camera in chosen.cameras:
@@ -112,7 +113,7 @@ def test_chosen_positions(scene):
         assert np.array_equal(camera.world_to_camera, same.world_to_camera)
         assert (camera.near, camera.far) == (same.near, same.far)
     with refused(CaptureError, "2, 7", "0..1"):
-        spaces.load_positions(scene, None, [7, 0, 2])
+        load_positions(scene, None, [7, 0, 2])
 
 
 def test_depth_range_of_parallel_cameras(scene):
@@ -214,7 +215,7 @@ def test_images_that_cannot_be_read(scene):
 
 def test_says_why_it_refuses(tmp_path, intact_scene):
     """Files and folders that are no scene are refused with what is lacking."""
-    assert spaces.refuse(intact_scene) is None
-    assert spaces.refuse(intact_scene / "models.json") == spaces.refuse(tmp_path / "nowhere") == "no models.json"
+    assert refuse_spaces(intact_scene) is None
+    assert refuse_spaces(intact_scene / "models.json") == refuse_spaces(tmp_path / "nowhere") == "no models.json"
     (tmp_path / "models.json").write_text("[]")
-    assert spaces.refuse(tmp_path) == "models.json, but no cam_XX/"
+    assert refuse_spaces(tmp_path) == "models.json, but no cam_XX/"

@@ -126,7 +126,7 @@ STALE: dict[str, set[str]] = {
     "metrics/stream.py": ALL_SCORES - PATHS,
     "built_in.py": set(),
     "plugins.py": set(),
-    "datasets/dynerf.py": set(),
+    "datasets/llff.py": set(),
     "contrib/cluster/dask_engine.py": set(),
     "contrib/cluster/plan.py": set(),
     "contrib/export/tracking.py": set(),

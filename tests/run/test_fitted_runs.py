@@ -13,12 +13,14 @@ from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CameraError, RenderError
 from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.jobs.code_identity import installed_code
 from ggvs_eval.jobs.job import run_jobs
 from ggvs_eval.jobs.shard import Shard
 from ggvs_eval.jobs.status import describe_status
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.run.evaluate import measure, render
-from ggvs_eval.pipelines.run.fit import FitClock, fold_footage
+from ggvs_eval.pipelines.run.fit import FitClock
+from ggvs_eval.pipelines.run.footage import fold_footage
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work
@@ -292,3 +294,10 @@ def test_variants_of_a_sweep_share_their_fits(finished, twin_plane, tmp_path):
     psnr_db = result.table["PSNR"]
     assert psnr_db["k1", "Nearest"] == psnr_db["k2", "Nearest"]
     assert "fit: 2 done, 0 running, 0 failed, 0 missing" in describe_status(root)
+
+
+def test_how_folds_are_planned_makes_no_fit_stale():
+    """The identity of a fit begins at its footage, which takes nothing of plans, jobs or results."""
+    modules = installed_code().closure(fold_footage.__module__)
+
+    assert [name for name in modules if name.startswith("ggvs_eval.pipelines")] == [fold_footage.__module__]

@@ -7,7 +7,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array, Array32, Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.datasets.colmap_writer import FILES, Sightings, write_model
+from ggvs_eval.datasets.colmap_model import FILES, Sightings, write_model
 from ggvs_eval.synthetic.film.film import PARTS, Footage, lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.raycast import depth_along

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.depth_range import DEPTH_RANGE_FILE, write_depth_range
-from ggvs_eval.datasets.google_models import MODELS
+from ggvs_eval.datasets.google_light_fields import MODELS
 from ggvs_eval.files.video import write_video
 from ggvs_eval.kernels.portable import rotation_vector
 from ggvs_eval.synthetic.film.film import Footage

@@ -11,11 +11,11 @@ import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.assemble import common_count
 from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
 from ggvs_eval.datasets.colmap_model import model_cameras, read_model
 from ggvs_eval.datasets.frames import as_calibrated
-from ggvs_eval.datasets.instants import common_count
 from ggvs_eval.datasets.units import UNITS_FILE
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_folder

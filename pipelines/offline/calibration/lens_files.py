@@ -9,7 +9,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.datasets.calibration_file import find_calibration_files
-from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
+from ggvs_eval.datasets.easymocap import PIXEL_CENTRE
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml
 from ggvs_eval.datasets.frames import has_shape
 from ggvs_eval.errors import CameraError, CaptureError

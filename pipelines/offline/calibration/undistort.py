@@ -9,8 +9,8 @@ from pathlib import Path
 from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import FrameSource
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.assemble import common_count, common_rate
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
-from ggvs_eval.datasets.instants import common_count, common_rate
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_folder

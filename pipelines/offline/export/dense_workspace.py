@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8, Map
 from ggvs_eval.camera import Camera
-from ggvs_eval.datasets.colmap_writer import Sightings, write_model
+from ggvs_eval.datasets.colmap_model import Sightings, write_model
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_folder, write_bytes

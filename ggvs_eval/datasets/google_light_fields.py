@@ -1,0 +1,301 @@
+"""Google's light fields, calibrated by ``models.json`` in metres: Spaces and Immersive (DeepView Video)."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numpy as np
+
+from ggvs_eval.arrays import Array
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.camera_frames import find_frames, listed
+from ggvs_eval.datasets.colmap_model import undistorted_sources
+from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
+from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
+from ggvs_eval.datasets.layout import DatasetSpec
+from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import find_below
+from ggvs_eval.files.plain import read_plain_text
+from ggvs_eval.lens import Lens
+
+MODELS = "models.json"
+# What every camera of the file must say, and how many numbers each is.
+NUMBERS = {
+    "principal_point": 2,
+    "pixel_aspect_ratio": 1,
+    "focal_length": 1,
+    "position": 3,
+    "orientation": 3,
+    "width": 1,
+    "height": 1,
+}
+CAMERA = re.compile(r"camera_\d{1,6}")
+FISHEYE: Final = "fisheye"
+# Number of a scene -> its nearest and farthest depth in metres, as HyperReel (Attal et al., CVPR 2023) samples it.
+SCENE_DEPTHS_M = {
+    "01": (0.25, 6.0),
+    "02": (1.0, 10.0),
+    "04": (0.5, 10.0),
+    "05": (0.5, 45.0),
+    "07": (0.5, 50.0),
+    "09": (0.5, 30.0),
+    "10": (0.25, 6.0),
+    "11": (0.25, 6.0),
+    "12": (0.5, 20.0),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class CameraModel:
+    """Calibration of one camera.
+
+    Attributes:
+        K: intrinsics for an image of width x height, (3, 3).
+        world_to_camera: rigid transform, (4, 4), metres.
+        width: of the image that was calibrated, not always a whole number of pixels.
+    """
+
+    K: Array
+    world_to_camera: Array
+    width: float
+    height: float
+
+
+def load_models(file: Path) -> Any:
+    """Read the file as it stands."""
+    try:
+        return json.loads(read_plain_text(file))
+    except (OSError, ValueError, RecursionError) as error:
+        reason = "lists nested too deep" if isinstance(error, RecursionError) else str(error)
+        raise CaptureError(f"{file}: wanted JSON, got: {reason}; copy the scene again") from error
+
+
+def read_camera_model(file: Path, model: Any, where: str) -> CameraModel:
+    """Read the calibration of one camera.
+
+    Raises:
+        CaptureError: a key that is absent or holds something else than finite numbers, or no size.
+
+    Reading:
+        ``orientation`` is the rotation vector of world to camera, ``position`` the camera's centre, and the principal point
+        counts from the image's corner.
+    """
+    values = {key: read_numbers(file, model, key, count, where) for key, count in NUMBERS.items()}
+    focal_px, aspect = *values["focal_length"], *values["pixel_aspect_ratio"]
+    (cx, cy), (width,), (height,) = values["principal_point"], values["width"], values["height"]
+    if width < 1 or height < 1:
+        raise CaptureError(f"{file}: wanted a size of {where}, got {width:g} x {height:g}; copy the scene again")
+    rotation = cv2.Rodrigues(np.array(values["orientation"]))[0]
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = rotation
+    world_to_camera[:3, 3] = -rotation @ values["position"]
+    K = np.array([[focal_px, 0.0, cx], [0.0, focal_px * aspect, cy], [0.0, 0.0, 1.0]])
+    return CameraModel(K, world_to_camera, width, height)
+
+
+def read_numbers(file: Path, model: Any, key: str, count: int, where: str) -> list[float]:
+    """Read `count` numbers of one key, whether the file holds a list or a single one; otherwise as `read_camera_model`."""
+    value = model.get(key) if isinstance(model, Mapping) else None
+    numbers: list[Any] = value if isinstance(value, list) else [value]
+    right = len(numbers) == count and all(isinstance(each, int | float) and not isinstance(each, bool) for each in numbers)
+    # Beyond this nothing is a length or an angle, and whole numbers may not even fit a float.
+    if not right or not all(abs(each) < 1e9 for each in numbers):
+        requirement = f"{count} finite numbers" if count > 1 else "a finite number"
+        content = f"{value!r:.60}" if isinstance(model, Mapping) else f"{model!r:.60} for the camera"
+        raise CaptureError(f"{file}: wanted {requirement} as {key} of {where}, got {content}; copy the scene again")
+    return [float(each) for each in numbers]
+
+
+class _SpacesView(NamedTuple):
+    """One camera at one position of the rig: its name, ``pos00_cam03``, its image and its calibration."""
+
+    name: str
+    file: Path
+    model: CameraModel
+
+
+def refuse_spaces(path: Path) -> str | None:
+    """Return the reason why this folder is not a scene of Spaces, or None if it is one."""
+    if not (path / MODELS).is_file():
+        return f"no {MODELS}"
+    return None if any(path.glob("cam_*")) else f"{MODELS}, but no cam_XX/"
+
+
+def load_spaces(path: Path, units: GivenUnits) -> Capture:
+    """Open a scene with all positions of the rig; see `load_positions`."""
+    return load_positions(path, units, None)
+
+
+def load_positions(path: Path, units: GivenUnits, positions: Sequence[int] | None) -> Capture:
+    """Open a scene; every camera at every chosen position of the rig is one camera of a single instant, ``pos00_cam03``.
+
+    Args:
+        path: folder of the scene, with ``models.json`` and ``cam_XX/image_YYY.JPG``.
+        units: world units per metre or a file that says how to measure them; the data set is metric when None.
+        positions: positions of the rig, counted from 0; all of them when None.
+
+    Raises:
+        CaptureError: no such position, ``models.json`` is damaged, or an image is missing, damaged or of another shape.
+
+    Reading:
+        The images are taken for scaled, not cropped, where their size differs from that in the file.
+    """
+    views = _read_position(path)
+    chosen = range(len(views)) if positions is None else positions
+    absent = sorted(position for position in chosen if not 0 <= position < len(views))
+    if absent:
+        lacking = ", ".join(map(str, absent))
+        raise CaptureError(
+            f"{path / MODELS}: wanted rig position {lacking}, the scene has 0..{len(views) - 1}; choose among these"
+        )
+    rig = iter(ranged_cameras([_placed(view) for at in views for view in at], path / MODELS))
+    by_position = [[(next(rig), view) for view in at] for at in views]
+    taken = [each for position in chosen for each in by_position[position]]
+    cameras, sources = [camera for camera, _ in taken], [_image(view) for _, view in taken]
+    return assemble_capture(path, "spaces", cameras, sources, choose_units(path, units, cameras, of_data_set=METRIC))
+
+
+def _read_position(path: Path) -> list[list[_SpacesView]]:
+    """The views of each position of the rig."""
+    file = path / MODELS
+    models = load_models(file)
+    if not isinstance(models, list) or not models or not all(isinstance(at, list) and at for at in models):
+        raise CaptureError(
+            f"{file}: wanted a list over rig positions of lists of cameras, got something else; copy the scene again"
+        )
+    check_rig_size(file, sum(map(len, models)))
+    return [[_read_spaces_view(path, index, camera, model) for camera, model in enumerate(at)] for index, at in enumerate(models)]
+
+
+def _read_spaces_view(path: Path, position: int, camera: int, model: Any) -> _SpacesView:
+    where = f"camera {camera} of rig position {position}"
+    calibrated = read_camera_model(path / MODELS, model, where)
+    file = _read_path(path, model, f"cam_{camera:02d}/image_{position:03d}.JPG", where)
+    return _SpacesView(f"pos{position:02d}_cam{camera:02d}", file, calibrated)
+
+
+def _read_path(path: Path, model: dict[str, Any], usual: str, where: str) -> Path:
+    """The image of a camera, which must lie within the scene."""
+    relative = model.get("relative_path", usual)
+    parts = PurePosixPath(relative).parts if isinstance(relative, str) else ()
+    if (
+        not parts
+        or parts[0] == "/"
+        or ".." in parts
+        or not relative.isprintable()
+        or set(relative) & set("\\:")
+        or len(relative) > 200
+    ):
+        mend = "correct the file before you trust it"
+        raise CaptureError(f"{path / MODELS}: wanted relative_path of {where} within the scene, got {relative!r:.60}; {mend}")
+    return find_below(path, relative)
+
+
+def _image(view: _SpacesView) -> ImageFrames:
+    if not view.file.is_file():
+        raise CaptureError(f"{view.file}: wanted the image of {view.name}, there is none; restore it or copy the scene again")
+    return as_calibrated(ImageFrames(view.file), round(view.model.width), round(view.model.height))
+
+
+def _placed(view: _SpacesView) -> Placed:
+    """The camera at the size of its image on disk."""
+    model, (width, height) = view.model, _image(view).size
+    if not has_shape((width, height), (model.width, model.height)):
+        calibrated = f"{model.width:g} x {model.height:g}"
+        raise CaptureError(
+            f"{view.file}: wanted the shape of {calibrated} that {view.name} is calibrated for, got {width} x {height}; "
+            "give images that are scaled but not cropped"
+        )
+    K = np.diag([width / model.width, height / model.height, 1.0]) @ model.K
+    return Placed(view.name, K, model.world_to_camera, (width, height))
+
+
+SPACES_LAYOUT = DatasetSpec("models.json with cam_XX/ (Google Spaces)", refuse_spaces, load_spaces, ("models.json",))
+
+
+class _ImmersiveView(NamedTuple):
+    name: str
+    model: CameraModel
+    lens: Lens
+    K: Array  # of its pinhole image
+
+
+def refuse_immersive(path: Path) -> str | None:
+    """Return the reason why this folder is not a scene of Google Immersive, or None if it is one."""
+    if not (path / MODELS).is_file():
+        return f"no {MODELS}"
+    return None if any(path.glob("camera_*")) else f"{MODELS}, but no camera_XXXX"
+
+
+def load_immersive(path: Path, units: GivenUnits) -> Capture:
+    """Open a scene; frames are undistorted as they are read.
+
+    Args:
+        path: folder of the scene, with ``models.json`` and ``camera_XXXX.mp4``, or folders of the frames extracted from them.
+        units: world units per metre or a file that says how to measure them; the data set is metric when None.
+
+    Reading:
+        The lens is the one of the data set's README: theta (1 + k1 theta^2 + k2 theta^4) focal lengths from the principal point,
+        OpenCV's fisheye model with k3 = k4 = 0. The pinhole image has the fisheye image's size and focal length, without blank
+        pixels, see `Lens.undistorted_K`: it shows the inner part of what the lens saw. Cameras of the file without frames are
+        left out with a note, since the data set says that some scenes lack some. Depth range: what HyperReel takes for the scene
+        by the number its folder begins with.
+    """
+    views = _read_immersive(path / MODELS)
+    frames = find_frames(path, {view.name: view.name for view in views}).sources
+    if not frames:
+        raise CaptureError(f"{path}: wanted videos {views[0].name}.mp4, ..., or folders of their frames, got none; restore them")
+    filmed = [view for view in views if view.name in frames]
+    sources = [frames[view.name] for view in filmed]
+    depths = SCENE_DEPTHS_M.get(path.resolve().name.partition("_")[0])
+    rig = [Placed(view.name, view.K, view.model.world_to_camera, (view.lens.width, view.lens.height), depths) for view in filmed]
+    cameras = ranged_cameras(rig, path / MODELS)
+    pinhole = undistorted_sources(sources, [view.lens for view in filmed], cameras)
+    absent = [view.name for view in views if view.name not in frames]
+    notes = [f"{listed(absent)} left out: in {MODELS}, but without frames"] if absent else []
+    return assemble_capture(
+        path, "immersive", cameras, pinhole, choose_units(path, units, cameras, of_data_set=METRIC), notes=notes
+    )
+
+
+def _read_immersive(file: Path) -> list[_ImmersiveView]:
+    models = load_models(file)
+    if not isinstance(models, list) or not models:
+        raise CaptureError(f"{file}: wanted a list of cameras, got something else; copy the scene again")
+    check_rig_size(file, len(models))
+    return [_read_immersive_view(file, index, model) for index, model in enumerate(models)]
+
+
+def _read_immersive_view(file: Path, index: int, model: Any) -> _ImmersiveView:
+    calibrated = read_camera_model(file, model, f"camera {index}")
+    name = model.get("name")
+    if not isinstance(name, str) or not CAMERA.fullmatch(name):
+        raise CaptureError(f"{file}: wanted camera_XXXX as name of camera {index}, got {name!r:.60}; copy the scene again")
+    if model.get("projection_type") != FISHEYE:
+        content = f"{model.get('projection_type')!r:.60}"
+        raise CaptureError(
+            f"{file}: wanted {FISHEYE!r} as projection_type of {name}, got {content}; no other lens of this data set is "
+            "documented: undistort its frames and describe them in capture.toml"
+        )
+    k1, k2, third = read_numbers(file, model, "radial_distortion", 3, name)
+    if third:
+        raise CaptureError(
+            f"{file}: wanted 0 as third radial_distortion of {name}, which the data set's camera model does not have, "
+            f"got {third:g}; copy the scene again"
+        )
+    try:
+        lens = Lens(calibrated.K, FISHEYE, (k1, k2, 0.0, 0.0), round(calibrated.width), round(calibrated.height))
+        return _ImmersiveView(name, calibrated, lens, lens.undistorted_K())
+    except CameraError as error:
+        raise CaptureError(f"{file}: {name}: {error}") from error
+
+
+IMMERSIVE_LAYOUT = DatasetSpec(
+    "models.json with camera_XXXX.mp4 (Google Immersive)", refuse_immersive, load_immersive, ("models.json",)
+)
