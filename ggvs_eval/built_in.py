@@ -106,6 +106,11 @@ VERBS: dict[str, Verb] = {
         "Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and figures of scored runs.",
         RESULTS,
     ),
+    "table": Verb(
+        f"{VERBS_ROOM}.figures:table",
+        "Print a table of scored runs for a paper, in seconds; of several scenes a table per metric with a column for each.",
+        RESULTS,
+    ),
     "figure": Verb(
         f"{VERBS_ROOM}.figures:figure", "Draw a figure for a paper, labelled, every method beside the truth.", RESULTS
     ),
