@@ -21,7 +21,7 @@ FLOORS = (
     ("geometry", "capture", "colour_maps"),
     ("depth_store", "protocol", "gaussians"),
     ("run_folder", "results", "scene_fitter", "sweep"),
-    ("statistics", "merged_results", "datasets", "jobs", "synthetic.room", "training"),
+    ("statistics", "merged_results", "datasets", "jobs", "synthetic.room", "synthetic.d3dmv_scene", "training"),
     ("synthetic.film", "renders"),
     ("synthetic.layouts", "synthetic.stereo"),
     ("synthetic",),

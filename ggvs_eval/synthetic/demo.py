@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.jobs.processes import default_workers, worker_pool
 from ggvs_eval.progress import track
@@ -18,17 +18,13 @@ from ggvs_eval.synthetic.film.options import LATER, DemoOptions
 from ggvs_eval.synthetic.film.sensor import camera_gains
 from ggvs_eval.synthetic.film.shots import Shot
 from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
-from ggvs_eval.synthetic.shipped import unpack_shipped
+from ggvs_eval.synthetic.shipped import MAIN, is_written, write_room
 
 VERSION = 2
-DESCRIPTION = "demo.json"
-LISTED = 5
 T = TypeVar("T")
-MAIN = "demo"
 SMALL = DemoOptions(width=384, height=216, n_frames=8, path_poses=0, depth_stride=0)
-# Ships with the package.
 SHIPPED = DemoOptions(depth_stride=0)
-# Name of the packaged protocol -> what is rendered. ENeRF-Outdoor: 18 cameras on an arc; D3DMV: 10 in two rows of five.
+# What was filmed of each room that ships. ENeRF-Outdoor: 18 cameras on an arc; D3DMV: 10 in two rows of five.
 DEMO_ROOMS: dict[str, DemoOptions] = {
     MAIN: SHIPPED,
     "demo-enerf-outdoor": replace(SMALL, layout="enerf-outdoor", seed=1, cameras_per_row=9, rig="arc"),
@@ -37,7 +33,7 @@ DEMO_ROOMS: dict[str, DemoOptions] = {
 
 
 def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -> Path:
-    """Write the capture; a complete one of the same options is left as it is, and the one that ships is unpacked.
+    """Write the capture; a complete one of the same options is left as it is, and one that ships is unpacked.
 
     Args:
         folder: where to; absent, empty, or the same demo.
@@ -47,17 +43,16 @@ def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -
         The folder: the files of the layout and ``demo.json``; ``depth/camXX.h5`` but for rgbd, which has a sensor's depth; with
         dynerf and colmap ``path/poses_bounds.npy`` and ``path/images/`` (one instant, without gain and noise).
     """
-    if _is_written(folder, options):
-        return folder
-    if options == SHIPPED:
-        with atomic_folder(folder) as unfinished:
-            unpack_shipped(unfinished)
+    for name, shipped in DEMO_ROOMS.items():
+        if options == shipped:
+            return write_room(folder, name)
+    if is_written(folder, _description(options), LAYOUTS[options.layout].files(options)):
         return folder
     return film_demo(folder, options, workers)
 
 
 def film_demo(folder: Path, options: DemoOptions, workers: int | None = None) -> Path:
-    """Film the capture, as `write_demo` does, the one that ships too."""
+    """Film the capture, as `write_demo` does, those that ship too."""
     with atomic_folder(folder) as unfinished, _executor(workers or default_workers()) as executor:
         _film(executor, unfinished, options)
     return folder
@@ -81,7 +76,7 @@ def _film(executor: Executor, folder: Path, options: DemoOptions) -> None:
     # A worker has the room at hand; this process would have to light it first.
     executor.submit(layout.finish, folder, options, cameras).result()
     shutil.rmtree(parts)
-    (folder / DESCRIPTION).write_text(_description(options))
+    (folder / DEMO_NOTES).write_text(_description(options))
 
 
 def _film_shot(folder: Path, options: DemoOptions, shot: Shot) -> Camera:
@@ -105,19 +100,3 @@ def _description(options: DemoOptions) -> str:
         "camera_gains": [[round(float(value), 6) for value in gain] for gain in camera_gains(options)],
     }
     return json.dumps(described, indent=1) + "\n"
-
-
-def _is_written(folder: Path, options: DemoOptions) -> bool:
-    """Tell whether the folder holds this very demo; False where it is absent or empty."""
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        return False
-    described = folder / DESCRIPTION
-    if not described.is_file():
-        raise CaptureError(f"{folder}: wanted an empty folder or a demo of these options, found other files; choose another")
-    if described.read_text() != _description(options):
-        raise CaptureError(f"{folder}: holds a demo of other options or another version; delete it or choose another folder")
-    missing = [name for name in LAYOUTS[options.layout].files(options) if not (folder / name).is_file()]
-    if missing:
-        listed = ", ".join(missing[:LISTED]) + (f" and {len(missing) - LISTED} more" if len(missing) > LISTED else "")
-        raise CaptureError(f"{folder}: this demo has lost {listed}; delete the folder and write it again")
-    return True

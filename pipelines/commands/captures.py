@@ -127,7 +127,7 @@ def demo(
         jobs: processes.
     """
     from ggvs_eval.synthetic.demo import write_demo
-    from ggvs_eval.synthetic.quick import write_quick
+    from ggvs_eval.synthetic.shipped import write_quick
 
     if quick:
         print(write_quick(out))

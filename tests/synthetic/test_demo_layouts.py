@@ -16,6 +16,7 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import quantise, read_image
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.lens import Lens
+from ggvs_eval.synthetic.d3dmv_scene import MEDIAN_FRAMES, median_background
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.depth import read_exact_depth
 from ggvs_eval.synthetic.film.film import Footage, lit_room
@@ -23,7 +24,6 @@ from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.raycast import PixelGrid, View, render_depth
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, WORLD_TO_ROOM, in_metres
 from ggvs_eval.synthetic.film.shots import FISHEYE_LENS, LENS, distorted_shots, hand_held_shots, rig_shots
-from ggvs_eval.synthetic.layouts.d3dmv import MEDIAN_FRAMES, median_background
 from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
 from helpers.photographs import psnr_db
 from helpers.scenes import render_view
