@@ -12,7 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from ggvs_eval.pipelines.inspection.renders.examine import examine
-from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, cameras_of_run, views_of_run
+from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, ViewFrames, cameras_of_run, views_of_run
 from ggvs_eval.run_folder import RunFolder
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the faults are the tests' own

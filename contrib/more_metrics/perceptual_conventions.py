@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
-from ggvs_eval.pipelines.inspection.renders.frame_conventions import halved
-from ggvs_eval.pipelines.inspection.renders.recompute import (
+from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
     FrameMeasure,
     MaskReader,
     Recomputed,
     frame_means,
+    halved,
     mean_over_views,
     view_pairs,
 )
-from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
 Views = Mapping[str, ViewFrames]
 Masks = Mapping[str, MaskReader]

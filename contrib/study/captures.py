@@ -13,7 +13,7 @@ from ggvs_eval.errors import CameraError, DepthError
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_images
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.pipelines.inspection.capture.uncalibrated import LAYOUT, open_uncalibrated, uncalibrated_capture
+from ggvs_eval.pipelines.inspection.capture.check import LAYOUT, open_uncalibrated, uncalibrated_capture
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol

@@ -175,7 +175,7 @@ def check(
         jobs: processes.
     """
     from ggvs_eval.pipelines.inspection.capture.check import run_check
-    from ggvs_eval.pipelines.inspection.capture.corrections import repair_capture
+    from ggvs_eval.pipelines.inspection.capture.colour import repair_capture
 
     capture = locate(capture)
     out = out or Path(f"{capture.resolve().name}.check.json")

@@ -47,8 +47,8 @@ def doctor(
     """
     from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
     from ggvs_eval.pipelines.inspection.renders.forgiven_error import forgiven_error
+    from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, views_of_run
     from ggvs_eval.pipelines.inspection.renders.steadiness import steadiness_line
-    from ggvs_eval.pipelines.inspection.renders.view_frames import cameras_of_run, views_of_run
     from ggvs_eval.pipelines.run.references import find_seen_views
 
     certain = False
@@ -92,7 +92,7 @@ def explain(
     """
     from ggvs_eval.pipelines.inspection.renders.explain import explain as recompute
     from ggvs_eval.pipelines.inspection.renders.explain import explanation_table, metric_family, printed
-    from ggvs_eval.pipelines.inspection.renders.view_frames import views_of_run
+    from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
 
     metric_family(metric)  # a mistyped name or number shows before anything is read
     printed(quoted)

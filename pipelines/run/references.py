@@ -16,8 +16,8 @@ from ggvs_eval.metrics.ceilings import ceilings
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.pipelines.inspection.finding import Finding
-from ggvs_eval.pipelines.inspection.renders.seen import COMPARED, find_seen
-from ggvs_eval.pipelines.inspection.renders.view_frames import views_of_run
+from ggvs_eval.pipelines.inspection.renders.examine import COMPARED, find_seen
+from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
 from ggvs_eval.pipelines.run.score_code import ceilings_code
 from ggvs_eval.pipelines.run.score_path import TRUTH
 from ggvs_eval.pipelines.run.score_view import digest_frames, metric_options, truth_frames

@@ -16,8 +16,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.lens import Lens
-from ggvs_eval.pipelines.inspection.capture.check import check_capture
-from ggvs_eval.pipelines.inspection.capture.uncalibrated import open_uncalibrated
+from ggvs_eval.pipelines.inspection.capture.check import check_capture, open_uncalibrated
 from ggvs_eval.pipelines.offline.calibration.known_cameras import read_known
 from ggvs_eval.pipelines.run.suggest_protocol import propose_protocol
 from helpers.captures import (

@@ -10,7 +10,7 @@ from ggvs_eval.errors import CameraError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.geometry.sight import require_sight, shown_share
 from ggvs_eval.geometry.source_views import choose_sources
-from ggvs_eval.pipelines.inspection.capture.overlap import check_overlap
+from ggvs_eval.pipelines.inspection.capture.depth_range import check_overlap
 from helpers.command_line import refusal
 
 K = np.array([[90.0, 0, 48], [0, 90, 36], [0, 0, 1]])

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames
+from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, ViewFrames
 
 Spoil = Callable[[ViewFrames], FrameReader]
 SEED = 1

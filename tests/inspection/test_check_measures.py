@@ -13,19 +13,37 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.geometry.epipolar import MatchedPair, consistent, epipolar_errors, neighbour_pairs, ray_depths
 from ggvs_eval.geometry.features import Features, find_features, match_features
-from ggvs_eval.pipelines.inspection.capture.calibration_errors import accused, camera_error, pair_error, triangulated_depths
-from ggvs_eval.pipelines.inspection.capture.camera_record import difference_sigma, largest_change, record_camera
-from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture
+from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture, check_scale
 from ggvs_eval.pipelines.inspection.capture.colour import camera_gains, check_gain, check_noise
-from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
-from ggvs_eval.pipelines.inspection.capture.frames import check_frames, common_repeats, frozen_frames
-from ggvs_eval.pipelines.inspection.capture.intrinsics import check_intrinsics, fields_of_view_deg, off_centre
-from ggvs_eval.pipelines.inspection.capture.motion_signals import best_lag, motion_energy, plane_angles
-from ggvs_eval.pipelines.inspection.capture.overlap import seen_share
-from ggvs_eval.pipelines.inspection.capture.pairs import largest_group, solve_differences
-from ggvs_eval.pipelines.inspection.capture.poses import away_angles, check_poses, look_at_point, roll_angles, same_places
-from ggvs_eval.pipelines.inspection.capture.repairs import explain_camera, explain_rig, with_focal
-from ggvs_eval.pipelines.inspection.capture.scale import check_scale
+from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing, seen_share
+from ggvs_eval.pipelines.inspection.capture.epipolar_findings import explain_camera, explain_rig, with_focal
+from ggvs_eval.pipelines.inspection.capture.frames import (
+    check_frames,
+    common_repeats,
+    difference_sigma,
+    frozen_frames,
+    largest_change,
+    record_camera,
+)
+from ggvs_eval.pipelines.inspection.capture.pairs import (
+    accused,
+    camera_error,
+    largest_group,
+    pair_error,
+    solve_differences,
+    triangulated_depths,
+)
+from ggvs_eval.pipelines.inspection.capture.poses import (
+    away_angles,
+    check_intrinsics,
+    check_poses,
+    fields_of_view_deg,
+    look_at_point,
+    off_centre,
+    roll_angles,
+    same_places,
+)
+from ggvs_eval.pipelines.inspection.capture.timing import best_lag, motion_energy, plane_angles
 from ggvs_eval.pipelines.inspection.finding import Finding, graded, worst
 from helpers.captures import make_image, make_rig, write_dynerf, write_folders, write_poses
 

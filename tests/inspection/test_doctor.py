@@ -12,8 +12,8 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, views_of_run
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
-from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, cameras_of_run, views_of_run
 from ggvs_eval.run_folder import RunFolder, frame_path
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions

@@ -19,9 +19,9 @@ from ggvs_eval.pipelines.inspection.renders.explain import (
     printed,
     tolerance,
 )
-from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS
+from ggvs_eval.pipelines.inspection.renders.frame_conventions import ALL_VIEWS
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.pipelines.inspection.renders.ssim_conventions import frame_measures
-from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,7 @@ import pytest
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.inspection.capture.depth_registration import check_depth_registration
+from ggvs_eval.pipelines.inspection.capture.depth_range import check_depth_registration
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job

@@ -14,8 +14,8 @@ from ggvs_eval.merged_results import merge_results
 from ggvs_eval.metrics import stream
 from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
+from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, views_of_run
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
-from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, views_of_run
 from ggvs_eval.pipelines.run import score_view
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.references import find_seen_views

@@ -1,58 +1,55 @@
-"""The check of a capture: open it, walk once through every camera's frames, and answer the questions."""
+"""The check of a capture: open it, walk once through every camera's frames, and answer the questions.
+
+World units per metre, where they come from and the sizes that they imply; and frames without a calibration yet.
+"""
 
 import json
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ggvs_eval.arrays import Array
+from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.camera_frames import find_rig_frames
-from ggvs_eval.datasets.units import GivenUnits
+from ggvs_eval.datasets import calibration_mark, detect_layout, open_capture
+from ggvs_eval.datasets.assemble import assemble_capture
+from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
+from ggvs_eval.datasets.units import GivenUnits, Units
 from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.geometry.epipolar import neighbour_pairs
 from ggvs_eval.jobs.processes import worker_pool
-from ggvs_eval.pipelines.inspection.capture import (
-    colour,
-    depth_range,
-    depth_registration,
-    epipolar_findings,
-    frames,
-    intrinsics,
-    overlap,
-    poses,
-    scale,
-    timing,
-)
-from ggvs_eval.pipelines.inspection.capture.calibration_errors import triangulated_depths
-from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord, record_camera
-from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs
-from ggvs_eval.pipelines.inspection.capture.uncalibrated import (
-    ask_for_calibration,
-    open_uncalibrated,
-    uncalibrated_capture,
-)
+from ggvs_eval.pipelines.inspection.capture import colour, depth_range, epipolar_findings, frames, poses, timing
+from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
+from ggvs_eval.pipelines.inspection.capture.frames import CameraRecord, record_camera
+from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs, triangulated_depths
 from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json
 
+SIZE_QUESTION = "units"
+GUESS = "guess"
+# Rooms, stages and streets; rigs from a phone's pair of lenses to a stadium's.
+SCENE_M, SPACING_M = (0.2, 100.0), (0.005, 10.0)
+LAYOUT = "no calibration"
 OPENS = "opens"
 QUESTIONS = (
     frames.FRAMES,
     frames.FROZEN,
-    poses.QUESTION,
-    intrinsics.QUESTION,
-    depth_range.QUESTION,
-    overlap.QUESTION,
+    poses.POSES_QUESTION,
+    poses.INTRINSICS_QUESTION,
+    depth_range.DEPTH_QUESTION,
+    depth_range.OVERLAP_QUESTION,
     epipolar_findings.QUESTION,
     timing.QUESTION,
     colour.GAIN,
     colour.NOISE,
-    scale.QUESTION,
+    SIZE_QUESTION,
 )
 
 
@@ -179,15 +176,15 @@ def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...
         lambda: frames.check_frames(capture, records),
         lambda: frames.check_frozen(records),
         lambda: poses.check_poses(cameras, verdict.suspects),
-        lambda: intrinsics.check_intrinsics(cameras),
+        lambda: poses.check_intrinsics(cameras),
         lambda: depth_range.check_depth_range(cameras, depths, verdict.suspects),
-        lambda: overlap.check_overlap(cameras, capture.sensed_cameras),
+        lambda: depth_range.check_overlap(cameras, capture.sensed_cameras),
         lambda: verdict.findings,
         lambda: timing.check_timing(cameras, records, verdict.suspects, capture.fps),
         lambda: colour.check_gain(capture.camera_names, verdict.pairs),
         lambda: colour.check_noise(records),
-        lambda: scale.check_scale(capture, depths),
-        lambda: depth_registration.check_depth_registration(capture),
+        lambda: check_scale(capture, depths),
+        lambda: depth_range.check_depth_registration(capture),
     )
     return tuple(finding for answer in answers for finding in answer())
 
@@ -206,3 +203,83 @@ def _examine_unopened(path: Path, message: str, workers: int) -> tuple[Finding, 
 def _unanswered(findings: Iterable[Finding]) -> tuple[str, ...]:
     answered = {finding.question for finding in findings}
     return tuple(question for question in QUESTIONS if question not in answered)
+
+
+def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding, ...]:
+    """Evaluate the scale by the metres it gives for the scene's depth and the cameras' spacing.
+
+    Args:
+        depths: depths of triangulated matches per camera, world units, where there are any.
+    """
+    medians = [float(np.median(values)) for values in depths.values() if len(values)]
+    depth = float(np.median(medians or [np.sqrt(camera.near * camera.far) for camera in capture.cameras]))
+    depth_m = depth / capture.units_per_metre
+    spacing_m = (
+        float(np.median(neighbour_spacing(capture.cameras))) / capture.units_per_metre if len(capture.cameras) > 1 else np.nan
+    )
+    values: dict[str, object] = {
+        "units_per_metre": capture.units_per_metre,
+        "origin": capture.units_origin,
+        "median_depth_m": round(depth_m, 4),
+    }
+    if capture.units_origin.startswith(GUESS):
+        return (_guessed(capture, depth, spacing_m * capture.units_per_metre, values),)
+    measured = f"{capture.units_per_metre:.4g} units per metre ({capture.units_origin}): scene {depth_m:.2f} m away"
+    if np.isfinite(spacing_m):
+        values["spacing_m"] = round(spacing_m, 4)
+        measured += f", neighbours {100 * spacing_m:.0f} cm apart"
+    if not SCENE_M[0] < depth_m < SCENE_M[1] or not (np.isnan(spacing_m) or SPACING_M[0] < spacing_m < SPACING_M[1]):
+        return (Finding(RIG, SIZE_QUESTION, "warn", measured, values, "measure a baseline and give the units (--units)"),)
+    return (Finding(RIG, SIZE_QUESTION, "ok", measured, values),)
+
+
+def _guessed(capture: Capture, depth: float, spacing: float, values: dict[str, object]) -> Finding:
+    """Return the finding in world units, for a capture of which nothing is known in metres."""
+    near, far = min(camera.near for camera in capture.cameras), max(camera.far for camera in capture.cameras)
+    measured = f"metres are not known; in world units the scene lies within {near:.3g} .. {far:.3g}, {depth:.3g} at the median"
+    if np.isfinite(spacing):
+        values["spacing_units"] = round(spacing, 4)
+        measured += f", neighbours {spacing:.3g} apart"
+    measured += f"; {capture.units_per_metre:.4g} units are taken for a metre ({capture.units_origin})"
+    advice = "measure one baseline or two points and give it (units.toml); thresholds in metres depend on it"
+    return Finding(RIG, SIZE_QUESTION, "warn", measured, values, advice)
+
+
+def open_uncalibrated(path: Path) -> Capture | None:
+    """Open the frames of a folder that is no capture yet; None where it is one, or holds no frames of two cameras.
+
+    A folder that shows a calibration is none of these, though nothing can read it whole.
+
+    The cameras are placeholders at one place, which nothing may be computed from.
+
+    Raises:
+        CaptureError: a calibration that cannot be read, or frames that do not fit each other, as those of one capture must.
+    """
+    try:
+        detect_layout(path)
+    except CaptureError:
+        if calibration_mark(path):
+            raise
+    else:
+        return None
+    try:
+        files = find_rig_frames(path)
+    except CaptureError:
+        return None
+    return uncalibrated_capture(path, files)
+
+
+def uncalibrated_capture(path: Path, files: Mapping[str, CameraFrames]) -> Capture:
+    """Frames by the names of their cameras as a capture; the cameras are placeholders, see `open_uncalibrated`."""
+    cameras = []
+    for name, file in files.items():
+        width, height = file.size
+        K = np.array([[float(width), 0.0, width / 2], [0.0, float(width), height / 2], [0.0, 0.0, 1.0]])
+        cameras.append(Camera(name, K, np.eye(4), width, height, 1.0, 2.0))
+    return assemble_capture(path, LAYOUT, cameras, list(files.values()), Units(1.0, LAYOUT))
+
+
+def ask_for_calibration(path: Path, questions: tuple[str, ...]) -> tuple[Finding, ...]:
+    """Answer the questions that want poses: how to get them."""
+    advice = f"ggvs-eval calibrate {path} RIG, then check RIG"
+    return tuple(Finding(RIG, question, "unknown", "no calibration yet", {}, advice) for question in questions)

@@ -1,12 +1,22 @@
-"""Colour gain and noise of each camera against the rig."""
+"""Colour gain and noise of each camera against the rig; what timing and colour make of it becomes corrections."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.datasets.corrections import (
+    Correction,
+    corrections_file,
+    describe_corrections,
+    read_corrections,
+    write_corrections,
+)
 from ggvs_eval.geometry.epipolar import MatchedPair
-from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord
+from ggvs_eval.pipelines.inspection.capture import timing
+from ggvs_eval.pipelines.inspection.capture.frames import CameraRecord
 from ggvs_eval.pipelines.inspection.capture.pairs import solve_differences
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding, graded
 
@@ -83,3 +93,45 @@ def _evaluate_noise(name: str, sigma: float, median: float) -> Finding:
         verdict = "warn"
     advice = "" if verdict == "ok" else "check this camera's gain (ISO) and bit rate; PSNR against it is limited by its noise"
     return Finding(name, NOISE, verdict, f"sigma {sigma:.2f} of 255 levels", {"sigma_255": round(sigma, 3)}, advice)
+
+
+def propose_corrections(findings: Iterable[Finding], present: Mapping[str, Correction]) -> dict[str, Correction]:
+    """Corrections of the cameras that were found to be out of step by whole frames, or brighter or darker than the rig.
+
+    Args:
+        present: corrections under which they were found; what is found is added to them.
+
+    Returns:
+        All corrections, by camera; `present` where there is nothing to add.
+
+    Reading:
+        Half a frame and less cannot be mended by a shift. Gains below the threshold of the check are left alone: they are hardly
+        measured better.
+    """
+    corrections = dict(present)
+    for finding in findings:
+        if finding.subject == RIG or finding.verdict not in ("warn", "bad"):
+            continue
+        before = corrections.get(finding.subject, Correction(finding.subject))
+        if finding.question == timing.QUESTION and round(finding.values["offset_frames"]):
+            total = before.offset_frames + round(finding.values["offset_frames"])
+            corrections[finding.subject] = replace(before, offset_frames=total)
+        elif finding.question == GAIN:
+            gain = tuple(round(old * new, 4) for old, new in zip(before.gain, finding.values["gain"], strict=True))
+            corrections[finding.subject] = replace(before, gain=gain)
+    return corrections
+
+
+def repair_capture(path: Path, findings: Iterable[Finding]) -> str:
+    """Write what was found into the capture's ``corrections.toml``.
+
+    Returns:
+        The file and what it says now; empty where there was nothing to add, and the file is as it was.
+    """
+    file = corrections_file(path)
+    present = read_corrections(file)
+    corrections = propose_corrections(findings, present)
+    if corrections == present:
+        return ""
+    write_corrections(file, corrections)
+    return f"{file}: {describe_corrections(corrections)}"

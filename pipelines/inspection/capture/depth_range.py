@@ -1,20 +1,42 @@
-"""Near and far of each camera against its neighbours' distance and the depths that matches show."""
+"""Depth of the views: near and far of each camera, how much of its picture neighbours see too, registration of sensor depth.
+
+Near and far are held against the distance of the neighbours and the depths that matches show; the registration of sensor depth
+with its colour is the displacement of its edges in pixels, and its scale.
+"""
 
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.depth_range import neighbour_distances
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict
+from ggvs_eval.errors import GgvsError
+from ggvs_eval.geometry.sight import LEAST_SHOWN, advise_sight, describe_sight, shown_share
+from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding, Verdict, graded
+from ggvs_eval.pipelines.offline.sensor.registered_capture import displacement, is_sequence
+from ggvs_eval.pipelines.offline.sensor.registration import Registration
+from ggvs_eval.pipelines.offline.sensor.registration_estimate import Displacement
 
-QUESTION = "depth range"
+DEPTH_QUESTION = "depth range"
 # Share of matched points that may lie outside near .. far; percentiles of the scene leave out a few by definition.
 WARN_OUTSIDE, BAD_OUTSIDE = 0.15, 0.5
 # Neighbours between a thousandth of the depth (no parallax) and the depth itself (nothing in common).
 LEAST_BASELINE, LARGEST_BASELINE = 1e-3, 1.5
 FEWEST_POINTS = 30
+OVERLAP_QUESTION = "overlap"
+SOURCES = 4  # views that the method blends
+# Depth of a point needs two other views; below 40 % most of the picture would be guessed.
+LEAST_SHARE, LEAST_VIEWS = 0.4, 2
+GRID, DEPTHS = 24, 5
+REGISTRATION_QUESTION = "depth registration"
+# Of images 480 pixels wide: a pixel beside an edge takes the other surface's colour along; three show at arm's length.
+WARN_PX, BAD_PX = 1.0, 3.0
+# A scale error of 1 % moves a neighbour 5 % of the depth away by a quarter of a pixel at 480 pixels.
+WARN_SCALE, BAD_SCALE = 0.01, 0.03
+# What single frames want beside the common registration: poses, blur, or a rolling shutter.
+WARN_FRAME_PX = 2.0
 
 
 def check_depth_range(
@@ -28,14 +50,16 @@ def check_depth_range(
     spacing = neighbour_spacing(cameras)
     typical = float(np.median([np.sqrt(camera.near * camera.far) for camera in cameras]))
     ratio = float(np.median(spacing)) / typical
-    evaluated = [_evaluate(camera, depths.get(index, np.empty(0)), index in doubtful) for index, camera in enumerate(cameras)]
+    evaluated = [
+        _evaluate_range(camera, depths.get(index, np.empty(0)), index in doubtful) for index, camera in enumerate(cameras)
+    ]
     nearest, farthest = min(camera.near for camera in cameras), max(camera.far for camera in cameras)
     values = {"near": round(nearest, 4), "far": round(farthest, 4), "spacing_over_depth": round(ratio, 5)}
     measured = f"{nearest:.3g} .. {farthest:.3g} units, neighbours {100 * ratio:.1f} % of the depth apart"
     if not LEAST_BASELINE < ratio < LARGEST_BASELINE:
         advice = "poses and depth bounds in different units?"
-        return (Finding(RIG, QUESTION, "warn", measured, values, advice), *evaluated)
-    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated)
+        return (Finding(RIG, DEPTH_QUESTION, "warn", measured, values, advice), *evaluated)
+    return (Finding(RIG, DEPTH_QUESTION, "ok", measured, values), *evaluated)
 
 
 def neighbour_spacing(cameras: Sequence[Camera]) -> Array:
@@ -43,13 +67,13 @@ def neighbour_spacing(cameras: Sequence[Camera]) -> Array:
     return neighbour_distances(np.stack([camera.centre for camera in cameras]))
 
 
-def _evaluate(camera: Camera, depths: Array, is_doubtful: bool) -> Finding:
+def _evaluate_range(camera: Camera, depths: Array, is_doubtful: bool) -> Finding:
     values: dict[str, object] = {"near": round(camera.near, 4), "far": round(camera.far, 4)}
     if len(depths) < FEWEST_POINTS:
         reason = (
             "its calibration is in doubt, see epipolar error" if is_doubtful else f"{len(depths)} matched points with a depth"
         )
-        return Finding(camera.name, QUESTION, "unknown", reason, values)
+        return Finding(camera.name, DEPTH_QUESTION, "unknown", reason, values)
     outside = float(((depths < camera.near) | (depths > camera.far)).mean())
     low, high = np.percentile(depths, [2, 98])
     values |= {"outside_share": round(outside, 4), "seen_near": round(float(low), 4), "seen_far": round(float(high), 4)}
@@ -57,4 +81,130 @@ def _evaluate(camera: Camera, depths: Array, is_doubtful: bool) -> Finding:
     measured = f"{100 * outside:.0f} % of {len(depths)} points outside {camera.near:.3g} .. {camera.far:.3g}"
     measured += f", seen {low:.3g} .. {high:.3g}"
     advice = "" if verdict == "ok" else f"set near and far to about {0.9 * low:.3g} and {1.1 * high:.3g}"
-    return Finding(camera.name, QUESTION, verdict, measured, values, advice)
+    return Finding(camera.name, DEPTH_QUESTION, verdict, measured, values, advice)
+
+
+def check_overlap(cameras: Sequence[Camera], sensed: Collection[str] = ()) -> tuple[Finding, ...]:
+    """Measure the share of each picture, over the depths from near to far, that at least two of the four nearest cameras see.
+
+    Where these could not show enough of it for a test view, that is said instead; it is bad where none can be one.
+    """
+    if len(cameras) < 2:
+        return (Finding(RIG, OVERLAP_QUESTION, "unknown", "one camera alone"),)
+    shares = np.array([seen_share(camera, cameras) for camera in cameras])
+    evaluated = []
+    blind = {camera.name: finding for camera in cameras if (finding := _blindness(camera, cameras, sensed)) is not None}
+    for camera, share in zip(cameras, shares, strict=True):
+        if camera.name in blind:
+            evaluated.append(blind[camera.name])
+            continue
+        is_little = share < LEAST_SHARE
+        advice = "add cameras between, or leave it out of the test views" if is_little else ""
+        measured = f"{100 * share:.0f} % of the picture seen by {LEAST_VIEWS} of {SOURCES} neighbours"
+        evaluated.append(
+            Finding(
+                camera.name, OVERLAP_QUESTION, "warn" if is_little else "ok", measured, {"share": round(float(share), 4)}, advice
+            )
+        )
+    measured = (
+        f"median {100 * np.median(shares):.0f} %, least {100 * shares.min():.0f} % seen by {LEAST_VIEWS} of {SOURCES} neighbours"
+    )
+    values = {"median_share": round(float(np.median(shares)), 4)}
+    if len(blind) == len(cameras):
+        worst = min(blind.values(), key=lambda finding: finding.values["shown_share"])
+        measured = f"no camera can be synthesised from the others; {worst.subject}: {worst.measured}"
+        return (Finding(RIG, OVERLAP_QUESTION, "bad", measured, values, worst.advice), *evaluated)
+    return (Finding(RIG, OVERLAP_QUESTION, "ok", measured, values), *evaluated)
+
+
+def _blindness(camera: Camera, cameras: Sequence[Camera], sensed: Collection[str]) -> Finding | None:
+    """Return the finding on a camera of which its nearest cameras can show too little for a test view; None on any other."""
+    sources = nearest_cameras(camera, cameras, min(SOURCES, len(cameras) - 1))
+    share = shown_share(camera, sources, cameras, sensed)
+    if share >= LEAST_SHOWN:
+        return None
+    advice = advise_sight(camera, len(sources), cameras, sensed)
+    return Finding(
+        camera.name, OVERLAP_QUESTION, "warn", describe_sight(camera, sources, share), {"shown_share": round(share, 4)}, advice
+    )
+
+
+def seen_share(camera: Camera, cameras: Sequence[Camera]) -> float:
+    """Share of a grid of pixels and depths (even steps of disparity) that enough of the nearest cameras see; nothing occludes."""
+    others = nearest_cameras(camera, cameras, min(SOURCES, len(cameras) - 1))
+    columns, rows = ((np.arange(GRID) + 0.5) / GRID * side for side in camera.size)
+    uv = np.stack(np.meshgrid(columns, rows), axis=-1)[None]  # (1, G, G, 2)
+    depth = 1 / np.linspace(1 / camera.far, 1 / camera.near, DEPTHS)[:, None, None]
+    points = camera.unproject(np.broadcast_to(uv, (DEPTHS, GRID, GRID, 2)), np.broadcast_to(depth, (DEPTHS, GRID, GRID)))
+    n_views = np.zeros((DEPTHS, GRID, GRID), int)
+    for other in others:
+        at, z = other.project(points)
+        n_views += (z > 0) & (at >= 0).all(axis=-1) & (at <= np.array(other.size)).all(axis=-1)
+    return float((n_views >= min(LEAST_VIEWS, len(others))).mean())
+
+
+def check_depth_registration(capture: Capture) -> tuple[Finding, ...]:
+    """Measure how far sensor depth lies off its colour; no finding for captures without sensor depth."""
+    if not any(extras.depth is not None for extras in capture.extras):
+        return ()
+    if not is_sequence(capture):
+        return (
+            Finding(
+                RIG, REGISTRATION_QUESTION, "unknown", "several cameras with a sensor each: only sequences of one are measured"
+            ),
+        )
+    try:
+        measured = displacement(capture)
+    except GgvsError as error:
+        return (Finding(RIG, REGISTRATION_QUESTION, "unknown", f"frames cannot be read: {error}"),)
+    if measured is None:
+        return (Finding(RIG, REGISTRATION_QUESTION, "unknown", "too few edges of depth to compare with colour"),)
+    return (_evaluate_registration(measured, capture.cameras[0].width),)
+
+
+def _evaluate_registration(measured: Displacement, width_px: int) -> Finding:
+    enlarged = width_px / measured.width_px
+    applied, registration = measured.applied, measured.registration
+    offset_px = measured.displacement_px if applied.moves else 0.0
+    scale_error = abs(applied.scale - 1)
+    grades: tuple[Verdict, ...] = (
+        graded(offset_px, WARN_PX, BAD_PX),
+        graded(scale_error, WARN_SCALE, BAD_SCALE),
+        "warn" if measured.frame_px > WARN_FRAME_PX else "ok",
+    )
+    values = {
+        "displacement_px": round(measured.displacement_px * enlarged, 3),
+        "error_px": round(measured.error_px * enlarged, 3),
+        "right_px": round(registration.right * width_px, 3),
+        "down_px": round(registration.down * width_px, 3),
+        "roll_deg": round(float(np.degrees(registration.roll_rad)), 4),
+        "delay_frames": round(registration.delay_frames, 3),
+        "scale": round(registration.scale, 5),
+        "scale_error": round(measured.scale_error, 5) if np.isfinite(measured.scale_error) else None,
+        "frame_px": round(measured.frame_px * enlarged, 3) if np.isfinite(measured.frame_px) else None,
+        "psnr_given_db": _number(measured.psnr_db[0]),
+        "psnr_mended_db": _number(measured.psnr_db[1]),
+        "is_mended": applied != Registration(),
+        "n_frames": measured.n_frames,
+        "n_edges": measured.n_edges,
+    }
+    shown = (
+        f"depth edges {values['displacement_px']:.2f} +- {values['error_px']:.2f} px off colour, single frames "
+        f"{measured.frame_px * enlarged:.1f} px, scale {registration.scale:.4f}; warped neighbours {measured.psnr_db[0]:.2f} dB"
+    )
+    return Finding(RIG, REGISTRATION_QUESTION, max(grades, key=SEVERITY.__getitem__), shown, values, _advice(measured, width_px))
+
+
+def _advice(measured: Displacement, width_px: int) -> str:
+    if measured.applied != Registration():
+        return (
+            f"--registration estimated mends it ({measured.applied.describe(width_px)}): warped neighbours "
+            f"{measured.psnr_db[1]:.2f} dB; or register the depth maps to the colour camera"
+        )
+    if measured.frame_px > WARN_FRAME_PX:
+        return "no common registration mends it: poses, motion blur or the sensor's delay differ from frame to frame"
+    return ""
+
+
+def _number(value: float) -> float | None:
+    return round(value, 3) if np.isfinite(value) else None

@@ -1,17 +1,30 @@
-"""Pairs of cameras that are compared, and the points they share."""
+"""Pairs of cameras that are compared: the points they share, their epipolar errors, and which cameras these accuse."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry.epipolar import MatchedPair, match_pair
-from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord
+from ggvs_eval.geometry.epipolar import (
+    SMALLEST_ANGLE_RAD,
+    MatchedPair,
+    epipolar_errors,
+    match_pair,
+    ray_depths,
+    sound_matches,
+    tolerances,
+)
+from ggvs_eval.pipelines.inspection.capture.frames import CameraRecord
 from ggvs_eval.progress import track
 
 ITERATIONS = 30
 SMALLEST_RESIDUAL = 1e-3
+# Baseline as a share of the depth below which the direction from one camera to the other is mostly noise.
+LEAST_BASELINE = 0.005
+# The same scene lies in front of all cameras; matches behind one mean that its pose is turned away.
+FRONT_SHARE = 0.5
 
 
 def match_pairs(
@@ -75,3 +88,94 @@ def _least_absolute(rows: Array, differences: Array, weights: Array) -> Array:
         solution = np.asarray(np.linalg.solve(normal, weighted.T @ differences), np.float64)
         trust = weights / np.maximum(np.abs(rows @ solution - differences), SMALLEST_RESIDUAL)
     return solution
+
+
+@dataclass(frozen=True)
+class PairError:
+    """Epipolar error of one pair of cameras over its matches.
+
+    Attributes:
+        percentile90_px: 90th percentile of it.
+        front_share: share of the matches that lie in front of both cameras.
+    """
+
+    first: int
+    second: int
+    n_matches: int
+    median_px: float
+    percentile90_px: float
+    front_share: float
+
+
+def has_parallax(one: Camera, other: Camera) -> bool:
+    """Tell whether two cameras stand far enough apart for their epipolar lines to mean anything."""
+    depth = min(np.sqrt(camera.near * camera.far) for camera in (one, other))
+    return float(np.linalg.norm(one.centre - other.centre)) > LEAST_BASELINE * depth
+
+
+def pair_error(cameras: Sequence[Camera], pair: MatchedPair) -> PairError:
+    """Measure one pair under the given calibration."""
+    one, other = cameras[pair.first], cameras[pair.second]
+    if np.linalg.norm(one.centre - other.centre) < 1e-9:
+        return PairError(pair.first, pair.second, len(pair.uv_first), float("inf"), float("inf"), 0.0)
+    errors = epipolar_errors(one, other, pair.uv_first, pair.uv_second)
+    depth_one, depth_other, angle_rad = ray_depths(one, other, pair.uv_first, pair.uv_second)
+    telling = angle_rad > SMALLEST_ANGLE_RAD
+    front = float(((depth_one > 0) & (depth_other > 0))[telling].mean()) if telling.any() else 1.0
+    median, percentile90 = np.percentile(errors, [50, 90])
+    return PairError(pair.first, pair.second, len(errors), float(median), float(percentile90), front)
+
+
+def is_wrong(cameras: Sequence[Camera], error: PairError) -> bool:
+    """Tell whether a pair contradicts the calibration."""
+    tolerance_px = max(tolerances(cameras[index])[0] for index in (error.first, error.second))
+    return error.median_px > tolerance_px or error.front_share < FRONT_SHARE
+
+
+def accused(cameras: Sequence[Camera], errors: Sequence[PairError]) -> list[int]:
+    """Cameras that explain the wrong pairs, the most suspect first.
+
+    The camera with the largest share of wrong pairs is taken out with its pairs, as long as more than half of its pairs are
+    wrong: its neighbours, which are wrong only together with it, stay.
+    """
+    wrong = {error: is_wrong(cameras, error) for error in errors}
+    left, suspects = list(errors), []
+    while left:
+        own: dict[int, list[PairError]] = {}
+        for error in left:
+            own.setdefault(error.first, []).append(error)
+            own.setdefault(error.second, []).append(error)
+        shares = {index: _wrong_share([error for error in mine if wrong[error]], len(mine)) for index, mine in own.items()}
+        camera = max(shares, key=lambda index: (shares[index], -index))
+        if shares[camera][0] <= 0.5:
+            break
+        suspects.append(camera)
+        left = [pair for pair in left if camera not in (pair.first, pair.second)]
+    return suspects
+
+
+def camera_error(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index: int) -> float:
+    """Error of one camera: the median over its pairs of their median errors, pixels; NaN without pairs."""
+    medians = []
+    for pair in pairs:
+        if index in (pair.first, pair.second):
+            error = pair_error(cameras, pair)
+            medians.append(error.median_px if error.front_share >= FRONT_SHARE else float("inf"))
+    return float(np.median(medians)) if medians else float("nan")
+
+
+def triangulated_depths(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], trusted: Sequence[int]) -> Mapping[int, Array]:
+    """Depths of matches in each trusted camera, from pairs of trusted cameras, world units."""
+    depths: dict[int, list[Array]] = {}
+    for pair in pairs:
+        if pair.first in trusted and pair.second in trusted:
+            sound, depth_one, depth_other = sound_matches(cameras[pair.first], cameras[pair.second], pair)
+            depths.setdefault(pair.first, []).append(depth_one[sound])
+            depths.setdefault(pair.second, []).append(depth_other[sound])
+    return {index: np.concatenate(parts) for index, parts in depths.items()}
+
+
+def _wrong_share(wrong: Sequence[PairError], n_pairs: int) -> tuple[float, float]:
+    """Share of a camera's pairs that are wrong, and their mean error for ties."""
+    sizes = [min(error.median_px, 1e6) for error in wrong]
+    return len(wrong) / n_pairs, float(np.mean(sizes)) if sizes else 0.0

@@ -1,4 +1,4 @@
-"""Poses: rotations, doubles, and whether the cameras look at one scene the same way up."""
+"""Poses - rotations, doubles, whether the cameras look at one scene the same way up - and intrinsics against size and rig."""
 
 from collections.abc import Collection, Sequence
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding
+from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict, graded
 
-QUESTION = "poses"
+POSES_QUESTION = "poses"
 # Rotations stored as 32-bit numbers are off by 1e-6; more is rounding in a text file, or no rotation.
 SLANTED = 1e-3
 # Two cameras nearer than this share of the rig's extent are one camera twice.
@@ -19,6 +19,14 @@ ROLLED_RAD, UPSIDE_DOWN_RAD = np.radians(45), np.radians(120)
 PARALLEL_RAD = np.radians(3)
 TURNED_AWAY_RAD = np.radians(90)
 ITERATIONS = 20
+INTRINSICS_QUESTION = "intrinsics"
+# Lenses centre within a few percent; a quarter means a cropped picture or another picture's calibration.
+WARN_OFF_CENTRE, BAD_OFF_CENTRE = 0.1, 0.25
+# Square pixels, up to the rounding of a resize; users of anamorphic lenses know of them.
+WARN_ASPECT, BAD_ASPECT = 0.01, 0.05
+NARROWEST_DEG, WIDEST_DEG = 10.0, 150.0
+# Cameras of one kind differ by 1 % in focal length; 3 % is another lens or a mistake.
+ODD_FOCAL = 0.03
 
 
 def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tuple[Finding, ...]:
@@ -38,7 +46,7 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
     # Without a common region no camera looks away from it.
     away_known = away if n_outside <= len(cameras) / 3 else np.zeros(len(cameras))
     evaluated = [
-        _evaluate(camera, float(away_known[index]), float(rolls[index]), [cameras[other].name for other in doubles[index]])
+        _evaluate_pose(camera, float(away_known[index]), float(rolls[index]), [cameras[other].name for other in doubles[index]])
         for index, camera in enumerate(cameras)
     ]
     values = {"extent": round(rig_extent(cameras), 4), "target": None if target is None else [round(float(x), 4) for x in target]}
@@ -50,8 +58,8 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
             f"no region that all look at: {n_outside} of {len(cameras)} cameras do not have the common point in the picture"
         )
         advice = "a moving or outward-looking camera? else the poses may be inverted or in other axes"
-        return (Finding(RIG, QUESTION, "warn", measured, values, advice), *evaluated)
-    return (Finding(RIG, QUESTION, "ok", f"{len(cameras)} cameras {gaze}, right-handed", values), *evaluated)
+        return (Finding(RIG, POSES_QUESTION, "warn", measured, values, advice), *evaluated)
+    return (Finding(RIG, POSES_QUESTION, "ok", f"{len(cameras)} cameras {gaze}, right-handed", values), *evaluated)
 
 
 def look_at_point(cameras: Sequence[Camera]) -> Array | None:
@@ -119,34 +127,38 @@ def half_view_rad(camera: Camera) -> float:
     return float(np.arctan(np.hypot(*camera.size) / 2 / camera.focal_px))
 
 
-def _evaluate(camera: Camera, away_rad: float, roll_rad: float, doubles: list[str]) -> Finding:
+def _evaluate_pose(camera: Camera, away_rad: float, roll_rad: float, doubles: list[str]) -> Finding:
     slant = max(camera.deviation, float(np.abs(camera.rotation @ camera.rotation.T - np.eye(3)).max()))
     values = {"away_deg": round(np.degrees(away_rad), 2), "roll_deg": round(np.degrees(roll_rad), 2), "not_orthonormal": slant}
     if doubles:
         advice = "one pose was written twice; restore this camera's own or leave it out"
-        return Finding(camera.name, QUESTION, "bad", f"same place as {', '.join(doubles)}", values, advice)
+        return Finding(camera.name, POSES_QUESTION, "bad", f"same place as {', '.join(doubles)}", values, advice)
     if away_rad > TURNED_AWAY_RAD:
         measured = f"looks away from the others' scene, by {np.degrees(away_rad):.0f} deg"
-        return Finding(camera.name, QUESTION, "bad", measured, values, "mirrored or inverted pose? check axes and handedness")
+        return Finding(
+            camera.name, POSES_QUESTION, "bad", measured, values, "mirrored or inverted pose? check axes and handedness"
+        )
     if roll_rad > UPSIDE_DOWN_RAD:
         measured = f"upside down against the others, by {np.degrees(roll_rad):.0f} deg"
-        return Finding(camera.name, QUESTION, "warn", measured, values, "mounted on its head? else its y axis is turned round")
+        return Finding(
+            camera.name, POSES_QUESTION, "warn", measured, values, "mounted on its head? else its y axis is turned round"
+        )
     if away_rad > half_view_rad(camera):
         measured = f"the others' common point is out of its picture, {np.degrees(away_rad):.0f} deg off its axis"
-        return Finding(camera.name, QUESTION, "warn", measured, values, "look whether it films the same scene")
+        return Finding(camera.name, POSES_QUESTION, "warn", measured, values, "look whether it films the same scene")
     if roll_rad > ROLLED_RAD:
         measured = f"rolled by {np.degrees(roll_rad):.0f} deg against the others"
-        return Finding(camera.name, QUESTION, "warn", measured, values, "check that its frames are turned like its pose")
+        return Finding(camera.name, POSES_QUESTION, "warn", measured, values, "check that its frames are turned like its pose")
     if slant > SLANTED:
         return Finding(
             camera.name,
-            QUESTION,
+            POSES_QUESTION,
             "warn",
             f"rotation off by {slant:.1e}, the nearest is taken",
             values,
             "store poses with more digits",
         )
-    return Finding(camera.name, QUESTION, "ok", f"{np.degrees(away_rad):.0f} deg off the common point", values)
+    return Finding(camera.name, POSES_QUESTION, "ok", f"{np.degrees(away_rad):.0f} deg off the common point", values)
 
 
 def _median_direction(directions: Array) -> Array:
@@ -156,3 +168,57 @@ def _median_direction(directions: Array) -> Array:
         weights = 1 / np.maximum(np.linalg.norm(directions - mean, axis=1), 1e-6)
         mean = (directions * weights[:, None]).sum(axis=0) / weights.sum()
     return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12))
+
+
+def check_intrinsics(cameras: Sequence[Camera]) -> tuple[Finding, ...]:
+    """Evaluate each camera's intrinsics."""
+    relative = np.array([camera.focal_px / max(camera.size) for camera in cameras])
+    typical = float(np.median(relative))
+    # A rig of mixed lenses has no typical one, so none is odd in it.
+    is_uniform = float(np.median(np.abs(relative / typical - 1))) < ODD_FOCAL / 2 and len(cameras) > 2
+    evaluated = [
+        _evaluate_intrinsics(camera, float(value / typical) if is_uniform else 1.0)
+        for camera, value in zip(cameras, relative, strict=True)
+    ]
+    views = [fields_of_view_deg(camera)[0] for camera in cameras]
+    values = {"fov_deg": [round(min(views), 2), round(max(views), 2)], "one_kind_of_lens": is_uniform}
+    measured = f"horizontal field of view {min(views):.1f} .. {max(views):.1f} deg, focal {typical:.3f} of the longer side"
+    return (Finding(RIG, INTRINSICS_QUESTION, "ok", measured, values), *evaluated)
+
+
+def fields_of_view_deg(camera: Camera) -> tuple[float, float]:
+    """Horizontal and vertical field of view, degrees, through the image centre."""
+    horizontal = np.degrees(2 * np.arctan(camera.width / 2 / camera.K[0, 0]))
+    return float(horizontal), float(np.degrees(2 * np.arctan(camera.height / 2 / camera.K[1, 1])))
+
+
+def off_centre(camera: Camera) -> float:
+    """Distance of the principal point from the image centre along the axis where it is larger, as a share of that side."""
+    return float(np.abs(camera.K[:2, 2] / np.array(camera.size) - 0.5).max())
+
+
+def _evaluate_intrinsics(camera: Camera, focal_ratio: float) -> Finding:
+    off, ratio, view = off_centre(camera), float(camera.K[0, 0] / camera.K[1, 1]), fields_of_view_deg(camera)[0]
+    values = {
+        "off_centre": round(off, 4),
+        "fx_over_fy": round(ratio, 4),
+        "fov_deg": round(view, 2),
+        "focal_ratio": round(focal_ratio, 4),
+    }
+    verdict: Verdict = "warn"
+    if off > WARN_OFF_CENTRE:
+        verdict, measured = (
+            graded(off, WARN_OFF_CENTRE, BAD_OFF_CENTRE),
+            f"principal point {100 * off:.0f} % of the side off centre",
+        )
+        advice = "cropped frames? shift the principal point alike"
+    elif abs(ratio - 1) > WARN_ASPECT:
+        verdict, measured = graded(abs(ratio - 1), WARN_ASPECT, BAD_ASPECT), f"fx / fy = {ratio:.3f}"
+        advice = "calibrated for frames of another aspect? scale both axes; by COLMAP? 'calibrate --camera-model SIMPLE_RADIAL'"
+    elif not NARROWEST_DEG < view < WIDEST_DEG:
+        measured, advice = f"horizontal field of view {view:.0f} deg", "focal length in pixels of another size?"
+    elif abs(focal_ratio - 1) > ODD_FOCAL:
+        measured, advice = f"focal length x {focal_ratio:.3f} of the rig's median", "another lens? else see the epipolar error"
+    else:
+        verdict, measured, advice = "ok", f"field of view {view:.1f} deg", ""
+    return Finding(camera.name, INTRINSICS_QUESTION, verdict, measured, values, advice)

@@ -10,17 +10,29 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
-from ggvs_eval.pipelines.inspection.renders.identity import CameraPictures, find_identity, remember
+from ggvs_eval.pipelines.inspection.renders.identity import (
+    CameraPictures,
+    FrameReader,
+    ViewFrames,
+    find_identity,
+    longest_run,
+    remember,
+    spread,
+)
 from ggvs_eval.pipelines.inspection.renders.placement import find_placement, shared_shift
-from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, check_sample
-from ggvs_eval.pipelines.inspection.renders.repeats import resized, scan_frames
+from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, check_sample, resized, scan_frames
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
-from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, longest_run, spread
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 
+QUESTION = "test view seen"
+COMPARED = "PSNR"  # whose ceiling was checked
+# Of 192 predictions of what perfect renders score none was off by more than 1 dB.
+LIKELY_DB, CERTAIN_DB = 1.0, 2.0
 INSTANTS = 3  # of a view that are looked at
 BLOCK_PX = 8
 CROP_PX = 1024
+
+
 FREQUENCIES = tuple((u, v) for u in range(BLOCK_PX) for v in range(BLOCK_PX) if 0 < u + v < BLOCK_PX)
 # Share of the frequencies that need not show a comb: at high quality the lowest have steps of one level, which rounding hides.
 UNTOLD_SHARE = 0.6
@@ -258,3 +270,26 @@ def _examine_picture(name: str, view: ViewFrames, cameras: Mapping[str, CameraPi
     # Copies among renders of another exposure flicker, too.
     flicker = [] if copied else find_flicker(name, view)
     return _Examined([*findings, *sampled, *flicker, *copied, *placed.findings], placed.shift_px)
+
+
+def find_seen(view: str, psnr_db: float, ceiling_db: float) -> list[Finding]:
+    """Compare the PSNR of a view with that of a perfect rendering, which lacks the noise of the captured frames.
+
+    A method that was trained on the view, started from it or has it among its sources repeats some of that noise.
+
+    Args:
+        view: name.
+        psnr_db: of its renders, mean over the frames.
+        ceiling_db: of the scene without noise, an estimate or an upper bound, see `ggvs_eval.metrics.ceilings`.
+
+    Examples:
+        >>> [find_seen("cam00", psnr, 37.0)[0].verdict for psnr in (38.5, 40.0)]
+        ['likely', 'certain']
+    """
+    beyond_db = psnr_db - ceiling_db
+    if not beyond_db > LIKELY_DB:
+        return []
+    measured = f"PSNR {psnr_db:.1f} dB, a perfect rendering without the camera's noise and codec has {ceiling_db:.1f} dB"
+    advice = "was the view among what the method was trained on, fitted to or started from? hold it out there too"
+    values = {"psnr_db": psnr_db, "ceiling_db": ceiling_db}
+    return [Finding(view, QUESTION, verdict_of(beyond_db > CERTAIN_DB), measured, values, advice)]

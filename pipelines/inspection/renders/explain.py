@@ -9,8 +9,8 @@ from decimal import Decimal, InvalidOperation
 from ggvs_eval.built_in import CONVENTIONS, PATH_METRICS
 from ggvs_eval.errors import AbsentPartError, MetricError, did_you_mean
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
-from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS, MaskReader, Recomputed
-from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
+from ggvs_eval.pipelines.inspection.renders.frame_conventions import ALL_VIEWS, MaskReader, Recomputed
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.pipelines.inspection.table import WIDTH, text_table
 from ggvs_eval.plugins import Registry
 

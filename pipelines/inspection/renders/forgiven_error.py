@@ -6,7 +6,7 @@ import numpy as np
 
 from ggvs_eval.metrics.image.psnr import PSNR_CEILING_DB, psnr
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, spread
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, spread
 
 FRAMES_PER_VIEW = 3
 FORGIVING, PLAIN = "IV_PSNR", "PSNR_YCbCr"

@@ -1,24 +1,19 @@
-"""Conventions of PSNR, of L1 and the root mean squared error, and of LPIPS."""
+"""Numbers under other conventions: over all views and each alone, of PSNR, of L1 and root mean squared error, and of LPIPS."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.pipelines.inspection.renders.recompute import (
-    ALL_VIEWS,
-    FrameMeasure,
-    MaskReader,
-    Recomputed,
-    frame_means,
-    mean_over_views,
-    view_pairs,
-)
-from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
+from ggvs_eval.metrics.inputs import check_pair
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
+ALL_VIEWS = "all views"
+MaskReader = Callable[[int], NDArray[np.bool_]]
+FrameMeasure = Callable[[Image8, Image8], float]
 BT601 = np.array([0.299, 0.587, 0.114])
 BT709 = np.array([0.2126, 0.7152, 0.0722])
 CROPPED_SHARE = 0.1
@@ -26,6 +21,53 @@ Planes = NDArray[np.float64]
 Preparation = Callable[[Image8, Image8], tuple[Planes, Planes]]
 CEILING_DB = 100.0
 LLFF_SIZE = (960, 640)
+
+
+@dataclass(frozen=True)
+class Recomputed:
+    """A convention and its values.
+
+    Attributes:
+        values: ``all views`` or the name of a view -> number.
+        is_ours: whether it is this tool's convention.
+    """
+
+    name: str
+    values: Mapping[str, float]
+    is_ours: bool = False
+
+
+def view_pairs(view: ViewFrames) -> Iterator[tuple[Image8, Image8]]:
+    """Rendered and true frames in order, one pair in memory."""
+    for pair in view.pairs(list(view.frames)):
+        check_pair(*pair)
+        yield pair
+
+
+def frame_means(views: Mapping[str, ViewFrames], measures: Mapping[str, FrameMeasure], ours: str) -> list[Recomputed]:
+    """Measures of single frames, mean over the frames of a view, then over the views."""
+    names = list(measures)
+    tables = {view: [[measures[name](*pair) for name in names] for pair in view_pairs(frames)] for view, frames in views.items()}
+    return [
+        Recomputed(
+            name, mean_over_views({view: np.mean([row[i] for row in rows]) for view, rows in tables.items()}), name == ours
+        )
+        for i, name in enumerate(names)
+    ]
+
+
+def mean_over_views(by_view: Mapping[str, float | np.floating]) -> dict[str, float]:
+    """Values of single views, and their mean."""
+    return {ALL_VIEWS: float(np.mean(list(by_view.values())))} | {view: float(value) for view, value in by_view.items()}
+
+
+def changes(view: ViewFrames, between: Callable[[Image8, Image8], Image8]) -> Iterable[tuple[Image8, Image8]]:
+    """Yield the change from each frame to the next, rendered and true."""
+    before: tuple[Image8, Image8] | None = None
+    for rendered, truth in view_pairs(view):
+        if before is not None:
+            yield between(before[0], rendered), between(before[1], truth)
+        before = rendered, truth
 
 
 def _rgb(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:

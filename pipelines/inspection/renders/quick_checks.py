@@ -1,29 +1,49 @@
-"""The checks that every scoring carries: cheap ones of a burst of frames beside its truth; `examine` has all there are."""
+"""The checks that every scoring carries: cheap ones of a burst of frames beside its truth; `examine` has all there are.
 
-from dataclasses import replace
+Channels in another order, rendered frames that show other instants than the captured ones (earlier, later or reversed), and every
+rendered frame once, as a stream: of another size, blank, or a repetition of the one before.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import permutations
 
+import cv2
 import numpy as np
 
-from ggvs_eval.arrays import Image8
+from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
-from ggvs_eval.pipelines.inspection.renders.identity import find_identity, remember
-from ggvs_eval.pipelines.inspection.renders.offset import find_offset
-from ggvs_eval.pipelines.inspection.renders.repeats import scan_frames
-from ggvs_eval.pipelines.inspection.renders.tone import find_tone
-from ggvs_eval.pipelines.inspection.renders.view_frames import (
+from ggvs_eval.pipelines.inspection.renders.identity import (
     LARGEST_OFFSET,
     FrameReader,
     Sample,
     ViewFrames,
+    correlation,
+    find_identity,
     longest_run,
     middle_of,
+    remember,
     shrink,
     take_sample,
 )
+from ggvs_eval.pipelines.inspection.renders.tone import find_tone
+from ggvs_eval.run_folder import as_ranges
 
+FEWEST_FRAMES = 4
+# Motion left unexplained, 1 - correlation^2, relative to no offset on the same frames. Honest renders of 18 to 30 dB had 1.09 and
+# more at every lag, and a frame's offset 0.92 at most, however slow the motion.
+CERTAIN_RATIO, LIKELY_RATIO = 0.88, 0.96
+LEAST_CORRELATION = 0.45
+# Share of the instants, each on its own, at which the offset must explain more.
+AGREEING_SHARE = 0.75
+CELLS = 16
+# Contrast (standard deviation of 255 levels) of a frame without a picture, where the truth has one.
+BLANK_CONTRAST, LEAST_CONTRAST = 1.5, 8.0
+# Change of the cell that changes most: a repeated frame has hardly any, although the truth has its usual one.
+STILL_SHARE, STILL_255 = 0.1, 0.5
+MOVING_SHARE, MOVING_OVER_NOISE, MOVING_255 = 0.3, 3.0, 4.0
 CHANNELS = "RGB"
 # Squared error of the hue (channels less their mean) relative to that of the order as it is.
 CERTAIN_ORDER, LIKELY_ORDER = 0.5, 0.7
@@ -112,3 +132,188 @@ def _small(read: FrameReader, kept: int) -> FrameReader:
         return np.rint(shrink(read(index))).astype(np.uint8)
 
     return lru_cache(kept)(read_small)
+
+
+@dataclass(frozen=True)
+class _Timing:
+    """Instants that the frames show, and how well that explains them.
+
+    Attributes:
+        is_reversed: the last frame comes first.
+        ratio: motion left unexplained, relative to no offset on the same frames.
+        correlation: of the motion with that of the instants shown.
+        straight: correlation with that of the instants of the frames' numbers.
+        agreeing: share of the instants, each on its own, at which the former is larger.
+    """
+
+    lag: int
+    is_reversed: bool
+    ratio: float
+    correlation: float
+    straight: float
+    agreeing: float
+
+
+def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Finding], ViewFrames]:
+    """Correlate the change over time of rendered and captured frames at every lag, forwards and backwards.
+
+    What stands still is taken out by each pixel's mean over the instants, and with it most of what is wrong with a rendering;
+    the gain of the motion, which blur lowers, does not matter either.
+    """
+    rendered, truth = _grey(sample.rendered), _grey(sample.truth)
+    lags = range(-LARGEST_OFFSET, LARGEST_OFFSET + 1)
+    turning = view.frames.start + view.frames[-1]
+    shown = {(lag, False): [index + lag for index in sample.indices] for lag in lags if lag}
+    shown |= {(lag, True): [turning - index + lag for index in sample.indices] for lag in lags}
+    tried = [_timing(sample, rendered, truth, numbers, *key) for key, numbers in shown.items()]
+    best = min((one for one in tried if one is not None), key=lambda one: one.ratio, default=None)
+    if best is None or best.ratio > LIKELY_RATIO or best.correlation < LEAST_CORRELATION or best.agreeing < AGREEING_SHARE:
+        return [], view
+    if best.is_reversed:
+        return [_finding(name, best)], view.reversed(best.lag)
+    return [_finding(name, best)], view.moved(best.lag)
+
+
+def _finding(name: str, timing: _Timing) -> Finding:
+    values = {
+        "offset_frames": float(timing.lag),
+        "correlation": timing.correlation,
+        "correlation_without": timing.straight,
+        "agreeing_share": timing.agreeing,
+    }
+    shown = f"the frames come in reversed order{f', {timing.lag:+d}' if timing.lag else ''}" if timing.is_reversed else ""
+    measured = (
+        f"{shown or f'frame t shows instant t{timing.lag:+d}'}: motion correlates {timing.correlation:.2f} with it, "
+        f"{timing.straight:.2f} with t, {timing.agreeing:.0%} of the instants agree"
+    )
+    advice = f"renumber the frames by {timing.lag:+d}: first frame counted from 0 or 1, or another start in the protocol?"
+    question = "reversed time" if timing.is_reversed else "frame offset"
+    advice = "number the frames from the first instant to the last" if timing.is_reversed else advice
+    return Finding(name, question, verdict_of(timing.ratio < CERTAIN_RATIO), measured, values, advice)
+
+
+def _grey(frames: Array32) -> Array32:
+    """Mean of the channels of each frame, noise smoothed a little, (n, h, w)."""
+    return np.stack([cv2.GaussianBlur(frame.mean(axis=-1, dtype=np.float32), (0, 0), 1.0) for frame in frames])
+
+
+def _timing(
+    sample: Sample, rendered: Array32, truth: Array32, numbers: Sequence[int], lag: int, is_reversed: bool
+) -> _Timing | None:
+    """Correlate the frames with the instants of these numbers; None where the truth has too few of them.
+
+    Args:
+        rendered: (n, h, w).
+        truth: (m, h, w).
+        lag: for the record, as is `is_reversed`.
+    """
+    instants = sample.truth_indices
+    pairs = [(i, number) for i, number in enumerate(numbers) if number in instants]
+    if len(pairs) < FEWEST_FRAMES:
+        return None
+    ours = rendered[[i for i, _ in pairs]]
+    now = truth[[sample.indices[i] - instants.start for i, _ in pairs]]
+    then = truth[[number - instants.start for _, number in pairs]]
+    ours, now, then = (frames - frames.mean(axis=0) for frames in (ours, now, then))
+    shown, straight = correlation(ours, then), correlation(ours, now)
+    each = [correlation(a, c) > correlation(a, b) for a, b, c in zip(ours, now, then, strict=True)]
+    ratio = (1 - max(shown, 0.0) ** 2) / max(1 - max(straight, 0.0) ** 2, 1e-6)
+    return _Timing(lag, is_reversed, ratio, shown, straight, float(np.mean(each)))
+
+
+@dataclass(frozen=True)
+class Change:
+    """Difference of two neighbouring frames: in the cell where it is largest, and in the usual cell, levels of 255."""
+
+    largest: float
+    usual: float
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Result of one pass over the rendered frames."""
+
+    findings: list[Finding]
+    usable: list[int]
+
+
+def scan_frames(name: str, view: ViewFrames) -> Scan:
+    """Look at all frames; those of the truth are read only beside suspicious ones and to know its usual change."""
+    blank: list[int] = []
+    still: list[int] = []
+    changes: list[float] = []
+    sizes: dict[tuple[int, int], list[int]] = {}
+    before: Array32 | None = None
+    for index in view.frames:
+        image = view.rendered(index)
+        sizes.setdefault((image.shape[1], image.shape[0]), []).append(index)
+        small = shrink(image)
+        if float(small.std(axis=(0, 1)).max()) < BLANK_CONTRAST:
+            blank.append(index)
+        elif before is not None and before.shape == small.shape:
+            changes.append(change(before, small).largest)
+            still.append(index)
+        before = small if not blank or blank[-1] != index else None
+    usual = float(np.median(changes)) if changes else 0.0
+    candidates = [index for index, value in zip(still, changes, strict=True) if value < max(STILL_SHARE * usual, STILL_255)]
+    blank = [index for index in blank if shrink(view.truth(index)).std(axis=(0, 1)).max() > LEAST_CONTRAST]
+    findings = [*_wrong_size(name, view, sizes), *_blank(name, blank, len(view.frames)), *_repeated(name, view, candidates)]
+    return Scan(findings, [index for index in view.frames if index not in set(blank)])
+
+
+def change(before: Array32, after: Array32) -> Change:
+    """Measure how much two pictures (h, w, 3) differ, by the mean of each of 16 x 16 cells."""
+    difference = np.abs(after - before).mean(axis=-1)
+    cells = cv2.resize(difference, (CELLS, CELLS), interpolation=cv2.INTER_AREA)
+    return Change(float(cells.max()), float(np.median(cells)))
+
+
+def resized(image: Image8, width: int, height: int) -> Image8:
+    """A frame of the wrong size at the right one, to go on with."""
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _wrong_size(name: str, view: ViewFrames, sizes: dict[tuple[int, int], list[int]]) -> list[Finding]:
+    height, width = view.truth(view.frames[0]).shape[:2]
+    wrong = {size: indices for size, indices in sizes.items() if size != (width, height)}
+    if not wrong:
+        return []
+    shown = "; ".join(f"frames {as_ranges(indices)} are {w} x {h}" for (w, h), indices in wrong.items())
+    values = {"width_px": float(next(iter(wrong))[0]), "height_px": float(next(iter(wrong))[1])}
+    measured = f"{shown}, the truth is {width} x {height}"
+    return [Finding(name, "wrong size", "certain", measured, values, f"render at {width} x {height}, do not resize after")]
+
+
+def _blank(name: str, blank: list[int], count: int) -> list[Finding]:
+    if not blank:
+        return []
+    measured = f"frames {as_ranges(blank)} show nothing ({len(blank)} of {count})"
+    advice = "render them again; black frames: is the camera inside something, or near and far wrong?"
+    return [Finding(name, "blank frames", "certain", measured, {"n_frames": float(len(blank))}, advice)]
+
+
+def _repeated(name: str, view: ViewFrames, candidates: list[int]) -> list[Finding]:
+    """Of the frames that hardly differ from the one before those in which the truth goes on moving."""
+    if not candidates:
+        return []
+    typical = _truth_change(view, list(view.frames)[1 :: max(len(view.frames) // 8, 1)])
+    repeats = [index for index in candidates if _moves(_truth_change(view, [index]), typical)]
+    if not repeats:
+        return []
+    whole = len(repeats) == len(view.frames) - 1
+    measured = f"frames {as_ranges(repeats)} repeat the one before while the truth moves"
+    measured = f"all {len(view.frames)} frames show one instant while the truth moves" if whole else measured
+    values = {"n_frames": float(len(repeats)), "truth_change_255": typical.largest}
+    advice = "is time handed to the renderer? a converted frame rate or frames skipped under load repeat some"
+    return [Finding(name, "repeated frames", "certain", measured, values, advice)]
+
+
+def _truth_change(view: ViewFrames, indices: list[int]) -> Change:
+    """Median change of the truth from the frames before some frames to these."""
+    changes = [change(shrink(view.truth(index - 1)), shrink(view.truth(index))) for index in indices]
+    return Change(*(float(np.median([getattr(one, part) for one in changes])) for part in ("largest", "usual")))
+
+
+def _moves(now: Change, typical: Change) -> bool:
+    """Tell whether the truth changes as it usually does, and more than by noise, which all cells have alike."""
+    return now.largest > max(MOVING_SHARE * typical.largest, MOVING_OVER_NOISE * now.usual, MOVING_255)

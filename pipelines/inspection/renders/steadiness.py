@@ -12,8 +12,8 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.regions import moving_mask
 from ggvs_eval.metrics.image.sharpness import sharpness
 from ggvs_eval.metrics.time.temporal_variation import mtv, mtv2
-from ggvs_eval.pipelines.inspection.renders.recompute import MaskReader, Recomputed, mean_over_views, view_pairs
-from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
+from ggvs_eval.pipelines.inspection.renders.frame_conventions import MaskReader, Recomputed, mean_over_views, view_pairs
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
 OURS = "where no motion lies between the two frames (Eq. 1)"
 ALWAYS = "where no frame moves (one mask, as OR2's)"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
-from ggvs_eval.pipelines.inspection.renders.view_frames import Sample
+from ggvs_eval.pipelines.inspection.renders.identity import Sample
 
 # Levels are compared where nothing misplaced can mix them: pixels around which both pictures are flat, but for noise.
 SMOOTH_PX, FLAT_PX, FLAT_255 = 0.7, 5, 12.0

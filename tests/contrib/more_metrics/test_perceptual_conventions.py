@@ -15,7 +15,7 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.pipelines.inspection.renders.explain import explain
 from ggvs_eval.pipelines.inspection.renders.forgiven_error import forgiven_error
-from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from helpers.twins.iv_psnr import iv_psnr_twin
 
 N_FRAMES, SHAPE = 3, (64, 80)
