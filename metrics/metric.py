@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8, Mask, read_only
-from ggvs_eval.protocol import MetricChoices
+from ggvs_eval.metric_choices import MetricChoices
 from ggvs_eval.statistics.pooling import MEAN, Pooling
 
 Kind = Literal["frame", "pair", "view", "rig", "path", "depth"]

@@ -15,7 +15,7 @@ LEARNED = tuple(f"baselines.{folder.name}" for folder in sorted(BASELINES.iterdi
 # Rooms from the ground up; rooms of one floor do not import each other. A module of the package itself, e.g.
 # `ggvs_eval.camera`, is a room of its own; what stands in a folder belongs to the longest name listed here.
 FLOORS = (
-    ("arrays", "built_in", "errors", "kernels", "raft_config", "residual_block"),
+    ("arrays", "built_in", "errors", "kernels", "metric_choices", "raft_config", "residual_block"),
     ("camera", "progress", "plugins", "raft_update"),
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
@@ -33,7 +33,7 @@ FLOORS = (
     ("reports.model",),
     ("reports.figures", "reports.tables", "reports.depth_page"),
     ("reports.run_groups",),
-    ("reports.page",),
+    ("reports.page", "reports.tables_of_runs"),
     ("reports.report",),
     (
         *("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.itermvs", "pipelines.offline.plane_sweep"),

@@ -3,10 +3,10 @@
 import numpy as np
 
 from ggvs_eval.arrays import Mask
+from ggvs_eval.metric_choices import SsimName
 from ggvs_eval.metrics.image.ssim_variants import masked_ssim, ssim_map
 from ggvs_eval.metrics.inputs import Image, require_finite
 from ggvs_eval.metrics.metric import FURTHER, FramePair, ViewMetric
-from ggvs_eval.protocol import SsimName
 
 VARIANTS: dict[int, SsimName] = {1: "uniform7", 2: "uniform7-range2"}
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.errors import MetricError
+from ggvs_eval.metric_choices import StedPairing, StedPooling
 from ggvs_eval.metrics.metric import CONSISTENCY, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
-from ggvs_eval.protocol import StedPairing, StedPooling
 from ggvs_eval.statistics.pooling import Pooling, powers_of_means
 
 if TYPE_CHECKING:

@@ -60,7 +60,7 @@ def table(
         to: the format.
         notes: also what the page says below its tables.
     """
-    from ggvs_eval.reports.tables.tables_of_runs import tables_of_runs
+    from ggvs_eval.reports.tables_of_runs import tables_of_runs
 
     print(tables_of_runs(runs, columns, to, notes), end="")
 

@@ -16,6 +16,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.merged_results import join_versions
+from ggvs_eval.metric_choices import MetricChoices
 from ggvs_eval.metrics.metric import MetricOptions, ViewMetric
 from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen
 from ggvs_eval.metrics.time.on_screen import Screen, ScreenMetric
@@ -23,7 +24,7 @@ from ggvs_eval.pipelines.inspection.renders.identity import frame_reader
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
 from ggvs_eval.pipelines.run.coverage import Coverage
 from ggvs_eval.pipelines.run.score_code import checks_code, metric_code
-from ggvs_eval.protocol import ON_SCREEN, Measurement, MetricChoices, Protocol
+from ggvs_eval.protocol import ON_SCREEN, Measurement, Protocol
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json
 

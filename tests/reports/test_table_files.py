@@ -18,7 +18,7 @@ from ggvs_eval.reports.tables.excel import write_excel
 from ggvs_eval.reports.tables.reproduction import reproduce
 from ggvs_eval.reports.tables.reproduction_formats import paper_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex
-from ggvs_eval.reports.tables.tables_of_runs import tables_of_runs
+from ggvs_eval.reports.tables_of_runs import tables_of_runs
 from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.run_folders import RunShape, write_run

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
+from ggvs_eval.metric_choices import StedPairing
 from ggvs_eval.metrics.image.ms_ssim import SMALLEST_PX, ms_ssim
 from ggvs_eval.metrics.image.ssim_variants import ssim_variant
 from ggvs_eval.metrics.time import strred
@@ -34,7 +35,6 @@ from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
     view_pairs,
 )
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
-from ggvs_eval.protocol import StedPairing
 
 Levels = NDArray[Any]
 Preparation = Callable[[Image8, Image8], tuple[Levels, Levels]]

@@ -5,8 +5,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from ggvs_eval.errors import TrainingError
+from ggvs_eval.metric_choices import LpipsNet
 from ggvs_eval.metrics.image.lpips_network import LAYERS, MIN_SIDE_PX, load_weights, network_input_of, tapped_layers
-from ggvs_eval.protocol import LpipsNet
 
 NET: LpipsNet = "alex"  # a tenth of VGG's time, and not the network that tables score by
 NOISE_255 = 3.0  # standard deviation of the truth's noise at which the term counts half
