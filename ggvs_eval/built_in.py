@@ -29,11 +29,13 @@ class Verb(NamedTuple):
         target: its function, or the table of its subcommands, as ``module:attribute``.
         about: the first line of its help.
         group: heading under which the overview lists it.
+        wider: the verb that is called instead where an option is none of its own.
     """
 
     target: str
     about: str
     group: str
+    wider: str = ""
 
 
 CAPTURES, RUNS, RESULTS, FRAMES, LIVE = "captures", "runs", "results", "frames and metrics", "live views, splats and networks"
@@ -42,7 +44,13 @@ CAPTURES, RUNS, RESULTS, FRAMES, LIVE = "captures", "runs", "results", "frames a
 VERBS: dict[str, Verb] = {
     "demo": Verb(
         f"{VERBS_ROOM}.captures:demo",
-        "Write the demo capture: a procedural dynamic room in the layout of a data set, with exact depth beside it.",
+        "Unpack a demo capture that ships: a procedural dynamic room in the layout of a data set.",
+        CAPTURES,
+        "film",
+    ),
+    "film": Verb(
+        "ggvs_eval.contrib.worlds.command:film",
+        "Film a demo capture: a procedural dynamic room or garden in the layout of a data set, with exact depth beside it.",
         CAPTURES,
     ),
     "get": Verb(
@@ -153,7 +161,7 @@ VERBS: dict[str, Verb] = {
         LIVE,
     ),
     "train": Verb(
-        f"{VERBS_ROOM}.training:TRAININGS",
+        "ggvs_eval.contrib.training.command:TRAININGS",
         "Train a network of this package; a second call goes on where the first one stopped.",
         LIVE,
     ),

@@ -24,6 +24,8 @@ ASKED = {
     "more_baselines": ("run OUT --capture ROOM --protocol QUICK --methods mvsplat", "mvsplat is part of"),
     "more_metrics": ("explain OUT vmaf 90", "vmaf is part of"),
     "study": ("metric-study OUT", "metric-study is part of"),
+    "training": ("train blend OUT", "train is part of"),
+    "worlds": ("demo OUT --seed 3", "film is part of"),
 }
 # In a checkout an editable install would find again what was taken away.
 STARTED = """
@@ -106,3 +108,7 @@ def test_what_is_asked_for_is_one_line(without):
         (line,) = asked.stderr.strip().splitlines()
         assert line.startswith(f"ggvs-eval: {begins} ggvs_eval.contrib"), line
         assert line.endswith("which is not installed; reinstall ggvs-eval or leave it out")
+        if package == "worlds":  # and what builds on it
+            asked = called(COMMAND, "train", "stereo", "OUT")
+            begins = "train wants rooms of" if name == "worlds" else "train is part of"
+            assert asked.stderr.startswith(f"ggvs-eval: {begins} ggvs_eval.contrib"), asked.stderr

@@ -12,10 +12,10 @@ from ggvs_eval.baselines.fitted.motion import canonical
 from ggvs_eval.baselines.fitted.photometric import STRUCTURE, photometric_loss
 from ggvs_eval.baselines.fitted.shots import Shot, Shots
 from ggvs_eval.baselines.fitted.state import RATES, SHARED, FitState
+from ggvs_eval.baselines.fitted.training_log import TrainingLog, draw_curves
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians.render import render_gaussians
 from ggvs_eval.scene_fitter import Progress, SceneFitter
-from ggvs_eval.training.log import TrainingLog, draw_curves
 
 LAST_LENGTH_RATE, LAST_SHARED_RATE = 0.01, 0.1  # of the first one, at the last step: of lengths, and of what all share
 WATCHED = 4  # training images whose PSNR is the curve

@@ -8,8 +8,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ggvs_eval.training.losses import structural_loss
-
 STRUCTURE = 0.2  # its share in the loss
 WINDOW, SIGMA_PX = 11, 1.5
 MARGIN = WINDOW // 2
@@ -35,6 +33,17 @@ def photometric_loss(image: Tensor, truth: Tensor, share: float = STRUCTURE) -> 
     else:
         structure = structural_loss(image.permute(2, 0, 1)[None], truth.permute(2, 0, 1)[None])
     return (1 - share) * difference + share * structure
+
+
+def structural_loss(image: Tensor, truth: Tensor) -> Tensor:
+    """1 - SSIM, with the window and constants of the metric `ggvs_eval.metrics.image.ssim`.
+
+    Args:
+        image: (B, 3, H, W), at least 11 x 11.
+    """
+    from kornia.metrics import ssim
+
+    return 1 - ssim(image, truth, window_size=11, max_val=1.0, eps=0.0, padding="valid").mean()
 
 
 class _MeanSsim(torch.autograd.Function):

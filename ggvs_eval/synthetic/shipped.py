@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -28,8 +28,9 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 FOLDER = Path(__file__).parent
-MAIN = "demo"
-ROOMS = (MAIN, "demo-enerf-outdoor", "demo-d3dmv")  # by the names of their protocols
+RoomName = Literal["demo", "demo-enerf-outdoor", "demo-d3dmv"]  # of their protocols
+ROOMS: tuple[RoomName, ...] = get_args(RoomName)
+MAIN = ROOMS[0]
 # Packed without loss: the images of a camera path and the frames of D3DMV's file as videos, what covers these as one picture.
 PATH_IMAGES, PATH_VIDEO = Path("path") / "images", Path("path") / "images.mkv"
 SCENE_VIDEO, SCENE_COVER = Path("scene000.mkv"), Path("scene000.png")

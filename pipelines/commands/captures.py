@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
 from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER, DepthRunOptions
 from ggvs_eval.protocol import Stream, checked_protocol
-from ggvs_eval.synthetic.film.options import DemoOptions
+from ggvs_eval.synthetic.shipped import MAIN, RoomName
 
 NONE = "(none by default)"
 MOST_NAMES = 6  # of cameras in one line
@@ -109,32 +109,19 @@ DEPTH_DEFAULTS = DepthRunOptions()
 LIVE_DEPTH = DepthRunOptions(LIVE_MATCHER)  # what play and view wait for
 
 
-def demo(
-    out: Output,
-    room: tyro.conf.OmitArgPrefixes[DemoOptions] = DemoOptions(),  # noqa: B008 - frozen
-    seconds: float | None = None,
-    quick: bool = False,
-    jobs: Jobs = ONE_PER_CORE,
-) -> None:
-    """Write the demo capture: a procedural dynamic room in the layout of a data set, with exact depth beside it.
+def demo(out: Output, room: RoomName = MAIN, quick: bool = False) -> None:
+    """Unpack a demo capture that ships: a procedural dynamic room in the layout of a data set.
+
+    With any option of `ggvs-eval film` another one is filmed.
 
     Args:
         out: folder to write; absent, or holding this very demo.
-        room: the room, the rig and the sensors.
-        seconds: length of the videos, instead of --n-frames.
-        quick: unpack the capture that ships, with renders of it to try things on and a short protocol, in some seconds; all
-            other options are left out of it.
-        jobs: processes.
+        room: the main one, in DyNeRF's layout, or a small one.
+        quick: the main room with renders of it to try things on and a short protocol.
     """
-    from ggvs_eval.synthetic.demo import write_demo
-    from ggvs_eval.synthetic.shipped import write_quick
+    from ggvs_eval.synthetic.shipped import write_quick, write_room
 
-    if quick:
-        print(write_quick(out))
-        return
-    if seconds is not None:
-        room = replace(room, n_frames=round(seconds * room.fps))
-    print(write_demo(out, room, jobs))
+    print(write_quick(out) if quick else write_room(out, room))
 
 
 def get(scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET:SCENE")]) -> None:

@@ -1,7 +1,8 @@
 """The arguments of one call of every verb, which its ``--help`` shows."""
 
 EXAMPLES = {
-    "ggvs-eval demo": "room --layout dynerf --n-frames 8",
+    "ggvs-eval demo": "room",
+    "ggvs-eval film": "room --layout dynerf --n-frames 8",
     "ggvs-eval get": "n3v:flame_steak",
     "ggvs-eval check": "my_capture --repair",
     "ggvs-eval calibrate": "my_videos my_capture",

@@ -20,14 +20,13 @@ from ggvs_eval.baselines.fitted.motion import (
     faded,
     quaternion_product,
 )
-from ggvs_eval.baselines.fitted.photometric import photometric_loss
+from ggvs_eval.baselines.fitted.photometric import photometric_loss, structural_loss
 from ggvs_eval.baselines.fitted.points import Points, initial_points
 from ggvs_eval.baselines.fitted.published import PublishedScene
 from ggvs_eval.baselines.fitted.state import FitState, box_of, first_gaussians
 from ggvs_eval.errors import DepthError, RenderError, WeightsError
 from ggvs_eval.gaussians import GaussianCloud, render_gaussians
 from ggvs_eval.gaussians.ply import write_ply
-from ggvs_eval.training.losses import structural_loss
 from helpers.fitted_footage import footage_of, rig, wall
 from helpers.refusals import refused
 

@@ -11,6 +11,11 @@ import numpy as np
 import pytest
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.contrib.worlds.demo import DEMO_ROOMS, MAIN, write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
+from ggvs_eval.contrib.worlds.film.rig import AIM_M, ARC_YAW_RAD, UNITS_PER_METRE, arc_rig, eye_in_room
+from ggvs_eval.contrib.worlds.film.shots import rig_shots
+from ggvs_eval.contrib.worlds.room.room import build_room
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
@@ -21,11 +26,6 @@ from ggvs_eval.pipelines.sweep import demo_runs
 from ggvs_eval.pipelines.sweep.demo_runs import capture_beside, demo_plans, demo_root, evaluate_demos
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
-from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN, write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.rig import AIM_M, ARC_YAW_RAD, UNITS_PER_METRE, arc_rig, eye_in_room
-from ggvs_eval.synthetic.film.shots import rig_shots
-from ggvs_eval.synthetic.room.room import build_room
 from helpers.captures import make_rig
 from helpers.refusals import refused
 

@@ -6,15 +6,15 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from ggvs_eval.contrib.worlds.demo import DEMO_ROOMS, SHIPPED, film_demo, write_demo
+from ggvs_eval.contrib.worlds.film.film import Footage, light_instant, stored_instant
+from ggvs_eval.contrib.worlds.film.shots import rig_and_path_shots
+from ggvs_eval.contrib.worlds.layouts.dynerf import files
+from ggvs_eval.contrib.worlds.packing import pack_room
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.synthetic import shipped
-from ggvs_eval.synthetic.demo import DEMO_ROOMS, SHIPPED, film_demo, write_demo
-from ggvs_eval.synthetic.film.film import Footage, light_instant, stored_instant
-from ggvs_eval.synthetic.film.shots import rig_and_path_shots
-from ggvs_eval.synthetic.layouts.dynerf import files
-from ggvs_eval.synthetic.packing import pack_room
 from ggvs_eval.synthetic.shipped import ROOMS, write_room
 from helpers.refusals import refused
 
