@@ -8,7 +8,7 @@ import pandas as pd
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import merge_results
-from ggvs_eval.reports.figures.k_figure import SECONDS, read_k_table
+from ggvs_eval.reports.figures.sweep_figures import SECONDS, read_k_table
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.tables.error_budget import budget_table
 from ggvs_eval.results import Results

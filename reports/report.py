@@ -6,22 +6,19 @@ from dataclasses import replace
 from pathlib import Path
 
 from ggvs_eval.files.atomic import write_text
-from ggvs_eval.reports.figures.crop_figure import draw_crops, draw_failures
 from ggvs_eval.reports.figures.curves import draw_curves
-from ggvs_eval.reports.figures.k_figure import draw_k
+from ggvs_eval.reports.figures.paper_figures import draw_crops, draw_failures
 from ggvs_eval.reports.figures.regions import RULES, Rule, find_regions
 from ggvs_eval.reports.figures.slices import draw_slices
-from ggvs_eval.reports.figures.stream_figure import draw_rates
+from ggvs_eval.reports.figures.sweep_figures import draw_k, draw_rates
 from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.page.page import page_numbers, render_page
 from ggvs_eval.reports.page.sweep_section import is_sweep, sweep_runs, sweep_section
 from ggvs_eval.reports.run_groups import RunGroup, RunSection, read_groups
-from ggvs_eval.reports.tables.excel import has_excel, write_excel
 from ggvs_eval.reports.tables.published import CAVEATS, PAPER, SOURCE
 from ggvs_eval.reports.tables.report_tables import main_tables
-from ggvs_eval.reports.tables.reproduction import Reproduction, reproduce
-from ggvs_eval.reports.tables.reproduction_formats import paper_tables, reproduction_csv, reproduction_markdown
-from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
+from ggvs_eval.reports.tables.reproduction import Reproduction, paper_tables, reproduce, reproduction_csv, reproduction_markdown
+from ggvs_eval.reports.tables.table_formats import has_excel, to_csv, to_latex, to_markdown, write_excel
 from ggvs_eval.run_folder import RunFolder
 
 

@@ -12,17 +12,13 @@ from ggvs_eval.merged_results import merge_results
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.figures.curves import Panel, curve_panels
 from ggvs_eval.reports.figures.slices import Slices, all_slices
-from ggvs_eval.reports.figures.stream_figure import RatePanel, rate_panels
+from ggvs_eval.reports.figures.sweep_figures import RatePanel, rate_panels
 from ggvs_eval.reports.model.measured import MeasuredRun, name_scenes, read_run
 from ggvs_eval.reports.model.table import Table
-from ggvs_eval.reports.tables.differences import differences_table
-from ggvs_eval.reports.tables.drift import drift_table
+from ggvs_eval.reports.tables.costs import budget_tables, cost_tables, differences_table, price_tables
 from ggvs_eval.reports.tables.error_budget import budget_table, decomposition_table
-from ggvs_eval.reports.tables.fit_budget import budget_tables
-from ggvs_eval.reports.tables.fitted import cost_tables, price_tables
-from ggvs_eval.reports.tables.on_screen import stream_table
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
-from ggvs_eval.reports.tables.timing import timing_table
+from ggvs_eval.reports.tables.timing import drift_table, stream_table, timing_table
 from ggvs_eval.results import Results
 
 HASH_DIGITS = 8  # of a protocol's hash, where nothing else tells two groups apart

@@ -12,7 +12,7 @@ from ggvs_eval.errors import AbsentPartError, ProtocolError
 from ggvs_eval.metrics.metric import ViewMetric
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
 from ggvs_eval.metrics.stream import score_view
-from ggvs_eval.pipelines.run.asked_protocol import asked_protocol
+from ggvs_eval.pipelines.run.import_renders import asked_protocol
 from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import load_protocol
 

@@ -137,6 +137,6 @@ def compare(
         views: also each view by itself.
         csv: file for all differences, each view's too, unrounded.
     """
-    from ggvs_eval.reports.tables.compare_text import write_comparison
+    from ggvs_eval.reports.tables.compare_runs import write_comparison
 
     print(write_comparison(first, second, run, views, csv))

@@ -118,8 +118,7 @@ def _rendered(
         folder = RunFolder(renders)
         yield folder, folder.labels()
         return
-    from ggvs_eval.pipelines.run.import_renders import import_renders
-    from ggvs_eval.pipelines.run.run_for import SCORES_ROOT, named_renders, run_for
+    from ggvs_eval.pipelines.run.import_renders import SCORES_ROOT, import_renders, named_renders, run_for
 
     scored = RunFolder(SCORES_ROOT / capture.resolve().name).protocol_file if capture else Path()
     if run is None and protocol is None and scored.is_file():

@@ -171,8 +171,7 @@ def score(
         reading: how the capture is read.
         jobs: processes.
     """
-    from ggvs_eval.pipelines.run.import_renders import import_renders
-    from ggvs_eval.pipelines.run.run_for import named_renders, run_for
+    from ggvs_eval.pipelines.run.import_renders import import_renders, named_renders, run_for
     from ggvs_eval.pipelines.run.score import score as measure
 
     if folder and run:
@@ -420,7 +419,7 @@ def _announce(planned: "RunPlan | SweepPlan", jobs: int, dry_run: bool) -> "RunP
 
 def _open(reading: ReadingOptions, path: Path, protocol: str | None) -> Capture:
     """Open a capture as its protocol wants it: with the cameras that are out of step where the protocol keeps them."""
-    from ggvs_eval.pipelines.run.asked_protocol import asked_protocol
+    from ggvs_eval.pipelines.run.import_renders import asked_protocol
 
     keeps = protocol is not None and asked_protocol(protocol).views.keep_unsynced
     return (replace(reading, keep_unsynced=True) if keeps else reading).open(path)

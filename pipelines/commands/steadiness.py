@@ -26,7 +26,7 @@ def steadiness(
         colmap: also whether COLMAP finds one scene in a video whose camera moves; takes some seconds per video.
         out: also write the table there, as .md, .csv or .tex.
     """
-    from ggvs_eval.pipelines.run.run_for import named_renders
+    from ggvs_eval.pipelines.run.import_renders import named_renders
     from ggvs_eval.pipelines.run.steadiness import measure_steadiness
     from ggvs_eval.reports.tables.steadiness import FORMATS, remarks_on, steadiness_table, write_steadiness
     from ggvs_eval.reports.tables.table_formats import to_markdown

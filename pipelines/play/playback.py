@@ -17,7 +17,7 @@ from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth, without_unmatched
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
-from ggvs_eval.pipelines.run.frame_cache import cache_frames
+from ggvs_eval.pipelines.run.derived_files import cache_frames
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 
 REACH = 0.6  # of the rig's extent along its two main directions

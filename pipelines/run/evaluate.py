@@ -1,26 +1,40 @@
-"""The whole evaluation on one page: capture -> prepare -> render -> score -> report. Each step reads a folder and writes one."""
+"""The whole evaluation on one page: capture -> prepare -> render -> score -> report. Each step reads a folder and writes one.
 
-from collections.abc import Sequence
-from dataclasses import replace
+Stages of runs are worked through over all runs at once: one bar, one pool, one ledger. A single run is a list of one.
+"""
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
+from typing import TypeVar
 
 from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.jobs.code_identity import code_identity
-from ggvs_eval.jobs.engine import Workers, as_engine
+from ggvs_eval.jobs.engine import Engine, Workers, as_engine
+from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
+from ggvs_eval.jobs.ledger import Failure, Ledger
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.run.coverage import require_imported
+from ggvs_eval.pipelines.run.coverage import read_coverage, read_import, require_imported
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, MadeFiles, digest_folder
+from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare_run
+from ggvs_eval.pipelines.run.render import note_labels
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.run.stages import Stages, measure_runs, render_runs
+from ggvs_eval.pipelines.run.score import Scores, plan_scores
+from ggvs_eval.pipelines.run.score_path import lacks_path
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results
-from ggvs_eval.run_folder import RunFolder
+from ggvs_eval.run_folder import RunFolder, missing_frames
+
+Value = TypeVar("Value")
+AnyJob = TypeVar("AnyJob", bound=Job)
 
 
 def evaluate(
@@ -95,7 +109,7 @@ def report(
     Kept is a report of which every file is as it was written.
     """
     from ggvs_eval.reports.report import write_report
-    from ggvs_eval.reports.tables.excel import has_excel
+    from ggvs_eval.reports.tables.table_formats import has_excel
 
     for run in map(RunFolder, roots):
         require_imported(run, run.labels())
@@ -116,3 +130,123 @@ def report(
     page = write_report(roots, out, tables_of, with_figures, standalone, columns)
     written.note(file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file() and file.name != DIGESTS)
     return page
+
+
+@dataclass
+class Stages:
+    """Place where the stages of some runs are worked through.
+
+    Attributes:
+        root: folder of the run, or of the sweep; its ledgers know all jobs.
+        goes_on: note what fails and go on with the rest; otherwise the first stage with a failure raises it.
+    """
+
+    root: Path
+    engine: Engine
+    goes_on: bool = False
+    failures: list[Failure] = field(default_factory=list)
+
+    def attempt(self, name: str, work: Callable[[], Value]) -> Value | None:
+        """Do something; None where it failed."""
+        return attempt(name, work, self.failures) if self.goes_on else work()
+
+    def note(self, stage: str, jobs: Sequence[Job]) -> None:
+        """Write the jobs of a stage into its ledger; those of other shards and sweeps stay."""
+        Ledger(self.root, stage).write([job.entry for job in jobs], keep=self.goes_on)
+
+    def run(self, stage: str, jobs: Sequence[Job], doing: str) -> int:
+        """Run the jobs not done yet, and return their number."""
+        ledger = Ledger(self.root, stage)
+        if not self.goes_on:
+            return run_jobs(jobs, self.engine, doing, ledger)
+        tried = attempt_jobs(jobs, self.engine, doing, ledger)
+        self.failures += tried.failures
+        return tried.done
+
+
+def attempt(name: str, work: Callable[[], Value], failures: list[Failure]) -> Value | None:
+    """Do something; where it fails, note why and give None."""
+    try:
+        return work()
+    except Exception as error:
+        failures.append(Failure.of(name, error))
+        return None
+
+
+def measure_runs(plans: Sequence[RunPlan], stages: Stages) -> list[tuple[RunPlan, Scores]]:
+    """Prepare, render and score the rest of some runs, as far as their requests name units.
+
+    Returns:
+        The runs of which all is measured, with what `Scores.collect` makes their tables of.
+    """
+    ready = [plan for plan in plans if stages.attempt(f"prepare {plan.name}", partial(prepare_run, plan, stages.engine))]
+    imported = {plan.name: [label for label in plan.request.imports if _import(plan, label, stages)] for plan in ready}
+    if all(plan.request.only_prepares for plan in ready):
+        return []
+    render_runs(ready, stages)
+    whole = {plan.name: [*plan.rendered_labels(), *imported[plan.name]] for plan in ready}
+    return _score_runs([plan for plan in ready if whole[plan.name] or not stages.goes_on], whole, stages)
+
+
+def render_runs(plans: Sequence[RunPlan], stages: Stages) -> int:
+    """Fit and render the rest, jobs without a fit first. Returns the number of rendering jobs that were run.
+
+    Raises:
+        DeviceError: no such device here.
+        RenderError: a method that cannot be made, or jobs that failed; each is listed.
+        WeightsError: a method lacks its weights, or they are not its own.
+    """
+    jobs = [_named(job, plan.name) for plan in plans for job in plan.jobs.render]
+    fits = {fit.folder: _named(fit, plan.name.rpartition("/")[0]) for plan in plans for fit in plan.jobs.needed_fits}
+    fitted = {fit.label for plan in plans for fit in plan.jobs.fit}
+    stages.note("render", jobs)
+    done = stages.run("render", [job for job in jobs if job.label not in fitted], "rendering")
+    if fits:
+        stages.note("fit", [*fits.values()])
+        stages.run("fit", [*fits.values()], "fitting")
+        done += stages.run("render", [job for job in jobs if job.label in fitted], "rendering from fitted scenes")
+    for plan in plans:
+        note_labels(plan.run, [*plan.methods, *plan.request.imports])
+    return done
+
+
+def _import(plan: RunPlan, label: str, stages: Stages) -> bool:
+    """Take in what others rendered, and print how; what is there already is left alone."""
+    work = partial(import_renders, plan.run, label, plan.request.imports[label], workers=stages.engine.jobs)
+    record = stages.attempt(f"{plan.name}: {label}", work)
+    for note in record["notes"] if record else ():
+        print(f"{plan.name}: {label}: {note}", file=sys.stderr)
+    return record is not None
+
+
+def _score_runs(plans: Sequence[RunPlan], whole: dict[str, list[str]], stages: Stages) -> list[tuple[RunPlan, Scores]]:
+    """Measure all that is whole in the run folders; in a part of a run, which others may work on, its own methods alone."""
+    planned: list[tuple[RunPlan, Scores]] = []
+    for plan in plans:
+        lacking = {*plan.methods, *plan.request.imports}.difference(whole[plan.name]) | _left_unfinished(plan)
+        labels = whole[plan.name] if plan.request.views else [each for each in plan.run.labels() if each not in lacking]
+        work = partial(plan_scores, plan.run, labels, plan.request.views, plan.request.networks.device)
+        scores = stages.attempt(f"score {plan.name}", work)
+        planned += [] if scores is None else [(plan, scores)]
+    jobs = {plan.name: [_named(job, plan.name) for job in scores.jobs] for plan, scores in planned}
+    stages.note("score", [job for some in jobs.values() for job in some])
+    stages.run("score", [job for some in jobs.values() for job in some], "scoring")
+    return [(plan, scores) for plan, scores in planned if all(job.is_done() for job in jobs[plan.name])]
+
+
+def _left_unfinished(plan: RunPlan) -> set[str]:
+    """Methods that an earlier call began to render, did not finish, and that this one was not asked for; each is named."""
+    run, numbers, views = plan.run, plan.protocol.frames.numbers, plan.protocol.views.test
+    others = [label for label in run.labels() if label not in {*plan.methods, *plan.request.imports}]
+    coverage = read_coverage(run, numbers, others)
+    rendered_here = [label for label in others if label not in coverage.partial and not read_import(run, label)]
+    lacking = {label for label in rendered_here if any(missing_frames(run.renders(label, view), numbers) for view in views)}
+    lacking |= {label for label in rendered_here if lacks_path(run, label)}
+    for label in sorted(lacking):
+        words = f"its frames are incomplete, --methods {label} goes on with them"
+        print(f"{run.root}: {label} left out, an earlier call did not finish it: {words}", file=sys.stderr)
+    return lacking
+
+
+def _named(job: AnyJob, run: str) -> AnyJob:
+    return replace(job, name=f"{run}: {job.name}") if run else job

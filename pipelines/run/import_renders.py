@@ -1,20 +1,30 @@
-"""Renders of others become a method of a run: understood, checked against the protocol, and put in place whole or not at all."""
+"""Renders of others become a method of a run: understood, checked against the protocol, and put in place whole or not at all.
 
+The run folder that they are scored in is one that there is, or one made of a capture and a protocol.
+"""
+
+import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.errors import GgvsError, RenderError
+from ggvs_eval.capture import Capture
+from ggvs_eval.errors import GgvsError, MetricError, ProtocolError, RenderError
 from ggvs_eval.files.archive import Limits, is_archive, unpack
 from ggvs_eval.files.atomic import atomic_folder, remove_leftovers, scratch_folder
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.jobs.processes import worker_pool
+from ggvs_eval.metrics.registry import METRICS, select_metrics
 from ggvs_eval.pipelines.methods.registry import METHODS
+from ggvs_eval.pipelines.run.claim import require_protocol
 from ggvs_eval.pipelines.run.coverage import IMPORT_FILE, read_import
 from ggvs_eval.pipelines.run.derived_files import MadeFiles
+from ggvs_eval.pipelines.run.prepare import prepare_truth
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+from ggvs_eval.protocol import Protocol, load_protocol, packaged_protocols
 from ggvs_eval.renders.kinds import KINDS, detect
 from ggvs_eval.renders.request import Fit, FrameRequest, RenderedView, RenderSet, fit, partial_text, request_of, require_whole
 from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path, write_json
@@ -25,6 +35,7 @@ ARCHIVE_BYTES_PER_PIXEL = 24
 ARCHIVE_FILES_PER_FRAME = 12
 SMALL = 20  # pixels per byte that zeros at least take as we write them; some hundred really
 ARCHIVE_SLACK_FILES, ARCHIVE_SLACK_BYTES = 1000, 256 << 20
+SCORES_ROOT = Path("scores")
 
 
 def import_renders(
@@ -186,3 +197,59 @@ def _left_out(fitted: Fit) -> list[str]:
     """List what partial renders lack, for the record; nothing is cut short here."""
     groups = {"missing": fitted.missing, "not usable": fitted.faulty, "not used": fitted.extras}
     return [f"{title}: {item}" for title, items in groups.items() for item in items]
+
+
+def run_for(root: Path | None, open_capture: Callable[[], Capture] | None, protocol: str | None, workers: int) -> RunFolder:
+    """Open a run folder, or make one that holds the captured frames of the test views and nothing else.
+
+    Args:
+        root: the folder; ``scores/<capture's folder>`` where None.
+        open_capture: opens what was rendered, once all else is known to be right; None where the folder has a run.
+        protocol: a .toml file or a packaged name; the folder's own, or the packaged one that fits, where None.
+
+    Raises:
+        ProtocolError: neither a folder nor a capture, or a folder of another protocol or capture.
+    """
+    asked = asked_protocol(protocol) if protocol else None
+    if root is None and open_capture is None:
+        raise ProtocolError("wanted a run folder, or --capture CAPTURE and --protocol PROTOCOL to make one, got neither")
+    capture = open_capture() if open_capture else None
+    run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))
+    own = run.protocol() if run.protocol_file.is_file() else None
+    if asked:
+        require_protocol(run, asked.over(own.frames.numbers.stop) if own else asked)
+    if capture:
+        prepare_truth(run.root, capture, asked or own or suggest_protocol(capture), workers)
+    return run
+
+
+def named_renders(items: tuple[str, ...]) -> dict[str, Path]:
+    """Name -> path of ``NAME=PATH`` or of a bare path, which is called by its last part, as far as that is free and plain."""
+    named: dict[str, Path] = {}
+    for item in items:
+        name, separator, path = item.partition("=")
+        if not separator or "/" in name:  # a path may hold = too
+            name, path = plain_label(Path(os.path.abspath(item)).name.split(".")[0]), item
+        if name in named:
+            raise ProtocolError(f"--renders: {named[name]} and {path} would both be called {name}; give NAME=PATH")
+        named[name] = Path(path)
+    return named
+
+
+def asked_protocol(source: str) -> Protocol:
+    """Load a protocol and refuse metrics that there are not.
+
+    A packaged protocol may name metrics whose package is not installed; these are not computed.
+
+    Raises:
+        ProtocolError: no such protocol, or one that makes no sense; a mistyped metric is named with the nearest one.
+    """
+    protocol = load_protocol(source)
+    try:
+        select_metrics(protocol.measurement.metrics)
+        absent = next(filter(None, map(METRICS.why_absent, protocol.measurement.metrics)), None)
+        if absent and source not in packaged_protocols():
+            raise MetricError(absent)
+    except MetricError as error:
+        raise ProtocolError(f"{source}: measurement.metrics: {error}") from None
+    return protocol

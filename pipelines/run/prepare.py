@@ -1,4 +1,7 @@
-"""Prepare: the input of every method under a protocol - truth frames, source views, depth, a camera path."""
+"""Prepare: the input of every method under a protocol - truth frames, source views, depth, a camera path.
+
+Live depth is timed: how long a picture waits for the depth of its sources where depth is computed as frames arrive.
+"""
 
 import os
 from collections.abc import Sequence
@@ -8,17 +11,20 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.kernels import get_threads
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, finds_live
 from ggvs_eval.pipelines.offline.depth.fill_store import prepare_depth
+from ggvs_eval.pipelines.offline.depth.rig_depth import RigDepth
 from ggvs_eval.pipelines.run.claim import claim_folder
+from ggvs_eval.pipelines.run.derived_files import cache_frames, cache_path
 from ggvs_eval.pipelines.run.disocclusion import write_disocclusions
-from ggvs_eval.pipelines.run.frame_cache import cache_frames, cache_path
-from ggvs_eval.pipelines.run.live_depth import time_live_depth
 from ggvs_eval.pipelines.run.path_depth import write_path_depth
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, fit_capture, plan_run
 from ggvs_eval.pipelines.run.score_path import write_path_record
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, write_json
+
+TIMED_FRAMES = 4  # of each test view, behind one that warms caches
 
 
 def prepare(
@@ -105,3 +111,31 @@ def _write_path_truth(prepared: RunPlan) -> None:
         size, resize_filter = prepared.path[0].target.size, prepared.protocol.synthesis.resize_filter
         cache_path(prepared.path_images, size, resize_filter, prepared.run.path("truth"))
     write_path_record(prepared.run, prepared.path_frame, [(plan.target, list(plan.depth_keys)) for plan in prepared.path])
+
+
+def time_live_depth(plan: RunPlan) -> None:
+    """Measure it on the first frames of each test view, once, in this process alone; nothing where depth is not live.
+
+    What is timed is what the run's depth was made by: all sources of the view together, by pairs that are matched once or in one
+    batch on a GPU, and each map checked against the others. The seconds of each frame and the threads are written next to the
+    depth's record.
+    """
+    options, run, capture = plan.depth_options, plan.run, plan.capture
+    is_live = finds_live(plan.depth.record(plan.depth_device))
+    if plan.protocol.stream is None or not is_live or run.live_depth_record.is_file():
+        return
+    seconds: list[float] = []
+    for source_plan in plan.plans.values():
+        partners = {job.camera_name: job.partner_names for job in source_plan.jobs if job.partner_names}
+        if not partners:
+            continue
+        rig = RigDepth(capture.cameras, options, partners)
+        names, frames = list(partners), plan.frames[: TIMED_FRAMES + 1]
+        for frame in frames:
+            images = {name: capture.frame(name, frame) for name in rig.needed(names)}
+            begun_s = rig.clock_s()
+            rig.estimate(names, images)
+            if frame != frames[0] or len(frames) == 1:
+                seconds.append(rig.clock_s() - begun_s)
+    if seconds:
+        write_json(run.live_depth_record, {"seconds": seconds, "threads": get_threads()})

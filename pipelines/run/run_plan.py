@@ -27,11 +27,9 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DEVICE, DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthPartners, plan_depth
 from ggvs_eval.pipelines.run.claim import require_owner
-from ggvs_eval.pipelines.run.fit import fit_job
+from ggvs_eval.pipelines.run.derived_files import cached_capture
 from ggvs_eval.pipelines.run.folds import FitPlan, fill_folds, plan_fits, plan_folds, visible_cameras
-from ggvs_eval.pipelines.run.frame_cache import cached_capture
-from ggvs_eval.pipelines.run.render import render_job
-from ggvs_eval.pipelines.run.unit_job import RunJobs
+from ggvs_eval.pipelines.run.render import RunJobs, fit_job, render_job
 from ggvs_eval.protocol import PathCamera, Protocol
 from ggvs_eval.run_folder import RunFolder, read_json
 

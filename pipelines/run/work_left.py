@@ -22,8 +22,8 @@ from ggvs_eval.pipelines.methods.stage_costs import (
     score_cost,
     stage_of,
 )
+from ggvs_eval.pipelines.run.derived_files import frames_left, path_left
 from ggvs_eval.pipelines.run.disocclusion import mask_files
-from ggvs_eval.pipelines.run.frame_cache import frames_left, path_left
 from ggvs_eval.pipelines.run.path_depth import path_files, poses_left
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.progress import counted, duration

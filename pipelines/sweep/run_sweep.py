@@ -16,9 +16,9 @@ from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.coverage import read_import
+from ggvs_eval.pipelines.run.evaluate import Stages, attempt, measure_runs
 from ggvs_eval.pipelines.run.run_plan import RunPlan, plan_run
 from ggvs_eval.pipelines.run.score import Scores
-from ggvs_eval.pipelines.run.stages import Stages, attempt, measure_runs
 from ggvs_eval.pipelines.sweep.cells import Captures, Cell, shard_cells, sweep_cells
 from ggvs_eval.results import split_label
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json

@@ -17,7 +17,7 @@ from ggvs_eval.method import Rendering
 from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER
 from ggvs_eval.pipelines.play.plausibility import LEAST_SEEN, seen_share
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
-from ggvs_eval.pipelines.run.diagnostics import diagnostics_picture
+from ggvs_eval.pipelines.run.render import diagnostics_picture
 from ggvs_eval.pipelines.view.frame_stock import FrameStock, fitted
 
 Layer = Literal["picture", "depth", "weights", "coverage", "motion"]

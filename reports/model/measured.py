@@ -1,5 +1,9 @@
-"""A scored run folder as the reports see it: methods, names to show, and the meaning of each number."""
+"""A scored run folder as the reports see it: methods, names to show, and the meaning of each number.
 
+The score step writes the description of each metric into the run folder, so that reports import no metric.
+"""
+
+import dataclasses
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,15 +14,61 @@ from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.reports.model.table import Cell, Row, RowKind, format_value
 from ggvs_eval.results import Results, without_labels
 from ggvs_eval.run_folder import RunFolder, missing_frames, read_json, require_frames
 
+METRICS_FILE = "metrics.json"
+FURTHER = "further"  # group of the metrics that belong to no other
 REFERENCES_FILE = "references.json"
 METHODS_FILE = "methods.json"
 FAULTY = " (faulty)"  # behind the name of a method whose renders have a certain fault
 PARTIAL = " (partial)"  # behind the name of a method whose renders lack views or frames
+
+
+@dataclass(frozen=True)
+class MetricNote:
+    """A metric as a report knows it.
+
+    Attributes:
+        unit: e.g. ``dB``; empty where there is none.
+        group: short name of its table.
+        group_title: heading of that table.
+        decimals: digits after the point; None for four significant ones.
+    """
+
+    name: str
+    unit: str
+    higher_is_better: bool
+    describe: str
+    reference: str
+    group: str
+    group_title: str
+    decimals: int | None
+
+    @property
+    def arrow(self) -> str:
+        """Direction in which it gets better."""
+        return "↑" if self.higher_is_better else "↓"
+
+
+def read_metric_notes(run: Path) -> dict[str, MetricNote]:
+    """Metric -> its note, in the order in which the protocol names them."""
+    fields = {each.name for each in dataclasses.fields(MetricNote)} - {"name"}
+    records = read_json(run / METRICS_FILE)
+    for name, record in records.items():
+        if set(record) != fields:
+            raise ResultsError(
+                f"{run / METRICS_FILE}: wanted {', '.join(sorted(fields))} of {name}, got {', '.join(sorted(record))}; "
+                f"run `ggvs-eval score {run}` again"
+            )
+    return {name: MetricNote(name, **record) for name, record in records.items()}
+
+
+def note_groups(notes: Sequence[MetricNote]) -> dict[str, tuple[MetricNote, ...]]:
+    """Short name of a table -> the metrics that are its columns, in the order in which they are given; ``further`` comes last."""
+    keys = sorted(dict.fromkeys(note.group for note in notes), key=lambda key: key == FURTHER)  # stable
+    return {key: tuple(note for note in notes if note.group == key) for key in keys}
 
 
 @dataclass(frozen=True)

@@ -21,17 +21,26 @@ from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, find_regions
 from ggvs_eval.reports.figures.slices import NO_TRUTH, Slices
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Table
-from ggvs_eval.reports.page.comparison import Comparison, compare_frames, diagnostics_legend, error_scale
-from ggvs_eval.reports.page.data_uri import png_uri, shrink, webp_uri
 from ggvs_eval.reports.page.heat_map import HeatMap, heat_colours, heat_maps
-from ggvs_eval.reports.page.sequences import PathPictures, PictureRoom, method_videos, path_pictures, share_room
+from ggvs_eval.reports.page.pictures import (
+    Comparison,
+    PathPictures,
+    PictureRoom,
+    compare_frames,
+    diagnostics_legend,
+    error_scale,
+    method_videos,
+    path_pictures,
+    png_uri,
+    share_room,
+    shrink,
+    webp_uri,
+)
 from ggvs_eval.reports.page.sweep_section import SweepSection
 from ggvs_eval.reports.run_groups import RunGroup, RunSection
-from ggvs_eval.reports.tables.certainty import leaders
 from ggvs_eval.reports.tables.published import CAVEATS, PAPER
-from ggvs_eval.reports.tables.reproduction import MEANING, Reproduction
-from ggvs_eval.reports.tables.reproduction_formats import HEADS, blocks, count_words, paper_tables
-from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
+from ggvs_eval.reports.tables.reproduction import HEADS, MEANING, Reproduction, blocks, count_words, paper_tables
+from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict, leaders
 from ggvs_eval.run_folder import JOB_FILE, frame_path, read_json
 
 if TYPE_CHECKING:

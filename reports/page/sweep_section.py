@@ -11,10 +11,8 @@ import pandas as pd
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import ON_SCREEN
 from ggvs_eval.reports.figures.curves import Curve, Panel, with_margin
-from ggvs_eval.reports.figures.k_figure import SECONDS, SWEEP_FILE, USUAL, read_k_table, sweep_runs
-from ggvs_eval.reports.figures.stream_figure import RatePanel, rate_panels
-from ggvs_eval.reports.model.measured import read_scores
-from ggvs_eval.reports.model.metric_note import MetricNote
+from ggvs_eval.reports.figures.sweep_figures import SECONDS, SWEEP_FILE, USUAL, RatePanel, rate_panels, read_k_table, sweep_runs
+from ggvs_eval.reports.model.measured import MetricNote, read_scores
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value
 from ggvs_eval.run_folder import RunFolder
 

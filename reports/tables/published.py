@@ -1,11 +1,21 @@
-"""Published values of the paper: grey rows with their source and caveats, never mixed with measured ones."""
+"""Published values: grey rows with source and caveats, never mixed with measured ones, and the runs that they compare with.
+
+A value of the paper compares with a run on its data set, on the paper's terms; tables of community protocols with a run on
+exactly their terms, and no other.
+"""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 
+from ggvs_eval.merged_results import merge_results
+from ggvs_eval.progress import counted
+from ggvs_eval.protocol import Measurement, Protocol, Synthesis, load_protocol, packaged_protocols
+from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Row
+from ggvs_eval.results import Results
 
 SOURCE = "Ha et al., Geometry-guided Online 3D Video Synthesis with Multi-View Temporal Consistency, CVPR 2025"
 CAVEATS = (
@@ -24,6 +34,7 @@ TIMING_WORDS = {
     "total_no_tensorrt_ms_text": "total, no TensorRT (as its text says)",
     "total_ms_text": "total (as its text says)",
 }
+MEAN = "mean of"  # what the scene of a published value begins with where it is no scene
 
 
 @cache
@@ -65,3 +76,282 @@ def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row
 def published_cell(text: str | None) -> Cell:
     """A published value with its own digits, or the word that there is none."""
     return Cell("not reported") if text is None else Cell(text, float(text))
+
+
+@dataclass(frozen=True)
+class PublishedTerms:
+    """Origin and terms of a published table.
+
+    Attributes:
+        protocol: packaged protocol that it belongs to.
+        checked: where each value was read.
+        scenes: names of the scenes of which only the mean is published.
+        withheld: why no value is shown beside measured ones; empty where they are.
+    """
+
+    protocol: str
+    source: str
+    frames: str
+    lpips_net: str
+    dssim: str
+    checked: str
+    withheld: str
+    scenes: str
+
+
+@dataclass(frozen=True)
+class PublishedValue:
+    """One value, with the digits that are printed; `scene` is a folder, or says which scenes it is the mean of."""
+
+    protocol: str
+    scene: str
+    method: str
+    metric: str
+    value: str
+
+
+@cache
+def published_terms() -> dict[str, PublishedTerms]:
+    """Protocol -> the terms of its table."""
+    return {line["protocol"]: PublishedTerms(**line) for line in _read("community_terms")}
+
+
+@cache
+def published_values() -> tuple[PublishedValue, ...]:
+    """All values, in the order of the file."""
+    return tuple(PublishedValue(**line) for line in _read("community"))
+
+
+def community_rows(protocol: Protocol, scenes: Collection[str], metrics: Sequence[str]) -> tuple[Row, ...]:
+    """Make the grey rows below what a run measured.
+
+    Returns:
+        A row per method and scene with a value in any column: of these scenes, and means over the whole data set. None for a run
+        on other terms than a packaged protocol with a published table, see `describe_published`.
+    """
+    rows = []
+    for (method, scene), values in _shown(protocol, scenes).items():
+        if values.keys() & set(metrics):
+            cells = tuple(published_cell(values.get(metric)) for metric in metrics)
+            rows.append(Row(f"{method} (published, {scene})", cells, "published"))
+    return tuple(rows)
+
+
+def describe_published(protocol: Protocol, scenes: Collection[str]) -> list[str]:
+    """Say below a table where its published rows are from, or why it has none though its protocol's name has a table."""
+    terms = published_terms().get(protocol.name)
+    if terms is None:
+        return []
+    if reason := _difference(protocol, scenes) or terms.withheld:
+        return [f"Published values of {protocol.name} are not shown: {reason}."]
+    shown = _shown(protocol, scenes)
+    beyond = [
+        f"{metric} {value} of {method} ({scene})"
+        for (method, scene), values in shown.items()
+        for metric, value in values.items()
+        if metric not in protocol.measurement.metrics
+    ]
+    told = (
+        f"Grey: {terms.source}; frames: {terms.frames}; LPIPS: {terms.lpips_net}; D-SSIM: {terms.dssim}. "
+        f"Values: {terms.checked}. Methods that fit a scene take all its other cameras as input, not K."
+    )
+    return [told, *([f"Published too: {', '.join(beyond)}."] if beyond else [])] if shown else []
+
+
+def _shown(protocol: Protocol, scenes: Collection[str]) -> dict[tuple[str, str], dict[str, str]]:
+    """(method, scene) -> metric -> value of what may be shown beside a run."""
+    terms = published_terms().get(protocol.name)
+    if terms is None or terms.withheld or _difference(protocol, scenes):
+        return {}
+    shown: dict[tuple[str, str], dict[str, str]] = {}
+    for each in published_values():
+        if each.protocol == protocol.name and (each.scene in scenes or each.scene.startswith(MEAN)):
+            shown.setdefault((each.method, each.scene), {})[each.metric] = each.value
+    return shown
+
+
+def _difference(protocol: Protocol, scenes: Collection[str]) -> str:
+    """Return what a run under a packaged protocol's name does or shows otherwise; empty where values compare."""
+    if protocol.name not in packaged_protocols():
+        return f"no packaged protocol is called {protocol.name}"
+    ours, theirs = _terms(protocol), _terms(load_protocol(protocol.name))
+    parts = ("dataset", "views", "frames", "synthesis", "measurement")
+    if differing := [part for part in parts if getattr(ours, part) != getattr(theirs, part)]:
+        return f"this run differs from the packaged protocol in {', '.join(differing)}"
+    of_values = {each.scene.lower() for each in published_values() if each.protocol == protocol.name}
+    of_means = published_terms()[protocol.name].scenes.lower().split()
+    known = {scene for scene in of_values if not scene.startswith(MEAN)}.union(of_means)
+    foreign = [scene for scene in scenes if known and scene.lower() not in known]
+    return f"{', '.join(foreign)} is none of the published scenes" if foreign else ""
+
+
+def _terms(protocol: Protocol) -> Protocol:
+    """The protocol without what moves no value of a metric: which others there are, and which sources are chosen."""
+    synthesis = replace(protocol.synthesis, k=1, sources=Synthesis.sources)
+    measurement = replace(protocol.measurement, metrics=(), ceilings=Measurement.ceilings)
+    return replace(protocol, synthesis=synthesis, measurement=measurement)
+
+
+def _read(name: str) -> list[dict[str, str]]:
+    text = (resources.files("ggvs_eval.reports.tables") / "data" / f"{name}.csv").read_text(encoding="utf-8")
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+
+
+@dataclass(frozen=True)
+class PaperTerms:
+    """The paper's protocol on one data set, as far as it states it.
+
+    Attributes:
+        scenes: names of the scenes; empty where it names none.
+        layouts: in which the data set lies on disk.
+        test_views: how many; it does not say which.
+        size: width and height of the rendered images, pixels.
+        metric_size: width and height at which is measured.
+    """
+
+    dataset: str
+    scenes: tuple[str, ...]
+    layouts: tuple[str, ...]
+    test_views: int
+    k: int
+    frames: int
+    size: tuple[int, int]
+    metric_size: tuple[int, int]
+
+    def relation(self, run: MeasuredRun) -> str:
+        """Relate a run to this data set: ``whole`` by its name, ``part`` of it (``DyNeRF, one instant``), or ``other``."""
+        name, dataset = run.protocol.dataset.lower(), self.dataset.lower()
+        if run.is_demo:
+            return "other"
+        return "whole" if name == dataset else "part" if name.startswith(f"{dataset},") else "other"
+
+    def departures(self, run: MeasuredRun) -> tuple[str, ...]:
+        """List a run's departures from the paper's protocol, in words; empty where it agrees in all that the paper states."""
+        capture, protocol = run.capture, run.protocol
+        size, layout = rendered_size(run), capture.get("layout", "unknown")
+        measured = (protocol.measurement.width, protocol.measurement.height) if protocol.measurement.width else size
+        views, frames = len(protocol.views.test), protocol.frames.count
+        scenes = " and ".join(self.scenes)
+        departures = {
+            f"layout {layout}, not {' or '.join(self.layouts)}": layout not in self.layouts,
+            f"scene {run.scene}, not {scenes}": bool(self.scenes) and run.scene not in self.scenes,
+            f"{counted(frames, 'frame')}, not {self.frames}": frames != self.frames,
+            f"{counted(views, 'test view')}, not {self.test_views}": views != self.test_views,
+            f"K = {protocol.synthesis.k}, not {self.k}": protocol.synthesis.k != self.k,
+            "source views chosen by coverage, not the nearest": protocol.synthesis.sources != "nearest",
+            f"{_size(size)} pixels, not {_size(self.size)}": size != self.size,
+            f"measured at {_size(measured)}, not {_size(self.metric_size)}": size == self.size and measured != self.metric_size,
+            "a frame held still or noise added": bool(capture.get("edit")),
+        }
+        return tuple(words for words, applies in departures.items() if applies)
+
+    def missing_scenes(self, scenes: set[str]) -> tuple[str, ...]:
+        """Scenes of the paper that are not among these."""
+        return tuple(scene for scene in self.scenes if scene not in scenes)
+
+
+def read_terms(dataset: str) -> PaperTerms:
+    """The terms of one of the paper's data sets, see ``data/protocol.csv``."""
+    published = read_published("protocol")
+    values = published["all"]["protocol"] | published[dataset]["protocol"]
+    width, height = int(values["render_width"]), int(values["render_height"])
+    return PaperTerms(
+        dataset,
+        tuple(values.get("scenes", "").split()),
+        tuple(values["layouts"].split()),
+        int(values["test_views"]),
+        int(values["K"]),
+        int(values["frames"]),
+        (width, height),
+        (int(values.get("metric_width", width)), int(values.get("metric_height", height))),
+    )
+
+
+def rendered_size(run: MeasuredRun) -> tuple[int, int]:
+    """Width and height of the run's images: the protocol's, or those of the capture where it keeps these; 0 where unknown."""
+    synthesis, view = run.protocol.synthesis, run.protocol.views.test[0]
+    width, height = run.capture.get("cameras", {}).get(view, {}).get("size", (0, 0))
+    return (synthesis.width, synthesis.height) if synthesis.width else (width, height)
+
+
+def _size(size: tuple[int, int]) -> str:
+    return f"{size[0]} × {size[1]}" if any(size) else "an unknown number of"
+
+
+@dataclass(frozen=True)
+class ComparableRuns:
+    """Runs on one of the paper's data sets, on its terms.
+
+    Attributes:
+        runs: one per scene, of one protocol.
+        words: what was measured on, for the reader.
+    """
+
+    runs: tuple[MeasuredRun, ...]
+    results: Results
+    words: str
+
+
+@dataclass(frozen=True)
+class NotComparable:
+    """Absence of such a run, with the reason.
+
+    Attributes:
+        near: a run on part of the data set, or on other terms.
+    """
+
+    words: str
+    near: MeasuredRun | None = None
+
+
+def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> ComparableRuns | NotComparable:
+    """The runs that can be held against one of the paper's data sets.
+
+    Reading:
+        Test views are not compared by name, for the paper gives their number alone. Where it names scenes, all of them are
+        wanted, because its values are means over them.
+    """
+    terms = read_terms(dataset)
+    related = [run for run in runs if terms.relation(run) != "other"]
+    whole = [run for run in related if terms.relation(run) == "whole" and not terms.departures(run)]
+    if not related:
+        return NotComparable(f"no run on {dataset} here; {_what_instead(runs)}")
+    if not whole:
+        return NotComparable(
+            f"{_name(related[0])} is not {dataset} on the paper's terms: {_departures(terms, related[0])}", related[0]
+        )
+    alike = [run for run in whole if run.protocol.sha256 == whole[0].protocol.sha256]
+    missing = terms.missing_scenes({run.scene for run in alike})
+    if missing:
+        return NotComparable(
+            f"{_name(alike[0])} is part of {dataset} alone; the paper's means hold {' and '.join(missing)} too", alike[0]
+        )
+    return ComparableRuns(tuple(alike), merge_results([run.results for run in alike]), _words(terms, alike))
+
+
+def why_not_beside(dataset: str, runs: Sequence[MeasuredRun]) -> str:
+    """Say why the paper's values of a data set are not in a table of these runs; empty where they are."""
+    found = find_comparable_runs(dataset, runs)
+    if isinstance(found, NotComparable):
+        return found.words
+    others = [run for run in runs if not any(run is one for one in found.runs)]
+    return f"{_name(others[0])} is none of its scenes" if others else ""
+
+
+def _departures(terms: PaperTerms, run: MeasuredRun) -> str:
+    return "; ".join(terms.departures(run)) or "part of it by its name"
+
+
+def _what_instead(runs: Sequence[MeasuredRun]) -> str:
+    """Name what the runs are of instead of the paper's data sets."""
+    names = dict.fromkeys(_name(run) + (", a demo capture" if run.is_demo else "") for run in runs)
+    return f"this report is of {'; '.join(names)}, none of the paper's data sets"
+
+
+def _name(run: MeasuredRun) -> str:
+    return f"{run.protocol.dataset} ({run.scene})"
+
+
+def _words(terms: PaperTerms, runs: Sequence[MeasuredRun]) -> str:
+    scenes = ", ".join(dict.fromkeys(run.scene for run in runs))
+    return f"on {scenes}" + ("" if terms.scenes else ", chosen by us, for the paper names no scenes")

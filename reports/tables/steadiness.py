@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.files.atomic import write_text
-from ggvs_eval.reports.model.metric_note import MetricNote
+from ggvs_eval.reports.model.measured import MetricNote
 from ggvs_eval.reports.model.table import Row, Table, measured_cell, rank
 from ggvs_eval.reports.tables.report_tables import metric_column
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown

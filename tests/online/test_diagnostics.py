@@ -10,10 +10,10 @@ from ggvs_eval.pipelines.online.blend_maps import blend_maps
 from ggvs_eval.pipelines.online.blend_network import SURE
 from ggvs_eval.pipelines.online.full_size import composed
 from ggvs_eval.pipelines.online.network_blender import filled_picture, view_shares
-from ggvs_eval.pipelines.run.diagnostics import VIEW_COLOURS, view_colours
 from ggvs_eval.pipelines.run.evaluate import evaluate
+from ggvs_eval.pipelines.run.render import VIEW_COLOURS, view_colours
 from ggvs_eval.reports.model.measured import read_run
-from ggvs_eval.reports.page.comparison import MEANINGS, compare_frames
+from ggvs_eval.reports.page.pictures import MEANINGS, compare_frames
 from ggvs_eval.run_folder import DIAGNOSTICS, RunFolder, diagnostics_path
 from helpers.blender_inputs import inputs_of
 from helpers.scenes import camera_at, instant

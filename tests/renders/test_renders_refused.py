@@ -10,8 +10,7 @@ import pytest
 
 from ggvs_eval.errors import GgvsError, ProtocolError, RenderError
 from ggvs_eval.files.images import write_image
-from ggvs_eval.pipelines.run.import_renders import import_renders
-from ggvs_eval.pipelines.run.run_for import named_renders
+from ggvs_eval.pipelines.run.import_renders import import_renders, named_renders
 from ggvs_eval.run_folder import RunFolder
 from helpers.render_folders import (
     FRAMES,

@@ -7,7 +7,7 @@ import pytest
 
 from ggvs_eval.protocol import Frames, load_protocol, packaged_protocols
 from ggvs_eval.reports.model.measured import read_run
-from ggvs_eval.reports.tables.community import community_rows, describe_published, published_terms, published_values
+from ggvs_eval.reports.tables.published import community_rows, describe_published, published_terms, published_values
 from ggvs_eval.reports.tables.report_tables import main_tables
 from helpers.run_folders import RunShape, write_run
 

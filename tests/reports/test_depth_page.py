@@ -27,11 +27,9 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.geometry.features import find_features
 from ggvs_eval.geometry.rectification import rectify
-from ggvs_eval.reports.depth_page.page import examine_depth, render_depth_page, write_depth_page
+from ggvs_eval.reports.depth_page.page import examine_depth, find_notes, find_warnings, render_depth_page, write_depth_page
 from ggvs_eval.reports.depth_page.pairs import measure_pair, pair_picture
-from ggvs_eval.reports.depth_page.record import DepthRecord, StoredDepth
-from ggvs_eval.reports.depth_page.statistics import describe_map, resynthesise
-from ggvs_eval.reports.depth_page.warnings import find_notes, find_warnings
+from ggvs_eval.reports.depth_page.record import DepthRecord, StoredDepth, describe_map, resynthesise
 from helpers.page_reader import PageReader
 from helpers.refusals import refused
 from helpers.stereo_scenes import FOCAL, PLANE, look_from, plane_depth, see_plane, write_capture

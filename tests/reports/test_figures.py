@@ -15,12 +15,11 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports import report
 from ggvs_eval.reports.figures import paper_figures
-from ggvs_eval.reports.figures.k_figure import draw_k, read_k_table
 from ggvs_eval.reports.figures.look import FigureLook, parse_width
-from ggvs_eval.reports.figures.paper_figures import write_figure
+from ggvs_eval.reports.figures.paper_figures import STRIP, write_figure
 from ggvs_eval.reports.figures.regions import Square, find_regions, read_errors, square_side
-from ggvs_eval.reports.figures.side_by_side import STRIP
 from ggvs_eval.reports.figures.slices import most_different_row
+from ggvs_eval.reports.figures.sweep_figures import draw_k, read_k_table
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.intervals import intervals
@@ -189,7 +188,7 @@ def texts(figure: Figure) -> list[str]:
 
 def test_squares_chosen_by_eye_are_cut_to_the_pixel(planted, tmp_path, monkeypatch):
     """The crop is what lies in the square of that view and frame, of the methods named, in their order."""
-    drawn = drawn_figures(monkeypatch, "crop_figure")
+    drawn = drawn_figures(monkeypatch, "paper_figures")
     write_figure(
         planted, "crops", tmp_path / "a.png", view="cam03", frame=3, methods=("ours-geometric",), squares=(Square(41, 30, SIDE),)
     )
@@ -199,7 +198,7 @@ def test_squares_chosen_by_eye_are_cut_to_the_pixel(planted, tmp_path, monkeypat
     assert ours.get_title() == "L1 60.0"
 
 
-@pytest.mark.parametrize(("kind", "module"), [("crops", "crop_figure"), ("time", "slices"), ("epi", "slices")])
+@pytest.mark.parametrize(("kind", "module"), [("crops", "paper_figures"), ("time", "slices"), ("epi", "slices")])
 def test_a_paper_chooses_methods_width_title_and_scores(planted, tmp_path, monkeypatch, kind, module):
     """Methods stand in the order in which they are named, each with its scores; the title is the caption's."""
     drawn = drawn_figures(monkeypatch, module)
@@ -273,7 +272,7 @@ def test_k_table_is_the_mean_of_the_captures_in_order_of_k(sweep):
 
 def test_k_figure_has_a_panel_per_metric_and_one_for_time(sweep, tmp_path, monkeypatch):
     """PSNR and seconds are drawn from the table's numbers over K; a metric that the sweep lacks is refused by name."""
-    drawn = drawn_figures(monkeypatch, "k_figure")
+    drawn = drawn_figures(monkeypatch, "sweep_figures")
     draw_k(sweep, tmp_path / "k.png")
     quality, seconds = drawn[0].axes
     line = next(each for each in quality.containers if each.get_label() == "Ours").lines[0]
@@ -292,7 +291,7 @@ def test_k_figure_has_the_intervals_of_its_runs(tmp_path, monkeypatch):
     bounds = intervals(run.results, "PSNR", "Demo room")["ours-geometric"]
     lines.loc[(lines["variant"] == "k3") & (lines["method"] == "Ours"), "PSNR"] = bounds.value
     lines.to_csv(tmp_path / "sweep.csv", index=False)
-    drawn = drawn_figures(monkeypatch, "k_figure")
+    drawn = drawn_figures(monkeypatch, "sweep_figures")
     draw_k(tmp_path, tmp_path / "k.png")
     ours = next(each for each in drawn[0].axes[0].containers if each.get_label() == "Ours")
     segments = ours.lines[2][0].get_segments()

@@ -9,9 +9,7 @@ from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import METHODS_FILE, read_run
 from ggvs_eval.reports.model.table import Cell
 from ggvs_eval.reports.run_groups import read_groups
-from ggvs_eval.reports.tables.differences import differences_table
-from ggvs_eval.reports.tables.fit_budget import _crossing, budget_tables
-from ggvs_eval.reports.tables.fitted import cost_tables, price_tables
+from ggvs_eval.reports.tables.costs import _crossing, budget_tables, cost_tables, differences_table, price_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json

@@ -9,15 +9,12 @@ import numpy as np
 import pytest
 
 from ggvs_eval.protocol import Frames
-from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun, read_run
-from ggvs_eval.reports.model.metric_note import MetricNote
-from ggvs_eval.reports.tables.certainty import judge_metric, leaders
+from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun, MetricNote, read_run
 from ggvs_eval.reports.tables.compare_runs import Side, differences
-from ggvs_eval.reports.tables.fit_budget import budget_tables
-from ggvs_eval.reports.tables.fitted import price_tables
+from ggvs_eval.reports.tables.costs import budget_tables, price_tables
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.table_formats import to_latex, to_markdown
-from ggvs_eval.reports.tables.verdict import evaluate_verdict
+from ggvs_eval.reports.tables.verdict import evaluate_verdict, judge_metric, leaders
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
 from helpers.run_folders import RunShape, write_run

@@ -14,15 +14,16 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.reports.page import leaderboard
-from ggvs_eval.reports.page.comparison import FRAME_BYTES, compare_frames
-from ggvs_eval.reports.page.data_uri import fitting_width
 from ggvs_eval.reports.page.heat_map import heat_colours, heat_maps
 from ggvs_eval.reports.page.page import FIRST_SCRIPTS, SCRIPTS, TEMPLATES, page_script, script_digest
-from ggvs_eval.reports.page.sequences import (
+from ggvs_eval.reports.page.pictures import (
+    FRAME_BYTES,
     PATH_BYTES,
     POSES_AT_MOST,
     VIDEO_FRAMES_AT_MOST,
     MethodVideo,
+    compare_frames,
+    fitting_width,
     method_videos,
     path_pictures,
     share_room,

@@ -19,8 +19,7 @@ from ggvs_eval.reports.page.leaderboard import write_leaderboard
 from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.run_groups import read_groups
-from ggvs_eval.reports.tables.certainty import leaders
-from ggvs_eval.reports.tables.verdict import evaluate_verdict
+from ggvs_eval.reports.tables.verdict import evaluate_verdict, leaders
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.paired import Comparison, Judgement, Outcome
 from helpers.page_reader import PageReader

@@ -15,12 +15,12 @@ from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import SHORT, Cell, Column, Row, Table, format_half_width, format_value, rank, shade
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.tables.certainty import leaders
 from ggvs_eval.reports.tables.error_budget import decomposition_table
 from ggvs_eval.reports.tables.published import published_rows, read_published
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.table_formats import escape_latex, to_latex, to_markdown
 from ggvs_eval.reports.tables.timing import timing_table
+from ggvs_eval.reports.tables.verdict import leaders
 from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.intervals import intervals

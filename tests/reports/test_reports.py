@@ -14,7 +14,7 @@ from ggvs_eval.files.images import write_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.figures.curves import curve_panels
 from ggvs_eval.reports.model.measured import read_run
-from ggvs_eval.reports.page.comparison import compare_frames, error_map
+from ggvs_eval.reports.page.pictures import compare_frames, error_map
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.table_formats import escape_latex
 from ggvs_eval.run_folder import frame_path

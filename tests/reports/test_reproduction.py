@@ -14,15 +14,23 @@ from ggvs_eval.merged_results import merge_results
 from ggvs_eval.metrics.registry import METRICS, metric_notes
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.protocol import Frames, Measurement, Synthesis, load_protocol
-from ggvs_eval.reports.model.measured import MeasuredRun, read_scores
-from ggvs_eval.reports.model.metric_note import MetricNote
+from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote, read_scores
 from ggvs_eval.reports.model.table import Cell, Table
 from ggvs_eval.reports.page.page import template_environment
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.reports.tables.report_tables import main_tables
-from ggvs_eval.reports.tables.reproduction import STATUSES, TABLES, Reproduction, evaluate_value, paper_methods, reproduce
-from ggvs_eval.reports.tables.reproduction_formats import blocks, reproduction_csv, reproduction_markdown
+from ggvs_eval.reports.tables.reproduction import (
+    STATUSES,
+    TABLES,
+    Reproduction,
+    blocks,
+    evaluate_value,
+    paper_methods,
+    reproduce,
+    reproduction_csv,
+    reproduction_markdown,
+)
 from ggvs_eval.reports.tables.table_formats import to_latex, to_markdown
 from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json

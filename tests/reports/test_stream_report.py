@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 
 from ggvs_eval.protocol import Stream
-from ggvs_eval.reports.figures.stream_figure import draw_rates, rate_panels
+from ggvs_eval.reports.figures.sweep_figures import draw_rates, rate_panels
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.tables.captions import main_captions
-from ggvs_eval.reports.tables.on_screen import stream_table
+from ggvs_eval.reports.tables.report_tables import main_captions
+from ggvs_eval.reports.tables.timing import stream_table
 from ggvs_eval.results import PROVENANCE_FILE
 from ggvs_eval.run_folder import RunFolder, write_json
 from helpers.run_folders import RunShape, make_protocol, write_run

@@ -14,10 +14,8 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.tables.excel import write_excel
-from ggvs_eval.reports.tables.reproduction import reproduce
-from ggvs_eval.reports.tables.reproduction_formats import paper_tables
-from ggvs_eval.reports.tables.table_formats import to_csv, to_latex
+from ggvs_eval.reports.tables.reproduction import paper_tables, reproduce
+from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, write_excel
 from ggvs_eval.reports.tables_of_runs import tables_of_runs
 from helpers.command_line import refusal
 from helpers.refusals import refused

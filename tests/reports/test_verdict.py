@@ -14,8 +14,7 @@ from ggvs_eval.files.images import write_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.reports.model.table import Cell, Row
-from ggvs_eval.reports.tables.absolute import describe_conditions, largest_cause
-from ggvs_eval.reports.tables.error_budget import budget_table
+from ggvs_eval.reports.tables.error_budget import budget_table, describe_conditions, largest_cause
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
 from ggvs_eval.results import without_labels

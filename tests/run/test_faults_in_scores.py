@@ -17,9 +17,8 @@ from ggvs_eval.pipelines.inspection.renders.copied import find_copied
 from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, views_of_run
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
 from ggvs_eval.pipelines.run import score_view
-from ggvs_eval.pipelines.run.import_renders import import_renders
+from ggvs_eval.pipelines.run.import_renders import import_renders, run_for
 from ggvs_eval.pipelines.run.references import find_seen_views
-from ggvs_eval.pipelines.run.run_for import run_for
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.compare_runs import differences, method_sides

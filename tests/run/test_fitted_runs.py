@@ -19,9 +19,9 @@ from ggvs_eval.jobs.shard import Shard
 from ggvs_eval.jobs.status import describe_status
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.run.evaluate import measure, render
-from ggvs_eval.pipelines.run.fit import FitClock
 from ggvs_eval.pipelines.run.footage import fold_footage
 from ggvs_eval.pipelines.run.prepare import prepare_run
+from ggvs_eval.pipelines.run.render import FitClock
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work
 from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
@@ -196,7 +196,7 @@ def test_a_fit_that_was_killed_goes_on(finished, twin_plane, tmp_path):
 def test_time_and_progress_count_from_the_beginning(tmp_path, monkeypatch, capsys):
     """Seconds of earlier attempts are added; the time left follows from this attempt's pace."""
     now_s = [100.0]
-    monkeypatch.setattr("ggvs_eval.pipelines.run.fit.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("ggvs_eval.pipelines.run.render.time.monotonic", lambda: now_s[0])
     first = FitClock("4dgs, fold1", tmp_path, now_s[0])
     first.note(0, 1000)
     now_s[0] += 60

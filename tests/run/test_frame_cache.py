@@ -10,8 +10,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.pipelines.run.derived_files import DIGESTS
-from ggvs_eval.pipelines.run.frame_cache import cache_frames, cache_path, frames_left, path_left
+from ggvs_eval.pipelines.run.derived_files import DIGESTS, cache_frames, cache_path, frames_left, path_left
 from ggvs_eval.run_folder import frame_path
 from helpers.captures import NAMES, make_image, write_dynerf
 

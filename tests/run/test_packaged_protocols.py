@@ -7,8 +7,7 @@ import pytest
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import load_protocol, packaged_protocols
-from ggvs_eval.reports.tables.community import published_terms
-from ggvs_eval.reports.tables.published import read_published
+from ggvs_eval.reports.tables.published import published_terms, read_published
 from helpers.captures import make_rig
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from ggvs_eval.pipelines.run.evaluate import report
-from ggvs_eval.reports.tables import excel
+from ggvs_eval.reports.tables import table_formats
 from helpers.run_folders import RunShape, write_run
 
 pytestmark = pytest.mark.slow
@@ -32,7 +32,7 @@ def test_a_workbook_comes_once_it_can_be_written(tmp_path, monkeypatch, capsys):
     pytest.importorskip("openpyxl")
     run = write_run(tmp_path / "run", RunShape())
     with monkeypatch.context() as without:
-        without.setattr(excel.importlib.util, "find_spec", lambda name: None)
+        without.setattr(table_formats.importlib.util, "find_spec", lambda name: None)
         folder = report([run], with_figures=False).parent
     assert not (folder / "tables.xlsx").exists()
     assert "openpyxl" in capsys.readouterr().err

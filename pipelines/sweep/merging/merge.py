@@ -16,7 +16,7 @@ from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.jobs.ledger import JOBS_FOLDER
 from ggvs_eval.pipelines.run.coverage import IMPORT_FILE
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, join_records
-from ggvs_eval.pipelines.run.fit import FITS
+from ggvs_eval.pipelines.run.render import FITS
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 ROUNDING = 1e-6  # machines add in different orders

@@ -1,11 +1,17 @@
-"""Tables of costs: what each method sees and takes, the spread over seeds, the price of being online."""
+"""Tables of what methods see, take and cost, the spread over seeds, and the price of being online.
 
+What seconds of fitting buy is the time to equal quality and the best method under each budget; what differs between methods by
+design stands beside what the protocol makes the same for all of them.
+"""
+
+import math
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun
-from ggvs_eval.reports.model.metric_note import MetricNote
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun, MetricNote
 from ggvs_eval.reports.model.table import (
     SHORT_MEANS,
     Cell,
@@ -21,7 +27,7 @@ from ggvs_eval.reports.tables.timing import TOTAL, render_records, timing_table
 from ggvs_eval.results import Results, label_of
 from ggvs_eval.run_folder import read_json
 from ggvs_eval.statistics.intervals import LEVEL
-from ggvs_eval.statistics.paired import OUTCOMES, Comparison, judge_against
+from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Outcome, judge_against
 
 MEGABYTE = 1e6
 NOT_FITTED = "not fitted"
@@ -48,6 +54,16 @@ COST_COLUMNS = (
     Column("seeds", describe="fits by another seed that were measured too, and the first"),
 )
 NOTHING = {NOT_FITTED, UNRECORDED.text}  # a column of these alone is left out
+STATED_DB = 30.0  # a PSNR that a fit may be asked for, beside those of the methods that need none
+POINTS = (
+    "The points are whole fits: rows of a method that differ in steps (`4dgs+steps=1000`; `ggvs-eval sweep budget` has a series)."
+)
+DIFFERENCE_COLUMNS = (
+    Column("depth", describe="whether the method is given depth of its sources"),
+    Column("learned from", describe="what its weights or its scene were learned from"),
+    Column("not as published", describe="what the implementation does not do as the authors of the method"),
+)
+UNKNOWN_DIFFERENCE = "unknown: others made it"
 
 
 def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
@@ -211,3 +227,125 @@ def difference_cell(note: MetricNote, comparison: Comparison | None, why_absent:
     outcome = "" if comparison.outcome in ("better", "worse") else OUTCOMES[comparison.outcome]
     remark = "; ".join(filter(None, (outcome, comparison.note)))
     return Cell(text, value, comparison.outcome == "better", 0.0, spread, comparison.low, comparison.high, remark)
+
+
+def budget_tables(run: MeasuredRun) -> tuple[Table, ...]:
+    """Cost at equal quality and the best method under each budget, of ranked methods alone; nothing where none is fitted."""
+    summary = run.results.summary().droplevel("dataset")
+    numbers = {label_of(*names): float(summary.loc[names].get("PSNR", math.nan)) for names in summary.index}
+    ranked = [label for label in run.labels if label not in run.results.set_aside]
+    psnr_db = {label: numbers[label] for label in ranked if math.isfinite(numbers.get(label, math.nan))}
+    fits = {label: records for label, records in fit_records(run).items() if label in psnr_db}
+    if not fits:
+        return ()
+    return tuple(table for table in (_equal_quality(run, fits, psnr_db), _winners(run, fits, psnr_db)) if table)
+
+
+def _against(run: MeasuredRun, reference: str, labels: Collection[str]) -> dict[str, Comparison]:
+    """Methods judged against one of them in PSNR."""
+    note, dataset = run.metrics["PSNR"], str(run.results.table["dataset"].iloc[0])
+    return judge_against(run.results, note.name, note.higher_is_better, dataset, reference, labels)
+
+
+def _equal_quality(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db: Mapping[str, float]) -> Table | None:
+    """Seconds of fitting at which a method first reaches what others have without any, on held-out views.
+
+    Reading:
+        A fit's own curve is of its training images, and held-out views shown to it on the way would be a leak. So the curve is
+        made of whole fits: a method's labels that differ in ``steps`` are its points, and between two of them a crossing is a
+        bound from either side. A fit has reached a method where its number is no worse and the clip is not too short to call it.
+    """
+    instant = [label for label in psnr_db if label not in fits]
+    ours = next((label for label in run.ours_first if label in instant and label in run.ours), None)
+    rivals = [label for label in (ours, next((each for each in instant if each.startswith("enerf")), None)) if label]
+    if not rivals:
+        return None
+    families: dict[str, list[str]] = {}
+    for label in fits:
+        families.setdefault(re.sub(r"\+steps=\d+", "", label), []).append(label)
+    targets = {f"{STATED_DB:g} dB": {label: _reached("equal", psnr_db[label] - STATED_DB) for label in fits}}
+    for rival in reversed(rivals):
+        found = {label: _reached(one.outcome, one.difference) for label, one in _against(run, rival, fits).items()}
+        targets = {f"as {run.name(rival)}, {psnr_db[rival]:.2f} dB": found} | targets
+    columns = tuple(Column(name, "s", False, "Seconds of one fold's fit.") for name in targets)
+    rows = []
+    for labels in families.values():
+        points = [sorted((fit_seconds(fits[each]), psnr_db[each], found[each]) for each in labels) for found in targets.values()]
+        rows.append(Row(re.sub(r", [\d,]+ steps|\+steps=\d+", "", run.name(labels[0])), tuple(map(_crossing, points))))
+    caption = f"Seconds of fitting until a method's PSNR on held-out views is that of a method that needs no fit. {POINTS}"
+    return Table("equal_quality", "Cost at equal quality", caption, columns, tuple(rows), run.scene)
+
+
+def _reached(outcome: Outcome, ahead_db: float) -> Outcome:
+    """Outcome against a target, ``worse`` wherever the number falls short of it and the clip is long enough to say so."""
+    return outcome if outcome in ("too short", "untested") or ahead_db >= 0 else "worse"
+
+
+def _crossing(points: Sequence[tuple[float, float, Outcome]]) -> Cell:
+    """The first of some (seconds, dB, outcome against a target), rising in seconds, that is not worse than the target.
+
+    The cell is a bound, as the truth lies between two points.
+    """
+    at = next((at for at, (*_, outcome) in enumerate(points) if outcome != "worse"), None)
+    if at is None:
+        seconds, best_db, _ = max(points, key=lambda point: point[1])
+        return Cell("not reached", note=f"{best_db:.2f} dB at best, after {format_value(seconds)} s")
+    seconds, reached_db, outcome = points[at]
+    if outcome in ("too short", "untested"):
+        return Cell(OUTCOMES[outcome], note=f"{reached_db:.2f} dB after {format_value(seconds)} s")
+    before = f"(more than {format_value(points[at - 1][0])})" if at else ""
+    return Cell(format_value(seconds), seconds, bound="at most", beside=before)
+
+
+def _winners(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db: Mapping[str, float]) -> Table | None:
+    """The best PSNR that a budget of seconds buys; a line for each budget from which another method is best.
+
+    Reading:
+        A method that needs no fit costs nothing here, as depth is left out for all. A dearer fit becomes the best only where it
+        is judged better than the best before it, among all that are dearer: what cannot be told apart, or is too short to call,
+        is not worth the wait.
+    """
+    cost_s = {label: fit_seconds(fits[label]) if label in fits else 0.0 for label in psnr_db}
+    by_cost = sorted(psnr_db, key=lambda label: (cost_s[label], -psnr_db[label]))
+    rows: list[Row] = []
+    best, ahead = by_cost[0], Cell("nothing is cheaper")
+    while best:
+        from_s = Cell(format_value(cost_s[best]), cost_s[best]) if cost_s[best] else Cell("0", 0.0)
+        number = Cell(format_value(psnr_db[best], run.metrics["PSNR"].decimals), psnr_db[best])
+        rows.append(run.row(best, (from_s, number, ahead)))
+        judged = _against(run, best, by_cost[by_cost.index(best) + 1 :])
+        best = next((label for label, one in judged.items() if one.outcome == "better"), "")
+        ahead = difference_cell(run.metrics["PSNR"], judged.get(best))
+    columns = (
+        Column("fitting", "s", None, "Seconds of one fold's fit that this method needs: the budget from which it is the best."),
+        Column("PSNR", "dB", None, "Mean of the held-out views."),
+        Column("ahead of the line above", "dB", None, "Paired difference with its interval."),
+    )
+    caption = (
+        "The best method for what one waits before the first picture. Left out: dearer, and not better, or the clip is too short "
+        f"to call it. {POINTS}"
+    )
+    return Table("budget", "The best under a budget", caption, columns, tuple(rows), run.scene)
+
+
+def differences_table(run: MeasuredRun) -> Table | None:
+    """What a reader weighs himself, as no protocol can remove it; None for runs that were scored before it was recorded."""
+    declared = read_json(run.folder.root / METHODS_FILE).get("declared")
+    if declared is None:
+        return None
+    rows = [
+        run.row(label, [Cell(declared.get(label, {}).get(column.name, UNKNOWN_DIFFERENCE)) for column in DIFFERENCE_COLUMNS])
+        for label in run.labels
+    ]
+    caption = f"What no protocol can make alike. The same for all: {_same(run.protocol)}."
+    return Table("differences", "What differs between the methods", caption, DIFFERENCE_COLUMNS, tuple(rows), run.scene)
+
+
+def _same(protocol: Protocol) -> str:
+    synthesis = protocol.synthesis
+    size = f"{synthesis.width} x {synthesis.height}" if synthesis.width else "the capture's size"
+    return (
+        f"test views {', '.join(protocol.views.test)}, each left out of its own rendering and of the depth for it; "
+        f"{protocol.frames.count} frames of {size}, resized by {synthesis.resize_filter}; K = {synthesis.k} sources for methods "
+        "that render from sources; scores from 8-bit pictures on disk by one implementation of each metric"
+    )
