@@ -49,7 +49,7 @@ def test_intervals_hold_no_drift_where_there_is_none(frames, correlation):
     [(100, 0.0, 1000), (100, 0.8, 1000), (100, 0.9, 1000), (100, 0.95, 8000), (300, 0.95, 1000)],
 )
 def test_no_more_alarms_than_chance_among_what_is_not_marked(frames, correlation, count):
-    """At the lengths that the table shows (from 100): at most 5 % of unmarked intervals exclude 0 (5.3 % at 100 and .95 before)."""
+    """At the lengths that the table shows (from 100): at most 5 % of unmarked intervals exclude 0 (5.3 % before)."""
     random = np.random.default_rng(1)
     drifts = [measure_drift(wandering(random, frames, correlation)) for _ in range(count)]
     unmarked = [abs(drift.slope) > drift.half_width for drift in drifts if not drift.short]
