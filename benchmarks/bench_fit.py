@@ -16,8 +16,8 @@ from torch import Tensor, nn
 
 from benchmarks.bench_gaussians import make_cloud
 from ggvs_eval.baselines.fitted import hexplane
-from ggvs_eval.baselines.fitted.motion import HexPlaneMotion
-from ggvs_eval.baselines.fitted.photometric import photometric_loss
+from ggvs_eval.baselines.fitted.optimiser import photometric_loss
+from ggvs_eval.baselines.fitted.scene import HexPlaneMotion
 from ggvs_eval.baselines.fitted.state import FitState, box_of
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import one_thread

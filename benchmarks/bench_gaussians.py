@@ -14,7 +14,7 @@ import torch
 
 from benchmarks.bench_geometry import make_scene
 from ggvs_eval.camera import Camera
-from ggvs_eval.gaussians import GaussianCloud, compiled, torch_splat
+from ggvs_eval.gaussians import GaussianCloud, render, torch_splat
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import NEAR_M
 
@@ -27,7 +27,7 @@ Splat = Callable[..., tuple[torch.Tensor, ...]]
 def measure() -> dict[str, dict[str, Any]]:
     """Milliseconds of the kernel and of its twin on the CPU, name -> figure."""
     cloud, camera = make_cloud()
-    ours, twin = step_ms(compiled.splat, cloud, camera, 15), step_ms(torch_splat.splat, cloud, camera, 2)
+    ours, twin = step_ms(render.splat_compiled, cloud, camera, 15), step_ms(torch_splat.splat, cloud, camera, 2)
     return {
         "gaussians_forward": _figure(ours[0], None, twin[0]),
         "gaussians_forward_backward": _figure(sum(ours), TARGET_MS, sum(twin)),
@@ -78,8 +78,10 @@ def gpu_figures() -> dict[str, dict[str, Any]]:
     """Milliseconds of the torch path on a GPU, beside the kernel's, and the largest difference of their images."""
     cloud, camera = make_cloud()
     there = cloud.to("cuda")
-    ours, peer = step_ms(compiled.splat, cloud, camera, 5), step_ms(torch_splat.splat, there, camera, 5)
-    images = [splat(each, camera, NEAR_M, None)[0] for splat, each in ((compiled.splat, cloud), (torch_splat.splat, there))]
+    ours, peer = step_ms(render.splat_compiled, cloud, camera, 5), step_ms(torch_splat.splat, there, camera, 5)
+    images = [
+        splat(each, camera, NEAR_M, None)[0] for splat, each in ((render.splat_compiled, cloud), (torch_splat.splat, there))
+    ]
     difference = float((images[0] - images[1].cpu()).abs().max())
     return {
         "gaussians_forward_backward": _figure(sum(ours), TARGET_MS, sum(peer), torch.cuda.get_device_name()),

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from ggvs_eval.baselines.fitted.motion import Backdrop
 from ggvs_eval.baselines.fitted.per_instant import scene_file
-from ggvs_eval.baselines.fitted.scene import SCENE, StoredScene
+from ggvs_eval.baselines.fitted.scene import SCENE, Backdrop, StoredScene
 from ggvs_eval.baselines.fitted.stream import StreamedScene
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians import GaussianCloud

@@ -9,10 +9,18 @@ import numpy as np
 import torch
 
 from ggvs_eval.baselines.fitted.hexplane import DeformationNetwork, compact
-from ggvs_eval.baselines.fitted.motion import HexPlaneMotion, LinearMotion, Motion, MotionName, PolynomialMotion
 from ggvs_eval.baselines.fitted.optimiser import GaussianFitter, Journal, clip_options, optimise
 from ggvs_eval.baselines.fitted.points import Points, initial_points
-from ggvs_eval.baselines.fitted.scene import SCENE, MovingScene, write_scene
+from ggvs_eval.baselines.fitted.scene import (
+    SCENE,
+    HexPlaneMotion,
+    LinearMotion,
+    Motion,
+    MotionName,
+    MovingScene,
+    PolynomialMotion,
+    write_scene,
+)
 from ggvs_eval.baselines.fitted.shots import Shots
 from ggvs_eval.baselines.fitted.state import FitState, box_of, first_gaussians
 from ggvs_eval.compute_device import compute_device, computing_on, one_thread

@@ -1,5 +1,10 @@
 """The deformation field of 4DGS (Wu et al., CVPR 2024): features from planes in space and time, heads that move Gaussians.
 
+By the compiled kernel, forward and backward, as a function that autograd knows; `PlaneGrid` and torch's layers are its
+readable twin, and what computes on a GPU.
+
+`hexplane.PlaneGrid` and torch's layers are its readable twin, and what computes on a GPU.
+
 Names and shapes are those of the authors' ``deformation.pth``, so that their files load strictly.
 """
 
@@ -7,14 +12,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ggvs_eval.baselines.fitted import compiled_field
 from ggvs_eval.files.weights_file import load_strict, read_tensors
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 
+Axes = tuple[tuple[int, int], ...]
 AXES = tuple(combinations(range(4), 2))  # xy, xz, xt, yz, yt, zt: the order of the planes
 TIME = 3
 HEADS = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}  # name in front of `_deform` -> outputs
@@ -126,7 +133,7 @@ def field_outputs(
     """
     if points.device.type == "cpu" and points.dtype == torch.float32:
         layers = [tensor for part in (trunk, *heads) for tensor in part.parameters()]
-        return compiled_field.evaluate(points, grid.aabb, time, grid.all_planes(), grid.axes, layers)
+        return evaluate_compiled(points, grid.aabb, time, grid.all_planes(), grid.axes, layers)
     features = trunk(grid(points, time))
     return tuple(head(features) for head in heads)
 
@@ -207,3 +214,67 @@ def read_deformation(path: Path) -> DeformationNetwork:
     network = DeformationNetwork(torch.zeros(2, 3), PUBLISHED)
     load_strict(read_tensors(path, of=OWNER), network, path, OWNER)
     return network
+
+
+def evaluate_compiled(
+    points: Tensor,
+    box: Tensor,
+    time: float,
+    planes: Sequence[Tensor],
+    axes: Sequence[tuple[int, int]],
+    layers: Sequence[Tensor],
+) -> tuple[Tensor, ...]:
+    """Outputs of each head of a field at points; the same bits for any number of threads.
+
+    Args:
+        points: (N, 3), float32 on the CPU.
+        box: what the planes span, (2, 3).
+        time: on the planes, in [-1, 1].
+        planes: (1, channels, nodes of the second axis, of the first) each, level by level.
+        axes: of a level's planes.
+        layers: weights and biases of the layer that all heads share, then for each head those of its two layers.
+
+    Returns:
+        (N, outputs) for each head.
+    """
+    outputs: tuple[Tensor, ...] = _CompiledField.apply(time, tuple(axes), len(planes), points, box, *planes, *layers)
+    return outputs
+
+
+class _CompiledField(torch.autograd.Function):
+    """Kernel calls; the first three arguments are no tensors."""
+
+    @staticmethod
+    def forward(ctx: Any, time: float, axes: Axes, n_planes: int, *tensors: Tensor) -> tuple[Tensor, ...]:
+        """Outputs of the heads."""
+        from ggvs_eval.kernels import _deformation
+
+        ctx.save_for_backward(*tensors)
+        ctx.options = time, axes, n_planes
+        outputs = _deformation.evaluate(*_compiled_arguments(ctx.options, tensors), *_compiled_settings())
+        return tuple(torch.from_numpy(output) for output in outputs)
+
+    @staticmethod
+    def backward(ctx: Any, *by_outputs: Tensor) -> tuple[Tensor | None, ...]:
+        """Derivatives by the points, the planes and the layers."""
+        from ggvs_eval.kernels import _deformation
+
+        given = tuple(gradient.contiguous().numpy() for gradient in by_outputs)
+        by_points, by_planes, by_layers = _deformation.gradients(
+            *_compiled_arguments(ctx.options, ctx.saved_tensors), given, *_compiled_settings()
+        )
+        gradients = (torch.from_numpy(by_points), None, *map(torch.from_numpy, (*by_planes, *by_layers)))
+        needed = ctx.needs_input_grad[3:]
+        return None, None, None, *(each if asked else None for each, asked in zip(gradients, needed, strict=True))
+
+
+def _compiled_arguments(
+    options: tuple[float, Axes, int], tensors: Sequence[Tensor]
+) -> tuple[Any, Any, float, tuple[Any, ...], Axes, tuple[Any, ...]]:
+    time, axes, n_planes = options
+    points, box, *others = (tensor.detach().contiguous().numpy() for tensor in tensors)
+    return points, box, time, tuple(others[:n_planes]), axes, tuple(others[n_planes:])
+
+
+def _compiled_settings() -> tuple[int, int]:
+    return get_threads(), SIMD_LEVELS.index(get_simd_level())

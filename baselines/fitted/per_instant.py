@@ -5,10 +5,9 @@ from pathlib import Path
 
 import torch
 
-from ggvs_eval.baselines.fitted.motion import NoMotion
 from ggvs_eval.baselines.fitted.optimiser import GaussianFitter, Journal, clip_options, optimise
 from ggvs_eval.baselines.fitted.points import initial_points
-from ggvs_eval.baselines.fitted.scene import StoredScene, render_cloud, write_scene
+from ggvs_eval.baselines.fitted.scene import NoMotion, StoredScene, render_cloud, write_scene
 from ggvs_eval.baselines.fitted.shots import Shots
 from ggvs_eval.baselines.fitted.state import FitState, first_gaussians
 from ggvs_eval.camera import Camera

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from ggvs_eval.baselines.fitted.hexplane import read_deformation
-from ggvs_eval.baselines.fitted.motion import HexPlaneMotion
-from ggvs_eval.baselines.fitted.scene import render_cloud
+from ggvs_eval.baselines.fitted.scene import HexPlaneMotion, render_cloud
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import compute_device
 from ggvs_eval.errors import RenderError

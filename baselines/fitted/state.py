@@ -7,8 +7,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ggvs_eval.baselines.fitted.motion import Motion
 from ggvs_eval.baselines.fitted.points import Points
+from ggvs_eval.baselines.fitted.scene import Motion
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.atomic import write_bytes
 from ggvs_eval.gaussians.cloud import GaussianCloud

@@ -10,11 +10,17 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ggvs_eval.baselines.fitted.density import DensityOptions, rotated
-from ggvs_eval.baselines.fitted.motion import Backdrop, TransformationMotion, canonical
-from ggvs_eval.baselines.fitted.optimiser import GaussianFitter, Journal, OptimiserOptions, clip_options, optimise
+from ggvs_eval.baselines.fitted.optimiser import (
+    DensityOptions,
+    GaussianFitter,
+    Journal,
+    OptimiserOptions,
+    clip_options,
+    optimise,
+    rotated,
+)
 from ggvs_eval.baselines.fitted.per_instant import STATE, fresh_or_stored, scene_file
-from ggvs_eval.baselines.fitted.scene import StoredScene, render_cloud, write_scene
+from ggvs_eval.baselines.fitted.scene import Backdrop, StoredScene, TransformationMotion, canonical, render_cloud, write_scene
 from ggvs_eval.baselines.fitted.shots import Shots
 from ggvs_eval.baselines.fitted.state import OPACITY, FitState, Gaussians, box_of
 from ggvs_eval.camera import Camera

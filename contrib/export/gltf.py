@@ -2,7 +2,7 @@
 
 Source: Khronos, "KHR_gaussian_splatting" (ratified 2026): "Ellipse Kernel" and "Spherical Harmonics Attributes" for what a
 primitive holds, "Fallback Behavior" for COLOR_0, "Calculating color from Spherical Harmonics" for signs and order, which are
-those of `harmonics.basis`; and glTF 2.0, sections 3.6 (alignment, bounds), 3.11 (animations) and 4.4 (the container).
+those of `harmonic_basis`; and glTF 2.0, sections 3.6 (alignment, bounds), 3.11 (animations) and 4.4 (the container).
 
 Reading:
     Files of 3D Gaussian splatting have logarithms of scales, logits of opacity and w first; the extension has scales and opacity
@@ -31,8 +31,7 @@ from ggvs_eval import __version__
 from ggvs_eval.arrays import Array32
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.atomic import atomic_file
-from ggvs_eval.gaussians.cloud import GaussianCloud
-from ggvs_eval.gaussians.harmonics import CONSTANT
+from ggvs_eval.gaussians.cloud import CONSTANT, GaussianCloud
 from ggvs_eval.progress import track
 
 EXTENSION = "KHR_gaussian_splatting"

@@ -18,8 +18,7 @@ from ggvs_eval.datasets.units import GUESSED, guess_units_per_metre
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.plain import check_plain
 from ggvs_eval.files.toml_tables import build_table, read_toml
-from ggvs_eval.geometry.epipolar import match_pair, neighbour_pairs, remoteness, sound_matches
-from ggvs_eval.geometry.features import Features, find_features
+from ggvs_eval.geometry.epipolar import Features, find_features, match_pair, neighbour_pairs, remoteness, sound_matches
 from ggvs_eval.geometry.rectification import can_rectify
 
 DEPTH_RANGE_FILE = "depth_range.toml"

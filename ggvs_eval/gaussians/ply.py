@@ -19,8 +19,7 @@ from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.plain import check_plain, why_unread
-from ggvs_eval.gaussians.cloud import HIGHEST_DEGREE, GaussianCloud
-from ggvs_eval.gaussians.harmonics import CONSTANT
+from ggvs_eval.gaussians.cloud import CONSTANT, HIGHEST_DEGREE, GaussianCloud
 
 COMPRESSED = ("chunk", "vertex", "sh")  # its elements, the last one where there is one
 CHUNK_SIZE = 256

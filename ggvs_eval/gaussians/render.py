@@ -1,14 +1,24 @@
-"""The differentiable splat: an image, its coverage and its depth from a cloud of Gaussians."""
+"""The differentiable splat: an image, its coverage and its depth from a cloud of Gaussians.
+
+On a CPU by the compiled kernel, forward and backward, as a function that autograd knows.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians.cloud import GaussianCloud
+from ggvs_eval.gaussians.torch_splat import SLOPE_MARGIN
+from ggvs_eval.geometry.pinhole import pinhole
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 from ggvs_eval.method import NEAR_M
+
+Pictures = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +74,7 @@ def render_gaussians(
         pixel stops before its transmittance falls below 1e-4, z up to 0.2 is left out. Different from it are the principal point,
         which fields of view lose, and the end of a Gaussian, which is not cut at the borders of tiles (`torch_splat.splat`).
     """
-    from ggvs_eval.gaussians import compiled, torch_splat
+    from ggvs_eval.gaussians import torch_splat
 
     if screen_offsets is not None and screen_offsets.shape != (len(cloud), 2):
         raise RenderError(f"Gaussian splat: wanted screen offsets {(len(cloud), 2)}, got {tuple(screen_offsets.shape)}")
@@ -74,9 +84,55 @@ def render_gaussians(
     if not near > 0:
         raise RenderError(f"Gaussian splat: near must be positive, got {near:g}")
     in_kernel = cloud.means.device.type == "cpu" and cloud.means.dtype == torch.float32
-    splat = compiled.splat if in_kernel else torch_splat.splat
+    splat = splat_compiled if in_kernel else torch_splat.splat
     colour, transmittance, depth_sum, radii = splat(cloud, camera, near, screen_offsets)
     alpha = 1 - transmittance
     covered = alpha > 0
     depth = torch.where(covered, depth_sum / torch.where(covered, alpha, 1), 0)
     return GaussianImage(colour + transmittance[..., None] * behind, alpha, depth, radii)
+
+
+def splat_compiled(cloud: GaussianCloud, camera: Camera, near: float, screen_offsets: torch.Tensor | None) -> Pictures:
+    """Render without a background, as `torch_splat.splat` does, for float32 on the CPU.
+
+    Gradients and pictures have the same bits for any number of threads and any instruction set.
+    """
+    offsets = None if screen_offsets is None else screen_offsets.to(torch.float32)
+    return _Splat.apply(camera, near, *cloud.parameters().values(), offsets)
+
+
+class _Splat(torch.autograd.Function):
+    """Kernel calls; the first two arguments are no tensors."""
+
+    @staticmethod
+    def forward(ctx: Any, camera: Camera, near: float, *tensors: torch.Tensor | None) -> Pictures:
+        """Sums of colour, transmittance, sums of depth, and radii."""
+        from ggvs_eval.kernels import _gaussians
+
+        colour, transmittance, depth, radii, frame = _gaussians.render(
+            _arrays(tensors), pinhole(camera), camera.world_to_camera, camera.centre, near, SLOPE_MARGIN, *_settings()
+        )
+        ctx.save_for_backward(*tensors)
+        ctx.frame = frame
+        radii_px = torch.from_numpy(radii)
+        ctx.mark_non_differentiable(radii_px)
+        return torch.from_numpy(colour), torch.from_numpy(transmittance), torch.from_numpy(depth), radii_px
+
+    @staticmethod
+    def backward(ctx: Any, *by_pictures: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        """Derivatives by the tensors that want one."""
+        from ggvs_eval.kernels import _gaussians
+
+        tensors = ctx.saved_tensors
+        by_colour, by_transmittance, by_depth = (gradient.contiguous().numpy() for gradient in by_pictures[:3])
+        gradients = _gaussians.gradients(ctx.frame, _arrays(tensors), by_colour, by_transmittance, by_depth, *_settings())
+        needed = ctx.needs_input_grad[2:]
+        return None, None, *(torch.from_numpy(each) if asked else None for each, asked in zip(gradients, needed, strict=True))
+
+
+def _arrays(tensors: tuple[torch.Tensor | None, ...]) -> tuple[np.ndarray | None, ...]:
+    return tuple(None if tensor is None else tensor.detach().contiguous().numpy() for tensor in tensors)
+
+
+def _settings() -> tuple[int, int]:
+    return get_threads(), SIMD_LEVELS.index(get_simd_level())

@@ -1,4 +1,4 @@
-"""The compiled deformation field; ggvs_eval.baselines.fitted.compiled_field explains the arguments."""
+"""The compiled deformation field; ggvs_eval.baselines.fitted.hexplane explains the arguments."""
 
 from collections.abc import Sequence
 

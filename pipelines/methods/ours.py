@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
-from ggvs_eval.plugins import DEVICE_PARTS
+from ggvs_eval.plugins import DEVICE_PARTS, missing_part
 
 if TYPE_CHECKING:
     from ggvs_eval.pipelines.online.blend_maps import Guidance
@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 ONLINE = "ggvs_eval.pipelines.online"
 GEOMETRIC = (f"{ONLINE}.geometry_guided", f"{ONLINE}.blending")
 LEARNED = (f"{ONLINE}.geometry_guided", f"{ONLINE}.network_blender")
-ON_DEVICE = tuple(filter(None, (DEVICE_PARTS.root("online step"),))) if "online step" in DEVICE_PARTS else ()
+_STEP = str(DEVICE_PARTS.root("online step"))
+ON_DEVICE = () if missing_part(_STEP) else (_STEP,)  # with or without Warp: another machine may have it
 OFFLINE = (f"{ONLINE}.whole_sequence",)
 
 # What the paper does not have, as the table of differences says it.

@@ -25,7 +25,7 @@ from ggvs_eval.colour_maps import confidence_scale, depth_scale, difference_scal
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, ResultsError
 from ggvs_eval.files.atomic import write_text
-from ggvs_eval.geometry.features import Features, find_features
+from ggvs_eval.geometry.epipolar import Features, find_features
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.reports.depth_page.pairs import PairErrors, measure_pair
 from ggvs_eval.reports.depth_page.record import (

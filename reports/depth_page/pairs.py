@@ -11,8 +11,7 @@ from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import resize
-from ggvs_eval.geometry.epipolar import match_pair
-from ggvs_eval.geometry.features import Features
+from ggvs_eval.geometry.epipolar import Features, match_pair
 from ggvs_eval.geometry.rectification import RectifiedPair, rectify
 
 SLACK_PX = 1.0  # a disparity counts as outside its range only beyond this, the error of a feature's place

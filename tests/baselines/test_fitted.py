@@ -8,10 +8,9 @@ import torch
 
 from ggvs_eval import kernels
 from ggvs_eval.baselines.fitted.four_d import FourD
-from ggvs_eval.baselines.fitted.motion import LinearMotion
 from ggvs_eval.baselines.fitted.optimiser import Journal, OptimiserOptions, optimise
 from ggvs_eval.baselines.fitted.per_instant import PerInstant
-from ggvs_eval.baselines.fitted.scene import SCENE, StoredScene
+from ggvs_eval.baselines.fitted.scene import SCENE, LinearMotion, StoredScene
 from ggvs_eval.baselines.fitted.shots import Shots
 from ggvs_eval.baselines.fitted.state import FitState
 from ggvs_eval.baselines.fitted.stream import Stream

@@ -8,9 +8,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ggvs_eval.baselines.fitted.density import DensityOptions, control_density, rotated
 from ggvs_eval.baselines.fitted.hexplane import PUBLISHED, DeformationNetwork, PlaneGrid, compact, read_deformation
-from ggvs_eval.baselines.fitted.motion import (
+from ggvs_eval.baselines.fitted.optimiser import DensityOptions, control_density, photometric_loss, rotated, structural_loss
+from ggvs_eval.baselines.fitted.points import Points, initial_points
+from ggvs_eval.baselines.fitted.published import PublishedScene
+from ggvs_eval.baselines.fitted.scene import (
     HexPlaneMotion,
     LinearMotion,
     NoMotion,
@@ -20,9 +22,6 @@ from ggvs_eval.baselines.fitted.motion import (
     faded,
     quaternion_product,
 )
-from ggvs_eval.baselines.fitted.photometric import photometric_loss, structural_loss
-from ggvs_eval.baselines.fitted.points import Points, initial_points
-from ggvs_eval.baselines.fitted.published import PublishedScene
 from ggvs_eval.baselines.fitted.state import FitState, box_of, first_gaussians
 from ggvs_eval.errors import DepthError, RenderError, WeightsError
 from ggvs_eval.gaussians import GaussianCloud, render_gaussians

@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from ggvs_eval import baselines, built_in
-from ggvs_eval.baselines.fitted.photometric import structural_loss
+from ggvs_eval.baselines.fitted.optimiser import structural_loss
 from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.contrib import more_baselines

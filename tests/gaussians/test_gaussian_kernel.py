@@ -8,7 +8,7 @@ import torch
 
 from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
-from ggvs_eval.gaussians import GaussianCloud, compiled, render_gaussians, torch_splat
+from ggvs_eval.gaussians import GaussianCloud, render, render_gaussians, torch_splat
 from helpers.gaussian_clouds import random_cloud, view_of
 
 pytestmark = pytest.mark.usefixtures("kernel_settings")
@@ -32,7 +32,10 @@ def everything(splat: Callable[..., tuple[torch.Tensor, ...]], cloud: GaussianCl
 def test_kernel_and_twin_agree(degree):
     """Of long, thin, turned, hidden and half visible Gaussians, with the twin in double precision."""
     cloud, camera = random_cloud(250, degree, seed=degree, dtype=torch.float32), view_of(WIDTH, HEIGHT, cx=40.2, turned=True)
-    ours, twin = everything(compiled.splat, cloud, camera), everything(torch_splat.splat, cloud.to(dtype=torch.float64), camera)
+    ours, twin = (
+        everything(render.splat_compiled, cloud, camera),
+        everything(torch_splat.splat, cloud.to(dtype=torch.float64), camera),
+    )
 
     assert ours.keys() == twin.keys()
     assert (ours["radii"] != twin["radii"]).sum() <= 1  # rounded up from 2.9999999 or 3.0000001
@@ -48,11 +51,11 @@ def test_bits_depend_on_neither_threads_nor_instruction_set(level):
     cloud, camera = random_cloud(251, dtype=torch.float32), view_of(WIDTH, HEIGHT)
     kernels.set_simd_level("baseline")
     kernels.set_threads(1)
-    plain = everything(compiled.splat, cloud, camera)
+    plain = everything(render.splat_compiled, cloud, camera)
     kernels.set_simd_level(level)
     for threads in (1, 2, 7):
         kernels.set_threads(threads)
-        other = everything(compiled.splat, cloud, camera)
+        other = everything(render.splat_compiled, cloud, camera)
 
         assert all(torch.equal(plain[name], other[name]) for name in plain)
 
@@ -85,6 +88,6 @@ def test_what_is_broken_shows_nothing():
 def test_a_gpu_gives_the_same():
     """Pictures to 1e-3, gradients to 1e-3 of the largest."""
     cloud, camera = random_cloud(600, dtype=torch.float32), view_of(WIDTH, HEIGHT, cx=40.2, turned=True)
-    here, there = everything(compiled.splat, cloud, camera), everything(torch_splat.splat, cloud.to("cuda"), camera)
+    here, there = everything(render.splat_compiled, cloud, camera), everything(torch_splat.splat, cloud.to("cuda"), camera)
     for name in here.keys() - {"radii"}:
         np.testing.assert_allclose(there[name].cpu(), here[name], atol=1e-3 * float(here[name].abs().max()), err_msg=name)

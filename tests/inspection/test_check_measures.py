@@ -11,8 +11,16 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
-from ggvs_eval.geometry.epipolar import MatchedPair, consistent, epipolar_errors, neighbour_pairs, ray_depths
-from ggvs_eval.geometry.features import Features, find_features, match_features
+from ggvs_eval.geometry.epipolar import (
+    Features,
+    MatchedPair,
+    consistent,
+    epipolar_errors,
+    find_features,
+    match_features,
+    neighbour_pairs,
+    ray_depths,
+)
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture, check_scale
 from ggvs_eval.pipelines.inspection.capture.colour import camera_gains, check_gain, check_noise
 from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing, seen_share

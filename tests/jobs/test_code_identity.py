@@ -97,7 +97,7 @@ STALE: dict[str, set[str]] = {
     "contrib/more_baselines/mvsplat/depth.py": {"mvsplat"},
     "contrib/more_baselines/mvsnerf/volume.py": {"mvsnerf"},
     "baselines/view_interpolation.py": {"interpolation"},
-    "gaussians/harmonics.py": {"mvsplat"} | FITTED,
+    "gaussians/cloud.py": {"mvsplat"} | FITTED,
     "pipelines/online/unet.py": LEARNED,
     "pipelines/online/depth_filter.py": OURS,
     "pipelines/online/whole_sequence.py": {"ours-geometric+offline"},

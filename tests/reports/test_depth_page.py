@@ -25,7 +25,7 @@ from ggvs_eval.colour_maps import (
 from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.geometry.features import find_features
+from ggvs_eval.geometry.epipolar import find_features
 from ggvs_eval.geometry.rectification import rectify
 from ggvs_eval.reports.depth_page.page import examine_depth, find_notes, find_warnings, render_depth_page, write_depth_page
 from ggvs_eval.reports.depth_page.pairs import measure_pair, pair_picture

@@ -9,8 +9,7 @@ from torch.nn import functional
 
 from ggvs_eval.contrib.more_baselines.mvsplat.depth import OFFSET, QUATERNION, SCALES, PixelMaps
 from ggvs_eval.contrib.more_baselines.mvsplat.views import Views
-from ggvs_eval.gaussians.cloud import GaussianCloud
-from ggvs_eval.gaussians.harmonics import coefficients_of, turned
+from ggvs_eval.gaussians.cloud import GaussianCloud, coefficients_of, turned_harmonics
 
 LEAST_SCALE, LARGEST_SCALE = 0.5, 15.0  # of tenths of the sum of a pixel's sides
 TENTH = 0.1
@@ -63,7 +62,7 @@ def _view_cloud(pixels: PixelMaps, views: Views, number: int, published: bool) -
         sh = torch.cat([sh[:, :1] + coefficients_of(image)[:, None], sh[:, 1:]], dim=1)
     axes = torch.as_tensor(OTHER_AXES if published else np.eye(3))
     return GaussianCloud(
-        means, log_scales, quaternions, logit[:, 0].contiguous(), turned(sh, axes.T @ rotation @ axes).contiguous()
+        means, log_scales, quaternions, logit[:, 0].contiguous(), turned_harmonics(sh, axes.T @ rotation @ axes).contiguous()
     )
 
 

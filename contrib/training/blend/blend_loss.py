@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ggvs_eval.baselines.fitted.photometric import structural_loss
+from ggvs_eval.baselines.fitted.optimiser import structural_loss
 from ggvs_eval.contrib.training.blend.perceptual_loss import perceptual_loss
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.pipelines.online.blend_network import BlendOutputs, weighted_mean_tensor

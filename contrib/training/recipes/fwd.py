@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from ggvs_eval.baselines.fitted.photometric import structural_loss
+from ggvs_eval.baselines.fitted.optimiser import structural_loss
 from ggvs_eval.baselines.fwd.network import FwdNetwork
 from ggvs_eval.baselines.fwd.rendering import decode_views, warp_views
 from ggvs_eval.contrib.training.instant_samples import InstantSample

@@ -6,7 +6,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from ggvs_eval.baselines.fitted.photometric import structural_loss
+from ggvs_eval.baselines.fitted.optimiser import structural_loss
 from ggvs_eval.baselines.gps_gaussian.method import instant_gaussians
 from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussianNetwork
 from ggvs_eval.baselines.gps_gaussian.rectification import choose_pairs

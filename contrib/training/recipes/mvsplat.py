@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ggvs_eval.baselines.fitted.photometric import structural_loss
+from ggvs_eval.baselines.fitted.optimiser import structural_loss
 from ggvs_eval.contrib.more_baselines.mvsplat.gaussians import pixel_cloud
 from ggvs_eval.contrib.more_baselines.mvsplat.method import instant_cloud
 from ggvs_eval.contrib.more_baselines.mvsplat.network import MvsplatNetwork

@@ -12,7 +12,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import Capture, source_chain
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.geometry.features import Features, find_features
+from ggvs_eval.geometry.epipolar import Features, find_features
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 
 # Still fine enough to see an arm move, small enough to cost less than decoding.

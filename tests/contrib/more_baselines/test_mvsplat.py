@@ -19,7 +19,7 @@ from ggvs_eval.contrib.training.instant_samples import InstantSample
 from ggvs_eval.contrib.training.recipes.mvsplat import DEPTH_STEPS, MvsplatRecipe
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.files.weights_file import CONFIGURATION_NOTE
-from ggvs_eval.gaussians.projection import rotations
+from ggvs_eval.gaussians.torch_splat import rotations
 from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER
 from helpers.refusals import refused
