@@ -149,6 +149,7 @@ def score(
     protocol: str | None = None,
     run: Path | None = None,
     allow_partial: bool = False,
+    link: bool = False,
     device: Device = "cpu",
     first_frame: int | None = None,
     reading: CaptureFlags = CAPTURE_DEFAULTS,
@@ -165,6 +166,7 @@ def score(
         protocol: a .toml file or a packaged name; the run's own, or the packaged one that fits the capture, by default.
         run: run folder to make or to go on with; scores/CAPTURE by default.
         allow_partial: score what there is of incomplete renders; their row is marked.
+        link: take PNG files as links in place of copies: no space, but they must stay where they are.
         device: where LPIPS, SSIM, TCC, STED and other metrics of many operations compute; a GPU rounds otherwise than the CPU.
         first_frame: number of the protocol's first frame in the names of your frames (its place, from 0, in videos and arrays);
             needed where the numbers can be read in two ways.
@@ -178,7 +180,7 @@ def score(
         raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")
     target = run_for(run or folder, partial(reading.open, capture) if capture else None, protocol, jobs)
     for name, path in named_renders(renders).items():
-        for note in import_renders(target, name, path, allow_partial, jobs, first_frame)["notes"]:
+        for note in import_renders(target, name, path, allow_partial, jobs, first_frame, link)["notes"]:
             print(f"{name}: {note}", file=sys.stderr)
     results = measure(target, jobs, device=checked_device(device))
     print(results.summary().droplevel("dataset").round(4).to_string())
