@@ -21,7 +21,7 @@ from ggvs_eval.contrib.worlds.domains import find_domain
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.splat import COVERED_ALPHA, splat_depth
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.metrics.image.colour_correction import apply_colour_map, fit_colour_map, unit_range
+from ggvs_eval.metrics.image.corrected import apply_colour_map, fit_colour_map, unit_range
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.time.flicker import flicker
 from ggvs_eval.metrics.time.strred import strred

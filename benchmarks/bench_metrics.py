@@ -19,12 +19,11 @@ from skimage import data
 from skimage.metrics import structural_similarity
 from torch.nn import functional
 
-from ggvs_eval.metrics.image.colour_correction import ColourMoments, apply_colour_map
+from ggvs_eval.metrics.image.corrected import ColourMoments, apply_colour_map
 from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.image.lpips import lpips
 from ggvs_eval.metrics.image.lpips_network import LAYERS, load_heads, load_weights, network_input, tapped_layers
-from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.metrics.image.ssim_variants import masked_ssim
+from ggvs_eval.metrics.image.ssim import masked_ssim, ssim
 from ggvs_eval.metrics.stream import score_view, score_views
 
 COMMAND = "python -m benchmarks.bench_metrics"

@@ -15,7 +15,7 @@ from ggvs_eval.camera import Camera, translated_path
 from ggvs_eval.contrib.more_metrics.colmap_consistency import colmap_consistency
 from ggvs_eval.metrics.image.regions import moving_mask
 from ggvs_eval.metrics.image.sharpness import sharpness
-from ggvs_eval.metrics.path.warping_error import warping_error
+from ggvs_eval.metrics.path.view_consistency import warping_error
 from ggvs_eval.metrics.series_scores import series_of_depths
 from ggvs_eval.metrics.time.temporal_variation import mtv, mtv2
 

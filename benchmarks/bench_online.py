@@ -21,12 +21,11 @@ from ggvs_eval.contrib.training.samples.blend_samples import raw_views
 from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.online.blend_maps import blend_maps
 from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetwork, BlendNetworkOptions, compose_tensors, read_outputs
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
-from ggvs_eval.pipelines.online.network_inputs import input_channels
+from ggvs_eval.pipelines.online.network_inputs import blend_maps, input_channels
 
 COMMAND = "python -m benchmarks.bench_online"
 NOISE_LEVELS = 3  # of 255, drawn anew for every other frame: masks are then not all alike

@@ -23,10 +23,9 @@ from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import Playback, PlayOptions, camera_loop, playback_of_capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
-from ggvs_eval.pipelines.view.listener import Listener
 from ggvs_eval.pipelines.view.scene import vertical_fov
 from ggvs_eval.pipelines.view.session import ViewDefaults
-from ggvs_eval.pipelines.view.viewer import Viewer
+from ggvs_eval.pipelines.view.viewer import Listener, Viewer
 
 WINDOW = 640, 360
 DRAG_SECONDS, JUMPS = 10.0, 12

@@ -17,7 +17,7 @@ from ggvs_eval.contrib.worlds.film.shots import path_shots
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry import warp
 from ggvs_eval.metrics.path.rendered_path import PathPose
-from ggvs_eval.metrics.path.view_switch import switch_steps
+from ggvs_eval.metrics.path.view_consistency import switch_steps
 from ggvs_eval.metrics.path_scores import score_path
 
 PICTURE = Path(__file__).parent / "images" / "epi_good_bad.jpg"

@@ -16,7 +16,7 @@ class MetricChoices:
     """What a protocol may choose of the metrics themselves.
 
     Attributes:
-        ssim: which SSIM, see `ggvs_eval.metrics.image.ssim_variants.SSIM_VARIANTS`; regions and colour-corrected frames take the
+        ssim: which SSIM, see `ggvs_eval.metrics.image.ssim.SSIM_VARIANTS`; regions and colour-corrected frames take the
             default one.
         lpips_net: backbone of LPIPS v0.1; vgg-bf16 computes VGG in bfloat16, which is faster and not the same number.
         lpips_every: LPIPS looks at every so many frames, the first among them; it costs as much as all other metrics.

@@ -17,11 +17,10 @@ if TYPE_CHECKING:
     from ggvs_eval.metrics.image.ms_ssim import ms_ssim
     from ggvs_eval.metrics.image.psnr import masked_psnr, psnr
     from ggvs_eval.metrics.image.sharpness import sharpness
-    from ggvs_eval.metrics.image.ssim import ssim
-    from ggvs_eval.metrics.image.ssim_variants import masked_ssim, ssim_variant
+    from ggvs_eval.metrics.image.ssim import masked_ssim, ssim, ssim_variant
     from ggvs_eval.metrics.metric import MetricOptions
     from ggvs_eval.metrics.path.rendered_path import PathPose
-    from ggvs_eval.metrics.path.warping_error import warping_error
+    from ggvs_eval.metrics.path.view_consistency import warping_error
     from ggvs_eval.metrics.path_scores import score_path
     from ggvs_eval.metrics.registry import METRICS
     from ggvs_eval.metrics.series_scores import score_depths, score_frames
@@ -81,11 +80,10 @@ _MODULES = {
     "image.ms_ssim": ("ms_ssim",),
     "image.psnr": ("masked_psnr", "psnr"),
     "image.sharpness": ("sharpness",),
-    "image.ssim": ("ssim",),
-    "image.ssim_variants": ("masked_ssim", "ssim_variant"),
+    "image.ssim": ("masked_ssim", "ssim", "ssim_variant"),
     "metric": ("MetricOptions",),
     "path.rendered_path": ("PathPose",),
-    "path.warping_error": ("warping_error",),
+    "path.view_consistency": ("warping_error",),
     "path_scores": ("score_path",),
     "registry": ("METRICS",),
     "series_scores": ("score_depths", "score_frames"),

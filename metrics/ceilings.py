@@ -13,9 +13,8 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.files.coding import Coding
 from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.noise.blocks import Field
-from ggvs_eval.metrics.noise.clean_video import clean_frames, observe, rounded
 from ggvs_eval.metrics.noise.estimate import NoiseModel, NoiseStream
-from ggvs_eval.metrics.noise.recording import Recorder
+from ggvs_eval.metrics.noise.recording import Recorder, clean_frames, observe, rounded
 from ggvs_eval.metrics.stream import ViewScores, score_views
 
 SOFTENED, SOFTENED_TWICE = ("TCC", "STED"), ("STED",)  # bounds behind every codec with loss: it softens what moves

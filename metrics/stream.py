@@ -6,7 +6,7 @@ from functools import partial
 
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError, WeightsError
-from ggvs_eval.metrics.image.colour_correction import ColourMoments
+from ggvs_eval.metrics.image.corrected import ColourMoments
 from ggvs_eval.metrics.inputs import check_pair
 from ggvs_eval.metrics.metric import ColourMap, Metric, MetricOptions, Scorer, TruthFrame, Value
 from ggvs_eval.metrics.registry import derived_rows, make_scorers, scored_by_view, select_metrics

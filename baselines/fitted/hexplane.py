@@ -3,8 +3,6 @@
 By the compiled kernel, forward and backward, as a function that autograd knows; `PlaneGrid` and torch's layers are its
 readable twin, and what computes on a GPU.
 
-`hexplane.PlaneGrid` and torch's layers are its readable twin, and what computes on a GPU.
-
 Names and shapes are those of the authors' ``deformation.pth``, so that their files load strictly.
 """
 

@@ -24,7 +24,7 @@ from ggvs_eval.method import SourceView
 from ggvs_eval.metrics.series_scores import mean_values, score_depths
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter
+from ggvs_eval.pipelines.online.temporal_filters import TemporalDepthFilter
 from ggvs_eval.progress import track
 
 MEASURES = (

@@ -9,8 +9,8 @@ from threading import Event, Thread
 from typing import Any, TypeVar
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.jobs.engine import start_remedy
 from ggvs_eval.jobs.ledger import LostJob
-from ggvs_eval.jobs.process_engine import start_remedy
 from ggvs_eval.jobs.processes import default_workers, share_cpus
 
 CONNECT_S = 30

@@ -18,7 +18,7 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import Image
 from ggvs_eval.metrics.metric import Value
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, whole_path, write_view
-from ggvs_eval.metrics.path.warping_error import PATH_SHARPNESS
+from ggvs_eval.metrics.path.view_consistency import PATH_SHARPNESS
 
 NAMES = ("COLMAP_registered", "COLMAP_track_length", "COLMAP_matches")
 OVERLAP = 5  # each view is matched with so many that follow

@@ -16,9 +16,8 @@ from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.kernels.portable import transformed
 from ggvs_eval.metrics.inputs import Image
 from ggvs_eval.metrics.metric import Value
-from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, whole_path
-from ggvs_eval.metrics.path.steps import Pose, checked_depth
-from ggvs_eval.metrics.path.warping_error import PATH_SHARPNESS
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, Pose, RenderedPath, checked_depth, whole_path
+from ggvs_eval.metrics.path.view_consistency import PATH_SHARPNESS
 
 NAMES = ("SGC_rotation", "SGC_translation", "SGC_measured")
 LEAST_SHIFT_PX = 4.0  # of the poses compared: matches are good to about 0.1 px

@@ -207,7 +207,7 @@ def _resized(pinhole: Array, size: tuple[int, int], wanted: tuple[int, int]) -> 
 
 
 def _middle_rays(target: Camera, pinhole: Array, sizes: Sizes) -> Array:
-    """`stillness.middle_rays` of the target, as fx, fy, cx, cy."""
+    """`temporal_filters.middle_rays` of the target, as fx, fy, cx, cy."""
     width, height = sizes.cells
     return _resized(pinhole, target.size, sizes.cells) - [0, 0, 0.5 * width / target.width, 0.5 * height / target.height]
 
@@ -250,7 +250,7 @@ def _projectors(back: Array, pinholes: Array, target: Camera, near: float, scale
 
 
 def _corner(cameras: Sequence[Camera]) -> float:
-    """`lens_falloff.corner_of`, which lies in a corner."""
+    """`exposure_compensation.corner_of`, which lies in a corner."""
     ends = [
         max(((at + 0.5 - camera.K[axis, 2]) / camera.K[axis, axis]) ** 2 for at in (0, size - 1))
         for camera in cameras

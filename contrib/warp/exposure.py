@@ -9,8 +9,8 @@ from torch import Tensor
 from ggvs_eval.contrib.warp.constants import GAINS, TAU, StepConstants
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch
 from ggvs_eval.contrib.warp.tables import Tables
+from ggvs_eval.pipelines.online import exposure_compensation
 from ggvs_eval.pipelines.online import exposure_compensation as compensation
-from ggvs_eval.pipelines.online import lens_falloff
 
 wp.set_module_options(MODULE_OPTIONS)
 
@@ -22,10 +22,10 @@ _LIKE = wp.constant(wp.float32(compensation.LIKE))
 _ODD, _COMMON = wp.constant(wp.float64(compensation.ODD)), wp.constant(wp.float64(compensation.COMMON))
 _LIMIT = wp.constant(wp.float64(compensation.LARGEST_LOG_GAIN))
 _PRIOR = wp.constant(wp.float64(compensation.PRIOR))
-_ROUNDS = wp.constant(lens_falloff.ROUNDS)
-_NOISE = wp.constant(wp.float64(lens_falloff.NOISE))
-_SLOPE_PRIOR = wp.constant(wp.float64(lens_falloff.PRIOR))
-_LEAST = wp.constant(wp.float64(lens_falloff.LEAST))
+_ROUNDS = wp.constant(exposure_compensation.FALL_OFF_ROUNDS)
+_NOISE = wp.constant(wp.float64(exposure_compensation.FALL_OFF_NOISE))
+_SLOPE_PRIOR = wp.constant(wp.float64(exposure_compensation.FALL_OFF_PRIOR))
+_LEAST = wp.constant(wp.float64(exposure_compensation.LEAST_FALL_OFF))
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,7 @@ from torch.nn import functional
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch, vec8, wide_access
 from ggvs_eval.contrib.warp.tables import corners_around, enlarged_place
 from ggvs_eval.pipelines.online import refiner as rules
-from ggvs_eval.pipelines.online.blend_network import BlendNetwork
-from ggvs_eval.pipelines.online.unet import LEVELS, margins
+from ggvs_eval.pipelines.online.blend_network import LEVELS, BlendNetwork, margins
 
 wp.set_module_options({**MODULE_OPTIONS, "fuse_fp": True})
 

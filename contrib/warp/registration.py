@@ -9,11 +9,11 @@ from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch
 from ggvs_eval.contrib.warp.splat import DeviceSplats
 from ggvs_eval.contrib.warp.tables import Tables
 from ggvs_eval.geometry.contested_depth import LEAST_ALPHA, LEAST_SHARE, RATIO
-from ggvs_eval.pipelines.online import blend_maps
+from ggvs_eval.pipelines.online import network_inputs
 
 wp.set_module_options(MODULE_OPTIONS)
 
-FAINT = wp.constant(wp.float32(blend_maps.FAINT))
+FAINT = wp.constant(wp.float32(network_inputs.FAINT))
 
 
 @wp.func

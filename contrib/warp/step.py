@@ -31,9 +31,9 @@ from ggvs_eval.contrib.warp.tables import Size, Sizes, Tables
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.tsdf import march_end
 from ggvs_eval.method import Instant, Rendering, SourceView
-from ggvs_eval.pipelines.online.blend_maps import Guidance, nearness
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
+from ggvs_eval.pipelines.online.network_inputs import Guidance, nearness
 
 PAIRS_PER_GAUSSIAN = 3.2  # pairs of a Gaussian and a tile that there is room for at first
 ROOM = 1.25  # times what was needed when it was not enough

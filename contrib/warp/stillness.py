@@ -13,8 +13,8 @@ from ggvs_eval.contrib.warp.registration import is_inside, surface_in_view, visi
 from ggvs_eval.contrib.warp.splat import DeviceSplats
 from ggvs_eval.contrib.warp.tables import Corners, Tables, corners_around, enlarged, falling, masked_median
 from ggvs_eval.geometry.splat import COVERED_ALPHA
-from ggvs_eval.pipelines.online import recurrent_output, remembered_background
-from ggvs_eval.pipelines.online import stillness as rules
+from ggvs_eval.pipelines.online import geometry_guided, temporal_filters
+from ggvs_eval.pipelines.online import temporal_filters as rules
 from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 
 wp.set_module_options(MODULE_OPTIONS)
@@ -25,10 +25,10 @@ _LEAST_LOOKS = wp.constant(wp.float32(rules.LEAST_LOOKS))
 _LEAST_NOISE, _MOST_NOISE = wp.constant(wp.float32(rules.LEAST_NOISE)), wp.constant(wp.float32(rules.MOST_NOISE))
 _SHARED0, _SHARED1 = (wp.constant(wp.float32(each)) for each in rules.SHARED)
 _LARGEST0, _LARGEST1 = (wp.constant(wp.float32(each)) for each in rules.LARGEST)
-_DRAGGED0, _DRAGGED1 = (wp.constant(wp.float32(each)) for each in recurrent_output.DRAGGED)
-_BEHIND, _FORGETTING = (wp.constant(wp.float32(getattr(remembered_background, name))) for name in ("BEHIND", "FORGETTING"))
-_RENEWAL, _SURE_STILL = (wp.constant(wp.float32(getattr(remembered_background, name))) for name in ("RENEWAL", "SURE_STILL"))
-_HOLE = wp.constant(wp.float32(COVERED_ALPHA * (1 - remembered_background.FEATHER)))
+_DRAGGED0, _DRAGGED1 = (wp.constant(wp.float32(each)) for each in temporal_filters.DRAGGED)
+_BEHIND, _FORGETTING = (wp.constant(wp.float32(getattr(geometry_guided, name))) for name in ("BEHIND", "FORGETTING"))
+_RENEWAL, _SURE_STILL = (wp.constant(wp.float32(getattr(geometry_guided, name))) for name in ("RENEWAL", "SURE_STILL"))
+_HOLE = wp.constant(wp.float32(COVERED_ALPHA * (1 - geometry_guided.FEATHER)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from torch import Tensor
 from ggvs_eval.arrays import Array
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS
 from ggvs_eval.geometry import difference_mask
-from ggvs_eval.pipelines.online import stillness as rules
+from ggvs_eval.pipelines.online import temporal_filters as rules
 
 wp.set_module_options(MODULE_OPTIONS)
 

@@ -1,19 +1,45 @@
-"""Engines that run jobs, in processes of this machine or on workers of dask; the results are the same bits."""
+"""Engines that run jobs, in processes of this machine or on workers of dask; the results are the same bits.
 
-from collections.abc import Callable, Iterator, Sequence
+In processes of this machine, no more run at once than its memory holds, and again where a process was killed.
+"""
+
+import os
+import re
+import socket
+import sys
+import textwrap
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing import active_children
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from tempfile import TemporaryFile
+from typing import IO, Any, Literal, TypeVar
 
 from ggvs_eval import built_in
 from ggvs_eval.errors import AbsentPartError, RenderError
+from ggvs_eval.jobs.code_identity import package_digest
 from ggvs_eval.jobs.ledger import LostJob
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.jobs.machine import has_room
+from ggvs_eval.jobs.processes import borrowed_pool, default_workers, worker_pool
 from ggvs_eval.plugins import Registry
+from ggvs_eval.progress import track
 
-ENGINES: Registry[Callable[..., Any]] = Registry("engines", built_in.ENGINES)
+TRIES_ALONE = 2
+LOOK_AGAIN_S = 0.5  # while a job waits for memory
+STDERR = 2  # its file descriptor
+MESSAGE_LETTERS = 300
+GUARD = 'a script that works in processes calls its functions below `if __name__ == "__main__":`'
+FEWER = "use fewer --jobs, and see how much memory and how many processes this machine allows (ulimit -a)"
+COMMAND_LINE = ("ggvs-eval", "ggvs-eval.exe", "__main__.py")  # the file of the main module
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Entry = tuple[int, Item]
+ENGINES: Registry[Callable[..., Any]] = Registry("engines", built_in.ENGINES)
 
 
 @dataclass(frozen=True)
@@ -46,7 +72,6 @@ class Engine:
             return on_dask
         if self.scheduler:
             raise RenderError(f"--scheduler {self.scheduler}: processes need none; add --engine dask")
-        from ggvs_eval.jobs.process_engine import run_in_processes
 
         return run_in_processes(work, items, self.jobs)
 
@@ -63,3 +88,146 @@ Workers = int | Engine  # a number means that many processes of this machine
 def as_engine(workers: Workers) -> Engine:
     """The engine of so many processes, or the engine itself."""
     return Engine(workers) if isinstance(workers, int) else workers
+
+
+def run_in_processes(
+    work: Callable[[Item], Result], items: Sequence[Item], workers: int
+) -> Iterator[tuple[int, Result | LostJob]]:
+    """Do the work for every item; with one worker, or one item, in this very process.
+
+    A killed process (the kernel's way to say that memory is out) takes the whole pool with it. Every item that was in hand is
+    then tried again alone, to find the one that ran out of memory.
+
+    Args:
+        work: a module-level function or a `functools.partial` of one.
+
+    Yields:
+        (index of an item, what came of it), in the order in which they end.
+    """
+    if workers == 1 or len(items) == 1:
+        yield from ((index, work(item)) for index, item in enumerate(items))
+        return
+    waiting = deque(enumerate(items))
+    while waiting:
+        in_hand = yield from _run_pool(work, waiting, workers)
+        for index, item in in_hand:
+            yield index, _run_alone(work, item)
+
+
+def _run_pool(
+    work: Callable[[Item], Result], waiting: deque[Entry[Item]], workers: int
+) -> Generator[tuple[int, Result], None, list[Entry[Item]]]:
+    """Work until nothing waits or the pool breaks; return the items in hand then."""
+    running: dict[Future[Result], Entry[Item]] = {}
+    try:
+        with borrowed_pool(min(workers, len(waiting)), workers) as pool:
+            while waiting or running:
+                while waiting and len(running) < workers and _fits(len(running)):
+                    running[pool.submit(work, waiting[0][1])] = waiting[0]
+                    waiting.popleft()
+                done, _ = wait(running, LOOK_AGAIN_S, FIRST_COMPLETED)
+                for future in done:
+                    result = future.result()
+                    yield running.pop(future)[0], result
+    except BrokenProcessPool:
+        ended = [future for future in running if future.done() and future.exception() is None]
+        for future in ended:
+            yield running.pop(future)[0], future.result()
+    except (Exception, GeneratorExit):
+        wait(running)  # kept processes would go on with it beside whatever comes next
+        raise
+    return list(running.values())
+
+
+def _fits(running: int) -> bool:
+    """Tell whether another job fits into memory; the first may always run."""
+    return running == 0 or has_room(running, [child.pid for child in active_children() if child.pid])
+
+
+def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
+    """Try an item in a process of its own, which no other item can end; its errors are printed when it has ended.
+
+    Raises:
+        RenderError: the process died of an exception of its own, as every other one would: before the work began, since what the
+            work raises comes back by itself.
+    """
+    exit_code = None
+    for _ in range(TRIES_ALONE):
+        with TemporaryFile() as errors:
+            try:
+                with worker_pool(1) as pool:
+                    before = active_children()
+                    with _errors_into(errors):
+                        running = pool.submit(work, item)
+                    started = [child for child in active_children() if child not in before]
+                    return running.result()
+            except BrokenProcessPool:
+                exit_code = started[0].exitcode if started else None
+            finally:
+                errors.seek(0)
+                text = errors.read().decode(errors="replace")
+                sys.stderr.write(text)
+            if exit_code and exit_code > 0 and (reason := last_error(text)):
+                raise RenderError(f"worker processes cannot start: {reason}; {start_remedy()}")
+    if exit_code and exit_code > 0:
+        last = "".join(text.strip().splitlines()[-1:]) or "it printed nothing"
+        return LostJob(f"its process ended by itself {TRIES_ALONE + 1} times, at last with status {exit_code} ({last})")
+    return LostJob(f"its process was killed {TRIES_ALONE + 1} times, at last alone on the machine; it may need more memory")
+
+
+def start_remedy() -> str:
+    """What to do where processes do not start: a script may lack its guard, the command line has one."""
+    main = getattr(sys.modules["__main__"], "__file__", None) or ""
+    return FEWER if os.path.basename(main) in COMMAND_LINE else GUARD
+
+
+def last_error(text: str) -> str:
+    r"""The exception that a process ended with, in one line, out of what it printed; empty where it ended with none.
+
+    Examples:
+        >>> last_error("Traceback (most recent call last):\n  File ...\nKeyError: 'cam00'\n")
+        "KeyError: 'cam00'"
+        >>> last_error("a warning")
+        ''
+    """
+    _, traceback, raised = text.rpartition("Traceback (most recent call last):")
+    message = re.search(r"^\S.*", raised, re.MULTILINE | re.DOTALL) if traceback else None
+    return textwrap.shorten(message[0], MESSAGE_LETTERS, placeholder=" ...") if message else ""
+
+
+@contextmanager
+def _errors_into(file: IO[bytes]) -> Iterator[None]:
+    """Let processes that are started inside print their errors into a file."""
+    kept = os.dup(STDERR)
+    os.dup2(file.fileno(), STDERR)
+    try:
+        yield
+    finally:
+        os.dup2(kept, STDERR)
+        os.close(kept)
+
+
+def run_all(work: Callable[[Item], None], items: Sequence[Item], workers: Workers, description: str) -> None:
+    """Do the work for every item; the first that fails ends it, and a second call does what is missing.
+
+    Args:
+        work: writes what is missing of an item; a module-level function or a `functools.partial` of one.
+
+    Raises:
+        RenderError: the work took its process with it as often as it was tried, or a worker has other code than this process.
+        Exception: what the work itself raised.
+    """
+    if not items:
+        return
+    engine = as_engine(workers)
+    checked = partial(_do_one, work, package_digest()) if engine.scheduler else work
+    for _, outcome in track(engine.run(checked, items), description, len(items)):
+        if isinstance(outcome, LostJob):
+            raise RenderError(f"{description}: {outcome.reason}; what is done stays, run this again")
+
+
+def _do_one(work: Callable[[Item], None], code: str, item: Item) -> None:
+    """Do one item on a worker, which must have the caller's code."""
+    if code != package_digest():
+        raise RenderError(f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")
+    work(item)

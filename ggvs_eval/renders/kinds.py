@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.renders import easyvolcap, flat_set, view_folders, view_streams
-from ggvs_eval.renders.lookalikes import instead_of_all
+from ggvs_eval.renders import beside_truth, view_folders, view_streams
 from ggvs_eval.renders.request import FrameRequest, RenderSet
+from ggvs_eval.renders.view_folders import instead_of_all
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,18 @@ class Kind:
 
 KINDS = {
     "run": Kind("a run folder", view_folders.refuse_run, view_folders.run_files, view_folders.find_run),
-    "easyvolcap": Kind("EasyVolcap output", easyvolcap.refuse, easyvolcap.files, easyvolcap.find),
-    "flat": Kind("renders beside copies of the truth", flat_set.refuse, flat_set.files, flat_set.find),
+    "easyvolcap": Kind(
+        "EasyVolcap output", beside_truth.refuse_easyvolcap, beside_truth.easyvolcap_files, beside_truth.find_easyvolcap
+    ),
+    "flat": Kind(
+        "renders beside copies of the truth",
+        beside_truth.refuse_flat_set,
+        beside_truth.flat_set_files,
+        beside_truth.find_flat_set,
+    ),
     "videos": Kind("one video per view", view_streams.refuse_videos, view_streams.video_files, view_streams.find_videos),
     "arrays": Kind("one array per view", view_streams.refuse_arrays, view_streams.array_files, view_streams.find_arrays),
-    "folders": Kind("<view>/<frame>.png", view_folders.refuse, view_folders.files, view_folders.find),
+    "folders": Kind("<view>/<frame>.png", view_folders.refuse_folders, view_folders.folder_files, view_folders.find_folders),
     "names": Kind("<view>_<frame>.png", view_folders.refuse_flat, view_folders.flat_files, view_folders.find_flat),
 }
 WEAKEST = "names"  # pictures may lie beside what is meant

@@ -9,7 +9,7 @@ from typing import Protocol
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.renders.picture import read_header
+from ggvs_eval.renders.view_folders import read_header
 from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path
 
 LISTED = 20

@@ -17,8 +17,7 @@ from ggvs_eval.files.names import numbers_in
 from ggvs_eval.files.packed_maps import unpack
 from ggvs_eval.files.plain import check_plain
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.renders.array_stack import ArrayStack, npz_members
-from ggvs_eval.renders.view_streams import ARRAY_SUFFIXES
+from ggvs_eval.renders.view_streams import ARRAY_SUFFIXES, ArrayStack, npz_members
 
 DEPTH_PICTURES = (".png", ".tif", ".tiff", ".pfm")
 DEPTH_SUFFIXES = (*DEPTH_PICTURES, *ARRAY_SUFFIXES)

@@ -1,18 +1,41 @@
-"""Renders as ``<view>/<frame>.png`` or ``.jpg``, as ``<view>_<frame>.png`` in one folder, and our own run folders."""
+"""Renders as ``<view>/<frame>.png`` or ``.jpg``, as ``<view>_<frame>.png`` in one folder, and our own run folders.
 
+RGB in PNG is linked as it is, every other picture is decoded once, and it is said; so are names spelled otherwise.
+"""
+
+import os
+import re
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
-from ggvs_eval.files.listing import find_below, list_entries, list_images, same_name
-from ggvs_eval.renders.lookalikes import instead_of
+import numpy as np
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.errors import RenderError
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.files.listing import (
+    UNREAD_PICTURES,
+    find_below,
+    list_entries,
+    list_images,
+    same_name,
+    unread_pictures,
+    unread_videos,
+)
+from ggvs_eval.files.picture_header import PictureHeader, read_picture_header
+from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, why_unread
+from ggvs_eval.progress import counted
 from ggvs_eval.renders.numbering import frame_numbers, number_views, places_of
-from ggvs_eval.renders.picture import PictureView
 from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
-from ggvs_eval.run_folder import RunFolder
+from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path
+
+LOOKED_THROUGH = 10_000
 
 
-def refuse(path: Path, request: FrameRequest) -> str | None:
+def refuse_folders(path: Path, request: FrameRequest) -> str | None:
     """Say why this is not one folder of pictures per view; None if it is."""
     if not path.is_dir():
         return "not a folder"
@@ -21,12 +44,12 @@ def refuse(path: Path, request: FrameRequest) -> str | None:
     return f"no folder {' or '.join(request.views)} with PNG or JPEG pictures"
 
 
-def files(path: Path, request: FrameRequest) -> list[Path]:
+def folder_files(path: Path, request: FrameRequest) -> list[Path]:
     """The pictures of the views."""
     return [file for view in request.views for file in _pictures(path, view)]
 
 
-def find(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
+def find_folders(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
     """The views' pictures by frame number."""
     pictures = {view: _pictures(path, view) for view in request.views}
     items = {
@@ -122,20 +145,20 @@ def refuse_run(path: Path, request: FrameRequest) -> str | None:
         return "its renders/ is empty"
     if len(labels) > 1 and request.label not in labels:
         return f"several methods; call it by one of their names: {', '.join(labels)}"
-    return refuse(_method_folder(path, request), request)
+    return refuse_folders(_method_folder(path, request), request)
 
 
 def run_files(path: Path, request: FrameRequest) -> list[Path]:
     """The pictures of the method."""
-    return files(_method_folder(path, request), request)
+    return folder_files(_method_folder(path, request), request)
 
 
 def find_run(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
     """The method's pictures, which bear the numbers of their instants."""
     folder = _method_folder(path, request)
     if request.first_frame is not None:
-        return find(folder, request, is_temporary)
-    renders = find(folder, replace(request, first_frame=request.frames.start), is_temporary)
+        return find_folders(folder, request, is_temporary)
+    renders = find_folders(folder, replace(request, first_frame=request.frames.start), is_temporary)
     return replace(renders, numbering="frames of a run folder bear the numbers of their instants")
 
 
@@ -143,3 +166,154 @@ def _method_folder(path: Path, request: FrameRequest) -> Path:
     """The method of the wanted name, else the only one."""
     labels = RunFolder(path).labels()
     return path / "renders" / (request.label if request.label in labels else labels[0])
+
+
+def read_header(path: Path) -> PictureHeader:
+    """Size and kind of a picture, without decoding it."""
+    try:
+        check_plain(path, LARGEST_PICTURE)
+    except OSError as error:
+        raise RenderError(f"{path}: wanted a picture, it cannot be read ({why_unread(error)}); restore it") from error
+    try:
+        return read_picture_header(path)
+    except Exception as error:  # the parser raises whatever a damaged header makes it stumble over
+        contents = "other bytes or a damaged header"
+        raise RenderError(f"{path}: wanted a PNG or JPEG picture, got {contents}; render this frame again") from error
+
+
+def size_fault(size: tuple[int, int], wanted: tuple[int, int]) -> str:
+    """Describe a wrong (width, height) of a frame; empty where it is right.
+
+    Examples:
+        >>> size_fault((320, 120), (160, 120))
+        '320 x 120 instead of 160 x 120: 2 pictures side by side? cut out the rendered one'
+    """
+    if size == wanted:
+        return ""
+    fault = f"{size[0]} x {size[1]} instead of {wanted[0]} x {wanted[1]}"
+    for axis, lie in ((0, "side by side"), (1, "one above the other")):
+        count, rest = divmod(size[axis], wanted[axis])
+        if size[1 - axis] == wanted[1 - axis] and count > 1 and not rest:
+            return f"{fault}: {count} pictures {lie}? cut out the rendered one"
+    return fault
+
+
+class PixelRemarks:
+    """Notes on the pixels of a view's frames, gathered while these are read."""
+
+    def __init__(self) -> None:
+        self._black: list[int] = []
+        self._grey: list[int] = []
+
+    def add(self, number: int, image: Image8) -> None:
+        """Look at the next frame, (H, W, 3)."""
+        if not image.any():
+            self._black.append(number)
+        elif np.array_equal(image[..., 0], image[..., 1]) and np.array_equal(image[..., 1], image[..., 2]):
+            self._grey.append(number)
+
+    def notes(self) -> list[str]:
+        """A line for each kind of remarkable frame; none where there are none."""
+        black, grey = (f"{counted(len(some), 'frame')} ({as_ranges(some)})" for some in (self._black, self._grey))
+        notes = [f"{black} all zero: did rendering fail? scored as it is"] if self._black else []
+        return notes + ([f"{grey} grey: the same level is measured in all three channels"] if self._grey else [])
+
+
+@dataclass(frozen=True)
+class PictureView:
+    """Frames of one view that are pictures, a `RenderedView`.
+
+    Attributes:
+        pictures: frame number -> file.
+        is_temporary: whether the files are ours to move; else they are linked.
+    """
+
+    pictures: Mapping[int, Path]
+    is_temporary: bool = False
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Frame numbers that there are, rising."""
+        return tuple(sorted(self.pictures))
+
+    def faults(self, size: tuple[int, int]) -> dict[int, str]:
+        """Frames that are damaged, of another size, or not of 8 bits."""
+        faults = {number: _fault(path, size) for number, path in sorted(self.pictures.items())}
+        return {number: fault for number, fault in faults.items() if fault}
+
+    def write(self, folder: Path, numbers: tuple[int, ...]) -> list[str]:
+        """Link RGB in PNG under its frame numbers and decode the rest; says what was decoded, and what is black or grey."""
+        folder.mkdir(parents=True, exist_ok=True)
+        converted: dict[str, list[int]] = defaultdict(list)
+        remarks = PixelRemarks()
+        for number in numbers:
+            source, target = self.pictures[number], frame_path(folder, number)
+            header, image = read_header(source), read_image(source)
+            remarks.add(number, image)
+            if header.form == "JPEG":
+                converted["of JPEG, decoded once to PNG: what it lost counts against the method"].append(number)
+            for conversion in header._replace(colours=header.colours.replace("grey", "")).conversions:  # seen from its pixels
+                converted[f"read {conversion}"].append(number)
+            if header.form == "JPEG" or header.colours:
+                write_image(target, image)
+            elif self.is_temporary:
+                source.replace(target)
+            else:
+                os.symlink(source.resolve(), target)
+        notes = [f"{counted(len(frames), 'frame')} ({as_ranges(frames)}) {how}" for how, frames in converted.items()]
+        return notes + remarks.notes()
+
+
+def _fault(path: Path, size: tuple[int, int]) -> str:
+    """Say why one picture cannot be used; empty where it can."""
+    try:
+        header = read_header(path)
+    except RenderError:
+        return "no picture that can be read"
+    if header.size != size:
+        return size_fault(header.size, size)
+    return f"{header.bits} bits per channel instead of 8: convert them yourself" if header.bits > 8 else ""
+
+
+def instead_of(path: Path, view: str, request: FrameRequest) -> str:
+    """Describe files that look like a view's missing frames, with a remedy; empty where there are none."""
+    folder = find_below(path, view)
+    unread = unread_pictures(folder)
+    if unread or list_images(folder):
+        return unread and f"{view}/ holds {unread}"
+    if (path / view).is_symlink() and not (path / view).exists():
+        return f"{view} is a link to nothing: restore what it leads to"
+    names = {file.name if file.is_dir() else file.stem: file.name for file in list_entries(path)}
+    return unread_videos(path, (view,)) or respelled(view, names, request)
+
+
+def instead_of_all(path: Path, request: FrameRequest) -> str:
+    """The same where no view is there at all."""
+    present = {file.name if file.is_dir() else re.split(r"_(?=[^_]*$)", file.stem)[0] for file in list_entries(path)}
+    if tested := [name for name in request.cameras if name in present]:
+        return (
+            f"{path.name} has {', '.join(tested)}, cameras that the protocol does not test; write one that does: "
+            f"ggvs-eval protocol CAPTURE mine.toml --test {' '.join(tested)}"
+        )
+    hints = [hint for view in request.views if (hint := instead_of(path, view, request))]
+    if hints:
+        return "; ".join(dict.fromkeys(hints))
+    below = ((Path(folder), Path(file).suffix.lower()) for folder, _, files in os.walk(path) for file in files)
+    folders = sorted({folder for folder, suffix in islice(below, LOOKED_THROUGH) if suffix in UNREAD_PICTURES})
+    return f"{folders[0].name}/ holds {unread_pictures(folders[0])}" if folders else ""
+
+
+def respelled(view: str, names: Mapping[str, str], request: FrameRequest) -> str:
+    """The name that was probably meant to be a view's, with a remedy; empty where there is none."""
+    others = {name: shown for name, shown in names.items() if name not in request.cameras}
+    for name, shown in others.items():
+        if name.casefold() == view.casefold():
+            return f"there is {shown}: upper and lower case are told apart, write {view}"
+    number = _only_number(view)
+    alike = [shown for name, shown in others.items() if number is not None and _only_number(name) == number]
+    return f"there is {alike[0]}: if this is {view}, call it so" if len(alike) == 1 else ""
+
+
+def _only_number(name: str) -> int | None:
+    numbers = re.findall(r"\d+", name)
+    return int(numbers[0]) if len(numbers) == 1 else None

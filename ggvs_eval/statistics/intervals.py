@@ -11,8 +11,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.autocorrelation import ErrorOfMean, correlation_posterior, total_half_width, total_tail
-from ggvs_eval.statistics.pooled import PooledScene
-from ggvs_eval.statistics.pooled_table import PooledTable, pool_table
+from ggvs_eval.statistics.pooled import PooledScene, PooledTable, pool_table
 
 LEVEL = 0.95
 FEWEST = 5  # views or scenes from which others can be concluded; fewer are taken as given

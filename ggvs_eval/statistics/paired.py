@@ -8,7 +8,7 @@ from typing import Literal
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results, label_of, without_labels
 from ggvs_eval.statistics.intervals import LEVEL, Interval, measure_spread, table_intervals
-from ggvs_eval.statistics.pooled_table import PooledTable, pool_table
+from ggvs_eval.statistics.pooled import PooledTable, pool_table
 
 # Of the first of two methods. Too short: the clip allows no answer, which is not the same as "as good".
 Outcome = Literal["better", "worse", "as good", "equal", "too short", "untested"]

@@ -4,7 +4,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Mask
 from ggvs_eval.metric_choices import SsimName
-from ggvs_eval.metrics.image.ssim_variants import masked_ssim, ssim_map
+from ggvs_eval.metrics.image.ssim import masked_ssim, ssim_map
 from ggvs_eval.metrics.inputs import Image, require_finite
 from ggvs_eval.metrics.metric import FURTHER, FramePair, ViewMetric
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image.ssim import ssim_per_channel
-from ggvs_eval.metrics.image.ssim_variants import device_ssim, windows_inside
+from ggvs_eval.metrics.image.ssim import device_ssim, ssim_per_channel, windows_inside
 from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, same_kind
 from ggvs_eval.metrics.metric import CONSISTENCY, ColourMap, FramePair, MetricOptions, TruthFrame, Value, ViewMetric
 

@@ -104,7 +104,7 @@ def view(
         depth: how depth of a capture is found.
         jobs: processes that prepare a capture.
     """
-    from ggvs_eval.pipelines.view.listener import Listener, require_viser
+    from ggvs_eval.pipelines.view.viewer import Listener, require_viser
 
     require_viser()
     listener = Listener(host, port)

@@ -333,7 +333,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     Args:
         folder: run folder, or folder of a sweep.
     """
-    from ggvs_eval.jobs.status import describe_status
+    from ggvs_eval.jobs.ledger import describe_status
 
     print(describe_status(folder))
 

@@ -7,7 +7,7 @@ from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
 from ggvs_eval.plugins import DEVICE_PARTS, missing_part
 
 if TYPE_CHECKING:
-    from ggvs_eval.pipelines.online.blend_maps import Guidance
+    from ggvs_eval.pipelines.online.network_inputs import Guidance
 
 ONLINE = "ggvs_eval.pipelines.online"
 GEOMETRIC = (f"{ONLINE}.geometry_guided", f"{ONLINE}.blending")

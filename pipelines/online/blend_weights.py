@@ -9,9 +9,8 @@ import torch
 
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.weights_file import load_strict, read_tensors, require_shapes
-from ggvs_eval.pipelines.online.blend_maps import Guidance
 from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, BlendNetwork, BlendNetworkOptions
-from ggvs_eval.pipelines.online.network_inputs import channel_count
+from ggvs_eval.pipelines.online.network_inputs import Guidance, channel_count
 from ggvs_eval.pipelines.online.refiner import EVIDENCE
 
 NETWORK = "a blending network"  # in messages

@@ -1,8 +1,11 @@
-"""The paper's online method: one `step` per instant, from K source views with depth to the target view."""
+"""The paper's online method: one `step` per instant, from K source views with depth to the target view.
+
+A background memory shows what no source sees as it was seen before, where moving things uncovered it; fillings do not boil.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from time import perf_counter
 from typing import Literal
 
@@ -14,16 +17,26 @@ from ggvs_eval.geometry.contested_depth import settle_depth
 from ggvs_eval.geometry.per_pixel import largest_feature
 from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat, splat, splat_points
 from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch, fusion_weights, ray_march
-from ggvs_eval.kernels import side_by_side
+from ggvs_eval.kernels import get_threads, side_by_side
 from ggvs_eval.method import Instant, Rendering, SourceView
 from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs, GeometricBlender
-from ggvs_eval.pipelines.online.depth_filter import Change, TemporalDepthFilter
 from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
-from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput
-from ggvs_eval.pipelines.online.remembered_background import RememberedBackground
-from ggvs_eval.pipelines.online.stillness import cells, splatted_change, stillness
+from ggvs_eval.pipelines.online.temporal_filters import (
+    Change,
+    RecurrentOutput,
+    TemporalDepthFilter,
+    cells,
+    splatted_change,
+    stillness,
+)
 
+BEHIND = 0.98  # of the remembered depth: what lies so far back at least is the same surface, or one behind it
+FORGETTING = 0.99  # of the remembered depth from one instant to the next, so that a wrong one does not last
+RENEWAL = 0.15  # share of a new filling in the recursive mean of fillings
+SURE_STILL = 0.5  # stillness from which on a pixel is background
+FEATHER = 0.5  # share of COVERED_ALPHA below which a pixel is a hole altogether
+RULES = (BEHIND, FORGETTING, RENEWAL, SURE_STILL, COVERED_ALPHA, COVERED_ALPHA * FEATHER)  # of the kernel
 Changes = Sequence[Change | None]  # of each source view; None where it was not there at the instant before
 SAME_SURFACE_TAU = 2.0  # truncation distances within which a view's depth and the fused one are the same surface
 
@@ -297,3 +310,57 @@ def target_mask(splats: list[Splat], views: Literal["largest", "mean"] = "larges
         covering += covers
         mask += np.where(covers, view.features[..., 3], np.float32(0))
     return np.where(covering > 0, mask / np.maximum(covering, np.float32(1)), np.float32(1))
+
+
+@dataclass(eq=False)
+class _Memory:
+    """The farthest that the target saw, (H, W, 3), and its depth, (H, W): 0 of a filling, negative of what moved."""
+
+    index: int
+    target: Camera
+    image: Map
+    depth: Map
+
+
+class RememberedBackground:
+    """Replaces the filling of holes by what the target showed there before, as long as it stands still.
+
+    A pixel that stands still is remembered with its depth unless something behind it is, and forgotten when it begins to move: a
+    hole shows the wall that somebody hides from the sources, or has uncovered, and not the body that has left. Where nothing is
+    remembered the recursive mean of the fillings is shown, which begins with the first one. State: one image and one depth map of
+    the target.
+
+    Reading:
+        Not in the paper, whose network invents the background anew in every frame. Off by default: in holes of a validation room
+        it gained 0.08 dB with two rows of cameras, and nothing on an arc nor with other exposures (docs/readings.md).
+    """
+
+    def __init__(self) -> None:
+        self._memory: _Memory | None = None
+
+    def step(self, index: int, target: Camera, image: Map, depth: Map, splats: Sequence[Splat], still: Map) -> Map:
+        """The output of an instant with its holes filled from memory.
+
+        Args:
+            index: of the instant; after a gap, or from another pose, nothing is remembered.
+            target: camera of the output.
+            image: blended, holes filled from their surroundings, (H, W, 3), float32; written into.
+            depth: fused, (H, W), world units, 0 where unknown.
+            splats: forward renderings of the sources; their coverage tells the holes.
+            still: how sure it is that nothing moves at each cell, see `stillness`.
+
+        Returns:
+            The image.
+        """
+        memory = self._memory
+        if memory is None or memory.index != index - 1 or not memory.target.shows_the_same_rays(target):
+            in_hole = reduce(np.maximum, (view.alpha for view in splats)) < COVERED_ALPHA
+            self._memory = _Memory(index, target, image.copy(), np.where(in_hole, np.float32(0), depth))
+            return image
+        from ggvs_eval.kernels import _core
+
+        memory.index = index
+        alphas = [np.ascontiguousarray(view.alpha, np.float32) for view in splats]
+        seen, image = np.ascontiguousarray(depth, np.float32), np.ascontiguousarray(image, np.float32)
+        _core.remember(seen, still, alphas, RULES, image, memory.image, memory.depth, get_threads())
+        return image

@@ -21,8 +21,7 @@ from ggvs_eval.files.atomic import sweep_files
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import ResizeFilter, read_image, resize, write_image
 from ggvs_eval.jobs.code_identity import code_identity
-from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.run_all import run_all
+from ggvs_eval.jobs.engine import Workers, run_all
 from ggvs_eval.run_folder import frame_path, read_json, write_json
 
 DIGESTS = ".digests.json"  # hidden: it holds times of one machine, by which runs that are merged may differ

@@ -12,8 +12,7 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.files.images import write_image
 from ggvs_eval.geometry.splat import COVERED_ALPHA, splat_depth
 from ggvs_eval.jobs.code_identity import code_identity
-from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.run_all import run_all
+from ggvs_eval.jobs.engine import Workers, run_all
 from ggvs_eval.method import NEAR_M
 from ggvs_eval.pipelines.run.derived_files import MadeFiles, seen_from
 from ggvs_eval.run_folder import frame_path

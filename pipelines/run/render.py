@@ -24,8 +24,8 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import RenderError, ViewRefusedError
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.jobs.code_identity import code_identity
-from ggvs_eval.jobs.free_memory import PeakMemory
 from ggvs_eval.jobs.job import Job
+from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit

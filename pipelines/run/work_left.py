@@ -9,7 +9,7 @@ from typing import Literal
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError, ResultsError
-from ggvs_eval.jobs.pace import pace
+from ggvs_eval.jobs.machine import pace
 from ggvs_eval.pipelines.methods.render_unit import PATH
 from ggvs_eval.pipelines.methods.stage_costs import (
     CHECKED_DEPTH,

@@ -8,7 +8,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.ledger import Failure
-from ggvs_eval.jobs.pace import pace
+from ggvs_eval.jobs.machine import pace
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.pipelines.view.frame_stock import FrameStock
+from ggvs_eval.pipelines.view.live_view import FrameStock
 
 if TYPE_CHECKING:
     import viser

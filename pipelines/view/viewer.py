@@ -1,21 +1,33 @@
 """The viewer's server: a page for every browser window that opens, and two threads that make their pictures.
 
+Its listening socket lets in who has the address with its token, from our own page.
+
 `viser` serves the page, draws the scene and tells where the camera is; the pictures lie behind its scene as a background.
 """
 
 import contextlib
+import dataclasses
+import errno
+import http
+import importlib.util
 import io
+import ipaddress
+import os
+import secrets
+import socket
 import threading
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
+from ggvs_eval.errors import CommandError
 from ggvs_eval.pipelines.play.playback import Playback
-from ggvs_eval.pipelines.view.frame_stock import FrameStock
-from ggvs_eval.pipelines.view.listener import Listener, start_guarded
+from ggvs_eval.pipelines.view.live_view import FrameStock
 from ggvs_eval.pipelines.view.scene import (
     Frusta,
     add_cloud,
@@ -28,9 +40,156 @@ from ggvs_eval.pipelines.view.session import Session, ViewDefaults
 
 if TYPE_CHECKING:
     import viser
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
 
+PORTS_TRIED = 100
+MISSING = "the viewer wants the package viser; install it by `pip install 'ggvs-eval[view]'`"
+# No packet is sent there (RFC 5737): the route that one would take says by which address others reach this machine.
+ELSEWHERE = ("192.0.2.1", 9)
+HEADERS = {"Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY", "Cache-Control": "no-store"}
 MOVING_PIXELS = 640 * 360
 IDLE_SECONDS = 0.02  # between looks at the clock while time plays or a camera comes to rest
+
+
+class Listener:
+    """A socket that listens already, so that an impossible address shows before anything is computed.
+
+    A page of another site can make a browser talk to this machine, and other users of it can connect. Both lack the token, a
+    random part of the address. Beside it, a browser's page must be ours (Origin), and called by an address or a name that is
+    known to be this machine's (Host): a foreign name may have been pointed here (DNS rebinding).
+
+    Args:
+        host: address or name to listen at; 0.0.0.0 lets other machines in.
+        port: the next free one is taken where it is in use; 0 takes any.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
+        self.socket = _listening(host, port)
+        self._host, self._token = host, secrets.token_urlsafe(24)
+        self._is_open_to_all = ipaddress.ip_address(self.socket.getsockname()[0]).is_unspecified
+        self._names = {host.lower(), "localhost"} | ({socket.gethostname().lower()} if self._is_open_to_all else set())
+
+    @property
+    def port(self) -> int:
+        """Port that it listens at."""
+        return int(self.socket.getsockname()[1])
+
+    @property
+    def address(self) -> str:
+        """Address to open in a browser; it ends with the token."""
+        host = _own_address(self.socket.family) if self._is_open_to_all else self._host
+        return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{self._token}/"
+
+    def refusal(self, request: "Request") -> str:
+        """Return why a request is not let in; empty where it is."""
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        if len(hosts) != 1 or not self._is_own(hosts[0]):
+            return "this name is not known to be this machine's; use its address, or localhost"
+        if any(origin.partition("://")[2].lower() != hosts[0].lower() for origin in origins):
+            return "a page of another site asks"
+        if not secrets.compare_digest(_first_part(request.path).encode(errors="replace"), self._token.encode()):
+            return "open the whole address that was printed, with the token at its end"
+        return ""
+
+    def _is_own(self, host: str) -> bool:
+        """Tell whether the Host of a request is a name of ours or a bare address, which no name server can point elsewhere."""
+        with suppress(ValueError):
+            name = urlsplit(f"//{host}").hostname or ""
+            return name in self._names or ipaddress.ip_address(name) is not None
+        return False
+
+
+def require_viser() -> None:
+    """Require viser, with the command that installs it, before anything is computed."""
+    if importlib.util.find_spec("viser") is None:
+        raise CommandError(MISSING)
+
+
+def start_guarded(listener: Listener, start: Callable[[], "viser.ViserServer"]) -> "viser.ViserServer":
+    """Start a server of viser that listens at our socket, and asks the listener about every request.
+
+    Raises:
+        CommandError: it was started in another way, and would let anyone in; it is stopped again.
+    """
+    from websockets.asyncio import server
+
+    serve, is_guarded = server.serve, False
+
+    def serve_guarded(handler: Any, _host: str, _port: int, *, process_request: Any, **options: Any) -> Any:
+        nonlocal is_guarded
+        is_guarded = True
+        return serve(handler, sock=listener.socket, process_request=_asking(listener, process_request), **options)
+
+    server.serve = serve_guarded  # type: ignore[misc, assignment]  # viser has no other hook
+    try:
+        started = start()
+    finally:
+        server.serve = serve  # type: ignore[misc]
+    if not is_guarded:
+        started.stop()
+        raise CommandError("this version of viser cannot be guarded; install another by `pip install 'ggvs-eval[view]'`")
+    return started
+
+
+def _asking(
+    listener: Listener, process: Callable[["ServerConnection", "Request"], "Response | None"]
+) -> Callable[["ServerConnection", "Request"], "Response | None"]:
+    """A server's own way to answer requests, behind the listener's."""
+
+    def answer(connection: "ServerConnection", request: "Request") -> "Response | None":
+        if reason := listener.refusal(request):
+            return connection.respond(http.HTTPStatus.FORBIDDEN, f"{reason}\n")
+        inner = request.path.removeprefix(f"/{_first_part(request.path)}")
+        response = process(connection, dataclasses.replace(request, path=inner))
+        if response is not None:
+            response.headers.update(HEADERS)
+        return response
+
+    return answer
+
+
+def _first_part(path: str) -> str:
+    """First part of the path of a request.
+
+    Examples:
+        >>> _first_part("/token/index.html?dark"), _first_part("/token?dark")
+        ('token', 'token')
+    """
+    return path.partition("?")[0].removeprefix("/").partition("/")[0]
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """A socket that listens at the port, or at the next free one."""
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+        return _first_free(str(address[0]), port, family)
+    except (OSError, OverflowError, UnicodeError) as error:
+        code = error.errno if isinstance(error, OSError) else None
+        reason = os.strerror(code) if code and code > 0 else error
+        raise CommandError(
+            f"--host {host} --port {port}: nothing can listen there ({reason}); give an address of this machine, such as "
+            "127.0.0.1, and a free port from 1024 to 65535"
+        ) from error
+
+
+def _first_free(address: str, port: int, family: int) -> socket.socket:
+    for tried in range(port, port + PORTS_TRIED):
+        try:
+            return socket.create_server((address, tried), family=family)
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+    raise OSError(errno.EADDRINUSE, "all of them are in use")
+
+
+def _own_address(family: socket.AddressFamily) -> str:
+    """The address by which other machines reach this one; the loopback's where there is no way to others."""
+    if family == socket.AF_INET:
+        with socket.socket(family, socket.SOCK_DGRAM) as probe, suppress(OSError):
+            probe.connect(ELSEWHERE)
+            return str(probe.getsockname()[0])
+    return "::1" if family == socket.AF_INET6 else "127.0.0.1"
 
 
 class Viewer:

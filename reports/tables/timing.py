@@ -17,9 +17,9 @@ from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote
 from ggvs_eval.reports.model.table import SHORT_MEANS, Cell, Column, Table, format_value, rank, signed, spread_text
 from ggvs_eval.results import split_label
 from ggvs_eval.run_folder import JOB_FILE, frame_path, read_json
+from ggvs_eval.statistics.decomposition import read_panel
 from ggvs_eval.statistics.drift import measure_drift
 from ggvs_eval.statistics.intervals import LEVEL
-from ggvs_eval.statistics.panels import read_panel
 
 TOTAL = "total"
 SCREEN_COLUMNS = (

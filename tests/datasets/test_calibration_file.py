@@ -12,7 +12,7 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import write_video
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration.known_cameras import read_known
-from ggvs_eval.pipelines.offline.calibration.lens_files import read_lenses
+from ggvs_eval.pipelines.offline.calibration.undistort import read_lenses
 from helpers.calibration_files import (
     COEFFICIENTS,
     project_opencv,

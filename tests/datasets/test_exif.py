@@ -14,7 +14,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.picture_header import read_picture_header
-from ggvs_eval.pipelines.offline.calibration.camera_files import link_frames, write_instant
+from ggvs_eval.pipelines.offline.calibration.calibrate import link_frames, write_instant
 from helpers.captures import HEIGHT, NAMES, WIDTH, make_rig, refusal, write_colmap_model, write_poses
 from helpers.fuzz import CAPTURES
 from helpers.small_layouts import camera_toml, transforms

@@ -14,9 +14,9 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.geometry.warp import register_views
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.online.blend_maps import FAINT, blend_maps
 from ggvs_eval.pipelines.online.blending import BlendingInputs
-from ggvs_eval.pipelines.online.full_size import overview, registered
+from ggvs_eval.pipelines.online.network_blender import overview, registered
+from ggvs_eval.pipelines.online.network_inputs import FAINT, blend_maps
 from helpers.geometry_scenes import TAU, random_camera, random_depth, seeds, sizes, view_of
 from helpers.refusals import refused
 

@@ -11,10 +11,10 @@ from ggvs_eval.baselines.fixed_blending import DistanceBased
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.per_pixel import FALL_OFF, LEAST_PARALLAX_RAD, view_weights, weighted_mean
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.online.blend_maps import blend_maps
 from ggvs_eval.pipelines.online.blending import GeometricBlender
-from ggvs_eval.pipelines.online.full_size import overview
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
+from ggvs_eval.pipelines.online.network_blender import overview
+from ggvs_eval.pipelines.online.network_inputs import blend_maps
 from helpers.blender_inputs import inputs_of
 from helpers.scenes import camera_at, instant, look
 

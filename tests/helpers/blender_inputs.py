@@ -3,9 +3,9 @@
 import numpy as np
 
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
+from ggvs_eval.pipelines.online.network_inputs import BlendMaps
 from helpers.geometry_scenes import random_camera, random_depth
 
 

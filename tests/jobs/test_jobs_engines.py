@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.jobs import free_memory
-from ggvs_eval.jobs.engine import Engine
+from ggvs_eval.jobs import machine
+from ggvs_eval.jobs.engine import Engine, start_remedy
 from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
-from ggvs_eval.jobs.process_engine import start_remedy
 from ggvs_eval.jobs.processes import kept_workers
 
 pytestmark = pytest.mark.slow
@@ -145,10 +144,10 @@ def test_kept_processes_that_die_are_replaced(tmp_path):
 @pytest.mark.parametrize(("running", "fits"), [(2, True), (3, False)])
 def test_a_job_waits_for_memory(running, fits, monkeypatch):
     """Jobs that need 300 MB, of which those that run hold 600 MB by now, and 300 MB are free: 3 fit, a fourth does not."""
-    monkeypatch.setattr(free_memory, "available_bytes", lambda: 300e6)
-    monkeypatch.setattr(free_memory, "resident_bytes", lambda pids: (600e6, 300e6))
+    monkeypatch.setattr(machine, "available_bytes", lambda: 300e6)
+    monkeypatch.setattr(machine, "resident_bytes", lambda pids: (600e6, 300e6))
 
-    assert free_memory.has_room(running, []) == fits
+    assert machine.has_room(running, []) == fits
 
 
 def test_the_memory_of_a_container_is_its_own(tmp_path):
@@ -159,19 +158,19 @@ def test_the_memory_of_a_container_is_its_own(tmp_path):
     (tmp_path / "memory.stat").write_text("anon 1\ninactive_file 150000000\n")
     (tmp_path / "meminfo").write_text("MemTotal: 9000000 kB\nMemAvailable: 8000000 kB\n")
 
-    available = free_memory.available_bytes(tmp_path / "meminfo", tmp_path)
+    available = machine.available_bytes(tmp_path / "meminfo", tmp_path)
 
     assert available == 300e6
-    assert free_memory.available_bytes(tmp_path / "meminfo", tmp_path / "no-groups") == 8000000 * 1024
-    assert free_memory.available_bytes(tmp_path / "none", tmp_path / "none") == float("inf")
+    assert machine.available_bytes(tmp_path / "meminfo", tmp_path / "no-groups") == 8000000 * 1024
+    assert machine.available_bytes(tmp_path / "none", tmp_path / "none") == float("inf")
 
 
 def test_the_memory_of_processes_is_read():
     """This process holds something, and has held at least that; one that is gone holds nothing."""
-    now, most = free_memory.resident_bytes([os.getpid()])
+    now, most = machine.resident_bytes([os.getpid()])
 
     assert 1e6 < now <= most
-    assert free_memory.resident_bytes([2**22 + 1]) == (0, 0)
+    assert machine.resident_bytes([2**22 + 1]) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -199,7 +198,7 @@ def test_dask_is_asked_for_when_it_is_not_there(monkeypatch, tmp_path):
 UNGUARDED = """
 import math
 from ggvs_eval.jobs.engine import Engine
-from ggvs_eval.jobs.run_all import run_all
+from ggvs_eval.jobs.engine import run_all
 
 run_all(math.sqrt, [1.0, 2.0, 3.0], Engine(2, {engine!r}), "roots")
 """
@@ -242,17 +241,17 @@ def test_peak_memory_is_of_the_block_alone():
     """What a block holds for a moment counts, what was held before it does not, and a system that tells nothing gives nothing."""
     before = np.ones(40_000_000)  # 320 MB
     del before
-    with free_memory.PeakMemory() as idle:
+    with machine.PeakMemory() as idle:
         pass
-    with free_memory.PeakMemory() as busy:
+    with machine.PeakMemory() as busy:
         held = np.ones(40_000_000)
-        time.sleep(3 * free_memory.SAMPLED_EVERY_S)
+        time.sleep(3 * machine.SAMPLED_EVERY_S)
         del held
 
     assert idle.bytes is not None
     assert busy.bytes is not None
     assert busy.bytes - idle.bytes > 250e6
-    with free_memory.PeakMemory(Path("/nowhere")) as unknown:
+    with machine.PeakMemory(Path("/nowhere")) as unknown:
         pass
     assert unknown.bytes is None
 

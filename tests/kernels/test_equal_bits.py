@@ -18,9 +18,9 @@ from ggvs_eval.geometry.warp import warp_change
 from ggvs_eval.method import SourceView
 from ggvs_eval.metrics.image.ssim import ssim_per_channel
 from ggvs_eval.pipelines.online.blending import push_pull
-from ggvs_eval.pipelines.online.depth_filter import filter_depth
-from ggvs_eval.pipelines.online.full_size import overview
+from ggvs_eval.pipelines.online.network_blender import overview
 from ggvs_eval.pipelines.online.network_inputs import network_channels
+from ggvs_eval.pipelines.online.temporal_filters import filter_depth
 from helpers.blender_inputs import random_maps
 from helpers.geometry_scenes import (
     TAU,

@@ -12,7 +12,7 @@ from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.per_pixel import largest_feature, weighted_mean
 from ggvs_eval.kernels import _core
 from ggvs_eval.pipelines.online.blending import push_pull
-from ggvs_eval.pipelines.online.depth_filter import filter_depth
+from ggvs_eval.pipelines.online.temporal_filters import filter_depth
 from helpers.geometry_scenes import TAU, image8, random_camera, random_depth, seeds, sizes, view_of, weighted_views
 from helpers.refusals import refused
 from helpers.twins.blending import look_up_twin, push_pull_twin, weighted_mean_twin

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from ggvs_eval import kernels
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.kernels import _core
-from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import (
     BEYOND_VIEWS,
     SURE,
@@ -21,9 +20,17 @@ from ggvs_eval.pipelines.online.blend_network import (
     read_outputs,
     small_outputs,
 )
-from ggvs_eval.pipelines.online.full_size import Composed, composed, refined, statistics_of
-from ggvs_eval.pipelines.online.network_blender import blend_by, blend_on, blend_start, view_shares
-from ggvs_eval.pipelines.online.network_inputs import GUIDED, input_channels
+from ggvs_eval.pipelines.online.network_blender import (
+    Composed,
+    blend_by,
+    blend_on,
+    blend_start,
+    composed,
+    refined,
+    statistics_of,
+    view_shares,
+)
+from ggvs_eval.pipelines.online.network_inputs import GUIDED, BlendMaps, input_channels
 from ggvs_eval.pipelines.online.refiner import COLOUR_GAIN, Refiner, evidence, picture_statistics
 from helpers.blender_inputs import random_maps
 from helpers.geometry_scenes import seeds

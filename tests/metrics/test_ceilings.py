@@ -16,7 +16,7 @@ from ggvs_eval.files.coding import Coding, read_coding
 from ggvs_eval.metrics.ceilings import ceilings
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.metrics.noise.clean_video import rounded
+from ggvs_eval.metrics.noise.recording import rounded
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.metrics.time.flicker import flicker
 from ggvs_eval.metrics.time.strred import strred

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.path.epi_coherence import epi_coherence
 from ggvs_eval.metrics.path.epi_lines import find_lines
-from ggvs_eval.metrics.path.epi_slope import slope_agreement
-from ggvs_eval.metrics.path.horizontal_path import HorizontalPath, horizontal_path
+from ggvs_eval.metrics.path.epi_metrics import HorizontalPath, epi_coherence, horizontal_path, slope_agreement
 from ggvs_eval.metrics.path.rendered_path import SlopeOptions
 from helpers.epi_scenes import FOCAL, POSES, SPAN, WALL, exact, path, rendered
 from helpers.refusals import refused

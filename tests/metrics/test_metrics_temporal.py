@@ -11,13 +11,11 @@ from skimage import data
 from skimage.metrics import structural_similarity
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image.colour_correction import apply_colour_map, fit_colour_map, unit_range
-from ggvs_eval.metrics.image.corrected import psnr_colour_corrected
+from ggvs_eval.metrics.image.corrected import apply_colour_map, fit_colour_map, psnr_colour_corrected, unit_range
 from ggvs_eval.metrics.image.l1 import l1, masked_l1
 from ggvs_eval.metrics.image.psnr import masked_psnr, psnr
 from ggvs_eval.metrics.image.regions import moving_mask
-from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.metrics.image.ssim_variants import masked_ssim, ssim_variant
+from ggvs_eval.metrics.image.ssim import masked_ssim, ssim, ssim_variant
 from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.registry import METRICS, select_metrics
 from ggvs_eval.metrics.stream import fit_colour_maps, score_view, score_views

@@ -9,7 +9,7 @@ from skimage import data
 from skimage.metrics import structural_similarity
 
 from ggvs_eval.metrics import on_device
-from ggvs_eval.metrics.image.ssim_variants import SSIM_VARIANTS, device_ssim, ssim_map
+from ggvs_eval.metrics.image.ssim import SSIM_VARIANTS, device_ssim, ssim_map
 from ggvs_eval.metrics.metric import MetricOptions, TruthFrame, ViewMetric
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.metrics.stream import score_views

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.path.epi_coherence import NAMES as COHERENCE
-from ggvs_eval.metrics.path.epi_slope import NAMES as SLOPE
+from ggvs_eval.metrics.path.epi_metrics import COHERENCE_NAMES as COHERENCE
+from ggvs_eval.metrics.path.epi_metrics import SLOPE_NAMES as SLOPE
 from ggvs_eval.metrics.path.rendered_path import PathOptions, PathPose, spread_rows
-from ggvs_eval.metrics.path.reprojection import NAMES as REPROJECTION
-from ggvs_eval.metrics.path.view_switch import NAMES as SWITCH
-from ggvs_eval.metrics.path.view_switch import switch_steps
+from ggvs_eval.metrics.path.view_consistency import REPROJECTION_NAMES as REPROJECTION
+from ggvs_eval.metrics.path.view_consistency import SWITCH_NAMES as SWITCH
+from ggvs_eval.metrics.path.view_consistency import switch_steps
 from ggvs_eval.metrics.path_scores import score_path
 from helpers.epi_scenes import POSES, SCENES, changed, exact, path, rendered, sources_of
 from helpers.refusals import refused

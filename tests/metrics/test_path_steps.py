@@ -6,10 +6,8 @@ import pytest
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import quantise
-from ggvs_eval.metrics.path.reprojection import mean_reprojection
-from ggvs_eval.metrics.path.steps import StepError, reprojection_steps
-from ggvs_eval.metrics.path.view_switch import switch_score, switch_steps
-from ggvs_eval.metrics.path.warping_error import warping_error
+from ggvs_eval.metrics.path.rendered_path import StepError, reprojection_steps
+from ggvs_eval.metrics.path.view_consistency import mean_reprojection, switch_score, switch_steps, warping_error
 from helpers.epi_scenes import FOCAL, SCENES, WALL, WIDTH, changed, exact, look, path, rendered
 from helpers.refusals import refused
 

@@ -9,8 +9,7 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.l1 import l1, masked_l1
 from ggvs_eval.metrics.image.psnr import masked_psnr, psnr
 from ggvs_eval.metrics.image.regions import moving_mask
-from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.metrics.image.ssim_variants import masked_ssim, ssim_variant
+from ggvs_eval.metrics.image.ssim import masked_ssim, ssim, ssim_variant
 from helpers.photographs import noisy_pair
 from helpers.refusals import refused
 

@@ -10,8 +10,7 @@ from skimage import data
 from skimage.metrics import structural_similarity
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.metrics.image.ssim_variants import SSIM_VARIANTS, ssim_map, ssim_variant
+from ggvs_eval.metrics.image.ssim import SSIM_VARIANTS, ssim, ssim_map, ssim_variant
 from helpers.places import DATA_FOLDER
 from helpers.refusals import refused
 

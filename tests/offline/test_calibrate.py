@@ -24,7 +24,7 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.geometry.epipolar import epipolar_errors
 from ggvs_eval.lens import Lens
-from ggvs_eval.pipelines.offline.calibration import calibration_job
+from ggvs_eval.pipelines.offline.calibration import calibrate as calibration_job
 from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate, measure_against
 from ggvs_eval.pipelines.offline.calibration.known_cameras import colmap_camera, read_known, write_intrinsics
 from helpers.calibration_files import write_qualisys

@@ -30,7 +30,7 @@ from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.play import playback
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-from ggvs_eval.pipelines.view import listener
+from ggvs_eval.pipelines.view import viewer
 from helpers.captures import write_dynerf
 from helpers.command_line import refusal
 from helpers.refusals import refused
@@ -212,7 +212,7 @@ def test_the_command_line_takes_depth_to_the_device(five_cameras, tmp_path, monk
 
     monkeypatch.setattr(runs, "print_plan", lambda planned, *_: plans.extend(planned))
     monkeypatch.setattr(playback, "playback_of_capture", end)
-    monkeypatch.setattr(listener, "require_viser", lambda: None)
+    monkeypatch.setattr(viewer, "require_viser", lambda: None)
     words = ("--matcher", "raft", "--device", "cpu:0")
     protocol = tmp_path / "small.toml"
     protocol.write_text(small_protocol(1, 0, ("PSNR",)).to_toml())

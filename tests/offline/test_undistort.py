@@ -18,8 +18,12 @@ from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
 from ggvs_eval.pipelines.offline.calibration.known_cameras import read_known
-from ggvs_eval.pipelines.offline.calibration.lens_files import LARGEST_PICKLE_BYTES, read_pickle
-from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions, undistort_videos
+from ggvs_eval.pipelines.offline.calibration.undistort import (
+    LARGEST_PICKLE_BYTES,
+    UndistortOptions,
+    read_pickle,
+    undistort_videos,
+)
 from helpers.captures import N_FRAMES, NAMES, make_image, write_dynerf, write_folders, write_videos
 
 WIDTH, HEIGHT, FPS = 320, 180, 24.0

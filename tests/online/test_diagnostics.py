@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from ggvs_eval.files.images import read_image
-from ggvs_eval.pipelines.online.blend_maps import blend_maps
 from ggvs_eval.pipelines.online.blend_network import SURE
-from ggvs_eval.pipelines.online.full_size import composed
-from ggvs_eval.pipelines.online.network_blender import filled_picture, view_shares
+from ggvs_eval.pipelines.online.network_blender import composed, filled_picture, view_shares
+from ggvs_eval.pipelines.online.network_inputs import blend_maps
 from ggvs_eval.pipelines.run.evaluate import evaluate
 from ggvs_eval.pipelines.run.render import VIEW_COLOURS, view_colours
 from ggvs_eval.reports.model.measured import read_run

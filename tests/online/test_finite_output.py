@@ -6,9 +6,8 @@ import pytest
 from ggvs_eval.camera import Camera
 from ggvs_eval.kernels import _core
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
-from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput
-from ggvs_eval.pipelines.online.remembered_background import RULES
+from ggvs_eval.pipelines.online.geometry_guided import RULES, GeometryGuided
+from ggvs_eval.pipelines.online.temporal_filters import RecurrentOutput
 
 WIDTH, HEIGHT, FOCAL, DEPTH = 160, 120, 130.0, 3.0
 LEVELS = (100, 117, 134)  # of the wall, one an instant

@@ -10,9 +10,17 @@ from hypothesis import strategies as st
 from ggvs_eval import kernels
 from ggvs_eval.files.images import quantise
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation, gained_image
+from ggvs_eval.pipelines.online.exposure_compensation import (
+    ExposureCompensation,
+    corner_of,
+    fallen_off,
+    fit_slope,
+    flattened,
+    gained_image,
+    shared_slope,
+    squared_tangents,
+)
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
-from ggvs_eval.pipelines.online.lens_falloff import corner_of, fallen_off, fit_slope, flattened, shared_slope, squared_tangents
 from helpers.photographs import psnr_db
 from helpers.scenes import camera_at, instant, look
 

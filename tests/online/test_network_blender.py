@@ -8,7 +8,6 @@ from safetensors.torch import save_file
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.contrib.training.checkpoint import pour_weights, write_weights
 from ggvs_eval.errors import RenderError, WeightsError
-from ggvs_eval.pipelines.online.blend_maps import blend_maps
 from ggvs_eval.pipelines.online.blend_network import (
     BlendNetwork,
     BlendNetworkOptions,
@@ -20,7 +19,7 @@ from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped
 from ggvs_eval.pipelines.online.blending import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
-from ggvs_eval.pipelines.online.network_inputs import input_channels
+from ggvs_eval.pipelines.online.network_inputs import blend_maps, input_channels
 from helpers.blender_inputs import inputs_of
 from helpers.refusals import refused
 from helpers.scenes import camera_at, instant

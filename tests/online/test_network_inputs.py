@@ -12,9 +12,11 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.contrib.training.samples.blend_samples import raw_views
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import splat
-from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, blend_maps
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 from ggvs_eval.pipelines.online.network_inputs import (
+    FAINT,
+    BlendMaps,
+    blend_maps,
     channel_count,
     input_channels,
     reference_depth,

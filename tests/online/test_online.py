@@ -12,8 +12,8 @@ from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod
 from ggvs_eval.pipelines.online import geometry_guided
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
-from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter, filter_depth
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
+from ggvs_eval.pipelines.online.temporal_filters import TemporalDepthFilter, filter_depth
 from ggvs_eval.results import split_label
 from helpers.photographs import psnr_db
 from helpers.refusals import refused

@@ -11,7 +11,7 @@ from ggvs_eval import kernels
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.kernels import _core
-from ggvs_eval.pipelines.online.full_size import overview
+from ggvs_eval.pipelines.online.network_blender import overview
 from ggvs_eval.pipelines.online.network_inputs import channel_count, input_channels, network_channels, present_channels
 from helpers.blender_inputs import random_maps
 from helpers.geometry_scenes import seeds

@@ -14,7 +14,7 @@ from ggvs_eval.kernels import _core
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
-from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput, agreement
+from ggvs_eval.pipelines.online.temporal_filters import RecurrentOutput, agreement
 from helpers.geometry_scenes import seeds
 from helpers.photographs import psnr_db
 from helpers.refusals import refused

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.geometry.splat import Splat
-from ggvs_eval.pipelines.online.remembered_background import RENEWAL, RememberedBackground
+from ggvs_eval.pipelines.online.geometry_guided import RENEWAL, RememberedBackground
 from helpers.scenes import camera_at
 
 TARGET = camera_at(0.0, name="target", width=16, height=12)

@@ -10,9 +10,8 @@ from ggvs_eval import kernels
 from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
-from ggvs_eval.pipelines.online.stillness import cells, middle_rays, splatted_change, stillness
+from ggvs_eval.pipelines.online.temporal_filters import TemporalDepthFilter, cells, middle_rays, splatted_change, stillness
 from helpers.scenes import camera_at
 
 WIDTH, HEIGHT, FOCAL, DEPTH, MARGIN = 160, 120, 150.0, 3.0, 60

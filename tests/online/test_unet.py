@@ -7,7 +7,7 @@ from torch.nn import functional
 
 from ggvs_eval import kernels
 from ggvs_eval.compute_device import one_thread
-from ggvs_eval.pipelines.online.unet import UNet, unet_outputs
+from ggvs_eval.pipelines.online.blend_network import UNet, unet_outputs
 
 pytestmark = pytest.mark.usefixtures("kernel_settings")
 

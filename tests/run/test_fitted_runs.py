@@ -15,8 +15,8 @@ from ggvs_eval.errors import CameraError, RenderError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.jobs.code_identity import installed_code
 from ggvs_eval.jobs.job import run_jobs
+from ggvs_eval.jobs.ledger import describe_status
 from ggvs_eval.jobs.shard import Shard
-from ggvs_eval.jobs.status import describe_status
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.run.evaluate import measure, render
 from ggvs_eval.pipelines.run.footage import fold_footage

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.jobs.engine import Engine
-from ggvs_eval.jobs.run_all import run_all
+from ggvs_eval.jobs.engine import Engine, run_all
 from ggvs_eval.pipelines.run.derived_files import DIGESTS
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run

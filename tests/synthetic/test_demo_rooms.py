@@ -19,7 +19,7 @@ from ggvs_eval.contrib.worlds.room.room import build_room
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.jobs.pace import pace
+from ggvs_eval.jobs.machine import pace
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.pipelines.sweep import demo_runs

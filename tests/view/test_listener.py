@@ -11,7 +11,7 @@ import pytest
 
 from ggvs_eval.errors import CommandError
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.view.listener import Listener, start_guarded
+from ggvs_eval.pipelines.view.viewer import Listener, start_guarded
 
 viser = pytest.importorskip("viser")
 EVIL = "evil.example"

@@ -13,12 +13,11 @@ from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-from ggvs_eval.pipelines.view import listener as listener_module
-from ggvs_eval.pipelines.view.frame_stock import FrameStock, fitted
-from ggvs_eval.pipelines.view.listener import require_viser
-from ggvs_eval.pipelines.view.live_view import LAYERS, LiveView, ViewRequest
+from ggvs_eval.pipelines.view import viewer as listener_module
+from ggvs_eval.pipelines.view.live_view import LAYERS, FrameStock, LiveView, ViewRequest, fitted
 from ggvs_eval.pipelines.view.scene import cloud, gazed_depth, middle_camera, up_direction
 from ggvs_eval.pipelines.view.session import Recording, status_text
+from ggvs_eval.pipelines.view.viewer import require_viser
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views, load_protocol
 from helpers.itermvs_weights import write_checkpoint
 from helpers.refusals import refused

@@ -12,10 +12,17 @@ from ggvs_eval.contrib.training.sample_file import camera_arrays, stored_arrays,
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.warp import warp
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, Guidance, blend_maps, nearest_first, nearness
 from ggvs_eval.pipelines.online.blending import Blended, Blender, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
-from ggvs_eval.pipelines.online.network_inputs import reference_depth
+from ggvs_eval.pipelines.online.network_inputs import (
+    FAINT,
+    BlendMaps,
+    Guidance,
+    blend_maps,
+    nearest_first,
+    nearness,
+    reference_depth,
+)
 from ggvs_eval.plugins import DEVICE_PARTS
 
 IN_8_BIT = ("splats", "alphas", "warps", "visibilities")

@@ -1,11 +1,18 @@
-"""Cameras of a fixed rig from one instant of its frames: SIFT, exhaustive matching and COLMAP's mapper, one pose per camera."""
+"""Cameras of a fixed rig from one instant of its frames: SIFT, exhaustive matching and COLMAP's mapper, one pose per camera.
+
+The frames are handed to COLMAP in a child process and put beside its model.
+"""
 
 import importlib.metadata
+import json
+import re
 import shutil
-from collections.abc import Mapping
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 
@@ -15,17 +22,22 @@ from ggvs_eval.datasets.assemble import common_count
 from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
 from ggvs_eval.datasets.colmap_model import model_cameras, read_model
-from ggvs_eval.datasets.frames import as_calibrated
+from ggvs_eval.datasets.frames import ImageFrames, as_calibrated
 from ggvs_eval.datasets.units import UNITS_FILE
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.atomic import atomic_folder
+from ggvs_eval.files.images import write_image
+from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.geometry.alignment import pose_differences, rig_extent
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.offline.calibration.calibration_job import describe_known, keep_log, run_worker
-from ggvs_eval.pipelines.offline.calibration.camera_files import link_frames, write_instant
-from ggvs_eval.pipelines.offline.calibration.known_cameras import KnownCamera, fit_known, read_known
+from ggvs_eval.pipelines.offline.calibration.known_cameras import KnownCamera, colmap_camera, fit_known, read_known
+from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json
 
+LOG = "calibration.log"
+WORKER = "ggvs_eval.pipelines.offline.calibration.calibration_worker"
+# Lines of COLMAP's log that stand for one more image whose features, or whose pose, have been found.
+PROGRESS = re.compile(r"Processed file \[|Registering image #")
 CameraModel = Literal["PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV"]
 RECORD = "calibration.json"
 MOST_THREADS = 8  # SIFT takes up to 1 GiB per thread at 3200 pixels
@@ -256,3 +268,112 @@ def _record(folder: Path, calibration: Calibration, result: Mapping[str, Any], o
         "attempt": result["attempt"],
         "versions": {"ggvs-eval": importlib.metadata.version("ggvs-eval"), **result["versions"]},
     }
+
+
+def write_instant(files: Mapping[str, CameraFrames], frame: int, folder: Path) -> dict[str, str]:
+    """Write one image per camera.
+
+    Args:
+        frame: the instant, from 0.
+        folder: where to; made.
+
+    Returns:
+        Camera -> name of its image: the camera's name, with the suffix of its file where that is a single upright image, which is
+        copied. Others are written as they are read: COLMAP does not heed the EXIF tag that turns them.
+    """
+    images = {}
+    folder.mkdir(parents=True)
+    for name, file in files.items():
+        if frame >= file.n_frames:
+            raise CaptureError(f"{file.path}: wanted frame {frame}, it has {file.n_frames}; choose an earlier frame")
+        image = next(file.frames(frame, frame + 1))
+        is_copied = isinstance(file, ImageFrames) and file.path.is_file() and not file.orientations
+        images[name] = f"{name}{file.path.suffix if is_copied else '.png'}"
+        if images[name].lower().endswith(".png"):
+            write_image(folder / images[name], image)
+        else:
+            shutil.copyfile(file.path, folder / images[name])
+    return images
+
+
+def link_frames(files: Mapping[str, CameraFrames], stills: Mapping[str, Path], folder: Path) -> None:
+    """Put frames where the COLMAP adapter looks for them: links to videos and folders, single images themselves.
+
+    Args:
+        stills: the image of each camera, which is moved where it is all there is of that camera.
+    """
+    for name, file in files.items():
+        if isinstance(file, VideoFrames):
+            (folder / f"{name}.mp4").symlink_to(file.path.resolve())
+            continue
+        (folder / "images").mkdir(exist_ok=True)
+        if file.path.is_dir():
+            (folder / "images" / name).symlink_to(file.path.resolve())
+        else:
+            shutil.move(stills[name], folder / "images" / stills[name].name)
+
+
+def run_worker(unfinished: Path, out: Path, job: Mapping[str, Any]) -> dict[str, Any]:
+    """Calibrate in a child process, whose output becomes the log.
+
+    Args:
+        unfinished: folder in the making; its ``work/images/`` holds the images, its ``work/sparse/0`` will hold the model.
+        out: what it will be called, for errors; the log of a failure is kept beside it.
+    """
+    work = unfinished / "work"
+    write_json(work / "job.json", job)
+    command = [sys.executable, "-m", WORKER, str(work)]
+    pipe = subprocess.PIPE
+    with (
+        (unfinished / LOG).open("w", encoding="utf-8") as log,
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True, errors="replace") as child,
+    ):
+        try:
+            steps = 2 * sum(map(len, job["groups"]))
+            for _ in track(_steps(child.stdout or (), log, steps), "calibrating", steps):
+                pass
+            child.wait()
+        finally:
+            child.kill()
+    result = work / "result.json"
+    if child.returncode or not result.is_file():
+        kept = keep_log(unfinished, out)
+        reason = f"was ended by signal {-child.returncode}" if child.returncode < 0 else f"said '{_last_line(kept)}'"
+        raise CaptureError(f"{out}: wanted a calibration, but the process of pycolmap {reason}; see its log {kept}")
+    return dict(json.loads(result.read_text(encoding="utf-8")))
+
+
+def keep_log(unfinished: Path, out: Path) -> Path:
+    """Copy the log of a calibration that failed to where it outlives the folder in the making."""
+    kept = out.with_name(f"{out.name}.log")
+    shutil.copyfile(unfinished / LOG, kept)
+    return kept
+
+
+def describe_known(path: Path, known_cameras: Mapping[str, KnownCamera], *, with_poses: bool) -> dict[str, dict[str, Any]]:
+    """Known cameras as the worker reads them, by name."""
+    described = {}
+    for name, camera in known_cameras.items():
+        try:
+            model, params = colmap_camera(camera.lens)
+        except CameraError as error:
+            raise CaptureError(f"{path}: {name}: {error}") from error
+        pose = camera.world_to_camera[:3].tolist() if with_poses and camera.world_to_camera is not None else None
+        size = {"width": camera.lens.width, "height": camera.lens.height}
+        described[name] = size | {"model": model, "params": params, "world_to_camera": pose}
+    return described
+
+
+def _steps(output: "IO[str] | tuple[str, ...]", log: IO[str], most: int) -> Iterator[None]:
+    """Copy the child's output into the log; yields, at most so many times, as it goes on."""
+    count = 0
+    for line in output:
+        log.write(line)
+        if PROGRESS.search(line) and count < most:
+            count += 1
+            yield
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(encoding="utf-8").split("\n")
+    return next((line.strip()[-200:] for line in reversed(lines) if line.strip()), "nothing")

@@ -1,26 +1,159 @@
-"""Raw videos of known lenses, written as pinhole videos or frames."""
+"""Raw videos of known lenses, written as pinhole videos or frames.
 
-from collections.abc import Callable, Iterator
+Lenses come from the files that multi-camera data sets distribute with them.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-from ggvs_eval.arrays import Image8
+import numpy as np
+
+from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.capture import FrameSource
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.assemble import common_count, common_rate
+from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
+from ggvs_eval.datasets.easymocap import PIXEL_CENTRE
+from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml
+from ggvs_eval.datasets.frames import has_shape
 from ggvs_eval.datasets.undistort import UndistortedFrames
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.files.images import write_image
+from ggvs_eval.files.unpickler import unpickle_plain
 from ggvs_eval.files.video import write_video
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.lens import Lens
-from ggvs_eval.pipelines.offline.calibration.known_cameras import INTRINSICS, write_intrinsics
-from ggvs_eval.pipelines.offline.calibration.lens_files import LensAndTarget, read_lenses
+from ggvs_eval.pipelines.offline.calibration.known_cameras import INTRINSICS, fit_known, read_known, write_intrinsics
 from ggvs_eval.progress import track
+
+KINDS = "intri.yml (EasyMocap), calib_*.pkl (D3DMV), .qca.txt (Qualisys), OpenCV's YAML or a .toml file with cameras"
+LARGEST_PICKLE_BYTES = 1 << 20
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class LensAndTarget:
+    """A lens and the pinhole image it is undistorted to.
+
+    Attributes:
+        lens: at the size of the frames.
+        K: intrinsics of the pinhole image, at the same size.
+    """
+
+    lens: Lens
+    K: Array
+
+
+def read_lenses(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarget]:
+    """The lens of each camera, by name.
+
+    Args:
+        path: ``intri.yml``, ``calib_*.pkl``, or another file that `read_known` reads.
+        sizes: (width, height) of each camera's frames, in the order of names.
+
+    Raises:
+        CaptureError: another kind of file, a damaged one, or one that does not fit the cameras.
+
+    Reading:
+        EasyMocap: the pinhole image keeps the lens's K, as ENeRF undistorts. D3DMV: 90 degrees wide (f = W / 2) with the
+        principal point in the middle of the image, as its authors undistort; the list follows the order of names. Others: the
+        lens's K, zoomed just so far that no pixel is blank. OpenCV's principal points are moved by half a pixel to our centres.
+    """
+    is_known = bool(find_calibration_files(path))
+    if path.suffix.lower() in (".yml", ".yaml") and not is_known:
+        return _from_easymocap(path, sizes)
+    if path.suffix.lower() in (".pkl", ".pickle"):
+        return _from_d3dmv(path, sizes)
+    if path.suffix.lower() != ".toml" and not is_known:
+        raise CaptureError(f"{path}: wanted {KINDS}, got a file called {path.name}; rename it if it is one of these")
+    lenses = {name: camera.lens for name, camera in fit_known(path, read_known(path, sizes), sizes).items()}
+    try:
+        return {name: LensAndTarget(lens, lens.undistorted_K()) for name, lens in lenses.items()}
+    except CameraError as error:
+        raise CaptureError(f"{path}: {error}") from error
+
+
+def _from_easymocap(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarget]:
+    file = FileStorageYaml(path)
+    missing = [name for name in sizes if not file.has(f"K_{name}")]
+    if missing:
+        content = f"it has {', '.join(file.texts('names')) or 'no names'}"
+        raise CaptureError(f"{path}: wanted lenses of {', '.join(missing)}, {content}; call the cameras alike in both places")
+    found_lenses = {}
+    for name, size in sizes.items():
+        K = file.matrix(f"K_{name}", (3, 3))
+        K[:2, 2] += PIXEL_CENTRE
+        key = next((key for key in (f"dist_{name}", f"D_{name}") if file.has(key)), None)
+        coefficients = tuple(map(float, file.matrix(key, None).ravel())) if key else (0.0,) * 5
+        width, height = (round(file.number(f"{letter}_{name}") or side) for letter, side in zip("WH", size, strict=True))
+        found_lenses[name] = _at_size(path, name, _lens(path, name, K, "opencv", coefficients, (width, height)), size)
+    return found_lenses
+
+
+def _from_d3dmv(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarget]:
+    entries = read_pickle(path)
+    if not isinstance(entries, list) or len(entries) != len(sizes):
+        content = f"{len(entries)} entries" if isinstance(entries, list) else "no list"
+        raise CaptureError(f"{path}: wanted one entry for each of the {len(sizes)} cameras, got {content}; restore all videos")
+    found_lenses = {}
+    for entry, (name, (width, height)) in zip(entries, sizes.items(), strict=True):
+        K, coefficients = _numbers(path, name, entry, "K", 9).reshape(3, 3), _numbers(path, name, entry, "D", 4)
+        K[:2, 2] += PIXEL_CENTRE
+        lens = _lens(path, name, K, "fisheye", tuple(map(float, coefficients)), (width, height))
+        target = np.array([[width / 2, 0.0, width / 2], [0.0, width / 2, height / 2], [0.0, 0.0, 1.0]])
+        found_lenses[name] = LensAndTarget(lens, target)
+    return found_lenses
+
+
+def read_pickle(path: Path) -> Any:
+    """Read a ``calib_*.pkl``; nothing in it is run."""
+    size = path.stat().st_size if path.is_file() else -1
+    if not 0 < size <= LARGEST_PICKLE_BYTES:
+        content = "no such file" if size < 0 else f"{size} bytes"
+        raise CaptureError(
+            f"{path}: wanted a pickled calibration below {LARGEST_PICKLE_BYTES >> 20} MiB, got {content}; restore it"
+        )
+    try:
+        return unpickle_plain(path.read_bytes())
+    except ValueError as error:
+        raise CaptureError(f"{path}: wanted a pickle of plain numbers and arrays, got: {error}; nothing was run") from error
+
+
+def _numbers(path: Path, name: str, entry: Any, key: str, count: int) -> Array:
+    values = entry.get(key) if isinstance(entry, dict) else None
+    if not isinstance(values, np.ndarray) or values.size != count or not np.isfinite(values).all():
+        content = f"shape {values.shape}" if isinstance(values, np.ndarray) else "none"
+        raise CaptureError(f"{path}: {name}: wanted {count} finite numbers {key}, got {content}; restore the file")
+    return values.astype(np.float64).ravel()
+
+
+def _lens(path: Path, name: str, K: Array, model: Any, coefficients: tuple[float, ...], size: Size) -> Lens:
+    """The lens, if its K can be that of frames of this size."""
+    width, height = size
+    is_central = 0.3 < K[0, 2] / width < 0.7 and 0.3 < K[1, 2] / height < 0.7
+    if not is_central or K[0, 0] <= 0 or K[1, 1] <= 0:
+        content = f"f {K[0, 0]:.0f}, centre ({K[0, 2]:.0f}, {K[1, 2]:.0f})"
+        raise CaptureError(
+            f"{path}: {name}: wanted the lens of {width} x {height} frames, got {content}; give the file of this size"
+        )
+    try:
+        return Lens(K, model, coefficients, width, height)
+    except CameraError as error:
+        raise CaptureError(f"{path}: {name}: {error}") from error
+
+
+def _at_size(path: Path, name: str, lens: Lens, size: Size) -> LensAndTarget:
+    if not has_shape(size, (lens.width, lens.height)):
+        content = f"frames of {size[0]} x {size[1]}"
+        raise CaptureError(f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {content}; give uncropped frames")
+    resized = lens.resized(*size)
+    return LensAndTarget(resized, resized.K)
 
 
 @dataclass(frozen=True)

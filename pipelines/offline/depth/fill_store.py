@@ -13,8 +13,7 @@ from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, describe_depth
 from ggvs_eval.errors import CameraError, DepthError
 from ggvs_eval.geometry.source_views import ChosenSource, SourceChoice, choose_sources
-from ggvs_eval.jobs.engine import Workers, as_engine
-from ggvs_eval.jobs.run_all import run_all
+from ggvs_eval.jobs.engine import Workers, as_engine, run_all
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, check_depth, check_measured_depth, finish
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.sensor.registered_capture import registered

@@ -24,14 +24,12 @@ from ggvs_eval.pipelines.methods import ours
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online import network_blender
-from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blending import push_pull
-from ggvs_eval.pipelines.online.depth_filter import filter_depth
-from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation
+from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation, fallen_off, squared_tangents
 from ggvs_eval.pipelines.online.geometry_guided import SAME_SURFACE_TAU, GeometryGuided, OnlineOptions
-from ggvs_eval.pipelines.online.lens_falloff import fallen_off, squared_tangents
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender
-from ggvs_eval.pipelines.online.network_inputs import input_channels
+from ggvs_eval.pipelines.online.network_inputs import BlendMaps, input_channels
+from ggvs_eval.pipelines.online.temporal_filters import filter_depth
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from helpers.device_scenes import room_instants
 from helpers.geometry_scenes import TAU, random_camera, random_depth, view_of

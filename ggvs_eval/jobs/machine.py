@@ -1,14 +1,21 @@
-"""Memory that this machine, or the container we are in, still has for another process."""
+"""This machine: memory that it, or the container we are in, still has for another process, and how long known work takes here."""
 
 import threading
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
+from time import perf_counter
+
+import cv2
+import numpy as np
 
 CGROUP = Path("/sys/fs/cgroup")
 MEMINFO = Path("/proc/meminfo")
 SELF = Path("/proc/self")
 KIB = 1024
 SAMPLED_EVERY_S = 0.05
+REFERENCE_S = 0.40  # of the probe on the machine for which times are given: two quiet cores of a Xeon with AVX-512
+SIZE, PRODUCTS, MATCHES = 768, 60, 10
 
 
 def available_bytes(meminfo: Path = MEMINFO, cgroup: Path = CGROUP) -> float:
@@ -22,8 +29,8 @@ def available_bytes(meminfo: Path = MEMINFO, cgroup: Path = CGROUP) -> float:
         limit, held = float((cgroup / "memory.max").read_text()), float((cgroup / "memory.current").read_text())
     except (OSError, ValueError):  # no control groups, or a limit of "max"
         return machine
-    cache = _field(cgroup / "memory.stat", "inactive_file", 1)  # files the kernel drops when memory is asked for
-    return min(machine, limit - held + (cache if cache != float("inf") else 0))
+    cached = _field(cgroup / "memory.stat", "inactive_file", 1)  # files the kernel drops when memory is asked for
+    return min(machine, limit - held + (cached if cached != float("inf") else 0))
 
 
 def resident_bytes(pids: Iterable[int]) -> tuple[float, float]:
@@ -93,3 +100,23 @@ def _field(file: Path, name: str, unit_bytes: int) -> float:
     except OSError:  # another system, or a process that is gone
         pass
     return float("inf")
+
+
+@cache
+def pace() -> float:
+    """Seconds that work takes here for each second on the reference machine; cores that are busy now count as slow ones."""
+    return probe_s() / REFERENCE_S
+
+
+def probe_s() -> float:
+    """Seconds of the work that evaluations mostly do: products of matrices, as of convolutions, and semi-global matching."""
+    random = np.random.default_rng(0)
+    matrix = random.random((SIZE, SIZE), np.float32)
+    image = random.integers(0, 256, (360, 480), np.uint8)
+    matcher = cv2.StereoSGBM.create(0, 64, 3)
+    started = perf_counter()
+    for _ in range(PRODUCTS):
+        matrix @ matrix
+    for _ in range(MATCHES):
+        matcher.compute(image, image)
+    return perf_counter() - started

@@ -1,0 +1,285 @@
+"""Metrics of epipolar plane images: structure-tensor coherence, and agreement of their lines with depth.
+
+Scene points draw straight lines as the camera moves; near points must move faster, and by the right amount. The camera path is
+one camera that moves along its own rows in equal steps.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.inputs import Image
+from ggvs_eval.metrics.metric import Value
+from ggvs_eval.metrics.path.epi_lines import Lines, find_lines
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, SlopeOptions, whole_path
+
+MIN_POSES = 5
+STRAIGHT_PX = 0.5
+EVEN_PX = 0.1
+LEAST_TEXTURE_255 = 0.25
+WIDER = 1.25
+COHERENCE_NAMES = ("EPI_coherence", "EPI_line_texture")
+BIN_PX = 1.0 / 1024
+WIDER_PX = 1.0
+SLOPE_NAMES = ("EPI_slope_error", "EPI_slope_agreeing", "EPI_slope_measured")
+NO_SLOPE = "EPI slope: no pixel has texture and a coherent line; no slope to compare with depth's"
+
+
+@dataclass(frozen=True)
+class HorizontalPath:
+    """Slopes of the lines in the epipolar plane images of a path.
+
+    Attributes:
+        slope_of_unit_depth_px: dx/dv of a point at depth 1, px per pose; negative where the camera moves to its right.
+        near: smallest depth seen from the path, world units.
+        far: largest depth seen from the path, world units.
+    """
+
+    slope_of_unit_depth_px: float
+    near: float
+    far: float
+
+    def widened(self, factor: float) -> "HorizontalPath":
+        """The same path with a depth range that begins nearer and ends farther by this factor."""
+        return replace(self, near=self.near / factor, far=self.far * factor)
+
+    def slope_px(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        """dx/dv = -f * step / z in px per pose; 0 where the depth is 0, that is unknown."""
+        has_depth = depth > 0
+        return np.where(has_depth, self.slope_of_unit_depth_px / np.where(has_depth, depth, 1.0), 0.0).astype(np.float32)
+
+    @property
+    def slope_range_px(self) -> tuple[float, float]:
+        """Smallest and largest slope between near and far, px per pose."""
+        ends = self.slope_of_unit_depth_px / self.near, self.slope_of_unit_depth_px / self.far
+        return min(ends), max(ends)
+
+
+def horizontal_path(cameras: Sequence[Camera]) -> HorizontalPath:
+    """Check that image rows are epipolar lines and that the steps are equal, and return the slopes.
+
+    Args:
+        cameras: poses in order, at least 5.
+
+    Raises:
+        MetricError: too few poses, poses that differ in size, intrinsics or orientation, a camera that stands still, or one
+            whose way would bend or speed up by more than the EPI's resolution: 0.5 px off the row and 0.1 px per step, both at
+            the near end of the depth range.
+
+    Reading:
+        The paper's path is "horizontally translating". Along any other path a point leaves its row, and a row over poses is no
+        epipolar plane image; such a path is refused instead of being scored.
+    """
+    if len(cameras) < MIN_POSES:
+        raise MetricError(f"an epipolar plane image wants at least {MIN_POSES} poses, the path has {len(cameras)}; add poses")
+    first = cameras[0]
+    for camera in cameras[1:]:
+        same = camera.size == first.size and np.allclose(camera.K, first.K, atol=1e-3)
+        if not same or not np.allclose(camera.rotation, first.rotation, atol=1e-5):
+            raise MetricError(
+                f"pose {camera.name}: size, intrinsics or orientation differ from {first.name}'s; an epipolar plane image wants "
+                "a camera that only moves sideways"
+            )
+    near, far = min(camera.near for camera in cameras), max(camera.far for camera in cameras)
+    step = _even_step(np.array([first.rotation @ (camera.centre - first.centre) for camera in cameras]), first, near)
+    return HorizontalPath(-float(first.K[0, 0]) * step, near, far)
+
+
+def _even_step(offsets: NDArray[np.float64], camera: Camera, near: float) -> float:
+    """Step in world units along x of centres (V, 3) in the first pose's frame."""
+    step = float(offsets[-1, 0]) / (len(offsets) - 1)
+    if step == 0 or not np.isfinite(step):
+        raise MetricError(f"pose {camera.name}: the camera ends where it began along its rows; an EPI wants a moving camera")
+    down_px, ahead_px = np.abs(offsets[:, 1:]).max(axis=0) * (camera.K[1, 1], max(camera.size) / 2) / near
+    if max(down_px, ahead_px) > STRAIGHT_PX:
+        raise MetricError(
+            f"pose {camera.name}: points leave their row by up to {max(down_px, ahead_px):.2f} px along the path, at most "
+            f"{STRAIGHT_PX:g} px make an epipolar plane image; move the camera along its own rows"
+        )
+    uneven_px = float(np.abs(np.diff(offsets[:, 0]) - step).max() * camera.K[0, 0] / near)
+    if uneven_px > EVEN_PX:
+        raise MetricError(f"pose {camera.name}: steps differ by {uneven_px:.2f} px, at most {EVEN_PX:g} px; use equal steps")
+    return step
+
+
+@dataclass(frozen=True)
+class EpiCoherence:
+    """Straightness of the lines in epipolar plane images.
+
+    Attributes:
+        coherence: 1 for straight lines, 0 where as much changes along the lines as across them, down to -1.
+        line_texture_255: root mean square of the gradient that lies on straight lines, that is of what remains of the energy
+            across the lines after the energy along them is taken off; grey levels of 255 per pixel. Blur removes noise and
+            jitter and so can raise the coherence, but it lowers this number, and so do noise and jitter.
+    """
+
+    coherence: float
+    line_texture_255: float
+
+
+def epi_coherence(epis: Iterable[Image], path: HorizontalPath) -> EpiCoherence:
+    """Coherence of the structure tensor over all pixels of epipolar plane images, weighted by gradient energy.
+
+    Args:
+        epis: one or more rows of the image over the poses, each (V, W, 3), uint8 in 0..255 or float in [0, 1]; consumed as a
+            stream.
+
+    Returns:
+        (across - along) / (across + along), both summed over all pixels: `across` is the gradient energy across the line
+        through a pixel and `along` the energy of the changes along it. The tensor's (l1 - l2) / (l1 + l2), weighted by its
+        trace, where the line is the tensor's own axis.
+
+    Reading:
+        Not in the paper, which shows EPIs and counts nothing. A line's slope must be one that a depth between the path's near
+        and far explains, each taken 1.25 times as wide, since captures state percentiles; so a flash is no line, and a frozen
+        image is none where even the far end moves. Weighting by energy
+        leaves flat regions without a vote; an image without any texture (less than 0.25 grey levels per pixel) has no score
+        instead of a perfect one. Occlusions end lines, so a perfect rendering stays a little below 1.
+    """
+    across = along = 0.0
+    pixels = 0
+    slope_range_px = path.widened(WIDER).slope_range_px
+    for epi in epis:
+        lines = find_lines(epi, slope_range_px)
+        across += float(lines.across.sum(dtype=np.float64))
+        along += float(lines.along.sum(dtype=np.float64))
+        pixels += lines.across.size
+    if not pixels:
+        raise MetricError("EPI coherence: no epipolar plane image to measure; give at least one row")
+    texture_255 = (across / pixels) ** 0.5
+    if texture_255 < LEAST_TEXTURE_255:
+        raise MetricError(
+            f"EPI coherence: {texture_255:.2f} grey levels per pixel of texture, wanted {LEAST_TEXTURE_255:g}; an image "
+            "without texture draws no lines"
+        )
+    return EpiCoherence((across - along) / (across + along), (max(across - along, 0.0) / pixels) ** 0.5)
+
+
+def _measure_coherence(path: RenderedPath) -> list[Value]:
+    measured = epi_coherence(path.epis(), horizontal_path(path.cameras))
+    return whole_path(COHERENCE_NAMES, measured.coherence, measured.line_texture_255)
+
+
+_COHERENCE_SCORER = PathScorer(COHERENCE_NAMES, _measure_coherence)
+EPI_COHERENCE = PathMetric(
+    name="EPI_coherence",
+    function=epi_coherence,
+    higher_is_better=True,
+    describe="how straight the lines of epipolar plane images are",
+    scorer=_COHERENCE_SCORER,
+)
+EPI_LINE_TEXTURE = PathMetric(
+    name="EPI_line_texture",
+    function=epi_coherence,
+    unit="grey levels per px",
+    higher_is_better=True,
+    describe="contrast across these lines; blur lowers it",
+    scorer=_COHERENCE_SCORER,
+)
+
+
+@dataclass(frozen=True)
+class SlopeAgreement:
+    """Agreement between the slopes that the images show and those that depth predicts.
+
+    Attributes:
+        median_error_px: median absolute difference over the measured pixels, px per pose step; None where none was measured.
+        agreeing_share: pixels whose slope could be measured and agrees, of all pixels with a depth. Blur lowers it.
+        measured_share: pixels whose slope could be measured, of all pixels with a depth.
+        predicted_px: mean absolute predicted slope, px per pose step: the error of an image that never moves.
+    """
+
+    median_error_px: float | None
+    agreeing_share: float
+    measured_share: float
+    predicted_px: float
+
+
+def slope_agreement(
+    epis: Iterable[tuple[Image, NDArray[np.float32]]], path: HorizontalPath, options: SlopeOptions | None = None
+) -> SlopeAgreement:
+    """Compare the slope of the lines in epipolar plane images with the slope that depth predicts, -f * step / z.
+
+    Args:
+        epis: pairs of an EPI, (V, W, 3), uint8 in 0..255 or float in [0, 1], and the same rows of the poses' depth, (V, W)
+            float32, world units, 0 = unknown; consumed as a stream.
+        options: thresholds; the defaults where None.
+
+    Returns:
+        The agreement over all pixels; the median is exact to 0.001 px.
+
+    Reading:
+        Not in the paper. Slopes are searched 1 px beyond those of near and far, and from there to 0, so that an image that
+        stands still shows it. The first and last two poses and a margin of columns have no whole window and no vote.
+    """
+    options = options or SlopeOptions()
+    low, high = path.slope_range_px
+    slope_range_px = min(low, 0.0) - WIDER_PX, max(high, 0.0) + WIDER_PX
+    bins = np.zeros(int((slope_range_px[1] - slope_range_px[0]) / BIN_PX) + 2, np.int64)
+    n_with_depth = agreeing = 0
+    predicted_sum = 0.0
+    for epi, depth in epis:
+        if depth.shape != epi.shape[:2]:
+            raise MetricError(f"EPI slope: the EPI is {epi.shape}, its depth {depth.shape}; wanted one depth per pixel")
+        lines = find_lines(epi, slope_range_px)
+        predicted = path.slope_px(_inner(depth, lines))
+        has_depth = predicted != 0
+        error = np.abs(lines.slope_px - predicted)[has_depth & _is_measured(lines, options)]
+        bins += np.bincount(np.minimum(error / BIN_PX, len(bins) - 1).astype(np.int64), minlength=len(bins))
+        n_with_depth += int(np.count_nonzero(has_depth))
+        agreeing += int(np.count_nonzero(error <= options.tolerance_px))
+        predicted_sum += float(np.abs(predicted).sum(dtype=np.float64))
+    if not n_with_depth:
+        raise MetricError("EPI slope: no depth along the path; give depth maps of the poses to compare slopes with")
+    return SlopeAgreement(_median(bins), agreeing / n_with_depth, int(bins.sum()) / n_with_depth, predicted_sum / n_with_depth)
+
+
+def _median(bins: NDArray[np.int64]) -> float | None:
+    """Middle of the bin that holds the (lower) median, px."""
+    count = int(bins.sum())
+    return (int(np.searchsorted(np.cumsum(bins), (count + 1) // 2)) + 0.5) * BIN_PX if count else None
+
+
+def _inner(depth: NDArray[np.float32], lines: Lines) -> NDArray[np.float32]:
+    """The part of an EPI's depth where lines were measured."""
+    return depth[2:-2, lines.first_column : depth.shape[1] - lines.first_column]
+
+
+def _is_measured(lines: Lines, options: SlopeOptions) -> NDArray[np.bool_]:
+    """Tell where texture and coherence suffice to trust a slope."""
+    coherent = lines.across - lines.along >= options.least_coherence * (lines.across + lines.along)
+    return coherent & (lines.across >= options.least_texture_255**2)
+
+
+def _measure_slopes(path: RenderedPath) -> list[Value]:
+    depths = [depth for depth in path.depths if depth is not None]
+    if len(depths) < len(path.cameras):
+        raise MetricError(f"EPI slope: {len(depths)} of {len(path.cameras)} poses have a depth; give all of them one")
+    pairs = ((epi, np.stack([depth[row] for depth in depths])) for row, epi in enumerate(path.epis()))
+    measured = slope_agreement(pairs, horizontal_path(path.cameras), path.options.slope)
+    shares = whole_path(SLOPE_NAMES[1:], measured.agreeing_share, measured.measured_share)
+    if measured.median_error_px is None:
+        return shares
+    return [*whole_path(SLOPE_NAMES[:1], measured.median_error_px), *shares]
+
+
+_SLOPE_SCORER = PathScorer(SLOPE_NAMES, _measure_slopes, NO_SLOPE)
+EPI_SLOPE_ERROR = PathMetric(
+    name="EPI_slope_error",
+    function=slope_agreement,
+    unit="px per pose",
+    higher_is_better=False,
+    describe="their slope against that of the fused depth",
+    scorer=_SLOPE_SCORER,
+)
+EPI_SLOPE_AGREEING = PathMetric(
+    name="EPI_slope_agreeing",
+    function=slope_agreement,
+    higher_is_better=True,
+    describe="share of pixels whose slope agrees with the fused depth",
+    scorer=_SLOPE_SCORER,
+)
