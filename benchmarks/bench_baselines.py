@@ -12,8 +12,7 @@ import numpy as np
 import torch
 
 from ggvs_eval.baselines.ibrnet.network import load_ibrnet
-from ggvs_eval.baselines.ibrnet.rendering import depth_range, render_rays
-from ggvs_eval.baselines.ibrnet.views import see
+from ggvs_eval.baselines.ibrnet.rendering import depth_range, render_rays, see
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.method import Instant, SourceView

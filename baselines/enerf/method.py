@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.baselines.enerf.network import load_enerf
-from ggvs_eval.baselines.enerf.rendering import PIXELS_AT_ONCE, render_surface
+from ggvs_eval.baselines.enerf.rendering import PIXELS_AT_ONCE, find_surface, render_surface, target_grid
 from ggvs_eval.baselines.enerf.views import TRAINED_NEAR, see
-from ggvs_eval.baselines.enerf.volumes import find_surface, target_grid
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Instant, Rendering

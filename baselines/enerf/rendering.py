@@ -1,21 +1,181 @@
-"""Few samples around the surface of each pixel, and what they add up to; coarsely, too, which teaches the coarse volume."""
+"""Few samples around the surface of each pixel, and what they add up to; coarsely, too, which teaches the coarse volume.
+
+The surface is found in two cost volumes before the target: a coarse one over the whole range of depth, a fine one around that.
+"""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ggvs_eval.baselines.enerf.network import Networks
-from ggvs_eval.baselines.enerf.views import SeenView
-from ggvs_eval.baselines.enerf.volumes import CoarseSurface, Surface
+from ggvs_eval.baselines.enerf.network import CostNetwork, Networks
+from ggvs_eval.baselines.enerf.views import Matrix, SeenView, extrinsics, image_places, intrinsics, padded, projection, sample
 from ggvs_eval.camera import Camera
 
+COARSE_SCALE, FINE_SCALE = 1 / 8, 1 / 2  # of the volumes' planes
+FEATURE_SCALES = 1 / 4, 1 / 2  # of the features that they are made of
+FINE_PLANES = 8
+SMALLEST_VARIANCE = 1e-10  # of an expected depth
 SAMPLES = 2  # per pixel
 PIXELS_AT_ONCE = 2**14  # on a CPU
 COARSE_SAMPLES = 8  # per pixel of the coarse picture, ...
 COARSE_FACTOR = 4  # ... whose pixels are so many times as large as the target's
+
+
+@dataclass(frozen=True)
+class TargetGrid:
+    """The target's pixels, padded to a multiple of 32.
+
+    Attributes:
+        K: intrinsics, pixel centres at whole numbers, (3, 3).
+        world_to_camera: (4, 4).
+        width: padded, pixels.
+        height: padded, pixels.
+    """
+
+    K: Matrix
+    world_to_camera: Matrix
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Surface estimate of both cost volumes.
+
+    Attributes:
+        features: of the fine volume's cells, (8, D, H / 2, W / 2).
+        first: depth of its first plane at each pixel, (H, W).
+        last: depth of its last plane, (H, W).
+        near: depth at which a pixel's samples begin, (H, W).
+        far: depth at which they end, (H, W).
+    """
+
+    features: Tensor
+    first: Tensor
+    last: Tensor
+    near: Tensor
+    far: Tensor
+
+
+@dataclass(frozen=True)
+class CoarseSurface:
+    """Surface estimate of the coarse cost volume.
+
+    Attributes:
+        features: of its cells, (8, D, H / 8, W / 8).
+        mean: expected inverse depth, (H / 8, W / 8).
+        deviation: its standard deviation, (H / 8, W / 8).
+        near: depth of the first plane.
+        far: depth of the last plane.
+    """
+
+    features: Tensor
+    mean: Tensor
+    deviation: Tensor
+    near: float
+    far: float
+
+    def range_at(self, factor: int) -> tuple[Tensor, Tensor]:
+        """Depths between which the surface is thought to lie, on so many times as many pixels, (H', W') twice."""
+        mean, deviation = _enlarge(self.mean, factor), _enlarge(self.deviation, factor)
+        return 1 / (mean + deviation).clamp(max=1 / self.near), 1 / (mean - deviation).clamp(min=1 / self.far)
+
+
+def find_surface(
+    networks: Networks, views: Sequence[SeenView], target: TargetGrid, near: float, far: float, planes: int
+) -> Surface:
+    """Search depth between near and far, coarsely and then around the expectation.
+
+    Args:
+        views: at least two.
+        near: depth of the first coarse plane, in the network's units of length.
+        planes: number of coarse planes, a multiple of 4.
+    """
+    return refine_surface(networks, views, target, search_coarsely(networks, views, target, near, far, planes))
+
+
+def search_coarsely(
+    networks: Networks, views: Sequence[SeenView], target: TargetGrid, near: float, far: float, planes: int
+) -> CoarseSurface:
+    """The first search; arguments as of `find_surface`."""
+    inverse = torch.linspace(1 / near, 1 / far, planes)[:, None, None]
+    cells = int(target.height * COARSE_SCALE), int(target.width * COARSE_SCALE)
+    features, scores = _regularised(networks.cost_reg_0, views, target, 0, (1 / inverse).expand(-1, *cells))
+    return CoarseSurface(features, *expectation(scores, inverse), near, far)
+
+
+def refine_surface(networks: Networks, views: Sequence[SeenView], target: TargetGrid, coarse: CoarseSurface) -> Surface:
+    """The second search, around what the first one found."""
+    first, last = coarse.range_at(4)
+    depths = first + (last - first) * torch.linspace(0, 1, FINE_PLANES)[:, None, None]
+    features, scores = _regularised(networks.cost_reg_1, views, target, 1, depths)
+    mean, deviation = expectation(scores, depths)
+    first, last = _enlarge(first, 2), _enlarge(last, 2)
+    begin, end = _enlarge(mean - deviation, 2), _enlarge(mean + deviation, 2)
+    return Surface(features, first, last, torch.maximum(begin, first), torch.minimum(end, last))
+
+
+def disagreement(views: Sequence[SeenView], target: TargetGrid, level: int, depths: Tensor) -> Tensor:
+    """Variance of the views' features over planes before the target.
+
+    Args:
+        views: at least two.
+        level: 0 the coarse, 1 the fine volume.
+        depths: of the planes' cells, (D, h, w).
+
+    Returns:
+        (C, D, h, w). A view contributes zeros where it does not see a cell, as in the authors' volume.
+    """
+    image_to_world = np.linalg.inv(projection(target.K, target.world_to_camera, (COARSE_SCALE, FINE_SCALE)[level]))
+    warps = [torch.as_tensor(view.projection(FEATURE_SCALES[level]) @ image_to_world).float() for view in views]
+    rows, columns = torch.meshgrid(*(torch.arange(side, dtype=torch.float32) for side in depths.shape[1:]), indexing="ij")
+    pixels = torch.stack([columns, rows, torch.ones_like(rows)], dim=-1)  # (h, w, 3)
+    volume = []
+    for depth in depths:  # one plane at a time: the warped features of all would not fit for large images
+        warped = []
+        for view, warp in zip(views, warps, strict=True):
+            projected = (pixels @ warp[:3, :3].T) * depth[..., None] + warp[:3, 3]
+            warped.append(sample(view.levels[level], image_places(projected, view.levels[level]), "zeros"))
+        volume.append(torch.stack(warped).var(dim=0, correction=0))
+    return torch.stack(volume, dim=1)
+
+
+def _regularised(
+    network: CostNetwork, views: Sequence[SeenView], target: TargetGrid, level: int, depths: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Features (8, D, h, w) and scores (D, h, w)."""
+    features, scores = network(disagreement(views, target, level, depths)[None])
+    return features[0].float(), scores[0].float()
+
+
+def _enlarge(values: Tensor, factor: int) -> Tensor:
+    """(h, w) to (factor h, factor w); the outermost pixels stay where they are."""
+    return functional.interpolate(values[None, None], scale_factor=factor, mode="bilinear", align_corners=True)[0, 0]
+
+
+def expectation(scores: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and standard deviation of values under the softmax of their scores.
+
+    Args:
+        scores: (D, H, W).
+        values: broadcastable to it.
+
+    Returns:
+        (H, W) twice; the deviation is at least 1e-5.
+    """
+    shares = torch.softmax(scores, dim=0)
+    mean = (shares * values).sum(dim=0)
+    variance = (shares * (values - mean) ** 2).sum(dim=0)
+    return mean, variance.clamp(min=SMALLEST_VARIANCE).sqrt()
+
+
+def target_grid(target: Camera, unit: float = 1.0) -> TargetGrid:
+    """The target's padded pixels; `unit` is the network's units of length per world unit."""
+    return TargetGrid(intrinsics(target), extrinsics(target, unit), padded(target.width), padded(target.height))
 
 
 def render_pixels(

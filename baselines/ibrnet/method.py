@@ -8,8 +8,7 @@ from torch import Tensor
 
 from ggvs_eval import kernels
 from ggvs_eval.baselines.ibrnet.network import SMALLEST_SIDE_PX, load_ibrnet
-from ggvs_eval.baselines.ibrnet.rendering import depth_range, rays_at_once, render_rays
-from ggvs_eval.baselines.ibrnet.views import SeenView, see
+from ggvs_eval.baselines.ibrnet.rendering import SeenView, depth_range, rays_at_once, render_rays, see
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Instant, Rendering

@@ -26,9 +26,9 @@ from typing import NamedTuple
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.listing import list_files_below, list_images
 from ggvs_eval.renders.numbering import frame_numbers, places_of
-from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
+from ggvs_eval.renders.request import FrameRequest, PictureView, RenderedView, RenderSet
 from ggvs_eval.renders.truth_match import check_truth, find_order
-from ggvs_eval.renders.view_folders import PictureView, picture_set, placed_pictures
+from ggvs_eval.renders.view_folders import picture_set, placed_pictures
 
 EASYVOLCAP_NAME = re.compile(r"frame(\d+)_camera(\d+)(_gt|_error)?")
 EASYVOLCAP_FOLDER = "RENDER"

@@ -22,8 +22,8 @@ from ggvs_eval.files.plain import check_plain
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.progress import counted
 from ggvs_eval.renders.numbering import number_streams
-from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
-from ggvs_eval.renders.view_folders import PixelRemarks, instead_of, respelled, size_fault
+from ggvs_eval.renders.request import FrameRequest, PixelRemarks, RenderedView, RenderSet, size_fault
+from ggvs_eval.renders.view_folders import instead_of, respelled
 from ggvs_eval.run_folder import as_ranges, frame_path
 
 # Renderers overshoot a little; what lies farther out was never meant to be [0, 1].

@@ -13,9 +13,8 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER
-from ggvs_eval.pipelines.play.plausibility import LEAST_SEEN, SEEN_FROM_DEG, seen_share
 from ggvs_eval.pipelines.play.playback import Playback
-from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
+from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, LEAST_SEEN, SEEN_FROM_DEG, OnlineSynthesizer, seen_share
 from ggvs_eval.progress import track
 
 FPS_OF_STILLS = 30.0

@@ -5,7 +5,7 @@ from pathlib import Path
 from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.export.dense_workspace import WorkspaceOptions, write_dense_workspace
-from ggvs_eval.pipelines.offline.export.fuse import FusedFiles, FuseOptions, fuse_instant
+from ggvs_eval.pipelines.offline.export.surfaces import FusedFiles, FuseOptions, fuse_instant
 from ggvs_eval.pipelines.offline.sensor.registration import Registration
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.reports.depth_page.page import write_depth_page

@@ -21,9 +21,8 @@ from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.method import Rendering
 from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER
 from ggvs_eval.pipelines.offline.depth.rig_depth import DeviceDepth, RigDepth
-from ggvs_eval.pipelines.play.plausibility import LEAST_SEEN, seen_share
 from ggvs_eval.pipelines.play.playback import Playback
-from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
+from ggvs_eval.pipelines.play.synthesizer import LEAST_SEEN, OnlineSynthesizer, seen_share
 from ggvs_eval.pipelines.run.render import diagnostics_picture
 
 MEMORY_BYTES = 1 << 30

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import GgvsError
-from ggvs_eval.pipelines.play.plausibility import SEEN_FROM_DEG
 from ggvs_eval.pipelines.play.playback import Playback
+from ggvs_eval.pipelines.play.synthesizer import SEEN_FROM_DEG
 from ggvs_eval.pipelines.view.live_view import LAYERS, FrameStock, LiveView, Picture, ViewRequest
 from ggvs_eval.pipelines.view.scene import Frusta, add_cloud, camera_orientation, middle_camera
 from ggvs_eval.protocol import Protocol

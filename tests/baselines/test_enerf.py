@@ -9,9 +9,8 @@ import torch
 
 from ggvs_eval.baselines.enerf.method import ENeRF
 from ggvs_eval.baselines.enerf.network import Networks, load_enerf
-from ggvs_eval.baselines.enerf.rendering import composite, render_pixels
+from ggvs_eval.baselines.enerf.rendering import composite, disagreement, expectation, find_surface, render_pixels, target_grid
 from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, intrinsics, see
-from ggvs_eval.baselines.enerf.volumes import disagreement, expectation, find_surface, target_grid
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
 from helpers.hostile import Hostile

@@ -9,10 +9,18 @@ from safetensors.torch import save_file
 from scipy.spatial.transform import Rotation
 from torch.nn import functional
 
-from ggvs_eval.baselines.fwd.layers import HEADS, KEY_WIDTH, VALUE_WIDTH, DepthCompletion, ResidualBlock, ViewFusion
-from ggvs_eval.baselines.fwd.method import Fwd
-from ggvs_eval.baselines.fwd.network import FwdNetwork, direction_change, load_network
-from ggvs_eval.baselines.fwd.rendering import halve, halved_camera, splat_points, warp_view
+from ggvs_eval.baselines.fwd.method import Fwd, halve, halved_camera, splat_points, warp_view
+from ggvs_eval.baselines.fwd.network import (
+    HEADS,
+    KEY_WIDTH,
+    VALUE_WIDTH,
+    DepthCompletion,
+    FwdNetwork,
+    ResidualBlock,
+    ViewFusion,
+    direction_change,
+    load_network,
+)
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.method import SourceView
 from helpers.geometry_scenes import random_camera

@@ -10,12 +10,9 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch.optim.lr_scheduler import OneCycleLR
 
-from ggvs_eval.baselines.gps_gaussian.gaussians import Gaussians, rotation_matrices
-from ggvs_eval.baselines.gps_gaussian.method import GpsGaussian
-from ggvs_eval.baselines.gps_gaussian.network import GpsGaussianNetwork, load_network
-from ggvs_eval.baselines.gps_gaussian.rectification import MOST_PIXELS, choose_pairs, rectify
-from ggvs_eval.baselines.gps_gaussian.rendering import blend_gaussians, render_gaussians
-from ggvs_eval.baselines.gps_gaussian.unet import MAX_SCALE_M
+from ggvs_eval.baselines.gps_gaussian.method import MOST_PIXELS, GpsGaussian, choose_pairs, rectify
+from ggvs_eval.baselines.gps_gaussian.network import MAX_SCALE_M, GpsGaussianNetwork, load_network
+from ggvs_eval.baselines.gps_gaussian.rendering import Gaussians, blend_gaussians, render_gaussians, rotation_matrices
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.files.images import quantise

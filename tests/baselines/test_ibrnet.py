@@ -12,16 +12,17 @@ from ggvs_eval import kernels
 from ggvs_eval.baselines.ibrnet.method import IBRNet
 from ggvs_eval.baselines.ibrnet.network import PARTS, Networks, load_ibrnet
 from ggvs_eval.baselines.ibrnet.rendering import (
+    SeenView,
     _shade,
     coarse_depths,
     depth_range,
     finer_depths,
     opacity_shares,
     packed_layers,
+    projection_of,
     quantiles,
     render_rays,
 )
-from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.kernels import _core

@@ -10,8 +10,15 @@ import pytest
 import torch
 
 import ggvs_eval.compute_device
-from ggvs_eval.baselines.gps_gaussian.gaussians import Gaussians, footprints, rotation_matrices
-from ggvs_eval.baselines.gps_gaussian.rendering import TILE, _tiles, blend_batches, blend_gaussians
+from ggvs_eval.baselines.gps_gaussian.rendering import (
+    TILE,
+    Gaussians,
+    _tiles,
+    blend_batches,
+    blend_gaussians,
+    footprints,
+    rotation_matrices,
+)
 from ggvs_eval.compute_device import clock_s, compute_device, computing_on, describe_device, rendering_on
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.merged_results import merge_results

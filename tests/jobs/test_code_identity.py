@@ -35,7 +35,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 checkout = pytest.mark.skipif(not (ROOT / "setup.py").exists(), reason="the kernels' sources are in the checkout alone")
 
-IBRNET = ("method", "network", "ray_network", "rendering", "views")
+IBRNET = ("method", "network", "rendering")
 LEARNED = {"naive", "ours", "ours+no-tsdf", "ours+no-temporal"}
 OURS = LEARNED | {label for label in METHODS if label.startswith("ours-geometric")}
 GPS_GAUSSIAN = {"gps-gaussian", "gps-gaussian+given-depth"}
@@ -91,9 +91,9 @@ STALE: dict[str, set[str]] = {
     "kernels/_iv_psnr": with_parts("IV_PSNR", "PSNR_YCbCr"),
     "kernels/_stereo": STEREO,
     **{f"baselines/ibrnet/{name}.py": {"ibrnet"} for name in IBRNET},
-    "baselines/enerf/volumes.py": {"enerf"},
+    "baselines/enerf/rendering.py": {"enerf"},
     "baselines/fixed_blending.py": {"no-blending", "distance-based"},
-    "baselines/gps_gaussian/stereo.py": GPS_GAUSSIAN,
+    "baselines/gps_gaussian/network.py": GPS_GAUSSIAN,
     "contrib/more_baselines/mvsplat/depth.py": {"mvsplat"},
     "contrib/more_baselines/mvsnerf/volume.py": {"mvsnerf"},
     "baselines/view_interpolation.py": {"interpolation"},

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline.export.fuse import FuseOptions, fuse_instant
-from ggvs_eval.pipelines.offline.export.surfaces import surface_normals
+from ggvs_eval.pipelines.offline.export.surfaces import FuseOptions, fuse_instant, surface_normals
 from helpers.refusals import refused
 from helpers.stereo_scenes import look_from
 
@@ -186,7 +185,7 @@ import sys
 from pathlib import Path
 sys.path[:0] = sys.argv[2:]
 from test_fuse import cameras, confident, see
-from ggvs_eval.pipelines.offline.export.fuse import fuse_instant
+from ggvs_eval.pipelines.offline.export.surfaces import fuse_instant
 rig = cameras()
 seen = [see(camera) for camera in rig]
 fuse_instant(rig, [image for image, _ in seen], [confident(depth) for _, depth in seen], Path(sys.argv[1]))

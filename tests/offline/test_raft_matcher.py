@@ -14,8 +14,14 @@ from ggvs_eval.contrib.training.stereo.stereo_task import VALIDATION_SEED
 from ggvs_eval.files.images import quantise
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, find_matcher
-from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, shipped_weights, weights_digest
-from ggvs_eval.pipelines.offline.stereo.raft_start import fill_from_background, start_from_disparity, start_from_matching
+from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
+    RaftMatcher,
+    fill_from_background,
+    shipped_weights,
+    start_from_disparity,
+    start_from_matching,
+    weights_digest,
+)
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.raft_config import COMPACT
 from helpers.seeded_networks import seeded_state

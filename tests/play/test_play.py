@@ -11,10 +11,9 @@ from ggvs_eval.errors import CameraError, GgvsError, RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.play.plausibility import seen_share
 from ggvs_eval.pipelines.play.play import Timing, record
 from ggvs_eval.pipelines.play.playback import PlayOptions, blocks_of, camera_loop, playback_of_capture, playback_of_run
-from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
+from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer, seen_share
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from helpers.command_line import refusal

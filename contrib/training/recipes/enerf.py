@@ -8,9 +8,17 @@ from torch import Tensor
 from torch.nn import functional
 
 from ggvs_eval.baselines.enerf.network import Networks
-from ggvs_eval.baselines.enerf.rendering import COARSE_FACTOR, coarse_views, render_coarsely, render_surface
+from ggvs_eval.baselines.enerf.rendering import (
+    COARSE_FACTOR,
+    coarse_views,
+    find_surface,
+    refine_surface,
+    render_coarsely,
+    render_surface,
+    search_coarsely,
+    target_grid,
+)
 from ggvs_eval.baselines.enerf.views import TRAINED_NEAR, see, see_together
-from ggvs_eval.baselines.enerf.volumes import find_surface, refine_surface, search_coarsely, target_grid
 from ggvs_eval.baselines.fitted.optimiser import structural_loss
 from ggvs_eval.contrib.training.instant_samples import InstantSample
 from ggvs_eval.contrib.training.recipes.recipe import TrainingRecipe

@@ -6,8 +6,8 @@ from typing import ClassVar
 from torch import Tensor
 
 from ggvs_eval.baselines.fitted.optimiser import structural_loss
+from ggvs_eval.baselines.fwd.method import decode_views, warp_views
 from ggvs_eval.baselines.fwd.network import FwdNetwork
-from ggvs_eval.baselines.fwd.rendering import decode_views, warp_views
 from ggvs_eval.contrib.training.instant_samples import InstantSample
 from ggvs_eval.contrib.training.recipes.recipe import TrainingRecipe
 from ggvs_eval.method import Instant

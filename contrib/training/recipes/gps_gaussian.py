@@ -7,9 +7,8 @@ import torch
 from torch import Tensor
 
 from ggvs_eval.baselines.fitted.optimiser import structural_loss
-from ggvs_eval.baselines.gps_gaussian.method import instant_gaussians
+from ggvs_eval.baselines.gps_gaussian.method import choose_pairs, instant_gaussians
 from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussianNetwork
-from ggvs_eval.baselines.gps_gaussian.rectification import choose_pairs
 from ggvs_eval.baselines.gps_gaussian.rendering import blend_gaussians
 from ggvs_eval.contrib.training.instant_samples import InstantSample
 from ggvs_eval.contrib.training.recipes.recipe import TrainingRecipe

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from ggvs_eval.baselines.ibrnet.network import Networks
-from ggvs_eval.baselines.ibrnet.rendering import depth_range, rays_at_once, render_passes, render_rays
-from ggvs_eval.baselines.ibrnet.views import see
+from ggvs_eval.baselines.ibrnet.rendering import depth_range, rays_at_once, render_passes, render_rays, see
 from ggvs_eval.contrib.training.instant_samples import InstantSample
 from ggvs_eval.contrib.training.recipes.recipe import TrainingRecipe
 from ggvs_eval.method import Instant

@@ -13,7 +13,7 @@ from ggvs_eval.arrays import Map
 from ggvs_eval.contrib.training.stereo.pairs import StereoSample, stereo_sample
 from ggvs_eval.contrib.training.stereo.stereo_loss import matching_loss, sequence_loss
 from ggvs_eval.contrib.training.task import Schedule
-from ggvs_eval.pipelines.offline.stereo.raft_start import start_from_matching
+from ggvs_eval.pipelines.offline.stereo.raft_matcher import start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.raft_config import COMPACT, RaftOptions
 

@@ -1,7 +1,8 @@
 """Surfaces of depth maps: normals of single maps, and the mesh that several fuse into."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -9,12 +10,19 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8, Map
 from ggvs_eval.camera import Camera
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import DepthError
+from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.geometry.pinhole import as_image, as_image8
 
 BLOCK = 8  # voxels along the edge of a block, the unit in which Open3D allocates
 FEWEST_VIEWS = 0.5  # weight of a voxel is the number of cameras that measured it: one is enough
 RADIUS_PX = 3  # of the window that a plane is fitted to
 SAME_SURFACE = 0.03  # neighbours whose depth differs by a larger share belong to another surface
 FEWEST = 8  # neighbours that decide on a plane
+FOOTPRINTS = 2.0  # a voxel by default, in median pixels on the surface
+MOST_VOXELS = 512  # along the diagonal of the scene by default; more would be gigabytes
+SAMPLES = 20_000  # points of a camera that tell how large the scene is
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,3 +145,176 @@ def _solve(
     determinant: Array = uu * a + uv * b + u * c
     safe = np.where(determinant > 0, determinant, 1.0)
     return (a * ru + b * rv + c * r) / safe, (b * ru + d * rv + e * r) / safe, (c * ru + e * rv + f * r) / safe, determinant
+
+
+@dataclass(frozen=True)
+class FuseOptions:
+    """Options of the fusion.
+
+    Attributes:
+        voxel: edge of a voxel, world units, of the mesh and of the point cloud; 0 chooses one that suits the pixels.
+        truncation: the surface is averaged this many voxels before and behind itself.
+        least_confidence: pixels below are left out. Filled pixels are, and with four partners what one alone believes in.
+        fewest_triangles: connected parts of the mesh with fewer are debris and left out.
+    """
+
+    voxel: float = 0.0
+    truncation: float = 5.0
+    least_confidence: float = 0.3
+    fewest_triangles: int = 50
+
+
+@dataclass(frozen=True)
+class FusedFiles:
+    """Files that the fusion wrote.
+
+    Attributes:
+        points: PLY of the point cloud: places in world units, normals, colours.
+        mesh: PLY of the mesh: vertices in world units, normals, colours, triangles.
+        voxel: edge of a voxel, world units.
+    """
+
+    points: Path
+    mesh: Path
+    n_points: int
+    n_vertices: int
+    n_triangles: int
+    voxel: float
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """Contribution of one camera to the fusion.
+
+    Attributes:
+        image: RGB, (H, W, 3).
+        depth: z of the pixels that are trusted, world units, 0 elsewhere, (H, W).
+        normals: of these pixels, in the world, (N, 3).
+    """
+
+    camera: Camera
+    image: Image8
+    depth: Map
+    normals: NDArray[np.float32]
+
+    def points_world(self) -> Array:
+        """Places of these pixels, (N, 3)."""
+        mask = self.depth > 0
+        return self.camera.unproject(self.camera.pixel_centres()[mask], self.depth[mask].astype(np.float64))
+
+
+def fuse_instant(
+    cameras: Sequence[Camera],
+    images: Sequence[Image8],
+    depth_maps: Sequence[DepthMap],
+    folder: Path,
+    options: FuseOptions | None = None,
+) -> FusedFiles:
+    """Fuse the depth maps of one instant and write ``points.ply`` and ``mesh.ply``; files that are there are replaced.
+
+    Pixels that are not trusted, or around which the depth is no surface, take no part.
+
+    Args:
+        images: of one instant, RGB uint8 (H, W, 3), in the order of the cameras.
+        folder: where to; made.
+        options: by default as they stand.
+
+    Raises:
+        DepthError: sizes that do not fit, no pixel that can be trusted, no surface, or files that cannot be written.
+
+    Reading:
+        The mesh is Curless and Levoy's: averaged signed distances in sparse voxels, zero crossing by marching cubes. All pixels
+        weigh alike; confidence decides only which take part.
+    """
+    options = options or FuseOptions()
+    _check_options(options)
+    _check_sizes(cameras, images, depth_maps)
+    views = [_trusted(*each, options.least_confidence) for each in zip(cameras, images, depth_maps, strict=True)]
+    if not any(view.depth.any() for view in views):
+        raise DepthError(
+            f"{folder}: wanted pixels with a confidence of {options.least_confidence:g} or more, {len(cameras)} depth maps have "
+            "none; look at the depth page of `ggvs-eval prepare`, or lower least_confidence"
+        )
+    sample = np.concatenate([_sample(view) for view in views])
+    voxel = options.voxel or _fitting_voxel(views, sample)
+    cloud, mesh = _point_cloud(views, voxel), _mesh(views, sample.mean(axis=0), voxel, options)
+    if not len(mesh.triangles):
+        raise DepthError(f"{folder}: {len(cloud.points)} points make no surface with voxels of {voxel:g} units; choose others")
+    import open3d
+
+    folder.mkdir(parents=True, exist_ok=True)
+    _write(folder / "points.ply", lambda path: open3d.io.write_point_cloud(path, cloud))
+    _write(folder / "mesh.ply", lambda path: open3d.io.write_triangle_mesh(path, mesh))
+    counts = len(cloud.points), len(mesh.vertices), len(mesh.triangles)
+    return FusedFiles(folder / "points.ply", folder / "mesh.ply", *counts, voxel)
+
+
+def _check_options(options: FuseOptions) -> None:
+    if not (0 <= options.voxel < np.inf and options.truncation > 1):
+        values = f"{options.voxel:g} and {options.truncation:g}"
+        raise DepthError(f"fuse: wanted a voxel of 0 or more units and a truncation of more than 1 voxel, got {values}")
+
+
+def _check_sizes(cameras: Sequence[Camera], images: Sequence[Image8], depth_maps: Sequence[DepthMap]) -> None:
+    for camera, image, depth_map in zip(cameras, images, depth_maps, strict=True):
+        as_image8(image, camera, DepthError)
+        as_image(depth_map.depth, camera, "depth", DepthError)
+
+
+def _trusted(camera: Camera, image: Image8, depth_map: DepthMap, least_confidence: float) -> _View:
+    mask = (depth_map.depth > 0) & (depth_map.confidence >= least_confidence)
+    depth = np.where(mask, depth_map.depth, np.float32(0))
+    normals = surface_normals(camera, depth)
+    lies_on_surface = normals.any(axis=-1)
+    depth = np.where(lies_on_surface, depth, np.float32(0))
+    return _View(camera, image, depth, (normals[lies_on_surface] @ camera.rotation).astype(np.float32))
+
+
+def _sample(view: _View) -> Array:
+    points_world = view.points_world()
+    return points_world[:: -(-len(points_world) // SAMPLES) or 1]
+
+
+def _fitting_voxel(views: Sequence[_View], sample: Array) -> float:
+    """A few pixels on the surface, unless the scene is so large that this would be too many voxels."""
+    footprints = np.concatenate([view.depth[view.depth > 0] / view.camera.focal_px for view in views])
+    low, high = np.percentile(sample, (1, 99), axis=0)
+    return max(FOOTPRINTS * float(np.median(footprints)), float(np.linalg.norm(high - low)) / MOST_VOXELS)
+
+
+def _point_cloud(views: Sequence[_View], voxel: float) -> Any:
+    """Mean place, normal and colour in each voxel, every camera counted once, an `open3d.geometry.PointCloud`."""
+    import open3d
+
+    vectors, cloud = open3d.utility.Vector3dVector, open3d.geometry.PointCloud()
+    for view in views:
+        if view.depth.any():
+            view_cloud = open3d.geometry.PointCloud(vectors(view.points_world()))
+            view_cloud.normals = vectors(view.normals.astype(np.float64))
+            view_cloud.colors = vectors(view.image[view.depth > 0] / 255.0)
+            cloud += view_cloud.voxel_down_sample(voxel)  # camera by camera: all pixels of a rig would be gigabytes
+    return cloud.voxel_down_sample(voxel).normalize_normals()
+
+
+def _mesh(views: Sequence[_View], middle: Array, voxel: float, options: FuseOptions) -> Any:
+    """The mesh without debris, an `open3d.geometry.TriangleMesh`."""
+    import open3d
+
+    origin = np.rint(middle / voxel) * voxel
+    cameras, images, depths = ([getattr(view, part) for view in views] for part in ("camera", "image", "depth"))
+    surface = mesh_of(cameras, images, depths, voxel, options.truncation, origin)
+    utility = open3d.utility
+    mesh = open3d.geometry.TriangleMesh(utility.Vector3dVector(surface.vertices), utility.Vector3iVector(surface.triangles))
+    mesh.vertex_colors = utility.Vector3dVector(surface.colours)
+    part, n_triangles, _ = (np.asarray(each) for each in mesh.cluster_connected_triangles())
+    mesh.remove_triangles_by_mask(n_triangles[part] < options.fewest_triangles if len(part) else [])
+    mesh.remove_unreferenced_vertices()
+    mesh.compute_vertex_normals()
+    return mesh
+
+
+def _write(path: Path, write: Callable[[Path], bool]) -> None:
+    """Write a PLY file whole or not at all."""
+    with atomic_file(path, ending=".ply") as temporary:  # Open3D goes by the suffix
+        if not write(temporary):
+            raise DepthError(f"{path}: Open3D could not write this file; is the disk full, or the folder read-only?")
