@@ -9,9 +9,8 @@ import numpy as np
 
 from ggvs_eval.arrays import Array, Array32, Image8, Map, Mask
 from ggvs_eval.contrib.training.stereo.scenes import build_scene, repainted
-from ggvs_eval.contrib.worlds.film.sensor import Sensor
-from ggvs_eval.contrib.worlds.room.geometry import Geometry
-from ggvs_eval.contrib.worlds.room.lighting import Instant
+from ggvs_eval.contrib.worlds.film.shots import Sensor
+from ggvs_eval.contrib.worlds.room.lighting import Geometry, Instant
 from ggvs_eval.contrib.worlds.room.shading import expose, radiance, read_finish
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import quantise

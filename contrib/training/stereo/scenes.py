@@ -10,11 +10,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from ggvs_eval.contrib.worlds.room import clutter, foliage, furniture, textures
+from ggvs_eval.contrib.worlds.room import furniture, garden, textures
 from ggvs_eval.contrib.worlds.room.figure import random_figure
 from ggvs_eval.contrib.worlds.room.garden import build_garden
-from ggvs_eval.contrib.worlds.room.geometry import Geometry
-from ggvs_eval.contrib.worlds.room.lighting import Instant, LitRoom
+from ggvs_eval.contrib.worlds.room.lighting import Geometry, Instant, LitRoom
 from ggvs_eval.contrib.worlds.room.room import Room, build_room
 from ggvs_eval.contrib.worlds.room.surfaces import Material, Surface, ellipsoid, moved, panel, rod, rotation, translation
 from ggvs_eval.kernels.portable import power, product
@@ -124,11 +123,11 @@ def _potted(rng: np.random.Generator) -> list[Surface]:
 
 
 _THINGS: tuple[Callable[[np.random.Generator], list[Surface]], ...] = (
-    clutter.bottle,
-    clutter.cup,
-    clutter.fruit_bowl,
-    clutter.jar,
-    lambda rng: clutter.books(rng, 0.5, 0.3),
+    furniture.bottle,
+    furniture.cup,
+    furniture.fruit_bowl,
+    furniture.jar,
+    lambda rng: furniture.books(rng, 0.5, 0.3),
     _wires,
     _wires,
     _card,
@@ -136,6 +135,6 @@ _THINGS: tuple[Callable[[np.random.Generator], list[Surface]], ...] = (
     _ball,
     _chair,
     _potted,
-    lambda rng: foliage.SHAPES[int(rng.integers(len(foliage.SHAPES)))](rng, (0.0, 0.0), float(rng.uniform(0.5, 1.2))),
+    lambda rng: garden.SHAPES[int(rng.integers(len(garden.SHAPES)))](rng, (0.0, 0.0), float(rng.uniform(0.5, 1.2))),
     lambda rng: random_figure(rng, (0.0, 0.0)).surfaces(float(rng.uniform(0, 10))),
 )

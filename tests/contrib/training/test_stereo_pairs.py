@@ -20,8 +20,7 @@ from ggvs_eval.contrib.training.stereo.pairs import (
 )
 from ggvs_eval.contrib.worlds.domains import FIRST_TRAINING_SEED
 from ggvs_eval.contrib.worlds.room import lighting
-from ggvs_eval.contrib.worlds.room.geometry import Geometry
-from ggvs_eval.contrib.worlds.room.lighting import Instant
+from ggvs_eval.contrib.worlds.room.lighting import Geometry, Instant
 from ggvs_eval.contrib.worlds.room.surfaces import Material, Surface, panel
 from ggvs_eval.contrib.worlds.room.textures import plain
 from ggvs_eval.errors import DepthError

@@ -22,22 +22,21 @@ from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKi
 from ggvs_eval.contrib.training.samples.samples import SamplePool
 from ggvs_eval.contrib.worlds.demo import write_demo
 from ggvs_eval.contrib.worlds.domains import DOMAINS, VALIDATION_SEEDS, domain_options
-from ggvs_eval.contrib.worlds.film.depth import measured, misplaced
-from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
+from ggvs_eval.contrib.worlds.film.film import Footage, lit_room, measured, misplaced
 from ggvs_eval.contrib.worlds.film.options import LATER, DemoOptions
-from ggvs_eval.contrib.worlds.film.raycast import render_depth
-from ggvs_eval.contrib.worlds.film.rig import UNITS_PER_METRE
-from ggvs_eval.contrib.worlds.film.sensor import (
+from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE, render_depth
+from ggvs_eval.contrib.worlds.film.shots import (
     compress,
     defocus,
     denoise,
+    hand_held_shots,
     mosaic_and_back,
+    rig_of,
     rig_sensors,
     sharpen,
     to_linear,
     to_srgb,
 )
-from ggvs_eval.contrib.worlds.film.shots import hand_held_shots, rig_of
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, TrainingError
 from helpers.lit_rooms import light_by_few_rays
