@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.contrib.training.samples.capture_views import held_back_halves, overlap
-from ggvs_eval.contrib.training.samples.room_plan import (
+from ggvs_eval.contrib.training.samples.capture_source import held_back_halves, overlap
+from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
+from ggvs_eval.contrib.training.samples.samples import SamplePool
+from ggvs_eval.contrib.training.samples.training_data import (
     RoomPlan,
     choose_views,
     domain_plans,
@@ -18,8 +20,6 @@ from ggvs_eval.contrib.training.samples.room_plan import (
     film_room,
     room_options,
 )
-from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
-from ggvs_eval.contrib.training.samples.samples import SamplePool
 from ggvs_eval.contrib.worlds.demo import write_demo
 from ggvs_eval.contrib.worlds.domains import DOMAINS, VALIDATION_SEEDS, domain_options
 from ggvs_eval.contrib.worlds.film.film import Footage, lit_room, measured, misplaced
