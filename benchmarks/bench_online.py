@@ -17,7 +17,7 @@ from benchmarks.bench_geometry import HEIGHT, WIDTH, Scene, make_scene
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import one_thread
-from ggvs_eval.contrib.training.samples.blend_samples import raw_views
+from ggvs_eval.contrib.training.samples.sample_kinds import raw_views
 from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant, SourceView

@@ -12,12 +12,10 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.contrib.training.instant_samples import InstantSample
-from ggvs_eval.contrib.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
-from ggvs_eval.contrib.training.samples.capture_views import draw_views, held_back_halves
-from ggvs_eval.contrib.training.samples.room_plan import choose_views, domain_validation_plan, room_options
-from ggvs_eval.contrib.training.samples.sample_maker import SampleMaker
-from ggvs_eval.contrib.training.samples.training_data import HELD_BACK
+from ggvs_eval.contrib.training.instant_samples import InstantSample, camera_arrays, stored_arrays, stored_cameras, write_arrays
+from ggvs_eval.contrib.training.samples.capture_source import draw_views, held_back_halves
+from ggvs_eval.contrib.training.samples.samples import SampleMaker
+from ggvs_eval.contrib.training.samples.training_data import HELD_BACK, choose_views, domain_validation_plan, room_options
 from ggvs_eval.contrib.worlds.demo import write_demo
 from ggvs_eval.contrib.worlds.domains import VALIDATION_SEEDS, find_domain
 from ggvs_eval.datasets import open_capture

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.domain_views import ViewPlan, render_domain
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.contrib.training.samples.sample_maker import SampleMaker
+from ggvs_eval.contrib.training.samples.samples import SampleMaker
 from ggvs_eval.contrib.worlds.domains import VALIDATION_SEEDS
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.colmap_model import Sightings, write_model

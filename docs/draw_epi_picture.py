@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ggvs_eval.camera import nearest_cameras
 from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.contrib.worlds.film.rig import rig
+from ggvs_eval.contrib.worlds.film.raycast import rig
 from ggvs_eval.contrib.worlds.film.shots import path_shots
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry import warp

@@ -85,7 +85,7 @@ def without(request, installed):
 
 
 def test_the_rest_starts_and_scores(without):
-    """Help and a score; a metric that is not there says so and the others are measured."""
+    """Help, a score and a plan of the demo; a metric that is not there says so and the others are measured."""
     name, called = without
     overview = called(COMMAND, "--help")
     assert overview.returncode == 0, overview.stderr
@@ -95,6 +95,10 @@ def test_the_rest_starts_and_scores(without):
     assert "'L1', 'PSNR'" in scored.stdout
     is_gone = name in ("more_metrics", "all of it")
     assert ("FLIP is part of ggvs_eval.contrib" in scored.stdout) == is_gone
+
+    if name in ("worlds", "all of it"):
+        planned = called(COMMAND, "run", "OUT", "--dry-run")
+        assert planned.stdout.count("plan: ") == 4, planned.stderr
 
 
 def test_what_is_asked_for_is_one_line(without):

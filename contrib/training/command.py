@@ -6,10 +6,8 @@ from typing import Any
 
 import tyro
 
-from ggvs_eval.contrib.training.options import LoopOptions
 from ggvs_eval.contrib.training.recipes.recipe import TRAINED_BASELINES
-from ggvs_eval.contrib.training.request import Configuration, Guidance, Size, TrainingRequest
-from ggvs_eval.contrib.training.samples.data_options import DataOptions
+from ggvs_eval.contrib.training.request import Configuration, DataOptions, Guidance, LoopOptions, Size, TrainingRequest
 from ggvs_eval.errors import AbsentPartError
 from ggvs_eval.pipelines.commands.captures import Output
 from ggvs_eval.plugins import missing_part

@@ -1,31 +1,177 @@
 """The training loop of every network here: AdamW, averaged weights, checkpoints, a log; a killed run goes on where it was."""
 
-from collections.abc import Iterator
+import csv
+import hashlib
+import io
+import pickle
+import platform
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
 
 import torch
+from safetensors.torch import save
 from torch import nn
 from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader, Dataset
 
 from ggvs_eval.baselines.fitted.training_log import TrainingLog, draw_curves
 from ggvs_eval.compute_device import compute_device, computing_on
-from ggvs_eval.contrib.training.checkpoint import (
-    PIXELS_NOTE,
-    TrainingState,
-    pour_weights,
-    read_state,
-    state_file,
-    write_state,
-    write_weights,
-)
-from ggvs_eval.contrib.training.options import Precision, TrainingOptions
+from ggvs_eval.contrib.training.request import Precision, TrainingOptions
 from ggvs_eval.contrib.training.task import Task
-from ggvs_eval.files.weights_file import CONFIGURATION_NOTE
+from ggvs_eval.errors import TrainingError
+from ggvs_eval.files.atomic import write_bytes
+from ggvs_eval.files.weights_file import CONFIGURATION_NOTE, load_strict, read_notes, read_tensors
 from ggvs_eval.progress import track
+
+NETWORK = "the network to be trained"  # in messages
+PIXELS_NOTE = "pixels"  # in the header of weights
+
+
+@dataclass
+class TrainingState:
+    """Everything that changes while training.
+
+    Attributes:
+        pixels: of target views that were learned from, those of the weights that it began with included.
+        network: the weights that are moved.
+    """
+
+    step: int
+    pixels: int
+    network: nn.Module
+    average: AveragedModel
+    optimiser: torch.optim.Optimizer
+
+
+def state_file(folder: Path) -> Path:
+    """Return the path of a training's state."""
+    return folder / "state.pt"
+
+
+def write_state(folder: Path, state: TrainingState) -> None:
+    """Write it under a temporary name and rename it, so that a kill leaves the old one or the new one."""
+    values = {
+        "step": state.step,
+        "pixels": state.pixels,
+        "network": state.network.state_dict(),
+        "average": state.average.state_dict(),
+        "optimiser": state.optimiser.state_dict(),
+    }
+    buffer = io.BytesIO()  # torch says of a full disk that something failed, not what
+    torch.save(values, buffer)
+    write_bytes(state_file(folder), buffer.getvalue())
+
+
+def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> TrainingState:
+    """The state of a folder poured into a fresh one; the fresh one itself where there is none."""
+    path = state_file(folder)
+    if not path.is_file():
+        return fresh
+    try:
+        values = torch.load(path, map_location=device, weights_only=True)
+        fresh.network.load_state_dict(values["network"])
+        fresh.average.load_state_dict(values["average"])
+        fresh.optimiser.load_state_dict(values["optimiser"])
+        fresh.step, fresh.pixels = int(values["step"]), int(values.get("pixels", 0))
+    except (RuntimeError, KeyError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        reason = str(error).splitlines()[0]
+        raise TrainingError(f"{path}: not a state of this training ({reason}); choose another folder or delete it") from error
+    return fresh
+
+
+def write_weights(path: Path, network: nn.Module, notes: Mapping[str, str]) -> None:
+    """Write a network's weights in half precision, under a temporary name first."""
+    tensors = {
+        name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous().cpu()
+        for name, tensor in network.state_dict().items()
+    }
+    write_bytes(path, save(tensors, dict(notes)))
+
+
+def pour_weights(path: Path, network: nn.Module) -> int:
+    """Give a network the weights of such a file; one that says how earlier weights are `completed` takes those, too.
+
+    Returns:
+        Pixels that they have learned from, 0 where the file does not say.
+    """
+    completed = getattr(network, "completed", dict)
+    load_strict(completed(read_tensors(path, of=NETWORK)), network, path, NETWORK)
+    return int(read_notes(path).get(PIXELS_NOTE, 0))
+
+
+SHOWN_VALIDATIONS = 12
+
+
+def write_card(task: Task, folder: Path, command: str, note: str = "", device: str = "cpu") -> Path:
+    """Write ``<task>.md`` from the logs of a training.
+
+    Args:
+        command: that made them.
+    """
+    weights = folder / f"{task.name}.safetensors"
+    notes = read_notes(weights)
+    steps, pixels = int(notes["steps"]), int(notes[PIXELS_NOTE])
+    rows = _rows(folder / "log.csv")[:steps]
+    hours = sum(float(row["seconds"]) for row in rows) / 3600
+    on_cpu = sum(float(row.get("cpu_seconds") or 0) for row in rows) / 60
+    validations = _rows(folder / "validation.csv")
+    shown = validations[:: max(1, len(validations) // SHOWN_VALIDATIONS)]
+    cost = f", {on_cpu:.0f} minutes of one core" if on_cpu else ""
+    cost += "" if device == "cpu" else f", {device}"
+    lines = [
+        f"# {task.name}",
+        "",
+        task.summary,
+        "",
+        f"- Command: `{command}`",
+        f"- Steps: {steps}, {hours:.1f} hours on {platform.machine()} ({platform.system()}){cost}",
+        f"- Pixels of target views: {pixels / 1e6:.0f} million, with those of the weights that it began with, as far as they say",
+        f"- Weights: `{weights.name}`, {weights.stat().st_size / 2**20:.1f} MB, half precision, averaged over the last steps,",
+        f"  sha256 {hashlib.sha256(weights.read_bytes()).hexdigest()}",
+        f"- Data: {task.data}",
+        "- Licence: that of this package.",
+        *([f"- Note: {note}"] if note else []),
+        "",
+        "## Options",
+        "",
+        *(f"- {name}: {value}" for name, value in _options(task).items()),
+        "",
+        "## Validation",
+        "",
+        f"{task.evaluated_on}",
+        "",
+        *_table(shown if not validations or shown[-1] == validations[-1] else [*shown, validations[-1]]),
+    ]
+    card = folder / f"{task.name}.md"
+    card.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return card
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def _options(task: Task) -> dict[str, object]:
+    """The fields of a task that its repr shows."""
+    if not is_dataclass(task) or isinstance(task, type):
+        return {}
+    values = asdict(task)
+    return {each.name: values[each.name] for each in fields(task) if each.repr}
+
+
+def _table(rows: list[dict[str, str]]) -> list[str]:
+    if not rows:
+        return ["not computed: the training has not reached its first validation"]
+    header = list(rows[0])
+    body = ["| " + " | ".join(row[name] for name in header) + " |" for row in rows]
+    return ["| " + " | ".join(header) + " |", "| " + " | ".join("---:" for _ in header) + " |", *body]
 
 
 def train(task: Task, folder: Path, options: TrainingOptions) -> Path:

@@ -1,12 +1,73 @@
-"""Request to `ggvs-eval train`, for one network or for all, and the words of the command line that make it."""
+"""Request to `ggvs-eval train`, for one network or for all, the words of the command line that make it, and its options."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from ggvs_eval.contrib.training.options import TrainingOptions
-from ggvs_eval.contrib.training.samples.data_options import DataOptions
+import tyro
+
+
+@dataclass(frozen=True)
+class DataOptions:
+    """The views that a network learns from.
+
+    Attributes:
+        views: the most source views of a sample, K.
+        rooms: rooms to render of each domain, one to four minutes and 50 MB each.
+        targets: target views per room.
+        domains: kinds of captures to learn from and to choose by (plain, narrow, arc, ...).
+        captures: folders of captures to learn from beside the rooms (RGB-D sequences by ScanNet's rule, Spaces, DyNeRF, rigs of
+            your own), never those that you test on.
+        hold_back: learn from the first half of each RGB-D sequence, and validate on what is new in the rest.
+    """
+
+    views: int = 6
+    rooms: int = 3
+    targets: int = 9
+    domains: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DOMAIN ...", help_behavior_hint="(default: all)")] = ()
+    captures: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE ...", help_behavior_hint="(none by default)")] = ()
+    hold_back: bool = False
+
+
+Precision = Literal["auto", "float32", "bfloat16"]
+
+
+@dataclass(frozen=True)
+class LoopOptions:
+    """Options of the training loop; none changes the result but `steps`, `seed`, `precision` and the device.
+
+    Attributes:
+        steps: of the whole training, those of earlier calls included.
+        seed: of the weights and the scenes.
+        device: cpu, cuda, or the better one by default.
+        precision: of convolutions; auto takes bfloat16 where the hardware multiplies it faster.
+        workers: processes that make batches.
+        compile_network: let torch compile it first: some minutes once, a fifth less per step.
+    """
+
+    steps: int = 20000
+    seed: int = 0
+    device: str = "auto"
+    precision: Precision = "auto"
+    workers: int = 1
+    compile_network: bool = False
+
+
+@dataclass(frozen=True)
+class TrainingOptions(LoopOptions):
+    """Options of a training, those that the command line does not show included.
+
+    Attributes:
+        start_from: weights that a training without a state begins with, such as those that ship.
+        save_every: steps between checkpoints.
+        validate_every: steps between validations.
+    """
+
+    start_from: Path | None = None
+    save_every: int = 100
+    validate_every: int = 500
+
 
 Size = Literal["small", "standard", "large"]
 Guidance = Literal["registered", "channels", "none", "naive"]

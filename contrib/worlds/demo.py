@@ -11,8 +11,7 @@ from typing import TypeVar
 from ggvs_eval.camera import Camera
 from ggvs_eval.contrib.worlds.film.film import PARTS, Footage, light_instant, stored_instant
 from ggvs_eval.contrib.worlds.film.options import LATER, DemoOptions
-from ggvs_eval.contrib.worlds.film.sensor import camera_gains
-from ggvs_eval.contrib.worlds.film.shots import Shot
+from ggvs_eval.contrib.worlds.film.shots import Shot, camera_gains
 from ggvs_eval.contrib.worlds.layouts.layouts import LAYOUTS
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.files.atomic import atomic_folder

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.contrib.worlds.layouts.encoded_images import write_grey_png
+from ggvs_eval.contrib.worlds.layouts.pictures import write_grey_png
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.plain import ffmpeg_name
 from ggvs_eval.files.video import write_video

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
-from ggvs_eval.contrib.training.samples.blend_samples import raw_views
+from ggvs_eval.contrib.training.samples.sample_kinds import raw_views
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.geometry.warp import register_views

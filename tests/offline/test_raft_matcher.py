@@ -9,8 +9,8 @@ import torch
 from safetensors.torch import save_file
 
 from ggvs_eval import kernels
-from ggvs_eval.contrib.training.stereo.pairs import stereo_sample
-from ggvs_eval.contrib.training.stereo.stereo_task import VALIDATION_SEED
+from ggvs_eval.contrib.training.stereo_pairs import stereo_sample
+from ggvs_eval.contrib.training.stereo_task import VALIDATION_SEED
 from ggvs_eval.files.images import quantise
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, find_matcher

@@ -6,7 +6,7 @@ import torch
 from safetensors.torch import save_file
 
 from ggvs_eval.compute_device import one_thread
-from ggvs_eval.contrib.training.checkpoint import pour_weights, write_weights
+from ggvs_eval.contrib.training.loop import pour_weights, write_weights
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.pipelines.online.blend_network import (
     BlendNetwork,

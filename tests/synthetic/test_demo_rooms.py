@@ -13,7 +13,7 @@ import pytest
 from ggvs_eval.capture import Capture
 from ggvs_eval.contrib.worlds.demo import DEMO_ROOMS, MAIN, write_demo
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.contrib.worlds.film.rig import AIM_M, ARC_YAW_RAD, UNITS_PER_METRE, arc_rig, eye_in_room
+from ggvs_eval.contrib.worlds.film.raycast import AIM_M, ARC_YAW_RAD, UNITS_PER_METRE, arc_rig, eye_in_room
 from ggvs_eval.contrib.worlds.film.shots import rig_shots
 from ggvs_eval.contrib.worlds.room.room import build_room
 from ggvs_eval.datasets import open_capture

@@ -9,7 +9,7 @@ import pytest
 from ggvs_eval.contrib.worlds.demo import DEMO_ROOMS, SHIPPED, film_demo, write_demo
 from ggvs_eval.contrib.worlds.film.film import Footage, light_instant, stored_instant
 from ggvs_eval.contrib.worlds.film.shots import rig_and_path_shots
-from ggvs_eval.contrib.worlds.layouts.dynerf import files
+from ggvs_eval.contrib.worlds.layouts.videos import dynerf_files
 from ggvs_eval.contrib.worlds.packing import pack_room
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
@@ -33,7 +33,7 @@ def test_it_is_a_whole_capture(demo):
     before = (demo / shipped.DEMO_NOTES).stat().st_mtime_ns
 
     assert (len(capture.cameras), capture.n_frames, capture.cameras[0].size) == (24, 24, (480, 360))
-    assert all((demo / name).is_file() for name in files(SHIPPED))
+    assert all((demo / name).is_file() for name in dynerf_files(SHIPPED))
     assert len(sorted((demo / shipped.PATH_IMAGES).iterdir())) == SHIPPED.path_poses
     assert not (demo / shipped.PATH_VIDEO).exists()
     assert write_demo(demo, SHIPPED) == demo

@@ -23,7 +23,7 @@ from benchmarks.depth_validation.sparse_points import choose_points, evaluate_sp
 from benchmarks.depth_validation.static_reuse import evaluate_reuse
 from benchmarks.depth_validation.temporal_spread import find_static, measure_spread, temporal_spread
 from ggvs_eval.capture import Capture
-from ggvs_eval.contrib.worlds.film.depth import DepthWriter, depth_path
+from ggvs_eval.contrib.worlds.film.film import DepthWriter, depth_path
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CaptureError, DepthError

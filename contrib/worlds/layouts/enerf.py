@@ -10,11 +10,10 @@ from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.contrib.worlds.film.film import PARTS, Footage, Frame, lit_room
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.contrib.worlds.film.raycast import Coefficients
-from ggvs_eval.contrib.worlds.film.rig import UNITS_PER_METRE, in_metres, room_to_world
+from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE, Coefficients, in_metres, room_to_world
 from ggvs_eval.contrib.worlds.film.shots import distorted_shots
-from ggvs_eval.contrib.worlds.layouts.encoded_images import write_grey_png, write_jpeg
-from ggvs_eval.contrib.worlds.room.geometry import Geometry
+from ggvs_eval.contrib.worlds.layouts.pictures import write_grey_png, write_jpeg
+from ggvs_eval.contrib.worlds.room.lighting import Geometry
 from ggvs_eval.kernels.portable import rotation_vector
 from ggvs_eval.lens import Lens
 
@@ -23,7 +22,7 @@ MASKED_SHARE = 0.5
 POINT = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 
 
-def write_shot(folder: Path, footage: Footage) -> Camera:
+def write_enerf(folder: Path, footage: Footage) -> Camera:
     """Write images, masks, background and exact depth of one camera; gives the camera to note, metres.
 
     Reading:
@@ -40,7 +39,7 @@ def write_shot(folder: Path, footage: Footage) -> Camera:
     return in_metres(footage.noted_camera())
 
 
-def finish(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> None:
+def finish_enerf(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> None:
     """Write ``intri.yml``, ``extri.yml``, ``vhull/`` and ``background.ply``."""
     _write_calibration(folder, cameras, [shot.lens for shot in distorted_shots(options)])
     (folder / "vhull").mkdir()
@@ -114,7 +113,7 @@ def write_ply(path: Path, parts: Sequence[NDArray[np.void]]) -> None:
     path.write_bytes(head.encode() + points.tobytes())
 
 
-def files(options: DemoOptions) -> list[str]:
+def enerf_files(options: DemoOptions) -> list[str]:
     """List the files that every complete demo has."""
     names = [name.removeprefix("cam") for name in options.camera_names]
     frames = range(options.n_frames)

@@ -7,7 +7,7 @@ from pathlib import Path
 from ggvs_eval.camera import Camera
 from ggvs_eval.contrib.worlds.film.film import Footage
 from ggvs_eval.contrib.worlds.film.options import DemoOptions, LayoutName
-from ggvs_eval.contrib.worlds.film.rig import UNITS_PER_METRE
+from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE
 from ggvs_eval.contrib.worlds.film.shots import (
     Shot,
     distorted_shots,
@@ -16,7 +16,35 @@ from ggvs_eval.contrib.worlds.film.shots import (
     rig_and_path_shots,
     rig_shots,
 )
-from ggvs_eval.contrib.worlds.layouts import colmap, d3dmv, dynerf, enerf, immersive, meetroom, panoptic, rgbd, technicolor
+from ggvs_eval.contrib.worlds.layouts.enerf import enerf_files, finish_enerf, write_enerf
+from ggvs_eval.contrib.worlds.layouts.pictures import (
+    d3dmv_files,
+    finish_d3dmv,
+    finish_panoptic,
+    finish_rgbd,
+    finish_technicolor,
+    panoptic_files,
+    rgbd_files,
+    technicolor_files,
+    write_d3dmv,
+    write_panoptic,
+    write_rgbd,
+    write_technicolor,
+)
+from ggvs_eval.contrib.worlds.layouts.videos import (
+    colmap_files,
+    dynerf_files,
+    finish_colmap,
+    finish_dynerf,
+    finish_immersive,
+    finish_meetroom,
+    immersive_files,
+    meetroom_files,
+    write_colmap,
+    write_dynerf,
+    write_immersive,
+    write_meetroom,
+)
 
 
 @dataclass(frozen=True)
@@ -39,13 +67,13 @@ class Layout:
 
 
 LAYOUTS: dict[LayoutName, Layout] = {
-    "dynerf": Layout(UNITS_PER_METRE, rig_and_path_shots, dynerf.write_film, dynerf.finish, dynerf.files),
-    "enerf-outdoor": Layout(1.0, distorted_shots, enerf.write_shot, enerf.finish, enerf.files),
-    "d3dmv": Layout(UNITS_PER_METRE, rig_shots, d3dmv.write_shot, d3dmv.finish, d3dmv.files),
-    "colmap": Layout(UNITS_PER_METRE, rig_and_path_shots, colmap.write_shot, colmap.finish, colmap.files),
-    "rgbd": Layout(1.0, hand_held_shots, rgbd.write_shot, rgbd.finish, rgbd.files),
-    "meetroom": Layout(UNITS_PER_METRE, rig_shots, meetroom.write_film, meetroom.finish, meetroom.files),
-    "technicolor": Layout(UNITS_PER_METRE, rig_shots, technicolor.write_shot, technicolor.finish, technicolor.files),
-    "immersive": Layout(1.0, fisheye_shots, immersive.write_film, immersive.finish, immersive.files),
-    "panoptic": Layout(1.0, rig_shots, panoptic.write_shot, panoptic.finish, panoptic.files),
+    "dynerf": Layout(UNITS_PER_METRE, rig_and_path_shots, write_dynerf, finish_dynerf, dynerf_files),
+    "enerf-outdoor": Layout(1.0, distorted_shots, write_enerf, finish_enerf, enerf_files),
+    "d3dmv": Layout(UNITS_PER_METRE, rig_shots, write_d3dmv, finish_d3dmv, d3dmv_files),
+    "colmap": Layout(UNITS_PER_METRE, rig_and_path_shots, write_colmap, finish_colmap, colmap_files),
+    "rgbd": Layout(1.0, hand_held_shots, write_rgbd, finish_rgbd, rgbd_files),
+    "meetroom": Layout(UNITS_PER_METRE, rig_shots, write_meetroom, finish_meetroom, meetroom_files),
+    "technicolor": Layout(UNITS_PER_METRE, rig_shots, write_technicolor, finish_technicolor, technicolor_files),
+    "immersive": Layout(1.0, fisheye_shots, write_immersive, finish_immersive, immersive_files),
+    "panoptic": Layout(1.0, rig_shots, write_panoptic, finish_panoptic, panoptic_files),
 }

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32
-from ggvs_eval.contrib.worlds.room.geometry import Geometry, Hits
-from ggvs_eval.contrib.worlds.room.lighting import Highlight
+from ggvs_eval.contrib.worlds.room.lighting import Geometry, Highlight, Hits
 from ggvs_eval.contrib.worlds.room.surfaces import Material
 from ggvs_eval.kernels.portable import exp, power, shrink, unit
 

@@ -7,17 +7,14 @@ import pytest
 import torch
 
 from ggvs_eval.compute_device import one_thread
-from ggvs_eval.contrib.training.baseline_task import LEAST_CROP_PX, BaselineTask, baseline_task
-from ggvs_eval.contrib.training.card import write_card
 from ggvs_eval.contrib.training.instant_samples import read_instant
-from ggvs_eval.contrib.training.loop import train
-from ggvs_eval.contrib.training.options import TrainingOptions
+from ggvs_eval.contrib.training.loop import train, write_card
 from ggvs_eval.contrib.training.recipes.recipe import RECIPES, TRAINED_BASELINES
-from ggvs_eval.contrib.training.samples.data_options import DataOptions
-from ggvs_eval.contrib.training.samples.room_plan import RoomPlan, choose_views, domain_validation_plan
+from ggvs_eval.contrib.training.request import DataOptions, TrainingOptions
 from ggvs_eval.contrib.training.samples.sample_kinds import InstantKind
-from ggvs_eval.contrib.training.samples.sample_maker import SampleMaker
-from ggvs_eval.contrib.training.samples.samples import SamplePool
+from ggvs_eval.contrib.training.samples.samples import SampleMaker, SamplePool
+from ggvs_eval.contrib.training.samples.training_data import RoomPlan, choose_views, domain_validation_plan
+from ggvs_eval.contrib.training.train_one import LEAST_CROP_PX, BaselineTask, baseline_task
 from ggvs_eval.contrib.worlds.domains import PLAIN
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.files.weights_file import configuration_of

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ggvs_eval.contrib.training.blend.blend_augmentation import Augmentation, augment, displaced
-from ggvs_eval.contrib.training.samples.blend_samples import RawViews, raw_views
+from ggvs_eval.contrib.training.blend_task import Augmentation, augment, displaced
+from ggvs_eval.contrib.training.samples.sample_kinds import RawViews, raw_views
 from helpers.blender_inputs import inputs_of
 from helpers.scenes import camera_at, instant, look
 

@@ -7,16 +7,22 @@ import pytest
 import torch
 
 from ggvs_eval.compute_device import one_thread
-from ggvs_eval.contrib.training.blend.blend_loss import BlendLossWeights, blend_loss, depth_loss, mask_loss, structural_loss
-from ggvs_eval.contrib.training.blend.blend_task import BlendTask, crop_arrays, mirrored, recoloured
-from ggvs_eval.contrib.training.card import write_card
-from ggvs_eval.contrib.training.loop import train
-from ggvs_eval.contrib.training.options import TrainingOptions
-from ggvs_eval.contrib.training.samples.blend_samples import read_sample
-from ggvs_eval.contrib.training.samples.room_plan import RoomPlan, choose_views, domain_validation_plan, room_options
-from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind
-from ggvs_eval.contrib.training.samples.sample_maker import SampleMaker
-from ggvs_eval.contrib.training.samples.samples import SamplePool
+from ggvs_eval.contrib.training.blend_task import (
+    BlendLossWeights,
+    BlendTask,
+    blend_loss,
+    crop_arrays,
+    depth_loss,
+    mask_loss,
+    mirrored,
+    recoloured,
+    structural_loss,
+)
+from ggvs_eval.contrib.training.loop import train, write_card
+from ggvs_eval.contrib.training.request import TrainingOptions
+from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, read_sample
+from ggvs_eval.contrib.training.samples.samples import SampleMaker, SamplePool
+from ggvs_eval.contrib.training.samples.training_data import RoomPlan, choose_views, domain_validation_plan, room_options
 from ggvs_eval.contrib.worlds.domains import PLAIN
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image.ssim import ssim

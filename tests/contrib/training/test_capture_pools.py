@@ -7,11 +7,17 @@ import cv2
 import numpy as np
 import pytest
 
-from ggvs_eval.contrib.training.samples.capture_source import CaptureSource, capture_sources
-from ggvs_eval.contrib.training.samples.capture_views import CapturePlan, draw_views, overlap, possible_targets, within_rule
+from ggvs_eval.contrib.training.samples.capture_source import (
+    CapturePlan,
+    CaptureSource,
+    capture_sources,
+    draw_views,
+    overlap,
+    possible_targets,
+    within_rule,
+)
 from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
-from ggvs_eval.contrib.training.samples.sample_maker import SampleMaker
-from ggvs_eval.contrib.training.samples.samples import SamplePool, make_samples
+from ggvs_eval.contrib.training.samples.samples import SampleMaker, SamplePool, make_samples
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image.psnr import psnr

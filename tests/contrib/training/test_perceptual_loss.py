@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from ggvs_eval.contrib.training.blend.perceptual_loss import NOISE_255, noise_255, perceptual_loss, require_perceptual
+from ggvs_eval.contrib.training.blend_task import NOISE_255, noise_255, perceptual_loss, require_perceptual
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.image.lpips import lpips

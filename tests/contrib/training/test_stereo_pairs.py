@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.contrib.training.stereo import pairs, scenes
-from ggvs_eval.contrib.training.stereo.pairs import (
+from ggvs_eval.contrib.training import stereo_pairs
+from ggvs_eval.contrib.training.stereo_pairs import (
     StereoRig,
     StereoSample,
     expose_pair,
@@ -20,15 +20,14 @@ from ggvs_eval.contrib.training.stereo.pairs import (
 )
 from ggvs_eval.contrib.worlds.domains import FIRST_TRAINING_SEED
 from ggvs_eval.contrib.worlds.room import lighting
-from ggvs_eval.contrib.worlds.room.geometry import Geometry
-from ggvs_eval.contrib.worlds.room.lighting import Instant
+from ggvs_eval.contrib.worlds.room.lighting import Geometry, Instant
 from ggvs_eval.contrib.worlds.room.surfaces import Material, Surface, panel
 from ggvs_eval.contrib.worlds.room.textures import plain
 from ggvs_eval.errors import DepthError
 from helpers.refusals import refused
 
 WIDTH, HEIGHT = 224, 144
-SEEDS = [pairs.SCENES_AT_A_TIME * turn + lane for turn in range(6) for lane in (1, 3)]  # of two scenes
+SEEDS = [stereo_pairs.SCENES_AT_A_TIME * turn + lane for turn in range(6) for lane in (1, 3)]  # of two scenes
 WHITE, GREY, BLACK = (Material(plain((tone,) * 3)) for tone in (0.9, 0.5, 0.02))
 
 
@@ -37,9 +36,9 @@ def _little_light() -> Iterator[None]:
     """An eighth of the rays finds the light that bounces: the same code in less time. Nobody else may see its scenes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lighting, "AMBIENT_DIRECTIONS", 8)
-        pairs._kept_scene.cache_clear()
+        stereo_pairs._kept_scene.cache_clear()
         yield
-        pairs._kept_scene.cache_clear()
+        stereo_pairs._kept_scene.cache_clear()
 
 
 @cache
@@ -78,7 +77,7 @@ def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
     try:
         cv2.setNumThreads(1)
         first = stereo_sample(3, 160, 96)
-        pairs._kept_scene.cache_clear()
+        stereo_pairs._kept_scene.cache_clear()
         cv2.setNumThreads(4)
         second = stereo_sample(3, 160, 96)
     finally:
@@ -97,15 +96,15 @@ def test_seeds_give_different_pairs():
 
 def test_neighbouring_seeds_take_turns_among_scenes():
     """Seeds of a batch show several scenes, and each scene serves as many pairs as are meant before others are lit."""
-    per_scene, at_a_time = pairs.PAIRS_PER_SCENE, pairs.SCENES_AT_A_TIME
-    numbers = [pairs.scene_number(seed) for seed in range(2 * per_scene * at_a_time)]
+    per_scene, at_a_time = stereo_pairs.PAIRS_PER_SCENE, stereo_pairs.SCENES_AT_A_TIME
+    numbers = [stereo_pairs.scene_number(seed) for seed in range(2 * per_scene * at_a_time)]
     assert numbers[: at_a_time + 1] == [*range(at_a_time), 0]
     assert {number: numbers.count(number) for number in numbers} == dict.fromkeys(range(2 * at_a_time), per_scene)
 
 
 def test_rooms_of_pairs_are_nobody_elses():
     """No demo, no validation room and no room that views are learned from is among them."""
-    assert scenes.FIRST_SEED > 100 * FIRST_TRAINING_SEED
+    assert stereo_pairs.FIRST_SEED > 100 * FIRST_TRAINING_SEED
 
 
 @pytest.mark.slow
@@ -125,7 +124,7 @@ def test_every_pixel_has_a_possible_disparity(seed):
 @pytest.mark.parametrize("seed", SEEDS[:4])
 def test_disparity_is_that_of_projection(seed):
     """Points of the left picture, projected into both cameras by `Camera`, lie on one row and a disparity apart."""
-    scene = pairs.scene_of(seed)
+    scene = stereo_pairs.scene_of(seed)
     rig, depth = place_rig(scene, np.random.default_rng(seed), 96, 64)
     x, y = rig.positions()
     points = rig.eye + depth.reshape(-1, 1) * rig.rays(x, y)
@@ -145,7 +144,7 @@ def test_disparity_is_that_of_projection(seed):
 @pytest.mark.parametrize("seed", SEEDS[:4])
 def test_visible_is_what_rays_from_the_right_meet(seed):
     """A ray of the right camera through the match meets the point where it is visible, and something nearer where hidden."""
-    scene = pairs.scene_of(seed)
+    scene = stereo_pairs.scene_of(seed)
     rig, depth = place_rig(scene, np.random.default_rng(seed), 96, 64)
     visible = find_visible(scene.static, rig, depth)
     x, y = rig.positions()
@@ -260,11 +259,11 @@ def test_paint_is_changed_but_for_what_shines():
     lamp = Material(plain((0.9, 0.9, 0.9)), emission=1.0)
     geometry = Geometry([wall(1.0, 0.5, GREY), wall(2.0, 0.5, lamp)])
     rng = np.random.default_rng(0)
-    assert scenes.repainted(geometry, rng, 0.0) == [GREY, lamp]
-    new, kept = scenes.repainted(geometry, rng, 1.0)
-    assert new in scenes.skins()
+    assert stereo_pairs.repainted(geometry, rng, 0.0) == [GREY, lamp]
+    new, kept = stereo_pairs.repainted(geometry, rng, 1.0)
+    assert new in stereo_pairs.skins()
     assert kept is lamp
-    assert len({skin.texture.tobytes() for skin in scenes.skins()}) > 0.8 * scenes.SKINS
+    assert len({skin.texture.tobytes() for skin in stereo_pairs.skins()}) > 0.8 * stereo_pairs.SKINS
 
 
 @pytest.mark.slow

@@ -7,16 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ggvs_eval.contrib.training.baseline_task import baseline_task
 from ggvs_eval.contrib.training.recipes.recipe import TRAINED_BASELINES
-from ggvs_eval.contrib.training.request import TrainingRequest
+from ggvs_eval.contrib.training.request import DataOptions, TrainingRequest
 from ggvs_eval.contrib.training.samples import training_data
-from ggvs_eval.contrib.training.samples.data_options import DataOptions
 from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
 from ggvs_eval.contrib.training.samples.training_data import sample_pools
-from ggvs_eval.contrib.training.side_by_side import Training, default_jobs, run_trainings
-from ggvs_eval.contrib.training.train_all import NETWORKS, planned_trainings, train_all
-from ggvs_eval.contrib.training.train_one import CACHE, planned_task
+from ggvs_eval.contrib.training.train_all import NETWORKS, Training, default_jobs, planned_trainings, run_trainings, train_all
+from ggvs_eval.contrib.training.train_one import CACHE, baseline_task, planned_task
 from ggvs_eval.contrib.worlds.domains import DOMAINS
 from ggvs_eval.errors import TrainingError
 from helpers.filled_pools import fill
@@ -117,7 +114,7 @@ def test_each_network_has_its_command(tmp_path):
 def test_how_many_run_at_once(monkeypatch):
     """All on a GPU; on a CPU one per two cores, but one at least."""
     for cores, jobs in ((1, 1), (2, 1), (5, 2), (64, 7)):
-        monkeypatch.setattr("ggvs_eval.contrib.training.side_by_side.default_workers", lambda cores=cores: cores)
+        monkeypatch.setattr("ggvs_eval.contrib.training.train_all.default_workers", lambda cores=cores: cores)
         assert default_jobs("cpu", 7) == jobs
         assert default_jobs("cuda", 7) == 7
 

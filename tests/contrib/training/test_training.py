@@ -10,14 +10,10 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from ggvs_eval.baselines.fitted.training_log import TrainingLog, draw_curves
-from ggvs_eval.contrib.training.card import write_card
-from ggvs_eval.contrib.training.loop import train
-from ggvs_eval.contrib.training.normalisation import freeze_statistics, recompute_statistics
-from ggvs_eval.contrib.training.options import TrainingOptions
-from ggvs_eval.contrib.training.request import TrainingRequest
-from ggvs_eval.contrib.training.stereo.stereo_loss import matching_loss, sequence_loss
-from ggvs_eval.contrib.training.stereo.stereo_task import StereoTask
-from ggvs_eval.contrib.training.task import Schedule
+from ggvs_eval.contrib.training.loop import train, write_card
+from ggvs_eval.contrib.training.request import TrainingOptions, TrainingRequest
+from ggvs_eval.contrib.training.stereo_task import StereoTask, matching_loss, sequence_loss
+from ggvs_eval.contrib.training.task import Schedule, freeze_statistics, recompute_statistics
 from ggvs_eval.contrib.training.train_one import planned_task
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.files.images import read_image

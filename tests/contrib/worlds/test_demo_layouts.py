@@ -12,11 +12,9 @@ import pytest
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.contrib.worlds.demo import write_demo
-from ggvs_eval.contrib.worlds.film.depth import read_exact_depth
-from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
+from ggvs_eval.contrib.worlds.film.film import Footage, lit_room, read_exact_depth
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.contrib.worlds.film.raycast import PixelGrid, View, render_depth
-from ggvs_eval.contrib.worlds.film.rig import UNITS_PER_METRE, WORLD_TO_ROOM, in_metres
+from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE, WORLD_TO_ROOM, PixelGrid, View, in_metres, render_depth
 from ggvs_eval.contrib.worlds.film.shots import FISHEYE_LENS, LENS, distorted_shots, hand_held_shots, rig_shots
 from ggvs_eval.contrib.worlds.layouts.layouts import LAYOUTS
 from ggvs_eval.datasets import open_capture

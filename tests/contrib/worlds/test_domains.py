@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.contrib.training.samples.capture_views import held_back_halves, overlap
-from ggvs_eval.contrib.training.samples.room_plan import (
+from ggvs_eval.contrib.training.samples.capture_source import held_back_halves, overlap
+from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
+from ggvs_eval.contrib.training.samples.samples import SamplePool
+from ggvs_eval.contrib.training.samples.training_data import (
     RoomPlan,
     choose_views,
     domain_plans,
@@ -18,26 +20,23 @@ from ggvs_eval.contrib.training.samples.room_plan import (
     film_room,
     room_options,
 )
-from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
-from ggvs_eval.contrib.training.samples.samples import SamplePool
 from ggvs_eval.contrib.worlds.demo import write_demo
 from ggvs_eval.contrib.worlds.domains import DOMAINS, VALIDATION_SEEDS, domain_options
-from ggvs_eval.contrib.worlds.film.depth import measured, misplaced
-from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
+from ggvs_eval.contrib.worlds.film.film import Footage, lit_room, measured, misplaced
 from ggvs_eval.contrib.worlds.film.options import LATER, DemoOptions
-from ggvs_eval.contrib.worlds.film.raycast import render_depth
-from ggvs_eval.contrib.worlds.film.rig import UNITS_PER_METRE
-from ggvs_eval.contrib.worlds.film.sensor import (
+from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE, render_depth
+from ggvs_eval.contrib.worlds.film.shots import (
     compress,
     defocus,
     denoise,
+    hand_held_shots,
     mosaic_and_back,
+    rig_of,
     rig_sensors,
     sharpen,
     to_linear,
     to_srgb,
 )
-from ggvs_eval.contrib.worlds.film.shots import hand_held_shots, rig_of
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, TrainingError
 from helpers.lit_rooms import light_by_few_rays

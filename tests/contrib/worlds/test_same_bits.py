@@ -54,8 +54,8 @@ FORBIDDEN |= {"exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "power", 
 
 def filmed_modules():
     root = Path(ggvs_eval.contrib.__file__).parent
-    rooms = ("worlds/room", "worlds/film", "worlds/layouts", "training/stereo")
-    return sorted(path for room in rooms for path in (root / room).glob("*.py") if not path.stem.startswith("stereo_"))
+    filming = (path for room in ("room", "film", "layouts") for path in (root / "worlds" / room).glob("*.py"))
+    return [*sorted(filming), root / "training" / "stereo_pairs.py"]
 
 
 @pytest.mark.parametrize("module", filmed_modules(), ids=lambda path: f"{path.parent.name}/{path.stem}")

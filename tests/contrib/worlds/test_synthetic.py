@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from ggvs_eval.contrib.worlds.demo import write_demo
-from ggvs_eval.contrib.worlds.film.depth import read_exact_depth
-from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
+from ggvs_eval.contrib.worlds.film.film import Footage, lit_room, read_exact_depth
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.contrib.worlds.film.rig import UNITS_PER_METRE, eye_in_room, rays_in_room, rig, sideways_path
-from ggvs_eval.contrib.worlds.film.sensor import camera_gains
-from ggvs_eval.contrib.worlds.film.shots import rig_shots
+from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE, eye_in_room, rays_in_room, rig, sideways_path
+from ggvs_eval.contrib.worlds.film.shots import camera_gains, rig_shots
 from ggvs_eval.contrib.worlds.room.lighting import LitRoom
 from ggvs_eval.contrib.worlds.room.room import build_room
 from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
