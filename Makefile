@@ -40,7 +40,7 @@ check: $(READY) view
 # The live viewer on DATA=<capture or run folder>, or on a small demo capture: opens a port, not a browser.
 VIEWED := out/view-demo/capture
 view-demo: .venv/.view
-	$(if $(DATA),,$(BIN)/ggvs-eval demo $(VIEWED) --width 640 --n-frames 8 --cameras-per-row 6 --path-poses 0)
+	$(if $(DATA),,$(BIN)/ggvs-eval film $(VIEWED) --width 640 --n-frames 8 --cameras-per-row 6 --path-poses 0)
 	$(BIN)/ggvs-eval view $(or $(DATA),$(VIEWED)) --out out/view-demo
 
 .venv/.view: $(READY)

@@ -5,4 +5,3 @@ from ggvs_eval.baselines.learned import LearnedBaseline
 from ggvs_eval.plugins import Registry
 
 LEARNED_BASELINES: Registry[LearnedBaseline] = Registry("learned baselines", built_in.LEARNED_BASELINES)
-TRAINED_BASELINES = {name: baseline for name, baseline in LEARNED_BASELINES.items() if baseline.recipe}  # have a training here

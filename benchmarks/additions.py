@@ -16,6 +16,8 @@ import pandas as pd
 
 from benchmarks.domain_views import View, ViewPlan, prepare_views
 from ggvs_eval.arrays import Image8, Mask
+from ggvs_eval.contrib.training.instant_samples import InstantSample
+from ggvs_eval.contrib.worlds.domains import find_domain
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.splat import COVERED_ALPHA, splat_depth
 from ggvs_eval.jobs.processes import default_workers
@@ -26,8 +28,6 @@ from ggvs_eval.metrics.time.strred import strred
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json
-from ggvs_eval.synthetic.domains import find_domain
-from ggvs_eval.training.instant_samples import InstantSample
 
 METHOD = "ours-geometric"
 MEASURES = ("PSNR", "PSNR_cc", "PSNR in holes", "STED", "flicker")

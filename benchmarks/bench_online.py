@@ -17,6 +17,7 @@ from benchmarks.bench_geometry import HEIGHT, WIDTH, Scene, make_scene
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import one_thread
+from ggvs_eval.contrib.training.samples.sample_kinds import raw_views
 from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant, SourceView
@@ -25,7 +26,6 @@ from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs, Geometr
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import blend_maps, input_channels
-from ggvs_eval.pipelines.training.samples.blend_samples import raw_views
 
 COMMAND = "python -m benchmarks.bench_online"
 NOISE_LEVELS = 3  # of 255, drawn anew for every other frame: masks are then not all alike

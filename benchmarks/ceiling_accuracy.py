@@ -14,15 +14,15 @@ import numpy as np
 import tyro
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
+from ggvs_eval.contrib.worlds.film.shots import rig_shots
+from ggvs_eval.contrib.worlds.room.lighting import Instant
 from ggvs_eval.files.coding import read_coding
 from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.metrics.ceilings import ceilings
 from ggvs_eval.metrics.registry import ceiling_metrics
 from ggvs_eval.metrics.stream import score_views
-from ggvs_eval.synthetic.film.film import Footage, lit_room
-from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.shots import rig_shots
-from ggvs_eval.synthetic.room.lighting import Instant
 
 TOLERANCES = {"PSNR": 1.0, "SSIM": 0.01, "TCC": 0.01, "STED": 0.3}  # STED: relative
 

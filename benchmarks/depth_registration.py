@@ -13,11 +13,11 @@ from time import process_time
 import cv2
 import numpy as np
 
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.pipelines.offline.sensor.registration import Registration
 from ggvs_eval.pipelines.offline.sensor.registration_estimate import measure_registration
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
 
 SEEDS = (101, 102, 1000)
 ROOM = DemoOptions(layout="rgbd", n_frames=24, fps=10, width=480, height=360)

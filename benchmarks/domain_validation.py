@@ -13,6 +13,7 @@ import pandas as pd
 
 from benchmarks.domain_views import REAL, REAL_CAPTURE, REAL_TITLE, View, ViewPlan, prepare_views, real_capture
 from ggvs_eval.arrays import Image8
+from ggvs_eval.contrib.worlds.domains import DOMAINS
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.jobs.processes import default_workers
@@ -24,7 +25,6 @@ from ggvs_eval.metrics.time.strred import strred
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json
-from ggvs_eval.synthetic.domains import DOMAINS
 
 METHODS = ("ours", "ours-geometric", "distance-based")
 METRICS = {"PSNR": ".2f", "SSIM": ".4f", "LPIPS": ".4f", "STED": ".2f"}

@@ -12,20 +12,18 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
+from ggvs_eval.contrib.training.instant_samples import InstantSample, camera_arrays, stored_arrays, stored_cameras, write_arrays
+from ggvs_eval.contrib.training.samples.capture_source import draw_views, held_back_halves
+from ggvs_eval.contrib.training.samples.samples import SampleMaker
+from ggvs_eval.contrib.training.samples.training_data import HELD_BACK, choose_views, domain_validation_plan, room_options
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.domains import VALIDATION_SEEDS, find_domain
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.training.samples.capture_views import draw_views, held_back_halves
-from ggvs_eval.pipelines.training.samples.room_plan import choose_views, domain_validation_plan, room_options
-from ggvs_eval.pipelines.training.samples.sample_maker import SampleMaker
-from ggvs_eval.pipelines.training.samples.training_data import HELD_BACK
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.domains import VALIDATION_SEEDS, find_domain
-from ggvs_eval.training.instant_samples import InstantSample
-from ggvs_eval.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
 
 VERSION = 2  # counts up whenever equal plans give other views
 REAL, REAL_TITLE = "real", "real hand-held"

@@ -19,6 +19,8 @@ from scipy.spatial.transform import Rotation
 from benchmarks.domain_views import ViewPlan, render_domain
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
+from ggvs_eval.contrib.training.samples.samples import SampleMaker
+from ggvs_eval.contrib.worlds.domains import VALIDATION_SEEDS
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.colmap_model import Sightings, write_model
 from ggvs_eval.files.images import quantise, write_image
@@ -29,9 +31,7 @@ from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.training.samples.sample_maker import SampleMaker
 from ggvs_eval.run_folder import write_json
-from ggvs_eval.synthetic.domains import VALIDATION_SEEDS
 
 DOMAIN, ROOMS, METHOD = "large", 2, "ours-geometric"
 # Standard deviations of a rough calibration: about what flame_steak's own differs by from a better one.

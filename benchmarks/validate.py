@@ -101,7 +101,7 @@ def validate_real_frame(capture: Path, run: Path, protocol: str) -> Figures:
 
 def validate_demo(run: Path) -> Figures:
     """The demo room of `make reports` over time: ours against both baselines, and against itself without its temporal term."""
-    from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN, write_demo
+    from ggvs_eval.contrib.worlds.demo import DEMO_ROOMS, MAIN, write_demo
 
     capture = write_demo(run.with_name(f"{run.name}-capture"), DEMO_ROOMS[MAIN])
     evaluate(run, open_capture(capture), load_protocol("demo"), usual_methods(), default_workers())

@@ -16,6 +16,8 @@ from benchmarks.domain_views import ViewPlan, render_domain
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.compute_device import one_thread
+from ggvs_eval.contrib.training.samples.samples import SampleMaker
+from ggvs_eval.contrib.worlds.domains import VALIDATION_SEEDS
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.files.images import quantise
 from ggvs_eval.metrics.image.psnr import psnr
@@ -24,9 +26,7 @@ from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthPartners
-from ggvs_eval.pipelines.training.samples.sample_maker import SampleMaker
 from ggvs_eval.progress import track
-from ggvs_eval.synthetic.domains import VALIDATION_SEEDS
 
 DOME = "panoptic_basketball"
 CAMERAS = {"validation": ("3", "8", "20", "27"), "test": ("0", "10", "15", "30")}
@@ -94,7 +94,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--cameras", choices=list(CAMERAS), default="validation")
     parser.add_argument("--frames", type=int, nargs="+", default=[0, 20])
     parser.add_argument("--views", type=int, default=4, help="K")
-    parser.add_argument("--domains", nargs="*", default=[], help="rooms, see `ggvs_eval.synthetic.domains`")
+    parser.add_argument("--domains", nargs="*", default=[], help="rooms, see `ggvs_eval.contrib.worlds.domains`")
     parser.add_argument("--seeds", type=int, default=1, help="how many of the validation seeds")
     parser.add_argument("--targets", type=int, default=3, help="target views per seed")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder in which rooms are kept")

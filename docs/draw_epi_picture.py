@@ -10,15 +10,15 @@ from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
 from ggvs_eval.camera import nearest_cameras
+from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
+from ggvs_eval.contrib.worlds.film.raycast import rig
+from ggvs_eval.contrib.worlds.film.shots import path_shots
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry import warp
 from ggvs_eval.metrics.path.rendered_path import PathPose
 from ggvs_eval.metrics.path.view_consistency import switch_steps
 from ggvs_eval.metrics.path_scores import score_path
-from ggvs_eval.synthetic.film.film import Footage, lit_room
-from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.rig import rig
-from ggvs_eval.synthetic.film.shots import path_shots
 
 PICTURE = Path(__file__).parent / "images" / "epi_good_bad.jpg"
 OPTIONS = DemoOptions(width=480, height=360, path_poses=48)

@@ -7,7 +7,7 @@ from typing import Any
 
 from result_plan import OUT, RECORDS, ROOT
 
-from ggvs_eval.baselines.registry import TRAINED_BASELINES
+from ggvs_eval.contrib.training.recipes.recipe import TRAINED_BASELINES
 from ggvs_eval.errors import ResultsError
 
 # Of the validation rooms the whole picture stands for all regions; the validation of depth prints the others.

@@ -34,7 +34,7 @@ SHORT = 12  # digits of an identity that a page shows
 FLAME_STEAK, HOLOLENS, DOME = "n3v_flame_steak", "hololens_rgbd", "panoptic_basketball"
 VIDEO_PROTOCOL = "benchmarks/real_video.toml"
 DEMO_CAPTURE = "out/demo-capture"
-FILM_DEMO = f"ggvs-eval demo {DEMO_CAPTURE} --depth-stride 0"  # as the main job makes it, which may have been there first
+UNPACK_DEMO = f"ggvs-eval demo {DEMO_CAPTURE}"  # as the main job makes it, which may have been there first
 ROOMS = tuple(f"out/rooms/{seed}" for seed in range(3))
 ON_A_VIDEO = ("no-blending", "distance-based", "enerf", "ours", "ours-geometric", "ours+no-temporal")
 ON_A_LONG_VIDEO = ("ours", "distance-based", "ours+no-temporal")
@@ -45,7 +45,8 @@ CHECKPOINTS = {  # that do not ship: their bytes
     ITERMVS_FILE: "8563268624cf203750212a0e0bfa4825a5af05c0005a225ef02f138258b0fc42",
     MVSNERF_FILE: "84c2a397760d5e717c21faee9c4f8f8f8a1ba22b378b10971c44f4a0b932c124",
 }
-FILM, MEANS = "ggvs_eval.synthetic.demo", "ggvs_eval.results"
+CAPTURES = {"demo": "ggvs_eval.synthetic.shipped", "film": "ggvs_eval.contrib.worlds.demo"}  # verb -> module
+MEANS = "ggvs_eval.results"
 EDITS, EDITED = ("--hold-frames", "--sensor-noise"), "ggvs_eval.datasets.capture_edit"
 STREAMED = ("ggvs_eval.pipelines.run.screens", "ggvs_eval.metrics.time.on_screen")
 CHOOSE = (camera_depth.__name__, STREAMED[0])  # among many: what they import beside what is chosen does not count
@@ -114,7 +115,7 @@ class Measurement:
         modules = set().union(*(found for found, _ in self._table_functions))
         for program, verb, *words in map(str.split, self.commands):
             if program == "ggvs-eval":
-                modules |= {FILM} if verb == "demo" else set()
+                modules |= {CAPTURES[verb]} if verb in CAPTURES else set()
                 modules |= {MEANS, *_of_depth(words)} if verb in ("run", "sweep") else set()
                 modules |= {EDITED} if verb == "run" and any(word in EDITS for word in words) else set()
         if any(protocol.stream for protocol in self.protocols):
@@ -156,8 +157,8 @@ def _run(name: str, capture: str, methods: tuple[str, ...], minutes: int, protoc
 
 def _sweep(name: str, sweep: str, captures: tuple[str, ...], minutes: int, protocol: str) -> Measurement:
     """A packaged sweep; rooms are filmed first where they are not there."""
-    films = [f"ggvs-eval demo {room} --seed {room[-1]} --n-frames 30" for room in captures if room in ROOMS]
-    films += [FILM_DEMO] * (DEMO_CAPTURE in captures)
+    films = [f"ggvs-eval film {room} --seed {room[-1]} --n-frames 30" for room in captures if room in ROOMS]
+    films += [UNPACK_DEMO] * (DEMO_CAPTURE in captures)
     command = f"ggvs-eval sweep {sweep} out/{name} --capture {' '.join(captures)} --protocol {protocol}"
     return Measurement(name, (*films, command), minutes, protocol=protocol, sweep=sweep)
 
@@ -171,7 +172,7 @@ def _of_dome(name: str, methods: tuple[str, ...], minutes: int, protocol: str = 
 
 def _stream(name: str, capture: str, minutes: int, protocol: str, captures: tuple[str, ...] = ()) -> Measurement:
     """The sweep of what is on the screen, one job at a time, as its seconds count."""
-    film = (FILM_DEMO,) * (capture == DEMO_CAPTURE)
+    film = (UNPACK_DEMO,) * (capture == DEMO_CAPTURE)
     command = f"ggvs-eval sweep stream out/{name} --capture {capture} --protocol {protocol} --jobs 1"
     return Measurement(name, (*film, command), minutes, protocol=str(ROOT / protocol), sweep="stream", captures=captures)
 
@@ -187,7 +188,7 @@ MEASUREMENTS = {
         Measurement(
             "demo_instant",
             (
-                FILM_DEMO,
+                UNPACK_DEMO,
                 f"ggvs-eval run out/demo_instant --capture {DEMO_CAPTURE} --protocol benchmarks/demo_instant.toml --methods "
                 f"{' '.join(ON_AN_INSTANT)} --weights mvsnerf={{weights}}/mvsnerf-v0.tar",
             ),
@@ -255,7 +256,7 @@ MEASUREMENTS = {
         Measurement(
             "long_room",
             (
-                "ggvs-eval demo out/long-room --seed 101 --width 320 --height 240 --n-frames 300 --cameras-per-row 3 "
+                "ggvs-eval film out/long-room --seed 101 --width 320 --height 240 --n-frames 300 --cameras-per-row 3 "
                 "--supersampling 1 --path-poses 0 --depth-stride 0",
                 "ggvs-eval run out/long --capture out/long-room --protocol benchmarks/long_room.toml --matcher live "
                 f"--methods {' '.join(ON_A_LONG_VIDEO)}",
@@ -268,7 +269,7 @@ MEASUREMENTS = {
         Measurement(
             "offline_unseen",
             (
-                "ggvs-eval demo out/unseen-capture --seed 2 --rig grid --width 320 --height 240 --n-frames 12 --path-poses 24",
+                "ggvs-eval film out/unseen-capture --seed 2 --rig grid --width 320 --height 240 --n-frames 12 --path-poses 24",
                 "ggvs-eval sweep offline out/offline_unseen --capture out/unseen-capture --protocol offline",
             ),
             300,
@@ -318,7 +319,7 @@ MEASUREMENTS = {
                 line
                 for seed in range(3)
                 for line in (
-                    f"ggvs-eval demo out/noisy/{seed} --seed {seed} --n-frames 30 --sensor-noise 1.5",
+                    f"ggvs-eval film out/noisy/{seed} --seed {seed} --n-frames 30 --sensor-noise 1.5",
                     f"ggvs-eval run out/rooms_noise/{seed} --capture out/noisy/{seed} --protocol rooms --methods "
                     + " ".join(_NOISE),
                 )

@@ -29,11 +29,13 @@ class Verb(NamedTuple):
         target: its function, or the table of its subcommands, as ``module:attribute``.
         about: the first line of its help.
         group: heading under which the overview lists it.
+        wider: the verb that is called instead where an option is none of its own.
     """
 
     target: str
     about: str
     group: str
+    wider: str = ""
 
 
 CAPTURES, RUNS, RESULTS, FRAMES, LIVE = "captures", "runs", "results", "frames and metrics", "live views, splats and networks"
@@ -42,7 +44,13 @@ CAPTURES, RUNS, RESULTS, FRAMES, LIVE = "captures", "runs", "results", "frames a
 VERBS: dict[str, Verb] = {
     "demo": Verb(
         f"{VERBS_ROOM}.captures:demo",
-        "Write the demo capture: a procedural dynamic room in the layout of a data set, with exact depth beside it.",
+        "Unpack a demo capture that ships: a procedural dynamic room in the layout of a data set.",
+        CAPTURES,
+        "film",
+    ),
+    "film": Verb(
+        "ggvs_eval.contrib.worlds.command:film",
+        "Film a demo capture: a procedural dynamic room or garden in the layout of a data set, with exact depth beside it.",
         CAPTURES,
     ),
     "get": Verb(
@@ -106,6 +114,11 @@ VERBS: dict[str, Verb] = {
         "Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and figures of scored runs.",
         RESULTS,
     ),
+    "table": Verb(
+        f"{VERBS_ROOM}.figures:table",
+        "Print a table of scored runs for a paper, in seconds; of several scenes a table per metric with a column for each.",
+        RESULTS,
+    ),
     "figure": Verb(
         f"{VERBS_ROOM}.figures:figure", "Draw a figure for a paper, labelled, every method beside the truth.", RESULTS
     ),
@@ -148,7 +161,7 @@ VERBS: dict[str, Verb] = {
         LIVE,
     ),
     "train": Verb(
-        f"{VERBS_ROOM}.training:TRAININGS",
+        "ggvs_eval.contrib.training.command:TRAININGS",
         "Train a network of this package; a second call goes on where the first one stopped.",
         LIVE,
     ),
@@ -279,6 +292,18 @@ METHODS: dict[str, Derived] = {
 }
 # Those that are rendered where none are named.
 USUAL_METHODS = ("no-blending", "distance-based", "ours+no-tsdf", "ours+no-temporal", "ours", "ours-geometric")
+
+# Depth from images: the class of a matcher; of a network what makes one of a checkpoint (empty: its own), a device, and whether
+# it fills what another one does not find.
+_OFFLINE = "ggvs_eval.pipelines.offline"
+MATCHERS = {
+    "sgbm": f"{_OFFLINE}.stereo.sgbm:SgbmMatcher",
+    "live": f"{_OFFLINE}.stereo.live:LiveMatcher",
+    "sweep": f"{_OFFLINE}.plane_sweep.planes:PlaneSweep",
+    "raft": f"{_OFFLINE}.stereo.raft_matcher:matcher_of_weights",
+    "itermvs": f"{_OFFLINE}.itermvs.estimator:matcher_of_weights",
+}
+NETWORK_MATCHERS = ("raft", "itermvs")
 
 # Where jobs run beside processes of this machine, and plans of sweeps for other schedulers.
 ENGINES = {"dask": "ggvs_eval.contrib.cluster.dask_engine:run_on_dask"}

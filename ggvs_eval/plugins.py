@@ -25,7 +25,7 @@ from typing import Any, Generic, Literal, TypeVar, get_args
 
 from ggvs_eval.built_in import DEVICE_PARTS as SHIPPED_DEVICE_PARTS
 from ggvs_eval.built_in import Derived
-from ggvs_eval.errors import AbsentPartError, GgvsError, PluginError
+from ggvs_eval.errors import AbsentPartError, GgvsError, PluginError, ViewRefusedError
 
 Kind = Literal["metrics", "methods", "datasets"]
 FILES = "GGVS_EVAL_PLUGINS"  # environment variable of plug-in files, which worker processes inherit
@@ -174,13 +174,13 @@ def foreign(what: str, kind: type[GgvsError] = PluginError) -> Iterator[None]:
 
     Args:
         what: the plug-in, and what of it, for the message.
-        kind: of the error; those of this package pass as they are.
+        kind: of the error; those of this package pass as they are, unless they are to cost a view alone.
     """
     try:
         yield
-    except (GgvsError, MemoryError):
-        raise
     except (Exception, SystemExit) as error:
+        if isinstance(error, MemoryError | kind) or (isinstance(error, GgvsError) and kind is not ViewRefusedError):
+            raise
         raise kind(f"plug-in {what} ({_reason(error)}); mend or remove it") from error
 
 

@@ -4,7 +4,8 @@ import dataclasses
 import hashlib
 import json
 import pathlib
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, Literal
 
@@ -12,8 +13,9 @@ from ggvs_eval.errors import ProtocolError, did_you_mean
 from ggvs_eval.files.images import ResizeFilter
 from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
 from ggvs_eval.geometry.source_views import SourceChoice
+from ggvs_eval.metric_choices import LATER, MetricChoices
 
-STREAMED = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")
+STREAMED = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")  # the usual metrics, and those that there are of the screen
 ON_SCREEN = "_stream"  # behind the name of a metric: of what stands on the screen, see `Stream`
 
 
@@ -23,7 +25,7 @@ class Views:
 
     Attributes:
         test: names of the target cameras.
-        chosen_by: who chose them and by which rule; the paper gives counts only, so ours are marked ``chosen by us``.
+        chosen_by: who chose them and by which rule.
         keep_unsynced: cameras that are known to be out of step stay among the sources, as in the code of some authors.
         sources: names of the cameras that any method may see, in images or in depth; every camera where empty.
         folds: test cameras that are held out together from a method that is fitted to the capture, one fit per fold. Where it is
@@ -31,18 +33,18 @@ class Views:
     """
 
     test: tuple[str, ...]
-    chosen_by: str
-    keep_unsynced: bool = False
-    sources: tuple[str, ...] = ()
-    folds: tuple[tuple[str, ...], ...] = ()
+    chosen_by: str = "by hand"
+    keep_unsynced: bool = field(default=False, metadata=LATER)
+    sources: tuple[str, ...] = field(default=(), metadata=LATER)
+    folds: tuple[tuple[str, ...], ...] = field(default=(), metadata=LATER)
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Instants that are synthesised: ``count`` from ``start`` on, consecutive."""
+    """Instants that are synthesised: ``count`` from ``start`` on, consecutive; 0 in a file: as many as the capture has."""
 
-    start: int
-    count: int
+    start: int = 0
+    count: int = 0
 
     @property
     def numbers(self) -> range:
@@ -64,11 +66,11 @@ class Synthesis:
             all methods get the same.
     """
 
-    k: int
+    k: int = 4
     width: int = 0
     height: int = 0
     resize_filter: ResizeFilter = "lanczos"
-    sources: SourceChoice = "nearest"
+    sources: SourceChoice = field(default="nearest", metadata=LATER)
 
 
 @dataclass(frozen=True)
@@ -101,12 +103,12 @@ class CameraPath:
     """
 
     poses: int = 48
-    cameras: tuple[PathCamera, ...] = ()
-    frame: int = 0
+    cameras: tuple[PathCamera, ...] = field(default=(), metadata=LATER)
+    frame: int = field(default=0, metadata={"left out with": "cameras"})
 
 
 @dataclass(frozen=True)
-class Measurement:
+class Measurement(MetricChoices):
     """Measurement of the 8-bit frames on disk.
 
     Attributes:
@@ -114,29 +116,15 @@ class Measurement:
         width: both images are resized to this width before anything is measured; 0 keeps the rendered size.
         height: of both images, as `width`.
         resize_filter: how they are resized.
-        ssim: which SSIM, see `ggvs_eval.metrics.image.ssim.SSIM_VARIANTS`.
-        lpips_net: backbone of LPIPS v0.1; vgg-bf16 computes VGG in bfloat16, which is faster and not the same number.
-        lpips_every: LPIPS looks at every so many frames, the first among them; it costs as much as all other metrics.
-        sted_pairing: frame pairs of ST-RRED: ``disjoint`` (0-1, 2-3, ...) or ``consecutive``.
-        sted_pooling: ``means`` (mean spatial times mean temporal difference) or ``products`` (mean of the pairs' products).
-        colour_scope: one affine map per ``view`` or per ``frame`` for the colour-corrected metrics.
         ceilings: also estimate what perfect renderings would score, for the rows beside the tables.
-        ddof: delta degrees of freedom of the standard deviations SDT and SDV.
         aggregation: order in which means are taken.
     """
 
-    metrics: tuple[str, ...]
+    metrics: tuple[str, ...] = STREAMED
     width: int = 0
     height: int = 0
     resize_filter: ResizeFilter = "area"
-    ssim: Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"] = "gaussian-valid"
-    lpips_net: Literal["vgg", "alex", "vgg-bf16"] = "vgg"
-    lpips_every: int = 1
-    sted_pairing: Literal["disjoint", "consecutive"] = "disjoint"
-    sted_pooling: Literal["means", "products"] = "means"
-    colour_scope: Literal["view", "frame"] = "view"
     ceilings: bool = True
-    ddof: int = 1
     aggregation: Literal["frames, views, scenes"] = "frames, views, scenes"
 
 
@@ -178,7 +166,7 @@ class Stream:
     policy: Literal["drop", "deadline"] = "drop"
     deadline_ms: float = 150.0
     pipelined: bool = False
-    depth_ms: float | None = None
+    depth_ms: float | None = field(default=None, metadata=LATER)
     stated: tuple[StatedTime, ...] = ()
     warm_up: int = 0
 
@@ -196,11 +184,11 @@ class Protocol:
     name: str
     dataset: str
     views: Views
-    frames: Frames
-    synthesis: Synthesis
-    measurement: Measurement
+    frames: Frames = Frames()
+    synthesis: Synthesis = Synthesis()
+    measurement: Measurement = Measurement()
     path: CameraPath = CameraPath()
-    stream: Stream | None = None
+    stream: Stream | None = field(default=None, metadata=LATER)
 
     def with_folds(self, folds: tuple[tuple[str, ...], ...]) -> "Protocol":
         """The protocol with these folds stated, or with none."""
@@ -210,6 +198,12 @@ class Protocol:
         """Tell whether one run folder can serve both: they are equal, or one of them leaves its folds open."""
         same = self.with_folds(()) == other.with_folds(())
         return same and (not self.views.folds or not other.views.folds or self.views.folds == other.views.folds)
+
+    def over(self, n_frames: int) -> "Protocol":
+        """The protocol over a clip of so many instants: all of them from its first one on, where it does not say how many."""
+        if self.frames.count:
+            return self
+        return dataclasses.replace(self, frames=dataclasses.replace(self.frames, count=max(n_frames - self.frames.start, 1)))
 
     def shortened(self, frames: int | None, path_poses: int | None) -> "Protocol":
         """The protocol over the first so many of its instants, and with a camera path of so many poses; None keeps either.
@@ -237,32 +231,12 @@ class Protocol:
 
     @property
     def sha256(self) -> str:
-        """Hash of every value (not of the file's layout or comments); results carry it, tables refuse to mix it.
-
-        A choice that came later is left out where it is as it always was, so that the hashes of older results stay valid.
-        """
-        values = self.values()
-        if self.synthesis.sources == Synthesis.sources:
-            del values["synthesis"]["sources"]
-        if self.measurement.lpips_every == Measurement.lpips_every:
-            del values["measurement"]["lpips_every"]
-        if not self.path.cameras:
-            values["path"] = {"poses": self.path.poses}
-        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+        """Hash of every value (not of the file's layout or comments); results carry it, tables refuse to mix it."""
+        return hashlib.sha256(json.dumps(self.values(), sort_keys=True).encode()).hexdigest()
 
     def values(self) -> dict[str, Any]:
-        """Every value as TOML and JSON know it, without the choices of views that are not made."""
-        values = dataclasses.asdict(self)
-        for name in ("sources", "folds"):
-            if not values["views"][name]:
-                del values["views"][name]
-        if not self.views.keep_unsynced:
-            del values["views"]["keep_unsynced"]
-        if self.stream is None:
-            del values["stream"]
-        elif self.stream.depth_ms is None:
-            del values["stream"]["depth_ms"]
-        return values
+        """Every value as TOML and JSON know it, without later choices that are not made."""
+        return _values_of(self)
 
     def to_toml(self) -> str:
         """The protocol as a TOML file that `load_protocol` reads back."""
@@ -272,6 +246,24 @@ class Protocol:
             if isinstance(table, dict):
                 lines += ["", f"[{section}]", *(f"{key} = {_toml_value(value)}" for key, value in table.items())]
         return "\n".join(lines) + "\n"
+
+
+def _values_of(table: Any) -> dict[str, Any]:
+    fields = {each.name: each for each in dataclasses.fields(table)}
+    values = {}
+    for name, each in fields.items():
+        other = each.metadata.get("left out with", name)
+        if not each.metadata or getattr(table, other) != fields[other].default:
+            value = getattr(table, name)
+            values[name] = _values_of(value) if dataclasses.is_dataclass(value) else _plain(value)
+    return values
+
+
+def _plain(value: Any) -> Any:
+    """A value within tuples as `dataclasses.asdict` gives it."""
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    return dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value
 
 
 def load_protocol(source: str | pathlib.Path) -> Protocol:
@@ -300,6 +292,8 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
             raise ProtocolError(f"protocol {str(source)!r} is not packaged; use {choice}")
         text = (resources.files("ggvs_eval") / "protocols" / f"{source}.toml").read_text(encoding="utf-8")
         values = parse_toml(text, str(source), ProtocolError)
+    values = {"name": path.stem, **values}
+    values = {"dataset": values["name"], **values}
     return checked_protocol(build_table(Protocol, values, str(source), "", ProtocolError), str(source))
 
 
@@ -325,7 +319,7 @@ def checked_protocol(protocol: Protocol, file: str) -> Protocol:
         "views.test must name each test view once, and at least one": views and len(set(views)) == len(views),
         "views.sources must name each camera once": len(set(protocol.views.sources)) == len(protocol.views.sources),
         "views.folds must hold each of views.test once, and nothing else": not folded or sorted(folded) == sorted(views),
-        "frames.start must be at least 0 and frames.count at least 1": protocol.frames.start >= 0 and protocol.frames.count >= 1,
+        "frames.start and frames.count must be at least 0": protocol.frames.start >= 0 and protocol.frames.count >= 0,
         "synthesis.k must be at least 1": synthesis.k >= 1,
         "path.poses must be 0 or at least 2": protocol.path.poses == 0 or protocol.path.poses >= 2,
         "path.poses must be the number of path.cameras": len(protocol.path.cameras) in (0, protocol.path.poses),
@@ -336,7 +330,7 @@ def checked_protocol(protocol: Protocol, file: str) -> Protocol:
         "measurement.lpips_every must be at least 1": measurement.lpips_every >= 1,
         f"{', '.join(streamed)} of measurement.metrics need a table [stream] with its fps": not streamed or stream is not None,
         "stream.fps and stream.deadline_ms must be positive": stream is None or (stream.fps > 0 and stream.deadline_ms > 0),
-        "stream.warm_up must leave an instant": stream is None or 0 <= stream.warm_up < protocol.frames.count,
+        "stream.warm_up must leave an instant": stream is None or 0 <= stream.warm_up < (protocol.frames.count or sys.maxsize),
         "stream.depth_ms and stream.stated must have no negative time": min(times_ms, default=0.0) >= 0,
         "stream.stated must name each method once, with a time": len({*labels}) == len(labels)
         and (stream is None or all(each.ms for each in stream.stated)),

@@ -9,13 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8, Mask, read_only
+from ggvs_eval.metric_choices import MetricChoices
 from ggvs_eval.statistics.pooling import MEAN, Pooling
 
 Kind = Literal["frame", "pair", "view", "rig", "path", "depth"]
-SsimName = Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"]
-LpipsNet = Literal["vgg", "alex", "vgg-bf16"]
-StedPairing = Literal["disjoint", "consecutive"]
-StedPooling = Literal["means", "products"]
 ColourMap = NDArray[np.float64]  # (3, 4): true colour is about map @ (r, g, b, 1), all in [0, 1]
 Value = tuple[str, int | None, float]  # metric, frame or pose (None: the whole view or path), value
 Row = tuple[str | None, int, float]  # view (None: the whole rig), frame (-1: the whole sequence), value
@@ -38,29 +35,15 @@ ALONG_PATH = Group("path", "View consistency along the camera path, without trut
 FURTHER = Group("further", "Further measures")
 
 
-@dataclass(frozen=True)
-class MetricOptions:
-    """Metric options that a protocol may set.
+@dataclass(frozen=True, kw_only=True)
+class MetricOptions(MetricChoices):
+    """What a protocol chooses of the metrics, and where they are measured.
 
     Attributes:
-        ssim: which SSIM, see `SSIM_VARIANTS`; regions and colour-corrected frames take the default one.
-        lpips_net: network of LPIPS, see `lpips.lpips`.
-        lpips_every: LPIPS looks at every so many frames, from the protocol's first one on.
-        sted_pairing: which frames ST-RRED compares, see `strred.strred`.
-        sted_pooling: how its pairs become one number, see `strred.pool`.
-        colour_scope: one colour correction per view, or one per frame.
-        ddof: 1 for unbiased standard deviations, 0 for plain ones.
         first_frame: number, counted from the protocol's first one, of the frame that is measured first.
         device: where metrics compute that can (`ViewMetric.on_device`); no choice of the protocol's.
     """
 
-    ssim: SsimName = "gaussian-valid"
-    lpips_net: LpipsNet = "vgg"
-    lpips_every: int = 1
-    sted_pairing: StedPairing = "disjoint"
-    sted_pooling: StedPooling = "means"
-    colour_scope: Literal["view", "frame"] = "view"
-    ddof: int = 1
     first_frame: int = 0
     device: str = "cpu"
 

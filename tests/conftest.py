@@ -97,7 +97,7 @@ def shared_folder(tmp_path_factory) -> Path:
 @pytest.fixture(scope="session", autouse=True)
 def _rooms_lit_once(shared_folder) -> Iterator[None]:
     """Procedural rooms are lit once in a session, not once in every process that films them."""
-    from ggvs_eval.synthetic.film import film
+    from ggvs_eval.contrib.worlds.film import film
     from helpers.lit_rooms import stored_rooms
 
     with pytest.MonkeyPatch.context() as patch:

@@ -24,6 +24,8 @@ ASKED = {
     "more_baselines": ("run OUT --capture ROOM --protocol QUICK --methods mvsplat", "mvsplat is part of"),
     "more_metrics": ("explain OUT vmaf 90", "vmaf is part of"),
     "study": ("metric-study OUT", "metric-study is part of"),
+    "training": ("train blend OUT", "train is part of"),
+    "worlds": ("demo OUT --seed 3", "film is part of"),
 }
 # In a checkout an editable install would find again what was taken away.
 STARTED = """
@@ -83,7 +85,7 @@ def without(request, installed):
 
 
 def test_the_rest_starts_and_scores(without):
-    """Help and a score; a metric that is not there says so and the others are measured."""
+    """Help, a score and a plan of the demo; a metric that is not there says so and the others are measured."""
     name, called = without
     overview = called(COMMAND, "--help")
     assert overview.returncode == 0, overview.stderr
@@ -93,6 +95,10 @@ def test_the_rest_starts_and_scores(without):
     assert "'L1', 'PSNR'" in scored.stdout
     is_gone = name in ("more_metrics", "all of it")
     assert ("FLIP is part of ggvs_eval.contrib" in scored.stdout) == is_gone
+
+    if name in ("worlds", "all of it"):
+        planned = called(COMMAND, "run", "OUT", "--dry-run")
+        assert planned.stdout.count("plan: ") == 4, planned.stderr
 
 
 def test_what_is_asked_for_is_one_line(without):
@@ -106,3 +112,7 @@ def test_what_is_asked_for_is_one_line(without):
         (line,) = asked.stderr.strip().splitlines()
         assert line.startswith(f"ggvs-eval: {begins} ggvs_eval.contrib"), line
         assert line.endswith("which is not installed; reinstall ggvs-eval or leave it out")
+        if package == "worlds":  # and what builds on it
+            asked = called(COMMAND, "train", "stereo", "OUT")
+            begins = "train wants rooms of" if name == "worlds" else "train is part of"
+            assert asked.stderr.startswith(f"ggvs-eval: {begins} ggvs_eval.contrib"), asked.stderr

@@ -2,17 +2,20 @@
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ggvs_eval import plugins
+from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import DATASETS, detect_layout, open_capture
 from ggvs_eval.errors import CaptureError, PluginError, RenderError, ViewRefusedError
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.metrics.stream import score_view
 from ggvs_eval.pipelines.methods.registry import METHODS
-from ggvs_eval.pipelines.run.evaluate import measure
+from ggvs_eval.pipelines.run.evaluate import measure, report
+from ggvs_eval.pipelines.run.folds import FoldPlan, plan_fits
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.plugins import FILES, use_file
 from helpers.refusals import refused
@@ -48,6 +51,46 @@ class Mine:
 
 METHODS = {{"mine": Mine}}
 """
+FITTED = """
+from dataclasses import dataclass
+import numpy as np
+from ggvs_eval.errors import RenderError
+from ggvs_eval.method import Rendering
+from ggvs_eval.pipelines.methods.fitted import fitted_method
+from ggvs_eval.scene_fitter import FittedScene, SceneFitter
+
+class Scene(FittedScene):
+    def render(self, index, target):
+        {render}
+
+    @property
+    def size_bytes(self):
+        {size_bytes}
+
+@dataclass(frozen=True)
+class Fitter(SceneFitter):
+    name = "mine"
+    look_ahead = "none"
+
+    def depth_indices(self, indices):
+        {depth}
+
+    def fit(self, footage, folder, progress):
+        held_out = sorted({{"cam00", "cam01"}} - set(footage.views))[0]
+        {fit}
+
+    def load(self, folder):
+        {load}
+
+METHODS = {{"mine": fitted_method("Mine", "mine", "foreign_plugin:Fitter")}}
+"""
+WORKS = {
+    "depth": "return [indices[0]]",
+    "fit": "pass",
+    "load": "return Scene()",
+    "size_bytes": "return 1",
+    "render": "return Rendering(np.full((target.height, target.width, 3), 0.5, np.float32))",
+}
 PICTURE = "np.full((instant.target.height, instant.target.width, 3), 0.5, np.float32)"
 LAYOUT = """
 from ggvs_eval.datasets import DatasetSpec
@@ -74,6 +117,11 @@ def forgotten(monkeypatch, tmp_path) -> Iterator[None]:
     sys.modules.pop("foreign_plugin", None)
     for registry in (METRICS, METHODS, DATASETS):
         registry._loaded.clear()
+
+
+@pytest.fixture(scope="module")
+def small_capture(tmp_path_factory) -> Capture:
+    return write_small_capture(tmp_path_factory.mktemp("small") / "room", 2)
 
 
 @pytest.fixture
@@ -133,6 +181,7 @@ def test_a_metric_that_works_is_a_number(offer):
     [
         ("raise ValueError('no such luck')", "ValueError: no such luck"),
         ("import sys; sys.exit(3)", "SystemExit: 3"),
+        ("from ggvs_eval.errors import RenderError; raise RenderError('no such luck')", "RenderError: no such luck"),
         ("return 'abc'", "wanted a Rendering with an image, got str"),
         ("return Rendering('abc')", "wanted a Rendering with an image, got str"),
         (f"return Rendering({PICTURE}[:-1])", "wanted an image of floats"),
@@ -176,6 +225,62 @@ def test_a_run_goes_on_without_what_failed(offer, tmp_path):
     assert views == {"no-blending": {"cam00", "cam01"}, "mine": {"cam00"}}
     assert "not this one" in results.provenance["partial"]["mine"]
     assert "KeyError" in results.not_computed["X"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("where", "body", "views", "reason"),
+    [
+        (
+            "fit",
+            "if held_out == 'cam01': raise ValueError('no such luck')",
+            {"cam00"},
+            "failed to fit mine, fold2 (ValueError: no such",
+        ),
+        (
+            "fit",
+            "footage.image(held_out, 0)",
+            set(),
+            "failed to fit mine, fold1 (RenderError: footage: 'cam00' is not a training",
+        ),
+        ("fit", "import sys; sys.exit(3)", set(), "failed to fit mine, fold1 (SystemExit: 3"),
+        ("load", "return 5", set(), "failed to fit mine, fold1 (AttributeError"),
+        ("size_bytes", "return 'big'", set(), "failed to fit mine, fold1 (TypeError"),
+        (
+            "render",
+            "if target.name == 'cam00': 1/0\n        return Scene.shown(target)",
+            {"cam01"},
+            "failed at instant 0 (Zero",
+        ),
+        ("render", "return 'abc'", set(), "wanted a Rendering with an image, got str"),
+        ("render", "return Rendering(np.full((3, 3, 3), 0.5, np.float32))", set(), "wanted an image of floats"),
+        ("render", "return Scene.shown(target, seconds={'a': 'b'})", set(), "failed at instant 0 (TypeError"),
+        ("render", "return Scene.shown(target, diagnostics={'mine': 3})", set(), "its diagnostics of frame 0 are none (KeyError"),
+    ],
+)
+def test_a_fitted_method_that_fails_costs_its_own_cells(offer, tmp_path, small_capture, where, body, views, reason):
+    """While it is fitted or rendered, of one fold or of all: the views that it was to show are named, the others have values."""
+    shown = "Scene.shown = lambda target, **more: Rendering(np.full((target.height, target.width, 3), 0.5, np.float32), **more)\n"
+    offer(FITTED.format(**WORKS | {where: body}) + shown)
+    protocol = small_protocol(2, 0, ("PSNR",))
+    protocol = replace(protocol, views=replace(protocol.views, folds=(("cam00",), ("cam01",))))
+    request = RunRequest(tmp_path / "run", small_capture, protocol, ("no-blending", "mine"))
+
+    results = measure(plan_run(request), 1)
+
+    shown_in = results.table.groupby("method")["view"].unique().map(set).to_dict()
+    assert shown_in.get("mine", set()) == views
+    assert shown_in["no-blending"] == {"cam00", "cam01"}
+    assert reason in results.provenance["partial"]["mine"]
+    assert (report([tmp_path / "run"], with_figures=False)).is_file()
+
+
+@pytest.mark.parametrize("depth", ["raise ValueError('no such luck')", "return 'abc'", "return [7]", "import sys; sys.exit(3)"])
+def test_a_fitted_method_that_cannot_be_planned_is_one_line(offer, depth):
+    """Instants that it wants depth of and that are none are refused before anything is done."""
+    offer(FITTED.format(**WORKS | {"depth": depth}))
+    with refused(RenderError, "method Mine: its fits cannot be planned"):
+        plan_fits({"mine": METHODS["mine"]}, [FoldPlan("fold1", ("cam00",), ())], range(2), 0)
 
 
 @pytest.mark.parametrize("refuse", ["raise ValueError('no such luck')", "import sys; sys.exit(3)", "return 5"])

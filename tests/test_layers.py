@@ -15,16 +15,14 @@ LEARNED = tuple(f"baselines.{folder.name}" for folder in sorted(BASELINES.iterdi
 # Rooms from the ground up; rooms of one floor do not import each other. A module of the package itself, e.g.
 # `ggvs_eval.camera`, is a room of its own; what stands in a folder belongs to the longest name listed here.
 FLOORS = (
-    ("arrays", "built_in", "errors", "kernels", "raft_config", "residual_block"),
+    ("arrays", "built_in", "errors", "kernels", "metric_choices", "raft_config", "residual_block"),
     ("camera", "progress", "plugins", "raft_update"),
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
     ("depth_store", "protocol", "gaussians"),
     ("run_folder", "results", "scene_fitter", "sweep"),
-    ("statistics", "merged_results", "datasets", "jobs", "synthetic.room", "training"),
-    ("synthetic.film", "renders"),
-    ("synthetic.layouts", "synthetic.stereo"),
-    ("synthetic",),
+    ("statistics", "merged_results", "datasets", "jobs", "synthetic.d3dmv_scene"),
+    ("synthetic", "renders"),
     ("baselines", "metrics.inputs", "metrics.metric"),
     ("metrics.on_device",),
     (*LEARNED, "metrics.image", "metrics.noise"),
@@ -33,7 +31,7 @@ FLOORS = (
     ("reports.model",),
     ("reports.figures", "reports.tables", "reports.depth_page"),
     ("reports.run_groups",),
-    ("reports.page",),
+    ("reports.page", "reports.tables_of_runs"),
     ("reports.report",),
     (
         *("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.itermvs", "pipelines.offline.plane_sweep"),
@@ -43,21 +41,20 @@ FLOORS = (
     ("pipelines.methods",),
     ("pipelines.offline.depth",),
     ("pipelines.offline.export", "pipelines.inspection"),
-    ("pipelines.inspection.capture", "pipelines.inspection.renders", "pipelines.training.samples"),
-    ("pipelines.run", "pipelines.training.blend", "pipelines.training.stereo"),
+    ("pipelines.inspection.capture", "pipelines.inspection.renders"),
+    ("pipelines.run",),
     ("pipelines.play",),
     ("pipelines.view",),
-    ("pipelines.sweep.merging", "pipelines.sweep", "pipelines.training"),
+    ("pipelines.sweep.merging", "pipelines.sweep"),
     ("pipelines.commands",),
     ("__main__", "install"),
-    (
-        "contrib.cluster",
-        "contrib.export",
-        "contrib.study",
-        "contrib.more_metrics",
-        "contrib.more_baselines",
-        "contrib.warp",
-    ),  # what the package can do without, each part by itself
+    # What the package can do without, each part by itself; training alone stands on two others.
+    ("contrib.cluster", "contrib.export", "contrib.more_baselines", "contrib.more_metrics", "contrib.study", "contrib.warp"),
+    ("contrib.worlds.room",),
+    ("contrib.worlds.film",),
+    ("contrib.worlds.layouts",),
+    ("contrib.worlds",),
+    ("contrib.training",),
 )
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 
@@ -149,6 +146,19 @@ def test_rooms_that_must_not_know_each_other():
     ]
 
     assert wrong == []
+
+
+def test_parts_of_contrib_know_no_other():
+    """Training alone builds on others: rooms to learn from, and networks that it trains."""
+    crossing = {
+        (module.split(".")[1], other.split(".")[1])
+        for module, file in MODULES.items()
+        if module.count(".") > 1 and module.startswith("contrib.")
+        for other in imported_modules(file)
+        if other.startswith("contrib.") and other.split(".")[1] != module.split(".")[1]
+    }
+
+    assert crossing == {("training", "worlds"), ("training", "more_baselines")}
 
 
 def test_what_can_be_taken_away_is_named_in_one_place():

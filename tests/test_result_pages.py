@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
+from ggvs_eval.contrib.worlds.demo import SHIPPED, write_demo
 from ggvs_eval.jobs.code_identity import installed_code
-from ggvs_eval.synthetic.demo import SHIPPED, write_demo
 from helpers.places import ROOT
 
 pytestmark = [
@@ -226,17 +226,18 @@ def test_the_demo_of_the_plan_is_that_of_the_main_job(tmp_path):
 
 INTERVALS = {"statistics.intervals", "statistics.autocorrelation"}
 SGBM = {"pipelines.offline.stereo.sgbm", "pipelines.offline.depth.consistency", "pipelines.offline.stereo.fusion"}
-FILM = {"synthetic.demo", "synthetic.film.film", "synthetic.room.room", "synthetic.film.options"}
+FILM = {f"contrib.worlds.{name}" for name in ("demo", "film.film", "room.room", "film.options")}
 MUST_COUNT = {  # measurement -> modules whose change makes its tables older than the code
     **dict.fromkeys(("rooms_ablations", "rooms_switches", "rooms_baselines", "rooms_noise"), INTERVALS | SGBM | FILM),
     **dict.fromkeys(("demo", "real_frame_small", "real_frame_coverage", "real_frame_folds"), {"results"} | SGBM),
     **dict.fromkeys(("real_frame_refined", "real_frame_refined_coverage"), {"results"} | SGBM),
-    **dict.fromkeys(("offline", "offline_unseen"), {"reports.tables.fitted"} | INTERVALS | SGBM | FILM),
-    "stream": {"metrics.time.on_screen", "pipelines.run.screens"} | SGBM | FILM,
+    "offline": {"reports.tables.fitted", "synthetic.shipped"} | INTERVALS | SGBM,
+    "offline_unseen": {"reports.tables.fitted"} | INTERVALS | SGBM | FILM,
+    "stream": {"metrics.time.on_screen", "pipelines.run.screens", "synthetic.shipped"} | SGBM,
     "stream_real": {"metrics.time.on_screen", "pipelines.run.screens"} | SGBM,
     "real_frame": {"reports.tables.error_budget"} | SGBM,
     "real_frame_held": {"datasets.capture_edit"} | SGBM,
-    "demo_instant": {"results"} | SGBM | FILM,
+    "demo_instant": {"results", "synthetic.shipped"} | SGBM,
     "rooms_k": {"reports.figures.k_figure"} | SGBM | FILM,
     "real_fits": {"reports.tables.fitted"} | INTERVALS | SGBM,
     "real_path": {"reports.tables.report_tables"} | INTERVALS | SGBM,
@@ -259,7 +260,7 @@ def test_an_identity_holds_all_that_makes_its_numbers():
         assert not lacking, f"{name} does not count {lacking}"
     assert "ggvs_eval.pipelines.offline.stereo.sgbm" not in plan["long_room"].modules
     assert not any("itermvs.network" in module for module in counted["real_video"])
-    assert not any("synthetic.film" in module for module in counted["real_path"])
+    assert not any("worlds.film" in module for module in counted["real_path"])
 
 
 def test_a_change_of_a_table_makes_it_older(monkeypatch):

@@ -8,6 +8,5 @@ BASELINE = LearnedBaseline(
     source="Lin et al., SIGGRAPH Asia 2022",
     checkpoint="dtu_pretrain/latest.pth of zju3dv/ENeRF",
     method="ggvs_eval.baselines.enerf.method:ENeRF",
-    recipe="ggvs_eval.baselines.enerf.training:EnerfRecipe",
     renditions=(Rendition("ENeRF", "radiance near the surface of a cost volume", retrained="compact"),),
 )

@@ -18,12 +18,11 @@ from torch import Tensor
 from ggvs_eval.baselines.fitted.scene import canonical
 from ggvs_eval.baselines.fitted.shots import Shot, Shots
 from ggvs_eval.baselines.fitted.state import RATES, SHARED, FitState
+from ggvs_eval.baselines.fitted.training_log import TrainingLog, draw_curves
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians.render import render_gaussians
 from ggvs_eval.scene_fitter import Progress, SceneFitter
-from ggvs_eval.training.log import TrainingLog, draw_curves
-from ggvs_eval.training.losses import structural_loss
 
 STRUCTURE = 0.2  # its share in the loss
 WINDOW, SIGMA_PX = 11, 1.5
@@ -53,6 +52,17 @@ def photometric_loss(image: Tensor, truth: Tensor, share: float = STRUCTURE) -> 
     else:
         structure = structural_loss(image.permute(2, 0, 1)[None], truth.permute(2, 0, 1)[None])
     return (1 - share) * difference + share * structure
+
+
+def structural_loss(image: Tensor, truth: Tensor) -> Tensor:
+    """1 - SSIM, with the window and constants of the metric `ggvs_eval.metrics.image.ssim`.
+
+    Args:
+        image: (B, 3, H, W), at least 11 x 11.
+    """
+    from kornia.metrics import ssim
+
+    return 1 - ssim(image, truth, window_size=11, max_val=1.0, eps=0.0, padding="valid").mean()
 
 
 class _MeanSsim(torch.autograd.Function):

@@ -8,7 +8,6 @@ BASELINE = LearnedBaseline(
     source="Cao, Rockwell and Johnson, CVPR 2022",
     checkpoint="a checkpoint of our network",
     method="ggvs_eval.baselines.fwd.method:Fwd",
-    recipe="ggvs_eval.baselines.fwd.training:FwdRecipe",
     renditions=(
         Rendition("FWD", "features splatted by the given depth, fused by attention", retrained="compact", uses_depth=True),
     ),

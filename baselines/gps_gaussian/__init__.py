@@ -8,7 +8,6 @@ BASELINE = LearnedBaseline(
     source="Zheng et al., CVPR 2024",
     checkpoint="GPS-GS_stage2_final.pth of aipixel/GPS-Gaussian",
     method="ggvs_eval.baselines.gps_gaussian.method:GpsGaussian",
-    recipe="ggvs_eval.baselines.gps_gaussian.training:GpsGaussianRecipe",
     renditions=(
         Rendition("GPS-Gaussian", "Gaussians of the nearest pair by its own stereo"),
         Rendition(

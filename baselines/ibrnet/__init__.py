@@ -8,6 +8,5 @@ BASELINE = LearnedBaseline(
     source="Wang et al., CVPR 2021",
     checkpoint="model_255000.pth of googleinterns/IBRNet",
     method="ggvs_eval.baselines.ibrnet.method:IBRNet",
-    recipe="ggvs_eval.baselines.ibrnet.training:IbrnetRecipe",
     renditions=(Rendition("IBRNet", "colours of the views blended along rays", retrained="compact"),),
 )

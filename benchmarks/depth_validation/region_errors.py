@@ -12,10 +12,10 @@ from benchmarks.depth_validation.tables import Column, mean_of_rows, wide_table
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
+from ggvs_eval.contrib.worlds.film.film import read_exact_depth
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.progress import track
-from ggvs_eval.synthetic.film.depth import read_exact_depth
 
 FRAME = 4
 WHOLE = "whole picture"

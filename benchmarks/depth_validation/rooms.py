@@ -6,10 +6,10 @@ from pathlib import Path
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.domains import VALIDATION_SEEDS
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.domains import VALIDATION_SEEDS
-from ggvs_eval.synthetic.film.options import DemoOptions
 
 FRAMES = 8  # of every room; no evaluate looks at more
 DEMO = "demo"

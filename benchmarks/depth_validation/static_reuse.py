@@ -13,9 +13,9 @@ from benchmarks.depth_validation.rooms import FRAMES, RenderedRoom
 from benchmarks.depth_validation.tables import Column, mean_of_rows, wide_table
 from benchmarks.depth_validation.temporal_spread import estimate_views
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.worlds.film.film import read_exact_depth
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.synthetic.film.depth import read_exact_depth
 
 MEASURES = (
     Measure("time_saved_percent", "% of CPU seconds", higher_is_better=True),

@@ -16,6 +16,9 @@ from benchmarks.depth_validation.rooms import DEMO, FRAMES, RenderedRoom
 from benchmarks.depth_validation.tables import Column, mean_of_rows, wide_table
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
+from ggvs_eval.contrib.worlds.film.shots import rig_shots
+from ggvs_eval.contrib.worlds.room.lighting import Instant
 from ggvs_eval.errors import DepthError
 from ggvs_eval.method import SourceView
 from ggvs_eval.metrics.series_scores import mean_values, score_depths
@@ -23,9 +26,6 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.online.temporal_filters import TemporalDepthFilter
 from ggvs_eval.progress import track
-from ggvs_eval.synthetic.film.film import Footage, lit_room
-from ggvs_eval.synthetic.film.shots import rig_shots
-from ggvs_eval.synthetic.room.lighting import Instant
 
 MEASURES = (
     Measure("spread_percent", "% of depth", higher_is_better=False),

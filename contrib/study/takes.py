@@ -25,7 +25,7 @@ from ggvs_eval.pipelines.run.path_depth import read_path_depth, write_path_depth
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.protocol import CameraPath
-from ggvs_eval.synthetic.demo import SHIPPED, write_demo
+from ggvs_eval.synthetic.shipped import write_room
 
 VIEWS, VIEWS_OF_TAKE, WINDOWS, STRETCHES = 4, 2, 2, 4
 RENDERER = render.__module__
@@ -75,7 +75,7 @@ def make_takes(out: Path, captures: Sequence[Path], options: TakeOptions, worker
         CaptureError: a capture that cannot be read, or with fewer frames than a clip has.
     """
     if not captures:
-        captures = [write_demo(out / "demo-capture", SHIPPED)]
+        captures = [write_room(out / "demo-capture")]
     names = [path.absolute().stem for path in captures]
     twice = {name for name in names if names.count(name) > 1}
     if twice:

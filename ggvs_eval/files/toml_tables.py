@@ -58,7 +58,7 @@ def build_table(kind: type[Table], values: dict[str, Any], file: str, section: s
 
     Args:
         kind: a dataclass; its fields may be bool, int, float (finite), str, Literal, tuple[X, ...], X | None and dataclasses.
-        error: raised for an unknown, missing or mistyped key; the message names the nearest known one.
+        error: raised for unknown, missing and mistyped keys; the message has all of them, with the nearest known ones.
 
     Examples:
         >>> from ggvs_eval.errors import ProtocolError
@@ -69,29 +69,40 @@ def build_table(kind: type[Table], values: dict[str, Any], file: str, section: s
         Traceback (most recent call last):
         ggvs_eval.errors.ProtocolError: mine.toml: unknown key frames.strat; did you mean frames.start?
     """
+    faults: list[str] = []
+    table = _table(kind, values, section, faults)
+    if faults:
+        raise error(f"{file}: {'; also '.join(faults)}")
+    return table
+
+
+def _table(kind: type[Table], values: dict[str, Any], section: str, faults: list[str]) -> Table:
+    """The table as far as it can be read; what is wrong with it is added to `faults`."""
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(kind)
-    for key in values:
-        if key not in fields:
-            raise error(f"{file}: unknown key {section}{key}{did_you_mean(key, fields, cutoff=0.0, prefix=section)}")
+    faults += [
+        f"unknown key {section}{key}{did_you_mean(key, fields, cutoff=0.0, prefix=section)}"
+        for key in values
+        if key not in fields
+    ]
     defaults = (dataclasses.MISSING, dataclasses.MISSING)
     required = [name for name, field in fields.items() if (field.default, field.default_factory) == defaults]
-    missing = [f"{section}{name}" for name in required if name not in values]
-    if missing:
-        raise error(f"{file}: missing key {', '.join(missing)}; add it, the known keys are {', '.join(fields)}")
-    converted = {key: _convert(hints[key], value, file, f"{section}{key}", error) for key, value in values.items()}
-    return kind(**converted)
+    if missing := [f"{section}{name}" for name in required if name not in values]:
+        faults.append(f"missing key {', '.join(missing)}; add it, the known keys are {', '.join(fields)}")
+    known = {key: value for key, value in values.items() if key in fields}
+    converted = {key: _convert(hints[key], value, f"{section}{key}", faults) for key, value in known.items()}
+    return typing.cast(Table, None) if faults else kind(**converted)
 
 
-def _convert(field_type: Any, value: Any, file: str, key: str, error: type[GgvsError]) -> Any:
+def _convert(field_type: Any, value: Any, key: str, faults: list[str]) -> Any:
     origin, arguments = typing.get_origin(field_type), typing.get_args(field_type)
     if origin is types.UnionType:
         field_type = next(each for each in arguments if each is not types.NoneType)
-        return _convert(field_type, value, file, key, error)
+        return _convert(field_type, value, key, faults)
     if dataclasses.is_dataclass(field_type) and isinstance(value, dict):
-        return build_table(typing.cast(type, field_type), value, file, f"{key}.", error)
+        return _table(typing.cast(type, field_type), value, f"{key}.", faults)
     if origin is tuple and isinstance(value, list):
-        return tuple(_convert(arguments[0], item, file, f"{key}[{index}]", error) for index, item in enumerate(value))
+        return tuple(_convert(arguments[0], item, f"{key}[{index}]", faults) for index, item in enumerate(value))
     if origin is Literal and value in arguments:
         return value
     if field_type is float and type(value) in (int, float) and abs(value) <= sys.float_info.max:
@@ -99,7 +110,8 @@ def _convert(field_type: Any, value: Any, file: str, key: str, error: type[GgvsE
     if origin is None and type(value) is field_type and field_type is not float:
         return value
     expected = f"one of {', '.join(map(repr, arguments))}" if origin is Literal else _type_name(field_type)
-    raise error(f"{file}: {key} must be {expected}, got {value!r:.80}")
+    faults.append(f"{key} must be {expected}, got {value!r:.80}")
+    return None
 
 
 def _type_name(field_type: Any) -> str:

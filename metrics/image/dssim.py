@@ -3,9 +3,10 @@
 import numpy as np
 
 from ggvs_eval.arrays import Mask
+from ggvs_eval.metric_choices import SsimName
 from ggvs_eval.metrics.image.ssim import masked_ssim, ssim_map
 from ggvs_eval.metrics.inputs import Image, require_finite
-from ggvs_eval.metrics.metric import FURTHER, FramePair, SsimName, ViewMetric
+from ggvs_eval.metrics.metric import FURTHER, FramePair, ViewMetric
 
 VARIANTS: dict[int, SsimName] = {1: "uniform7", 2: "uniform7-range2"}
 

@@ -20,7 +20,7 @@ from ggvs_eval.errors import GgvsError, WeightsError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.download import cache_folder
 from ggvs_eval.files.unpickler import unpickle_plain
-from ggvs_eval.metrics.metric import LpipsNet
+from ggvs_eval.metric_choices import LpipsNet
 
 NETS: tuple[LpipsNet, ...] = ("vgg", "alex")
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.kernels import SIMD_LEVELS, _features, get_simd_level, get_threads
+from ggvs_eval.metric_choices import LpipsNet
 from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.image.lpips_network import (
     LAYERS,
@@ -24,17 +25,7 @@ from ggvs_eval.metrics.image.lpips_network import (
     tapped_layers,
 )
 from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite
-from ggvs_eval.metrics.metric import (
-    QUALITY,
-    ColourMap,
-    FramePair,
-    LpipsNet,
-    MetricOptions,
-    TruthFrame,
-    Value,
-    ViewMetric,
-    shared_by_parts,
-)
+from ggvs_eval.metrics.metric import QUALITY, ColourMap, FramePair, MetricOptions, TruthFrame, Value, ViewMetric, shared_by_parts
 
 if TYPE_CHECKING:
     import torch

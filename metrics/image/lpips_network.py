@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.kernels import SIMD_LEVELS, _features, get_simd_level, get_threads
+from ggvs_eval.metric_choices import LpipsNet
 from ggvs_eval.metrics.image.fetch_lpips import FETCH_COMMAND, weights_path
 from ggvs_eval.metrics.inputs import Image, white_level
-from ggvs_eval.metrics.metric import LpipsNet
 
 if TYPE_CHECKING:
     import torch

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from ggvs_eval import kernels
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
+from ggvs_eval.metric_choices import SsimName
 from ggvs_eval.metrics.inputs import Image, check_mask, check_pair, require_finite, white_level
-from ggvs_eval.metrics.metric import QUALITY, ColourMap, MetricOptions, SsimName, TruthFrame, Value, ViewMetric
+from ggvs_eval.metrics.metric import QUALITY, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
 
 if TYPE_CHECKING:
     import torch

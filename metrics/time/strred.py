@@ -1,6 +1,7 @@
 """ST-RRED, the paper's STED: entropy differences over space and time (Soundararajan & Bovik 2013)."""
 
 import ast
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -15,16 +16,8 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.metric import (
-    CONSISTENCY,
-    ColourMap,
-    MetricOptions,
-    StedPairing,
-    StedPooling,
-    TruthFrame,
-    Value,
-    ViewMetric,
-)
+from ggvs_eval.metric_choices import StedPairing, StedPooling
+from ggvs_eval.metrics.metric import CONSISTENCY, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
 from ggvs_eval.statistics.pooling import Pooling, powers_of_means
 
 if TYPE_CHECKING:
@@ -184,7 +177,7 @@ def block_entropies(band: Array) -> tuple[Array, Array]:
     blocks = cropped.reshape(rows, BLOCK, columns, BLOCK).swapaxes(1, 2).reshape(rows, columns, BLOCK**2)
     coefficients = blocks @ directions[:, kept]  # (rows, columns, kept)
     scale = (coefficients**2 / variances[kept]).sum(axis=-1) / BLOCK**2
-    information = np.log2(scale[..., None] * variances[kept] + NEURAL_NOISE_VARIANCE) + np.log(2 * np.pi * np.e)
+    information = np.log2(scale[..., None] * variances[kept] + NEURAL_NOISE_VARIANCE) + math.log(2 * math.pi * math.e)
     return information.sum(axis=-1), scale
 
 

@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
 from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER, DepthRunOptions
 from ggvs_eval.protocol import Stream, checked_protocol
-from ggvs_eval.synthetic.film.options import DemoOptions
+from ggvs_eval.synthetic.shipped import MAIN, RoomName
 
 NONE = "(none by default)"
 MOST_NAMES = 6  # of cameras in one line
@@ -109,32 +109,19 @@ DEPTH_DEFAULTS = DepthRunOptions()
 LIVE_DEPTH = DepthRunOptions(LIVE_MATCHER)  # what play and view wait for
 
 
-def demo(
-    out: Output,
-    room: tyro.conf.OmitArgPrefixes[DemoOptions] = DemoOptions(),  # noqa: B008 - frozen
-    seconds: float | None = None,
-    quick: bool = False,
-    jobs: Jobs = ONE_PER_CORE,
-) -> None:
-    """Write the demo capture: a procedural dynamic room in the layout of a data set, with exact depth beside it.
+def demo(out: Output, room: RoomName = MAIN, quick: bool = False) -> None:
+    """Unpack a demo capture that ships: a procedural dynamic room in the layout of a data set.
+
+    With any option of `ggvs-eval film` another one is filmed.
 
     Args:
         out: folder to write; absent, or holding this very demo.
-        room: the room, the rig and the sensors.
-        seconds: length of the videos, instead of --n-frames.
-        quick: unpack the capture that ships, with renders of it to try things on and a short protocol, in some seconds; all
-            other options are left out of it.
-        jobs: processes.
+        room: the main one, in DyNeRF's layout, or a small one.
+        quick: the main room with renders of it to try things on and a short protocol.
     """
-    from ggvs_eval.synthetic.demo import write_demo
-    from ggvs_eval.synthetic.quick import write_quick
+    from ggvs_eval.synthetic.shipped import write_quick, write_room
 
-    if quick:
-        print(write_quick(out))
-        return
-    if seconds is not None:
-        room = replace(room, n_frames=round(seconds * room.fps))
-    print(write_demo(out, room, jobs))
+    print(write_quick(out) if quick else write_room(out, room))
 
 
 def get(scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET:SCENE")]) -> None:
@@ -212,6 +199,8 @@ def protocol(
     capture: CaptureFolder,
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.toml")],
     checked: Annotated[Path | None, tyro.conf.arg(name="check")] = None,
+    test: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CAMERA ...")] = (),
+    metrics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...")] = (),
     frames: int | None = None,
     path_poses: int | None = None,
     stream: Annotated[float | None, tyro.conf.arg(metavar="FPS")] = None,
@@ -225,20 +214,29 @@ def protocol(
         capture: the capture.
         out: TOML file to write.
         checked: JSON file that `check` wrote; cameras that it found fault with are not held out, as they would be a wrong truth.
+        test: cameras to hold out as test views, in place of those that a rule chooses.
+        metrics: what to measure, in place of what the protocol of this layout does.
         frames: evaluate the first so many instants, for a first look; up to 100 by default.
         path_poses: poses of the camera path on which consistency over views is measured.
         stream: also score what is on a screen while cameras deliver so many frames per second, see `Stream` in the docs.
         reading: how the capture is read.
     """
+    from ggvs_eval.metrics.registry import select_metrics
     from ggvs_eval.pipelines.inspection.capture.check import read_doubts
     from ggvs_eval.pipelines.inspection.table import text_table
-    from ggvs_eval.pipelines.run.suggest_protocol import propose_protocol, published_protocols
+    from ggvs_eval.pipelines.run.suggest_protocol import hold_out, propose_protocol, published_protocols
 
     if out.exists():
         raise ProtocolError(f"{out}: wanted a new file for the protocol, it is there already; delete it or choose another name")
     opened = reading.open(capture)
-    proposal = propose_protocol(opened, read_doubts(checked) if checked else None)
+    doubts = read_doubts(checked) if checked else {}
+    proposal = propose_protocol(opened, doubts)
+    if test:
+        proposal = hold_out(proposal, opened, tuple(dict.fromkeys(test)), doubts)
     chosen = proposal.protocol.shortened(frames, path_poses)
+    if metrics:
+        select_metrics(metrics)
+        chosen = replace(chosen, measurement=replace(chosen.measurement, metrics=metrics))
     if stream is not None:
         chosen = checked_protocol(chosen.streamed(Stream(fps=stream)), "--stream")
     with atomic_file(out) as unfinished:

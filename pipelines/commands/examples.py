@@ -1,17 +1,19 @@
 """The arguments of one call of every verb, which its ``--help`` shows."""
 
 EXAMPLES = {
-    "ggvs-eval demo": "room --layout dynerf --n-frames 8",
+    "ggvs-eval demo": "room",
+    "ggvs-eval film": "room --layout dynerf --n-frames 8",
     "ggvs-eval get": "n3v:flame_steak",
     "ggvs-eval check": "my_capture --repair",
     "ggvs-eval calibrate": "my_videos my_capture",
     "ggvs-eval undistort": "raw_videos pinhole_videos --lenses rig.yml",
-    "ggvs-eval protocol": "my_capture mine.toml",
+    "ggvs-eval protocol": "my_capture mine.toml --test cam02 cam05 --metrics PSNR SSIM LPIPS",
     "ggvs-eval prepare": "out/mine --capture my_capture --protocol mine.toml",
     "ggvs-eval render": "out/mine --methods ours no-blending",
     "ggvs-eval score": "--renders mine=my_renders --capture my_capture --protocol mine.toml",
     "ggvs-eval merge": "out/both out/first out/second",
     "ggvs-eval report": "out/mine",
+    "ggvs-eval table": "out/mine --columns PSNR SSIM LPIPS --to latex",
     "ggvs-eval figure": "crops out/mine figures/crops",
     "ggvs-eval compare": "ours mine --run out/mine",
     "ggvs-eval run": "out/mine --capture my_capture --protocol mine.toml --methods ours distance-based",

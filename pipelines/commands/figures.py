@@ -1,4 +1,4 @@
-"""The verbs of the command line that show what was measured: report, figure, compare."""
+"""The verbs of the command line that show what was measured: report, table, figure, compare."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -44,6 +44,25 @@ def report(
         print(write(runs, out, standalone=standalone, columns=columns))
     else:
         print(TRACKERS[to](runs, to, out or Path("tracked")))
+
+
+def table(
+    runs: Runs,
+    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(all by default)")] = (),
+    to: Literal["markdown", "latex", "csv"] = "markdown",
+    notes: bool = False,
+) -> None:
+    """Print a table of scored runs for a paper, in seconds; of several scenes a table per metric with a column for each.
+
+    Args:
+        runs: run folders of one protocol.
+        columns: metrics, in this order: PSNR SSIM LPIPS TCC.
+        to: the format.
+        notes: also what the page says below its tables.
+    """
+    from ggvs_eval.reports.tables_of_runs import tables_of_runs
+
+    print(tables_of_runs(runs, columns, to, notes), end="")
 
 
 def figure(

@@ -120,6 +120,8 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
         raise CommandError(f"no command {name!r} of {program}; there are {', '.join(commands)}{suggestion}") from None
     if isinstance(command, Mapping):
         call_command(f"{program} {name}", command, words[1:])
+    elif commands is COMMANDS and name in VERBS and VERBS[name].wider and _is_foreign(command, words[1:]):
+        call_command(program, commands, [VERBS[name].wider, *words[1:]])
     else:
         import tyro  # not before a command is called
 
@@ -127,6 +129,13 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
         command.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")  # tyro would break help where the source does
         about = f"{_about(command)}\n\nExample: {called} {EXAMPLES[called]}"
         tyro.cli(command, prog=called, args=words[1:], description=about, config=(tyro.conf.DisallowNone,))
+
+
+def _is_foreign(command: Callable[..., None], words: Sequence[str]) -> bool:
+    """Tell whether an option is none of a command's, not even a mistyped one."""
+    own = ["--help", *(f"--{name.replace('_', '-')}" for name in inspect.signature(command).parameters)]
+    asked = {word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")} - set(own)
+    return any(not did_you_mean(option, own) for option in asked)
 
 
 def _about(command: Callable[..., None]) -> str:

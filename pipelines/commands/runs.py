@@ -1,10 +1,12 @@
 """The verbs of the command line that make runs: prepare, render, score, run, sweep, status."""
 
+import atexit
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
@@ -34,7 +36,7 @@ from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Protocol
 
 if TYPE_CHECKING:  # they import pandas
-    from ggvs_eval.pipelines.sweep.demo_runs import Film
+    from ggvs_eval.pipelines.sweep.demo_runs import Unpack
     from ggvs_eval.pipelines.sweep.run_sweep import SweepPlan
 
 
@@ -51,13 +53,12 @@ def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool 
         ProtocolError: they need more room than the disk has.
     """
     from ggvs_eval.pipelines.run.work_left import count_work
-    from ggvs_eval.pipelines.sweep.demo_plan import renders_first
 
     if not plans:
         return
     work = count_work(plans, folder, jobs)
     notes = [note for plan in plans for note in plan.capture.notes if note not in plan.request.capture.notes]
-    lines = [*dict.fromkeys(notes), *renders_first(plan.request.capture for plan in plans), *work.describe().splitlines()]
+    lines = [*dict.fromkeys(notes), *work.describe().splitlines()]
     if lines or dry_run:
         print("\n".join(lines) or f"{folder}: nothing is left to do", file=sys.stdout if dry_run else sys.stderr)
     work.require_disk()
@@ -148,6 +149,7 @@ def score(
     protocol: str | None = None,
     run: Path | None = None,
     allow_partial: bool = False,
+    link: bool = False,
     device: Device = "cpu",
     first_frame: int | None = None,
     reading: CaptureFlags = CAPTURE_DEFAULTS,
@@ -164,6 +166,7 @@ def score(
         protocol: a .toml file or a packaged name; the run's own, or the packaged one that fits the capture, by default.
         run: run folder to make or to go on with; scores/CAPTURE by default.
         allow_partial: score what there is of incomplete renders; their row is marked.
+        link: take PNG files as links in place of copies: no space, but they must stay where they are.
         device: where LPIPS, SSIM, TCC, STED and other metrics of many operations compute; a GPU rounds otherwise than the CPU.
         first_frame: number of the protocol's first frame in the names of your frames (its place, from 0, in videos and arrays);
             needed where the numbers can be read in two ways.
@@ -177,7 +180,7 @@ def score(
         raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")
     target = run_for(run or folder, partial(reading.open, capture) if capture else None, protocol, jobs)
     for name, path in named_renders(renders).items():
-        for note in import_renders(target, name, path, allow_partial, jobs, first_frame)["notes"]:
+        for note in import_renders(target, name, path, allow_partial, jobs, first_frame, link)["notes"]:
             print(f"{name}: {note}", file=sys.stderr)
     results = measure(target, jobs, device=checked_device(device))
     print(results.summary().droplevel("dataset").round(4).to_string())
@@ -208,7 +211,7 @@ def run(
 
     Args:
         run: run folder to make or to go on with.
-        capture: folder of the capture; without one the demo rooms are rendered and evaluated, each beside the run folder: the
+        capture: folder of the capture; without one the demo rooms that ship are evaluated, each beside the run folder: the
             main one, also over K, and small ones in the layouts of ENeRF-Outdoor and D3DMV. One page shows them all. With
             --protocol the main one alone.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
@@ -231,7 +234,7 @@ def run(
     _require_methods(methods, networks)
     if capture is None and protocol is None:
         labels = room_labels(methods, USUAL_METHODS)
-        demos = demo_plans(root, labels, _film(reading, engine.jobs, dry_run), depth, networks)
+        demos = demo_plans(root, labels, _unpacking(reading, dry_run), depth, networks)
         announced = map(partial(_announce, jobs=engine.jobs, dry_run=dry_run), demos)
         if dry_run:
             for _ in announced:
@@ -245,8 +248,8 @@ def run(
             print(outlook, file=sys.stderr, flush=True)
         print(evaluate_demos(announced, engine, show))
         return
-    film = _film(reading, engine.jobs, dry_run)
-    opened = _open(reading, engine.place(capture), protocol) if capture else _demo_beside(root, film)
+    unpack = _unpacking(reading, dry_run)
+    opened = _open(reading, engine.place(capture), protocol) if capture else _demo_beside(root, unpack)
     chosen = _protocol(protocol, opened)
     plan = plan_run(RunRequest(root, opened, chosen, methods, depth, networks))
     print_plan([plan], engine.jobs, root, dry_run)
@@ -279,7 +282,7 @@ def sweep(
         name: a packaged sweep (ablations, ablations_short, baselines, budget, k, offline, online, readings, stream,
             switches) or a .toml file.
         out: folder of the sweep; each variant is a run folder in it, of several captures in a folder called like the capture.
-        capture: folder of the capture, or of several, whose means are then shown too; without one the demo capture is made.
+        capture: folder of the capture, or of several, whose means are then shown too; without one the demo that ships.
         protocol: what the variants start from; by default the packaged one that fits the capture.
         weights: METHOD=FILE of a method whose weights do not ship; without, its rows are not computed.
         device: where networks compute, of methods and of depth (--matcher raft); on a GPU pixels may differ by a level from those
@@ -298,7 +301,7 @@ def sweep(
     definition, part = load_sweep(name), Shard.parse(shard)
     networks = _networks(weights, "cpu" if plan else device)  # planned commands may run where there is a GPU
     given = [_open(reading, engine.place(path), protocol) for path in capture]
-    captures = given or [_demo_beside(engine.place(out), _film(reading, engine.jobs, dry_run and not plan))]
+    captures = given or [_demo_beside(engine.place(out), _unpacking(reading, dry_run and plan is None))]
     paths = [each.path for each in captures]
     opened = {each.path.resolve().name: each for each in captures}
     if len(opened) < len(capture):
@@ -384,21 +387,26 @@ def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
     return checkpoints
 
 
-def _film(reading: ReadingOptions, jobs: int, dry_run: bool) -> "Film":
-    """Film a demo and open it; a dry run plans it where it is not there."""
-    from ggvs_eval.pipelines.sweep.demo_plan import demo_to_plan
-    from ggvs_eval.synthetic.demo import write_demo
+def _unpacking(reading: ReadingOptions, dry_run: bool) -> "Unpack":
+    """What unpacks a demo room and opens it; a dry run keeps what it unpacks elsewhere, until the process ends."""
+    from ggvs_eval.synthetic.shipped import write_room
 
-    if dry_run:
-        return partial(demo_to_plan, open_demo=reading.open)
-    return lambda folder, options: reading.open(write_demo(folder, options, jobs))
+    elsewhere = TemporaryDirectory() if dry_run else None
+    if elsewhere:
+        atexit.register(elsewhere.cleanup)
+
+    def unpack(folder: Path, name: str) -> Capture:
+        place = Path(elsewhere.name) / folder.name if elsewhere and not folder.exists() else folder
+        return reading.open(write_room(place, name))
+
+    return unpack
 
 
-def _demo_beside(run: Path, film: "Film") -> Capture:
+def _demo_beside(run: Path, unpack: "Unpack") -> Capture:
     from ggvs_eval.pipelines.sweep.demo_runs import capture_beside
-    from ggvs_eval.synthetic.demo import SHIPPED
+    from ggvs_eval.synthetic.shipped import MAIN
 
-    return film(capture_beside(run), SHIPPED)
+    return unpack(capture_beside(run), MAIN)
 
 
 def _announce(planned: "RunPlan | SweepPlan", jobs: int, dry_run: bool) -> "RunPlan | SweepPlan":

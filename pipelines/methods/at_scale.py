@@ -1,9 +1,7 @@
 """A method at a fraction of the size: its sources are made smaller before it, and its picture is enlarged after it."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
 
 import cv2
 import numpy as np
@@ -52,11 +50,6 @@ class AtScale:
         image = np.asarray(cv2.resize(source.image, size, interpolation=cv2.INTER_AREA), np.uint8)
         depth, confidence = _nearest(source.depth, size), _nearest(source.confidence, size)
         return replace(source, camera=source.camera.resized(*size), image=image, depth=depth, confidence=confidence)
-
-
-def at_scale(make: Callable[..., Method], *given: Any, scale: float, **keywords: Any) -> AtScale:
-    """What `make` makes of the other arguments, at a fraction of the size."""
-    return AtScale(make(*given, **keywords), scale)
 
 
 def _nearest(values: Map, size: tuple[int, int]) -> Map:

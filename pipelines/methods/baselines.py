@@ -1,7 +1,8 @@
 """The methods that the paper compares itself with."""
 
-from collections.abc import Callable
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
 from ggvs_eval.errors import WeightsError
@@ -53,28 +54,29 @@ def method_of_label(baseline: LearnedBaseline, label: str) -> OnlineMethod:
 def learned_method(baseline: LearnedBaseline, rendition: Rendition) -> OnlineMethod:
     """A network that renders with the weights that ship, if any do, or with a checkpoint of its authors."""
     retrained = rendition.retrained
-    make_from = partial(baseline.make_method, **rendition.options)
     return OnlineMethod(
         f"{rendition.title} (retrained, {retrained})" if retrained else rendition.title,
         rendition.describe,
         (baseline.method.partition(":")[0],),
-        partial(_with_shipped_weights, baseline, rendition, make_from),
+        partial(_with_weights, baseline, rendition),
+        given=rendition.options,
+        takes=("weights", "device"),
         usual=False,
         weights=(shipped(baseline.weights),) if retrained else (),
         checkpoint=baseline.checkpoint,
-        make_from=make_from,
         title_from=rendition.title,
         uses_depth=rendition.uses_depth,
         departs=f"{retrained} network, trained here" if retrained else "",
     )
 
 
-def _with_shipped_weights(
-    baseline: LearnedBaseline, rendition: Rendition, make_from: Callable[..., Method], device: str = "cpu"
+def _with_weights(
+    baseline: LearnedBaseline, rendition: Rendition, weights: Path | None = None, device: str = "cpu", **options: Any
 ) -> Method:
-    weights = shipped(baseline.weights)
-    if not rendition.retrained or not weights.is_file():
+    """With a checkpoint, or with the weights that ship."""
+    weights = weights or shipped(baseline.weights)
+    if weights == shipped(baseline.weights) and not (rendition.retrained and weights.is_file()):
         raise WeightsError(
             f"{rendition.title}: its weights do not ship; wanted {baseline.checkpoint}, give it by --weights {baseline.name}=FILE"
         )
-    return make_from(weights, device=device)
+    return baseline.make_method(weights, device=device, **options)

@@ -6,13 +6,14 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from ggvs_eval.errors import RenderError
+from ggvs_eval.errors import RenderError, ViewRefusedError
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.jobs.ledger import Entry
 from ggvs_eval.pipelines.methods.render_unit import RenderUnit
 from ggvs_eval.pipelines.methods.spec import SceneMethod, option_values, option_words
 from ggvs_eval.pipelines.methods.splats import open_splats, reading_modules, splats_files
+from ggvs_eval.run_folder import JOB_FILE, REFUSED, read_json
 from ggvs_eval.scene_fitter import FittedScene, SceneFitter
 
 
@@ -43,9 +44,10 @@ class FittedMethod(SceneMethod):
 
     def make_fitter(self) -> SceneFitter:
         """Make the fitter with the options of the label."""
-        kind: type[SceneFitter] = resolve_name(self.fitter)
         device = {} if self.device == "cpu" else {"device": self.device}
-        return build_table(kind, {**self.options, **device}, f"method {self.title}", "", RenderError)
+        with self.guard("cannot be made", RenderError):
+            kind: type[SceneFitter] = resolve_name(self.fitter)
+            return build_table(kind, {**self.options, **device}, f"method {self.title}", "", RenderError)
 
     def require(self) -> None:
         """Make its fitter."""
@@ -56,10 +58,16 @@ class FittedMethod(SceneMethod):
         return {"fit": self._fit(unit).sha256, "shots": unit.identity_of_shots()}
 
     def scene(self, unit: RenderUnit) -> FittedScene:
-        """Load the fit."""
+        """Load the fit.
+
+        Raises:
+            ViewRefusedError: a plug-in failed to fit it.
+        """
         fit = self._fit(unit)
         if not fit.is_done():
             raise RenderError(f"{fit.name}: its scene is not in {fit.folder}; render again, which fits it first")
+        if reason := read_json(fit.folder / JOB_FILE).get(REFUSED):
+            raise ViewRefusedError(reason)
         return self.make_fitter().load(fit.folder)
 
     def configured(self, label: str, variant: str) -> "FittedMethod":

@@ -1,11 +1,10 @@
 """The paper's method and its ablations, with trained and with geometric weights."""
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
-from ggvs_eval.plugins import DEVICE_PARTS
+from ggvs_eval.plugins import DEVICE_PARTS, missing_part
 
 if TYPE_CHECKING:
     from ggvs_eval.pipelines.online.network_inputs import Guidance
@@ -13,7 +12,8 @@ if TYPE_CHECKING:
 ONLINE = "ggvs_eval.pipelines.online"
 GEOMETRIC = (f"{ONLINE}.geometry_guided", f"{ONLINE}.blending")
 LEARNED = (f"{ONLINE}.geometry_guided", f"{ONLINE}.network_blender")
-ON_DEVICE = tuple(filter(None, (DEVICE_PARTS.root("online step"),))) if "online step" in DEVICE_PARTS else ()
+_STEP = str(DEVICE_PARTS.root("online step"))
+ON_DEVICE = () if missing_part(_STEP) else (_STEP,)  # with or without Warp: another machine may have it
 OFFLINE = (f"{ONLINE}.whole_sequence",)
 
 # What the paper does not have, as the table of differences says it.
@@ -22,18 +22,12 @@ INSTANT = "adds exposure compensation and settled depth"
 ADDED = "adds exposure compensation, settled depth and a recurrent output where nothing moves"
 
 
-def _geometric(options: Any = None, background: bool = True) -> Method:
-    """With geometric weights in place of the network, and `OnlineOptions`."""
+def _geometric(options: Any = None, background: bool = True, **changed: Any) -> Method:
+    """With geometric weights in place of the network, and `OnlineOptions` or some of them."""
     from ggvs_eval.pipelines.online.blending import GeometricBlender
-    from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
+    from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 
-    return GeometryGuided(options, GeometricBlender(background=background))
-
-
-def _geometric_with(**changed: Any) -> Method:
-    from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
-
-    return _geometric(OnlineOptions(**changed))
+    return GeometryGuided(options or OnlineOptions(**changed), GeometricBlender(background=background))
 
 
 def _offline() -> Method:
@@ -42,25 +36,20 @@ def _offline() -> Method:
     return WholeSequence()
 
 
-def _learned(options: Any = None, guidance: "Guidance" = "registered", device: str = "cpu") -> Method:
-    """With the network that ships for a guidance, on a device, and `OnlineOptions`.
+def _learned(options: Any = None, guidance: "Guidance" = "registered", device: str = "cpu", **changed: Any) -> Method:
+    """With the network that ships for a guidance, on a device, and `OnlineOptions` or some of them.
 
     The one place that chooses: on a GPU with Warp (``ggvs-eval[gpu]``) every stage computes there, without it the network alone.
     """
+    from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
+    from ggvs_eval.pipelines.online.network_blender import NetworkBlender
+
+    options = options or OnlineOptions(**changed)
     if device != "cpu" and "online step" in DEVICE_PARTS:
         on_device = DEVICE_PARTS["online step"]
         if on_device.covers(options, guidance):
             return on_device(options, guidance, device)
-    from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
-    from ggvs_eval.pipelines.online.network_blender import NetworkBlender
-
     return GeometryGuided(options, NetworkBlender(guidance=guidance, device=device))
-
-
-def _learned_with(guidance: "Guidance", device: str = "cpu", **changed: Any) -> Method:
-    from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
-
-    return _learned(OnlineOptions(**changed), guidance, device)
 
 
 OURS: dict[str, OnlineMethod] = {
@@ -68,7 +57,9 @@ OURS: dict[str, OnlineMethod] = {
         "Naive Network",
         "splatted views alone: the network was trained without any depth, be it fused or of the views",
         LEARNED,
-        partial(_learned_with, guidance="naive", fused=False),
+        _learned,
+        given={"guidance": "naive", "fused": False},
+        takes=("device",),
         device_modules=ON_DEVICE,
         departs=UNFUSED,
         ours=True,
@@ -79,7 +70,9 @@ OURS: dict[str, OnlineMethod] = {
         "Ours, No TSDF Guidance",
         "no fused depth; the network was trained without it",
         LEARNED,
-        partial(_learned_with, guidance="none", fused=False),
+        _learned,
+        given={"guidance": "none", "fused": False},
+        takes=("device",),
         device_modules=ON_DEVICE,
         departs=UNFUSED,
         ours=True,
@@ -89,7 +82,9 @@ OURS: dict[str, OnlineMethod] = {
         "Ours, No Temporal Filtering",
         "without temporal depth filter, temporal term of the ray march and recurrent output",
         LEARNED,
-        partial(_learned_with, guidance="registered", temporal=False),
+        _learned,
+        given={"guidance": "registered", "temporal": False},
+        takes=("device",),
         device_modules=ON_DEVICE,
         departs=INSTANT,
         ours=True,
@@ -104,7 +99,7 @@ OURS: dict[str, OnlineMethod] = {
         departs=ADDED,
         ours=True,
         weights=(shipped("blend.safetensors"),),
-        make_with=_learned,
+        takes=("options", "device"),
     ),
     "ours-geometric": OnlineMethod(
         "Ours (geometric weights)",
@@ -113,13 +108,14 @@ OURS: dict[str, OnlineMethod] = {
         _geometric,
         departs=ADDED,
         ours=True,
-        make_with=_geometric,
+        takes=("options",),
     ),
     "ours-geometric+no-temporal": OnlineMethod(
         "Ours (geometric weights), No Temporal Filtering",
         "without temporal depth filter, temporal term of the ray march and recurrent output",
         GEOMETRIC,
-        partial(_geometric_with, temporal=False),
+        _geometric,
+        given={"temporal": False},
         departs=INSTANT,
         ours=True,
         usual=False,
@@ -128,7 +124,8 @@ OURS: dict[str, OnlineMethod] = {
         "Ours (geometric weights), Point Splats",
         "views rendered forward as points of one pixel, not as pixel-sized Gaussians",
         GEOMETRIC,
-        partial(_geometric_with, splatted_as="points"),
+        _geometric,
+        given={"splatted_as": "points"},
         departs=ADDED,
         ours=True,
         usual=False,
@@ -137,7 +134,8 @@ OURS: dict[str, OnlineMethod] = {
         "Ours (geometric weights), No Background Blending",
         "what no view shows stays black",
         GEOMETRIC,
-        partial(_geometric, background=False),
+        _geometric,
+        given={"background": False},
         departs=ADDED,
         ours=True,
         usual=False,

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from itertools import takewhile
 from pathlib import Path
 
@@ -17,10 +16,8 @@ from ggvs_eval.results import split_label
 
 def _checked(name: str, offered: object) -> MethodSpec:
     """A method of a plug-in: a `MethodSpec`, or what makes an object with `Method.step`."""
-    if isinstance(offered, OnlineMethod):
-        return replace(offered, usual=False, foreign=True)
     if isinstance(offered, MethodSpec):
-        return replace(offered, usual=False)
+        return replace(offered, usual=False, foreign=True)
     if not callable(offered):
         raise TypeError(f"wanted a MethodSpec or a class with a step, got {type(offered).__name__}")
     about = (getattr(offered, "__doc__", None) or "").strip().partition("\n")[0]
@@ -38,7 +35,7 @@ def usual_methods() -> tuple[str, ...]:
 
 def weights_takers() -> list[str]:
     """Labels of the methods whose weights the user can give."""
-    return [name for name, spec in METHODS.built_in().items() if isinstance(spec, OnlineMethod) and spec.make_from]
+    return [name for name, spec in METHODS.built_in().items() if isinstance(spec, OnlineMethod) and "weights" in spec.takes]
 
 
 def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec:
@@ -77,7 +74,6 @@ def _found(label: str, checkpoints: Mapping[str, Path]) -> MethodSpec:
 
 def _with_checkpoint(label: str, checkpoint: Path) -> MethodSpec:
     spec = find_method(label)
-    if not isinstance(spec, OnlineMethod) or spec.make_from is None:
+    if not isinstance(spec, OnlineMethod) or "weights" not in spec.takes:
         raise RenderError(f"method {label}: {spec.title} takes no weights from outside; these do: {', '.join(weights_takers())}")
-    title = spec.title_from or spec.title
-    return replace(spec, title=title, factory=partial(spec.make_from, checkpoint), make_from=None, weights=(checkpoint,))
+    return spec.rendering_with(checkpoint)

@@ -4,7 +4,8 @@ import hashlib
 import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import KW_ONLY, dataclass, replace
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
@@ -13,14 +14,17 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.arrays import read_only
-from ggvs_eval.errors import RenderError, ViewRefusedError
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import GgvsError, RenderError, ViewRefusedError
 from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.method import Instant, LookaheadMethod, Method, Rendering
+from ggvs_eval.pipelines.methods.at_scale import AtScale
 from ggvs_eval.pipelines.methods.render_unit import RenderUnit
 from ggvs_eval.plugins import foreign
 from ggvs_eval.scene_fitter import FittedScene
 
 LEARNED = "learned from"  # column of what methods declare
+TAKEN = ("options", "weights", "device")  # keywords that are in a label, or recorded apart
 
 
 def shipped(name: str) -> Path:
@@ -42,6 +46,7 @@ class MethodSpec(ABC):
         uses_depth: whether it looks at the depth of its sources, or learns a scene from it.
         device: where its networks compute, if it has any.
         departs: what is not as its authors published it.
+        foreign: whether a plug-in offers it: what goes wrong in it refuses the view.
     """
 
     title: str
@@ -54,6 +59,7 @@ class MethodSpec(ABC):
     uses_depth: bool = True
     device: str = "cpu"
     departs: str = ""
+    foreign: bool = False
 
     @property
     @abstractmethod
@@ -98,6 +104,10 @@ class MethodSpec(ABC):
     def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
         """Render the shots of a unit, one by one."""
 
+    def guard(self, what: str, kind: type[GgvsError] = ViewRefusedError) -> AbstractContextManager[None]:
+        """Turn what its code raises in a block into an error that says what it did, where a plug-in offers it."""
+        return foreign(f"method {self.title}: {what}", kind) if self.foreign else nullcontext()
+
     def configured(self, label: str, variant: str) -> "MethodSpec":
         """The method with the options that its label names.
 
@@ -116,26 +126,25 @@ class OnlineMethod(MethodSpec):
     """A method that is shown one instant after the other.
 
     Attributes:
-        factory: builds a fresh object that renders one sequence; that of a method with networks takes their ``device``.
+        maker: makes a fresh object that renders one sequence.
+        given: keywords of `maker` that the label, the user's weights and the device set, and ``scale``: a label such as
+            ``enerf+scale=0.5`` has any method render at a fraction of the size.
+        takes: keywords that may be set besides: ``device`` of its networks, ``weights`` for a checkpoint, and ``options``, which
+            are `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
         weights: files of the trained weights it renders with.
         checkpoint: what the user can give instead of weights that ship, or has to give where none do.
-        make_from: builds one with such a checkpoint.
         title_from: how tables call it then, if not by `title`: weights that we trained are labelled so.
-        make_with: builds one with other `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``; a label such as
-            ``enerf+scale=0.5`` has any of them render at a fraction of the size.
         device_modules: what it renders with besides on a device that is not the CPU.
-        foreign: whether a plug-in offers it, see `ForeignMethod`.
     """
 
-    factory: Callable[..., Method]
+    maker: Callable[..., Method]
     _: KW_ONLY
+    given: Mapping[str, Any] = field(default_factory=dict)
+    takes: tuple[str, ...] = ()
     weights: tuple[Path, ...] = ()
     checkpoint: str = ""
-    make_from: Callable[..., Method] | None = None
     title_from: str = ""
-    make_with: Callable[..., Method] | None = None
     device_modules: tuple[str, ...] = ()
-    foreign: bool = False
 
     @property
     def learned_from(self) -> str:
@@ -149,12 +158,16 @@ class OnlineMethod(MethodSpec):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Keywords of its factory."""
-        return _settings(self.factory)
+        """What the label fixes of `given`."""
+        return {name: value for name, value in self.given.items() if name not in TAKEN}
 
     def make(self) -> Method:
         """Make a fresh object that renders one sequence."""
-        return ForeignMethod(self.title, self.factory) if self.foreign else self.factory()
+        given = dict(self.given)
+        scale = given.pop("scale", None)
+        make = partial(self.maker, **given)
+        method = ForeignMethod(self.title, make) if self.foreign else make()
+        return method if scale is None else AtScale(method, scale)
 
     def require(self) -> None:
         """Make one."""
@@ -177,33 +190,31 @@ class OnlineMethod(MethodSpec):
         """
         from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 
-        values = option_values(variant)
-        scale = values.pop("scale", None)
-        spec = replace(self, title=f"{self.title}, {variant.replace('+', ', ')}", usual=False)
-        if values and self.make_with is None:
+        values, given, modules, departs = option_values(variant), dict(self.given), self.modules, self.departs
+        if "scale" in values:
+            given["scale"] = scale = values.pop("scale")
+            if type(scale) is not float or not 0 < scale < 1 or not self.online:
+                raise RenderError(f"method {label}: wanted a scale between 0 and 1 of a method that is online, got {scale!r}")
+            modules = (*modules, AtScale.__module__)
+        if values and "options" not in self.takes:
             raise RenderError(f"method {label}: {self.title} has no option but scale, got {', '.join(values)}")
-        if values and self.make_with is not None:
-            options = build_table(OnlineOptions, values, f"method {label}", "", RenderError)
-            departs = f"{self.departs}, but for {', '.join(values)}" if self.departs else ""
-            spec = replace(spec, factory=partial(self.make_with, options), departs=departs)
-        return spec if scale is None else spec._scaled(label, scale)
-
-    def _scaled(self, label: str, scale: Any) -> "OnlineMethod":
-        """The method at a fraction of the size, with any weights."""
-        from ggvs_eval.pipelines.methods.at_scale import at_scale
-
-        if type(scale) is not float or not 0 < scale < 1 or not self.online:
-            raise RenderError(f"method {label}: wanted a scale between 0 and 1 of a method that is online, got {scale!r}")
-        make_from = self.make_from and partial(at_scale, self.make_from, scale=scale)
-        modules = (*self.modules, at_scale.__module__)
-        return replace(self, factory=partial(at_scale, self.factory, scale=scale), make_from=make_from, modules=modules)
+        if values:
+            given["options"] = build_table(OnlineOptions, values, f"method {label}", "", RenderError)
+            departs = f"{departs}, but for {', '.join(values)}" if departs else ""
+        title = f"{self.title}, {variant.replace('+', ', ')}"
+        return replace(self, title=title, usual=False, given=given, modules=modules, departs=departs)
 
     def on(self, device: str) -> "OnlineMethod":
         """The method with its networks on a device."""
-        if device == self.device or not (self.weights or self.checkpoint):
+        if device == self.device or "device" not in self.takes:
             return self
         modules = (*self.modules, *self.device_modules)
-        return replace(self, factory=partial(self.factory, device=device), device=device, modules=modules)
+        return replace(self, given={**self.given, "device": device}, device=device, modules=modules)
+
+    def rendering_with(self, checkpoint: Path) -> "OnlineMethod":
+        """The method with a file of weights that the user gave."""
+        given, takes = {**self.given, "weights": checkpoint}, tuple(name for name in self.takes if name != "weights")
+        return replace(self, title=self.title_from or self.title, given=given, takes=takes, weights=(checkpoint,))
 
 
 class ForeignMethod:
@@ -223,18 +234,22 @@ class ForeignMethod:
             ViewRefusedError: whatever it raised, or no picture of numbers of the target's size.
         """
         with foreign(f"method {self._title}: failed at instant {instant.index}", ViewRefusedError):
-            made = self._method.step(_read_only(instant))
-            wanted = instant.target.height, instant.target.width, 3
-            if not isinstance(made, Rendering) or not isinstance(made.image, np.ndarray):
-                raise TypeError(f"wanted a Rendering with an image, got {type(getattr(made, 'image', made)).__name__}")
-            if made.image.shape != wanted or made.image.dtype.kind != "f" or not np.isfinite(made.image).all():
-                got = f"{made.image.dtype} {made.image.shape}" + (", not all finite" if made.image.shape == wanted else "")
-                raise ValueError(f"wanted an image of floats in [0, 1], {wanted}, got {got}")
-            return made
+            return _checked(self._method.step(_read_only(instant)), instant.target)
 
     def _looked_ahead(self, instants: Iterable[Instant]) -> None:
         with foreign(f"method {self._title}: failed to look ahead", ViewRefusedError):
             self._method.look_ahead(map(_read_only, instants))  # type: ignore[attr-defined]
+
+
+def _checked(made: Any, target: Camera) -> Rendering:
+    wanted = target.height, target.width, 3
+    if not isinstance(made, Rendering) or not isinstance(made.image, np.ndarray):
+        raise TypeError(f"wanted a Rendering with an image, got {type(getattr(made, 'image', made)).__name__}")
+    if made.image.shape != wanted or made.image.dtype.kind != "f" or not np.isfinite(made.image).all():
+        got = f"{made.image.dtype} {made.image.shape}" + (", not all finite" if made.image.shape == wanted else "")
+        raise ValueError(f"wanted an image of floats in [0, 1], {wanted}, got {got}")
+    sum(made.seconds.values())  # numbers, or it raises
+    return made
 
 
 def _read_only(instant: Instant) -> Instant:
@@ -265,8 +280,12 @@ class SceneMethod(MethodSpec):
 
     def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
         """Open the scene once and render every shot of it."""
-        scene = self.scene(unit)
-        return (scene.render(frame, target) for _, frame, target in unit.shots)
+        with self.guard("its scene cannot be opened"):
+            scene = self.scene(unit)
+        for _, frame, target in unit.shots:
+            with self.guard(f"failed at instant {frame}"):
+                made = scene.render(frame, target)
+                yield _checked(made, target) if self.foreign else made
 
 
 def digest_weights(file: Path) -> str:
@@ -278,14 +297,6 @@ def digest_weights(file: Path) -> str:
 @cache
 def _digest_of(file: Path, _size: int, _mtime_ns: int) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
-
-
-def _settings(make: Any) -> dict[str, Any]:
-    """Keywords of a partial, and of the partials that it is given."""
-    if not isinstance(make, partial):
-        return {}
-    inner = {name: value for each in make.args for name, value in _settings(each).items()}
-    return inner | {name: value for name, value in make.keywords.items() if name != "device"}
 
 
 def option_values(variant: str) -> dict[str, Any]:

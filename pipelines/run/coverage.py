@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, as_ranges, read_json, require_frames
+from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, as_ranges, read_json, require_frames
 
 IMPORT_FILE = "import.json"
-REFUSED = "refused"  # in the record of a render: why the method cannot show that view
 SHOWN_FIELDS = ("kind", "source", "sha256", "notes")
 
 

@@ -14,7 +14,8 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthJob
-from ggvs_eval.errors import CameraError
+from ggvs_eval.errors import CameraError, RenderError
+from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.render_unit import PATH
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_rig_depth
@@ -161,7 +162,7 @@ def _rig_depth(capture: Capture, name: str, held_out: Sequence[str], options: De
 
 
 def plan_fits(
-    fitters: Mapping[str, SceneFitter], folds: Sequence[FoldPlan], frames: range, path_frame: int
+    methods: Mapping[str, FittedMethod], folds: Sequence[FoldPlan], frames: range, path_frame: int
 ) -> tuple[FitPlan, ...]:
     """Plan every fit of every fitted method.
 
@@ -169,10 +170,13 @@ def plan_fits(
         folds: see `plan_folds`.
     """
     fits = []
-    for label, fitter in fitters.items():
-        for fold in folds:
-            indices = _path_instants(fitter, frames, path_frame) if fold.name == ALL else frames
-            fits.append(FitPlan(label, fold, indices, tuple(fitter.depth_indices(indices))))
+    for label, method in methods.items():
+        with method.guard("its fits cannot be planned", RenderError):
+            fitter = method.make_fitter()
+            for fold in folds:
+                indices = _path_instants(fitter, frames, path_frame) if fold.name == ALL else frames
+                with_depth = tuple(indices[indices.index(each)] for each in fitter.depth_indices(indices))
+                fits.append(FitPlan(label, fold, indices, with_depth))
     return tuple(fits)
 
 

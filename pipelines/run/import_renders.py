@@ -6,6 +6,7 @@ The run folder that they are scored in is one that there is, or one made of a ca
 import os
 import re
 import shutil
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +25,7 @@ from ggvs_eval.pipelines.run.coverage import IMPORT_FILE, read_import
 from ggvs_eval.pipelines.run.derived_files import MadeFiles
 from ggvs_eval.pipelines.run.prepare import prepare_truth
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+from ggvs_eval.progress import track
 from ggvs_eval.protocol import Protocol, load_protocol, packaged_protocols
 from ggvs_eval.renders.kinds import KINDS, detect
 from ggvs_eval.renders.request import Fit, FrameRequest, RenderedView, RenderSet, fit, partial_text, request_of, require_whole
@@ -36,15 +38,22 @@ ARCHIVE_FILES_PER_FRAME = 12
 SMALL = 20  # pixels per byte that zeros at least take as we write them; some hundred really
 ARCHIVE_SLACK_FILES, ARCHIVE_SLACK_BYTES = 1000, 256 << 20
 SCORES_ROOT = Path("scores")
+TOLD_BYTES = 20_000_000
 
 
 def import_renders(
-    run: RunFolder, label: str, path: Path, allow_partial: bool = False, workers: int = 1, first_frame: int | None = None
+    run: RunFolder,
+    label: str,
+    path: Path,
+    allow_partial: bool = False,
+    workers: int = 1,
+    first_frame: int | None = None,
+    link: bool = False,
 ) -> dict[str, Any]:
     """Make frames that others rendered a method of a run.
 
-    PNG files are linked and stay theirs; JPEG files, videos and arrays are written to PNG once. A second call with the same
-    files does nothing.
+    PNG files are copied, so that the run is whole whatever becomes of theirs; JPEG files, videos and arrays are written to PNG
+    once. A second call with the same files does nothing.
 
     Args:
         run: a folder with the captured frames of the protocol's views.
@@ -54,6 +63,7 @@ def import_renders(
         workers: processes that decode videos and arrays, one view each.
         first_frame: number of the protocol's first frame in their names, of all views, where the numbers do not tell; in videos
             and arrays its place, counted from 0.
+        link: take PNG files as links, which costs no space and breaks where they are moved.
 
     Returns:
         The record of the import, ``import.json``: kind, source, digests, notes, frames, and what the row stands on if partial.
@@ -73,7 +83,7 @@ def import_renders(
         raise RenderError(f"{target} exists already; choose another name for these renders")
     remove_leftovers(target)
     with scratch_folder(target.with_name(f"{label}.unpacked")) as unpacked, _named_as_given(unpacked, path):
-        return _import(run, request, path, unpacked, allow_partial, workers)
+        return _import(run, request, path, unpacked, allow_partial, workers, link)
 
 
 @contextmanager
@@ -86,7 +96,7 @@ def _named_as_given(unpacked: Path, path: Path) -> Iterator[None]:
 
 
 def _import(
-    run: RunFolder, request: FrameRequest, path: Path, unpacked: Path, allow_partial: bool, workers: int
+    run: RunFolder, request: FrameRequest, path: Path, unpacked: Path, allow_partial: bool, workers: int, link: bool
 ) -> dict[str, Any]:
     """Understand, check and put in place, unless it is there."""
     packed = is_archive(path)
@@ -111,14 +121,16 @@ def _import(
         "frames": {view: list(frames) for view, frames in fitted.usable.items()},
         "identity": identity,
     }
-    return _put(run.root / "renders" / request.label, renders, fitted, record, workers)
+    return _put(run.root / "renders" / request.label, renders, fitted, record, workers, link)
 
 
-def _put(target: Path, renders: RenderSet, fitted: Fit, record: dict[str, Any], workers: int) -> dict[str, Any]:
+def _put(target: Path, renders: RenderSet, fitted: Fit, record: dict[str, Any], workers: int, link: bool) -> dict[str, Any]:
     """Fill a folder beside the target, then let it take the target's place."""
     with atomic_folder(target) as temporary:
         views = {view: (renders.views[view], frames) for view, frames in fitted.usable.items()}
         notes = _write(views, temporary, workers)
+        if not link:
+            _copy_linked(temporary, target.name)
         record["notes"] += [f"{view}: {note}" for view, lines in notes.items() for note in lines]
         write_json(temporary / IMPORT_FILE, record)
         names = (frame_path(Path(view), frame).as_posix() for view, frames in fitted.usable.items() for frame in frames)
@@ -136,6 +148,19 @@ def _write(views: Mapping[str, tuple[RenderedView, tuple[int, ...]]], folder: Pa
     with worker_pool(min(workers, len(views))) as pool:
         running = {view: pool.submit(one.write, folder / view, frames) for view, (one, frames) in views.items()}
         return {view: job.result() for view, job in running.items()}
+
+
+def _copy_linked(folder: Path, label: str) -> None:
+    """Put copies in the place of links to pictures; of many megabytes a line says so before."""
+    links = [file for file in sorted(folder.rglob("*.png")) if file.is_symlink()]
+    size = sum(file.stat().st_size for file in links)
+    if size >= TOLD_BYTES:
+        told = f"{label}: copying {size / 1e6:,.0f} MB of frames into the run (--link takes them as links)"
+        print(told, file=sys.stderr, flush=True)
+    for file in track(links, f"copying frames of {label}"):
+        source = file.resolve()
+        file.unlink()
+        shutil.copyfile(source, file)
 
 
 def plain_label(name: str) -> str:
@@ -217,7 +242,7 @@ def run_for(root: Path | None, open_capture: Callable[[], Capture] | None, proto
     run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))
     own = run.protocol() if run.protocol_file.is_file() else None
     if asked:
-        require_protocol(run, asked)
+        require_protocol(run, asked.over(own.frames.numbers.stop) if own else asked)
     if capture:
         prepare_truth(run.root, capture, asked or own or suggest_protocol(capture), workers)
     return run

@@ -98,6 +98,7 @@ def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Wor
     Args:
         root: the run folder; made if absent. `prepare` can go on with it.
     """
+    protocol = protocol.over(capture.n_frames)
     capture, run = fit_capture(capture, protocol), RunFolder(root)
     claim_folder(run, protocol, capture)
     cache_frames(capture, dict.fromkeys(protocol.views.test, protocol.frames.numbers), run.root / "truth", workers)

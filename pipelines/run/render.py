@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +30,12 @@ from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit
 from ggvs_eval.pipelines.methods.spec import MethodSpec
-from ggvs_eval.pipelines.run.coverage import REFUSED
 from ggvs_eval.pipelines.run.folds import FitPlan
 from ggvs_eval.pipelines.run.footage import fold_footage
 from ggvs_eval.progress import LINE_EVERY_S, duration
 from ggvs_eval.results import describe_machine, installed_versions, split_label
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, diagnostics_path, frame_path, read_json, write_json
-from ggvs_eval.scene_fitter import Footage, SceneFitter
+from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, diagnostics_path, frame_path, read_json, write_json
+from ggvs_eval.scene_fitter import Footage
 
 # Okabe and Ito's colours, which the colour-blind tell apart: one for each source view, nearest first.
 VIEW_COLOURS = np.array(
@@ -121,7 +121,10 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
                 if not np.isfinite(rendering.image).all():
                     raise RenderError(f"{label}, frame {number}: wanted a picture of numbers, some are none")
                 write_image(frame_path(folder, number), quantise(rendering.image))
-                write_diagnostics(folder, number, rendering.diagnostics, target)
+                with spec.guard(f"its diagnostics of frame {number} are none"):
+                    maps = {name: diagnostics_picture(name, each, target) for name, each in rendering.diagnostics.items()}
+                for name, picture in maps.items():
+                    write_image(diagnostics_path(folder, name, number), picture)
                 seconds.append(rendering.seconds)
         except ViewRefusedError as error:  # of some poses of a path: it has no picture then
             shutil.rmtree(folder)
@@ -138,9 +141,9 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
         "versions": installed_versions(),
         **refused,
     }
-    if unit.fit is None:
+    took = read_json(unit.fit.folder / JOB_FILE) if unit.fit else {REFUSED: "no fit"}
+    if REFUSED in took:
         return record
-    took = read_json(unit.fit.folder / JOB_FILE)
     return record | {"fit": {name: value for name, value in took.items() if name not in ("sha256", "identity")}}
 
 
@@ -153,7 +156,7 @@ def fit_job(capture: Capture, fit: FitPlan, spec: FittedMethod, shared: Path) ->
     """
     footage = fold_footage(capture, fit, DepthStore(shared / "depth"), spec.seed)
     name = f"{fit.label}, {fit.fold.name}"
-    work = partial(_fit, name, spec.make_fitter(), footage, spec.device)
+    work = partial(_fit, name, spec, footage)
     folder = shared / FITS / fit.label / fit.fold.name
     return UnitJob(name, folder, _identity(capture, fit, spec), work, resumes=True, label=fit.label, units=fit.fold.units)
 
@@ -178,21 +181,27 @@ def _identity(capture: Capture, fit: FitPlan, spec: FittedMethod) -> dict[str, A
     }
 
 
-def _fit(name: str, fitter: SceneFitter, footage: Footage, device: str, folder: Path) -> dict[str, Any]:
-    """Fit, or go on; returns the record for the tables."""
-    clock = FitClock(name, folder)
-    with PeakMemory() as memory:
-        fitter.fit(footage, folder, clock.note)
+def _fit(name: str, method: FittedMethod, footage: Footage, folder: Path) -> dict[str, Any]:
+    """Fit, or go on; returns the record for the tables, or why a plug-in left no scene."""
+    fitter, clock = method.make_fitter(), FitClock(name, folder)
+    try:
+        with PeakMemory() as memory, method.guard(f"failed to fit {name}"):
+            fitter.fit(footage, folder, clock.note)
+            size_bytes = index(fitter.load(folder).size_bytes)
+    except ViewRefusedError as error:
+        shutil.rmtree(folder)
+        folder.mkdir()
+        return {REFUSED: str(error)}
     record = {
         "seconds": clock.seconds,
         "instants": len(footage.indices),
         "cameras": len(footage.cameras),
         "look_ahead": fitter.look_ahead,
         "seed": footage.seed,
-        "size_bytes": fitter.load(folder).size_bytes,
+        "size_bytes": size_bytes,
         "threads": get_threads(),
         "peak_bytes": memory.bytes,
-        "machine": _machine(device),
+        "machine": _machine(method.device),
     }
     (folder / TIME_FILE).unlink(missing_ok=True)
     return record
@@ -244,16 +253,6 @@ class FitClock:
             left = f", about {duration((total - done) / pace)} left" if pace else ""
             print(f"{self.name}: {done} of {total} steps in {duration(self.seconds)}{left}", file=sys.stderr, flush=True)
             self._told_s = now_s
-
-
-def write_diagnostics(folder: Path, index: int, diagnostics: Mapping[str, Map], target: Camera) -> None:
-    """Write one picture per kind of map.
-
-    Args:
-        diagnostics: as of `Rendering`.
-    """
-    for name, values in diagnostics.items():
-        write_image(diagnostics_path(folder, name, index), diagnostics_picture(name, values, target))
 
 
 def diagnostics_picture(name: str, values: Map, target: Camera) -> Image8:

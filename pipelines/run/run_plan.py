@@ -250,9 +250,11 @@ def plan_run(request: RunRequest) -> RunPlan:
         path's shares, nearest sources score up to 0.17 dB less and chosen ones 0.08 to 0.18 dB (validation rooms).
     """
     run, methods = RunFolder(request.root), {label: find_method(label, request.networks) for label in request.labels}
-    fitted = {label: spec.make_fitter() for label, spec in methods.items() if isinstance(spec, FittedMethod)}
+    fitted = {label: spec for label, spec in methods.items() if isinstance(spec, FittedMethod)}
     use_depth = any(spec.uses_depth for spec in methods.values())
-    request = replace(request, protocol=_state_folds(request.protocol, run, request.capture, bool(fitted)))
+    request = replace(
+        request, protocol=_state_folds(request.protocol.over(request.capture.n_frames), run, request.capture, bool(fitted))
+    )
     protocol = request.protocol
     capture, (depth, device) = fit_capture(request.capture, protocol), _depth_of(run, request)
     require_owner(run, protocol, capture)

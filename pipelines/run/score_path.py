@@ -12,11 +12,10 @@ from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose
 from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.run.coverage import REFUSED
 from ggvs_eval.pipelines.run.path_depth import pose_file, read_path_depth
 from ggvs_eval.pipelines.run.score_code import path_code
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, require_frames, write_json
+from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, frame_path, missing_frames, read_json, require_frames, write_json
 
 PATH_VIEW = "path"  # the name in the table's column of views
 TRUTH = "truth"

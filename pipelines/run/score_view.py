@@ -4,7 +4,7 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.merged_results import join_versions
+from ggvs_eval.metric_choices import MetricChoices
 from ggvs_eval.metrics.metric import MetricOptions, ViewMetric
 from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen
 from ggvs_eval.metrics.time.on_screen import Screen, ScreenMetric
@@ -248,16 +249,8 @@ def _score_screen(
 
 def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptions:
     """Return the protocol's options of the metrics, and where those compute that can."""
-    return MetricOptions(
-        ssim=measurement.ssim,
-        lpips_net=measurement.lpips_net,
-        lpips_every=measurement.lpips_every,
-        sted_pairing=measurement.sted_pairing,
-        sted_pooling=measurement.sted_pooling,
-        colour_scope=measurement.colour_scope,
-        ddof=measurement.ddof,
-        device=device,
-    )
+    chosen = {field.name: getattr(measurement, field.name) for field in fields(MetricChoices)}
+    return MetricOptions(**chosen, device=device)
 
 
 def truth_frames(run: RunFolder, view: str, frames: range, measurement: Measurement) -> Iterator[Image8]:

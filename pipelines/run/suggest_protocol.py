@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.units import DEMO_NOTES
-from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.errors import CameraError, CaptureError, did_you_mean
 from ggvs_eval.geometry.sight import LEAST_SHOWN, shown_share
 from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol, packaged_protocols
@@ -108,6 +108,26 @@ def _own_split(capture: Capture, training: Sequence[str], doubts: Mapping[str, s
         for name in capture.camera_names
     }
     return Views(capture.test_views, "the capture's own split", sources=tuple(training)), reasons
+
+
+def hold_out(proposal: Proposal, capture: Capture, names: Sequence[str], doubts: Mapping[str, str]) -> Proposal:
+    """The proposal with test views that the user chose.
+
+    Raises:
+        CaptureError: a name that is no camera of the capture.
+    """
+    if absent := [name for name in names if name not in capture.camera_names]:
+        raise CaptureError(
+            f"--test: {capture.path} has no camera {', '.join(absent)}; it has {', '.join(capture.camera_names)}"
+            f"{did_you_mean(absent[0], capture.camera_names)}"
+        )
+    synthesis = proposal.protocol.synthesis
+    synthesis = replace(synthesis, k=min(synthesis.k, len(capture.cameras) - 1))
+    reasons = dict.fromkeys(capture.camera_names, "stays a source") | {
+        name: f"held out, as asked: {_classify_view(capture, name, synthesis, doubts)[1]}" for name in names
+    }
+    protocol = replace(proposal.protocol, views=Views(tuple(names), "chosen by the user"), synthesis=synthesis)
+    return Proposal(replace(protocol, name=f"{capture.scene}, {', '.join(names)}"), reasons)
 
 
 def _views(capture: Capture, synthesis: Synthesis, doubts: Mapping[str, str]) -> tuple[Views, dict[str, str]]:

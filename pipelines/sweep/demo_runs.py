@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
@@ -21,14 +20,13 @@ from ggvs_eval.progress import duration
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, load_sweep
-from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN
-from ggvs_eval.synthetic.film.options import DemoOptions
+from ggvs_eval.synthetic.shipped import MAIN, ROOMS
 
-Film = Callable[[Path, DemoOptions], Capture]
+Unpack = Callable[[Path, str], Capture]
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")
-# Seconds of filming and evaluating each room by the usual methods, and over K, times the cores: at `pace` 1.
-CORE_SECONDS = {MAIN: 470.0, "demo-enerf-outdoor": 140.0, "demo-d3dmv": 350.0, K_PROTOCOL: 210.0}
+# Seconds of evaluating each room by the usual methods, and over K, times the cores: at `pace` 1.
+CORE_SECONDS = {MAIN: 470.0, "demo-enerf-outdoor": 90.0, "demo-d3dmv": 320.0, K_PROTOCOL: 210.0}
 # What the small rooms are evaluated by where no methods are named: the smaller one by all that the paper compares itself with.
 SMALL_ROOMS_METHODS = {
     "demo-enerf-outdoor": FEW,
@@ -39,25 +37,25 @@ SMALL_ROOMS_METHODS = {
 def demo_plans(
     root: Path,
     labels: Mapping[str, Sequence[str]],
-    film: Film,
+    unpack: Unpack,
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
-    rooms: Mapping[str, DemoOptions] = MappingProxyType(DEMO_ROOMS),
+    rooms: Sequence[str] = ROOMS,
 ) -> Iterator[RunPlan | SweepPlan]:
-    """Plan the run of every demo room as soon as it is filmed, and the main one's sweep over K.
+    """Plan the run of every demo room as soon as it is unpacked, and the main one's sweep over K.
 
     Args:
         root: run folder of the main room; the others' lie beside it, and each capture beside its run.
         labels: name of a room -> its methods, see `room_labels`.
-        film: gives the capture of a folder: films it, or plans it.
-        rooms: name of the protocol -> what is rendered.
+        unpack: gives the capture of a folder and a room's name.
+        rooms: by the names of their protocols.
     """
-    for name, options in rooms.items():
+    for name in rooms:
         place = demo_root(root, name)
-        capture = film(capture_beside(place), options)
+        capture = unpack(capture_beside(place), name)
         yield plan_run(RunRequest(place, capture, load_protocol(name), labels[name], depth, networks))
     if (sweep := k_sweep(labels[MAIN])).row:
-        main = film(capture_beside(root), rooms[MAIN])
+        main = unpack(capture_beside(root), MAIN)
         yield plan_cells(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, networks, shared=root)
 
 
@@ -115,7 +113,7 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
 def room_labels(labels: Sequence[str], usual: Sequence[str]) -> dict[str, Sequence[str]]:
     """Name of a demo room -> its methods: where they are the usual ones, small rooms have lists of their own."""
     own = SMALL_ROOMS_METHODS if tuple(labels) == tuple(usual) else {}
-    return {name: own.get(name, labels) for name in DEMO_ROOMS}
+    return {name: own.get(name, labels) for name in ROOMS}
 
 
 def demo_root(root: Path, name: str) -> Path:

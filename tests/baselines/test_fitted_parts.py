@@ -9,7 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ggvs_eval.baselines.fitted.hexplane import PUBLISHED, DeformationNetwork, PlaneGrid, compact, read_deformation
-from ggvs_eval.baselines.fitted.optimiser import DensityOptions, control_density, photometric_loss, rotated
+from ggvs_eval.baselines.fitted.optimiser import DensityOptions, control_density, photometric_loss, rotated, structural_loss
 from ggvs_eval.baselines.fitted.points import Points, initial_points
 from ggvs_eval.baselines.fitted.published import PublishedScene
 from ggvs_eval.baselines.fitted.scene import (
@@ -26,7 +26,6 @@ from ggvs_eval.baselines.fitted.state import FitState, box_of, first_gaussians
 from ggvs_eval.errors import DepthError, RenderError, WeightsError
 from ggvs_eval.gaussians import GaussianCloud, render_gaussians
 from ggvs_eval.gaussians.ply import write_ply
-from ggvs_eval.training.losses import structural_loss
 from helpers.fitted_footage import footage_of, rig, wall
 from helpers.refusals import refused
 

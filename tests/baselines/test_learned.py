@@ -11,9 +11,15 @@ import torch
 from torch import nn
 
 from ggvs_eval import baselines, built_in
-from ggvs_eval.baselines.learned import LearnedBaseline, Rendition, TrainingRecipe
-from ggvs_eval.baselines.registry import LEARNED_BASELINES, TRAINED_BASELINES
+from ggvs_eval.baselines.fitted.optimiser import structural_loss
+from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
+from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.contrib import more_baselines
+from ggvs_eval.contrib.training.recipes.recipe import RECIPES, TRAINED_BASELINES, TrainingRecipe
+from ggvs_eval.contrib.training.request import TrainingRequest
+from ggvs_eval.contrib.training.samples.sample_kinds import InstantKind
+from ggvs_eval.contrib.training.samples.training_data import sample_pools
+from ggvs_eval.contrib.training.train_one import CACHE, train_one
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 from ggvs_eval.method import Rendering
@@ -23,11 +29,6 @@ from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods
 from ggvs_eval.pipelines.methods.spec import shipped
-from ggvs_eval.pipelines.training.request import TrainingRequest
-from ggvs_eval.pipelines.training.samples.sample_kinds import InstantKind
-from ggvs_eval.pipelines.training.samples.training_data import sample_pools
-from ggvs_eval.pipelines.training.train_one import CACHE, train_one
-from ggvs_eval.training.losses import structural_loss
 from helpers.filled_pools import fill
 from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
@@ -90,7 +91,6 @@ TOY = LearnedBaseline(
     source="nobody, nowhere 2020",
     checkpoint="toy.pth of nobody",
     method=f"{__name__}:ToyMethod",
-    recipe=f"{__name__}:ToyRecipe",
     renditions=(Rendition("Toy", "one colour"), Rendition("Dark Toy", "half of it", variant="dark", options={"gain": 0.5})),
 )
 
@@ -100,6 +100,7 @@ def toy(monkeypatch):
     """The toy in the registries, as a line of each table makes it."""
     monkeypatch.setitem(LEARNED_BASELINES.shipped, TOY.name, TOY)
     monkeypatch.setitem(TRAINED_BASELINES, TOY.name, TOY)
+    monkeypatch.setitem(RECIPES.shipped, TOY.name, ToyRecipe)
     for rendition in TOY.renditions:
         monkeypatch.setitem(METHODS.shipped, TOY.label(rendition), learned_method(TOY, rendition))
     return TOY
@@ -162,9 +163,9 @@ def test_the_table_of_methods_says_what_their_modules_say():
 def test_entries_name_what_there_is(name):
     """The classes exist and take what they are given; every label is a method; weights ship where they are said to."""
     baseline = LEARNED_BASELINES[name]
-    if baseline.recipe:
-        recipe = baseline.make_recipe("compact", seed=3)
-        assert (type(recipe), recipe.seed) == (resolve_name(baseline.recipe), 3)
+    if name in TRAINED_BASELINES:
+        recipe = RECIPES[name]("compact", 3)
+        assert recipe.seed == 3
         assert isinstance(recipe, TrainingRecipe)
         assert recipe.network().configuration == "compact"
     for rendition in baseline.renditions:

@@ -16,10 +16,10 @@ import torch
 from torch.optim.swa_utils import AveragedModel
 
 from ggvs_eval import progress
+from ggvs_eval.contrib.training.loop import TrainingState, write_state, write_weights
 from ggvs_eval.errors import mendable
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import load_protocol
-from ggvs_eval.training.checkpoint import TrainingState, write_state, write_weights
 from helpers.captures import write_dynerf
 from helpers.command_line import refusal
 from helpers.small_runs import small_protocol

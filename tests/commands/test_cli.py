@@ -163,6 +163,32 @@ def test_a_verb_of_a_package_that_is_not_there_is_one_line(monkeypatch):
     assert refusal("fly") == f"ggvs-eval: {wanted}"
 
 
+@pytest.mark.parametrize(
+    ("words", "called"),
+    [
+        (["out"], "demo"),
+        (["out", "--room=demo-d3dmv"], "demo"),
+        (["out", "--n-frames", "8"], "film"),
+        (["out", "--seed=3"], "film"),
+    ],
+)
+def test_demo_hands_on_what_only_film_knows(words, called, monkeypatch):
+    """A room that ships is unpacked; any option of `film` films another one."""
+    taken = []
+    for verb in ("demo", "film"):
+        recorded = wraps(COMMANDS[verb])(lambda verb=verb, **options: taken.append(verb))
+        monkeypatch.setitem(COMMANDS.shipped, verb, recorded)
+    run_command(["demo", *words])
+    assert taken == [called]
+
+
+def test_a_mistyped_option_of_demo_is_not_handed_on(capsys):
+    """`demo --quik` is told of `--quick`."""
+    with pytest.raises(SystemExit, match="2"):
+        run_command(["demo", "out", "--quik"])
+    assert "--quick" in capsys.readouterr().err
+
+
 def test_options_are_those_of_the_network(capsys, tmp_path):
     """A network's training offers its own options, and refuses those of another network."""
     assert "--guidance" in helped(capsys, "train", "blend")

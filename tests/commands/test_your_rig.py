@@ -52,7 +52,7 @@ def test_every_command_ends_as_the_page_says(walk):
     for each in walk[1]:
         assert each.exit_code == int(ENDS_WITH_1 in each.command), each.command
     verbs = [shlex.split(each.command)[1] for each in walk[1] if each.command.startswith("ggvs-eval")]
-    assert verbs == ["demo", "check", "calibrate", "check", "check", "protocol", "run", "view"]
+    assert verbs == ["film", "check", "calibrate", "check", "check", "protocol", "run", "view"]
 
 
 def test_videos_without_poses_are_checked(walk):

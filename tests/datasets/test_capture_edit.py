@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.capture import CaptureEdit, Extras
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import HeldDepths, perturb_capture
 from ggvs_eval.errors import CaptureError, ProtocolError
@@ -16,8 +18,6 @@ from ggvs_eval.pipelines.run.evaluate import reopen
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.protocol import Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import frame_path, read_json
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.captures import N_FRAMES, NAMES, make_image, make_rig, write_folders, write_poses
 
 pytestmark = pytest.mark.slow

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.pipelines.run.evaluate import recorded_capture
 from ggvs_eval.pipelines.run.prepare import prepare_truth
 from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import Frames, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
-from ggvs_eval.synthetic.quick import write_quick
+from ggvs_eval.synthetic.shipped import write_quick
 from helpers.places import ROOT
 
 EXAMPLES = ROOT / "examples"

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.training.samples.sample_kinds import raw_views
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.geometry.warp import register_views
@@ -16,7 +17,6 @@ from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 from ggvs_eval.pipelines.online.network_blender import overview, registered
 from ggvs_eval.pipelines.online.network_inputs import FAINT, blend_maps
-from ggvs_eval.pipelines.training.samples.blend_samples import raw_views
 from helpers.geometry_scenes import TAU, random_camera, random_depth, seeds, sizes, view_of
 from helpers.refusals import refused
 

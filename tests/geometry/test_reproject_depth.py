@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.worlds.film.film import lit_room
+from ggvs_eval.contrib.worlds.film.raycast import hand_held_poses, render_depth
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.reproject_depth import reproject_depth
-from ggvs_eval.synthetic.film.film import lit_room
-from ggvs_eval.synthetic.film.raycast import render_depth
-from ggvs_eval.synthetic.film.rig import hand_held_poses
 
 WIDTH, HEIGHT = 96, 72
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.contrib.worlds.film.raycast import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, hand_held_poses, rig
 from ggvs_eval.errors import CameraError
 from ggvs_eval.geometry import source_views
 from ggvs_eval.geometry.source_views import LEAST_SHARE, choose_sources, sample_view, sees, turn_rad
 from ggvs_eval.pipelines.play.playback import camera_loop
-from ggvs_eval.synthetic.film.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, hand_held_poses, rig
 from helpers.refusals import refused
 
 pytestmark = pytest.mark.slow
@@ -37,7 +37,7 @@ def make_rig(shape: str, seed: int = 101) -> list[Camera]:
         yaw_rad = OUTERMOST_YAW_RAD if shape == "rows" else GRID_YAW_RAD
         return rig(seed, *SIZE, 8, NEAR, FAR, yaw_rad)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ggvs_eval.synthetic.film.rig.AIM_SWAY", 10.0)
+        patch.setattr("ggvs_eval.contrib.worlds.film.raycast.AIM_SWAY", 10.0)
         return hand_held_poses(seed, *SIZE, 20, 4.0, NEAR, FAR)
 
 

@@ -6,7 +6,7 @@ from ggvs_eval.camera import nearest_cameras
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.synthetic.shipped import FOLDER
+from ggvs_eval.synthetic.shipped import packed_room
 
 SIZE = (112, 84)
 COUNT = 3
@@ -15,7 +15,7 @@ COUNT = 3
 @cache
 def room_instants() -> list[Instant]:
     """Three instants of one camera's view, by its four nearest; the depth of each by its nearest partner, wrong in places."""
-    capture = open_capture(FOLDER).resized(*SIZE, "area")
+    capture = open_capture(packed_room("demo")).resized(*SIZE, "area")
     target = capture.camera("cam05")
     cameras = nearest_cameras(target, capture.cameras, 4)
     partners = [nearest_cameras(camera, capture.cameras, 1)[0] for camera in cameras]

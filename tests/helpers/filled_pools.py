@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.training.samples.samples import SamplePool, SampleSource, make_samples
+from ggvs_eval.contrib.training.samples.samples import SamplePool, SampleSource, make_samples
 
 
 def fill(pool: SamplePool, capture_of: Callable[[SampleSource], Capture]) -> SamplePool:

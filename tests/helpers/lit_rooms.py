@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ggvs_eval.contrib.worlds.film import film
+from ggvs_eval.contrib.worlds.film.options import SceneName
+from ggvs_eval.contrib.worlds.room import lighting
+from ggvs_eval.contrib.worlds.room.garden import build_garden
+from ggvs_eval.contrib.worlds.room.lighting import Instant, LitRoom
+from ggvs_eval.contrib.worlds.room.room import build_room
 from ggvs_eval.files.atomic import atomic_file
-from ggvs_eval.synthetic.film import film
-from ggvs_eval.synthetic.film.options import SceneName
-from ggvs_eval.synthetic.room import lighting
-from ggvs_eval.synthetic.room.garden import build_garden
-from ggvs_eval.synthetic.room.lighting import Instant, LitRoom
-from ggvs_eval.synthetic.room.room import build_room
 
 Arrays = tuple[np.ndarray, ...]
 

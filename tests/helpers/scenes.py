@@ -3,10 +3,10 @@
 import numpy as np
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.worlds.film.raycast import View
+from ggvs_eval.contrib.worlds.room.lighting import Instant as RoomInstant
 from ggvs_eval.files.images import quantise
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.synthetic.film.raycast import View
-from ggvs_eval.synthetic.room.lighting import Instant as RoomInstant
 
 WALL_Z, SQUARE_Z, SQUARE_HALF = 5.0, 3.5, 0.5
 WIDTH, HEIGHT, FOCAL = 96, 72, 90.0

@@ -4,10 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
 
 LABELS = ("no-blending", "distance-based")
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.film import Footage, lit_room
-from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
-from ggvs_eval.synthetic.room import lighting
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
+from ggvs_eval.contrib.worlds.layouts.layouts import LAYOUTS
+from ggvs_eval.contrib.worlds.room import lighting
 
 TINY = DemoOptions(width=64, height=48, n_frames=2, cameras_per_row=2, path_poses=1, supersampling=1)
 FILMS = {

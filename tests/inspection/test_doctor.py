@@ -7,6 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
@@ -15,8 +17,6 @@ from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, views_of_run
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.run_folder import RunFolder, frame_path
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.planted_renders import PLANTED as PLANTED_IN_VIEWS
 from helpers.planted_renders import jpeg, quantised
 from helpers.refusals import refused

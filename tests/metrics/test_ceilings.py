@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from ggvs_eval.contrib.study import frame_ladders
+from ggvs_eval.contrib.worlds.film.film import lit_room
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
+from ggvs_eval.contrib.worlds.room import lighting
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.coding import Coding, read_coding
 from ggvs_eval.metrics.ceilings import ceilings
@@ -18,9 +21,6 @@ from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.metrics.time.flicker import flicker
 from ggvs_eval.metrics.time.strred import strred
 from ggvs_eval.metrics.time.tcc import tcc
-from ggvs_eval.synthetic.film.film import lit_room
-from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.room import lighting
 from helpers.noise_scenes import FLICKER_SEED, clean_video, encoded, noisy, panned_video, shot_noise
 
 pytestmark = pytest.mark.slow

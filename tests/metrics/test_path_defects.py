@@ -210,9 +210,9 @@ def test_a_path_streams():
 @pytest.fixture(scope="module")
 def room():
     """The middle of the demo's true path, rendered with its exact depth."""
-    from ggvs_eval.synthetic.film.film import Footage, lit_room
-    from ggvs_eval.synthetic.film.options import DemoOptions
-    from ggvs_eval.synthetic.film.shots import path_shots
+    from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
+    from ggvs_eval.contrib.worlds.film.options import DemoOptions
+    from ggvs_eval.contrib.worlds.film.shots import path_shots
 
     options, instant = DemoOptions(width=160, height=120, path_poses=32), lit_room(0).at(0.0)
     poses = []

@@ -15,6 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.camera_frames import find_rig_frames
 from ggvs_eval.datasets.colmap_model import Sightings, write_model
@@ -25,8 +27,6 @@ from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration import calibrate as calibration_job
 from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate, measure_against
 from ggvs_eval.pipelines.offline.calibration.known_cameras import colmap_camera, read_known, write_intrinsics
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.calibration_files import write_qualisys
 from helpers.captures import make_image, make_rig, write_colmap_model, write_folders, write_videos
 from helpers.refusals import refused

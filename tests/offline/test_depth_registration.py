@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.inspection.capture.depth_range import check_depth_registration
@@ -19,8 +21,6 @@ from ggvs_eval.pipelines.offline.depth.fill_store import depth_job
 from ggvs_eval.pipelines.offline.sensor.registered_capture import displacement
 from ggvs_eval.pipelines.offline.sensor.registration import Registration, pose_after, with_registration
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
 
 pytestmark = pytest.mark.slow
 

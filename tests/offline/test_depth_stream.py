@@ -9,7 +9,7 @@ import pytest
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, WeightsError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import KEYFRAME_EVERY, MATCHERS, DepthRunOptions, find_matcher
+from ggvs_eval.pipelines.offline.depth.depth_choice import FORMS, KEYFRAME_EVERY, MATCHERS, DepthRunOptions, find_matcher
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_depth
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
@@ -116,7 +116,7 @@ def test_the_choice_of_the_command_line():
 def test_unknown_matchers_and_weights_are_refused(tmp_path):
     """A misspelt matcher names its neighbour, absent weights their file, weights for another matcher the reason."""
     with pytest.raises(
-        DepthError, match=re.escape(f"no stereo matcher 'sgmb'; there are {', '.join(MATCHERS)}; did you mean sgbm")
+        DepthError, match=re.escape(f"no stereo matcher 'sgmb'; there are {', '.join((*MATCHERS, *FORMS))}; did you mean sgbm")
     ):
         find_matcher("sgmb")
     with refused(WeightsError, "nowhere.pth"):

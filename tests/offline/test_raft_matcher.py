@@ -9,6 +9,8 @@ import torch
 from safetensors.torch import save_file
 
 from ggvs_eval import kernels
+from ggvs_eval.contrib.training.stereo_pairs import stereo_sample
+from ggvs_eval.contrib.training.stereo_task import VALIDATION_SEED
 from ggvs_eval.files.images import quantise
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, find_matcher
@@ -21,9 +23,7 @@ from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
     weights_digest,
 )
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
-from ggvs_eval.pipelines.training.stereo.stereo_task import VALIDATION_SEED
 from ggvs_eval.raft_config import COMPACT
-from ggvs_eval.synthetic.stereo.pairs import stereo_sample
 from helpers.seeded_networks import seeded_state
 from helpers.stereo_scenes import look_from, random_texture, see_plane
 

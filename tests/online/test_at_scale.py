@@ -5,7 +5,7 @@ import pytest
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Instant, Rendering
-from ggvs_eval.pipelines.methods.at_scale import AtScale, at_scale
+from ggvs_eval.pipelines.methods.at_scale import AtScale
 from ggvs_eval.pipelines.methods.registry import find_method
 from helpers.scenes import camera_at
 from helpers.scenes import instant as make_instant
@@ -61,7 +61,7 @@ def test_labels_set_the_scale_of_any_online_method():
         spec = find_method(label)
         assert spec.title == title
         assert spec.settings["scale"] == float(label.rpartition("=")[2])
-        assert at_scale.__module__ in spec.modules
+        assert AtScale.__module__ in spec.modules
         assert isinstance(spec.make(), AtScale)
     both = find_method("ours-geometric+tau_m=0.1+scale=0.5")
     assert isinstance(both.make(), AtScale)

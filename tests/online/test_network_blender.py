@@ -6,6 +6,7 @@ import torch
 from safetensors.torch import save_file
 
 from ggvs_eval.compute_device import one_thread
+from ggvs_eval.contrib.training.loop import pour_weights, write_weights
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.pipelines.online.blend_network import (
     BlendNetwork,
@@ -20,7 +21,6 @@ from ggvs_eval.pipelines.online.blending import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import blend_maps, input_channels
-from ggvs_eval.training.checkpoint import pour_weights, write_weights
 from helpers.blender_inputs import inputs_of
 from helpers.refusals import refused
 from helpers.scenes import camera_at, instant

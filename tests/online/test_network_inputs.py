@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.training.samples.sample_kinds import raw_views
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import splat
 from ggvs_eval.pipelines.online.blending import BlendingInputs
@@ -22,7 +23,6 @@ from ggvs_eval.pipelines.online.network_inputs import (
     surface_normals,
     surface_points,
 )
-from ggvs_eval.pipelines.training.samples.blend_samples import raw_views
 from helpers.refusals import refused
 from helpers.scenes import HEIGHT, WALL_Z, WIDTH, camera_at, instant, look
 

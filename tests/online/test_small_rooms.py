@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
+from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE
+from ggvs_eval.contrib.worlds.film.shots import rig_shots
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.synthetic.film.film import Footage, lit_room
-from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
-from ggvs_eval.synthetic.film.shots import rig_shots
 from helpers.photographs import psnr_db
 from helpers.scenes import camera_at, instant
 

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.method import Instant, LookaheadMethod, SourceView
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
@@ -16,8 +18,6 @@ from ggvs_eval.pipelines.run.evaluate import render
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.scenes import SQUARE_Z, camera_at, instant
 
 pytestmark = pytest.mark.slow
@@ -36,7 +36,7 @@ def play(positions: list[float], looks_ahead: bool = True) -> list[np.ndarray]:
 
 def test_every_method_that_looks_ahead_is_marked():
     """Whatever is shown the future says so in its spec and its title; nothing else that renders frame by frame does."""
-    for spec in (each for each in METHODS.values() if isinstance(each, OnlineMethod) and not each.make_from):
+    for spec in (each for each in METHODS.values() if isinstance(each, OnlineMethod) and "weights" not in each.takes):
         assert isinstance(spec.make(), LookaheadMethod) == (not spec.online)
         assert spec.online or "not online" in spec.title.lower()
     assert not find_method(OFFLINE).online

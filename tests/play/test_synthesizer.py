@@ -309,8 +309,8 @@ def test_too_few_cameras_beside_the_target():
 @pytest.mark.skipif(not DOCUMENT.is_file(), reason="reads the checkout")
 def test_the_example_of_the_page_works(tmp_path, monkeypatch):
     """The code of docs/online.md, run as it stands on a small demo capture, writes views that resemble what is rendered there."""
-    from ggvs_eval.synthetic.demo import write_demo
-    from ggvs_eval.synthetic.film.options import DemoOptions
+    from ggvs_eval.contrib.worlds.demo import write_demo
+    from ggvs_eval.contrib.worlds.film.options import DemoOptions
 
     small = {"width": 128, "height": 96, "n_frames": 2, "cameras_per_row": 2, "supersampling": 1, "path_poses": 0}
     write_demo(tmp_path / "room", DemoOptions(**small, depth_stride=0, noise_sigma_255=0.0, exposure_spread=0.0), workers=1)

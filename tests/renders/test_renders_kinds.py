@@ -11,6 +11,7 @@ from PIL import Image
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.pipelines.run import import_renders as import_module
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 from helpers.refusals import refused
@@ -199,17 +200,20 @@ def test_jpeg_is_decoded_once_and_said(truth_run, tmp_path):
     assert "cam00: 3 frames (2-4) of JPEG, decoded once to PNG: what it lost counts against the method" in record["notes"]
 
 
-def test_png_files_are_linked_and_stay_theirs(truth_run, tmp_path):
-    """PNG frames are links to the very files, which are not touched; a JPEG called .png is still decoded."""
+@pytest.mark.parametrize("link", [False, True], ids=["copied", "linked"])
+def test_png_files_are_copied_or_linked_and_stay_theirs(truth_run, tmp_path, link, monkeypatch, capsys):
+    """PNG frames are copies of the very bytes, of which a line tells the size before, or links; a JPEG called .png is decoded."""
+    monkeypatch.setattr(import_module, "TOLD_BYTES", 0)
     write_folders(tmp_path / "theirs")
     write_picture(tmp_path / "jpeg.jpg", rendered("cam00", 3))
     shutil.copy(tmp_path / "jpeg.jpg", tmp_path / "theirs" / "cam00" / "0003.png")
 
-    import_renders(truth_run, "mine", tmp_path / "theirs")
+    import_renders(truth_run, "mine", tmp_path / "theirs", link=link)
 
-    file = frame_path(truth_run.renders("mine", "cam02"), 3)
-    assert file.is_symlink()
-    assert file.resolve() == (tmp_path / "theirs" / "cam02" / "0003.png").resolve()
+    file, theirs = frame_path(truth_run.renders("mine", "cam02"), 3), tmp_path / "theirs" / "cam02" / "0003.png"
+    assert file.is_symlink() == link
+    assert file.read_bytes() == theirs.read_bytes()
+    assert ("mine: copying 0 MB of frames into the run" in capsys.readouterr().err) == (not link)
     assert not frame_path(truth_run.renders("mine", "cam00"), 3).is_symlink()
 
 

@@ -157,6 +157,11 @@ def without_truth_and_names(folder: Path) -> Path:
 
 WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     "nothing there": (lambda f: f, "theirs: wanted renders, there is no such folder or file"),
+    "cameras that are not tested": (
+        lambda f: write_videos(f, views=["cam01"]),
+        "theirs has cam01, cameras that the protocol does not test; write one that does: "
+        "ggvs-eval protocol CAPTURE mine.toml --test cam01",
+    ),
     "an empty folder": (nothing, "no renders of cam02, cam00 that can be read: a run folder: no protocol.toml; "),
     "every reason": (nothing, "<view>/<frame>.png: no folder cam02 or cam00 with PNG or JPEG pictures"),
     "no video of a view": (nothing, "one video per view: no cam02.mp4 or the like"),

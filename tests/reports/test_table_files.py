@@ -9,11 +9,16 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.reproduction import paper_tables, reproduce
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, write_excel
+from ggvs_eval.reports.tables_of_runs import tables_of_runs
+from helpers.command_line import refusal
+from helpers.refusals import refused
 from helpers.run_folders import RunShape, write_run
 
 pytestmark = pytest.mark.slow
@@ -133,3 +138,40 @@ def test_workbook_takes_names_literally(tmp_path):
     assert len(sheets) == 3
     assert [sheet.iloc[0].tolist() for sheet in sheets.values()] == [["=1+1", "not computed: why"]] * 2 + [["=2+2", 1]]
     assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_table_for_a_paper_is_of_stored_results_alone(nasty_run, tmp_path, capsys):
+    """The chosen columns in their order, without a frame of the run, by one line of terms; what changes a number stays below."""
+    run = tmp_path / "run"
+    shutil.copytree(nasty_run, run, ignore=shutil.ignore_patterns("truth", "renders", "path"))
+    run_command(["table", str(run), "--columns", "SSIM", "PSNR"])
+    shown = capsys.readouterr().out
+    assert "| Method | SSIM ↑ | PSNR ↑ |" in shown
+    protocol = read_run(nasty_run).protocol
+    assert f"Mean over 4 frames of 2 views, K = 2; protocol tiny, {protocol.sha256[:8]}." in shown
+    assert "PSNR in dB." in shown
+    run_command(["table", str(run), "--columns", "SSIM", "PSNR", "--notes"])
+    assert len(capsys.readouterr().out) > len(shown)
+    run_command(["table", str(run), "--columns", "PSNR", "--to", "csv"])
+    assert {line["column"] for line in csv.DictReader(capsys.readouterr().out.splitlines())} == {"PSNR"}
+    assert refusal("table", str(run), "--columns", "PSNRR").endswith("did you mean PSNR?")
+
+
+def test_several_scenes_are_columns_beside_their_mean(tmp_path):
+    """A table per metric: each scene's value, and the mean of the scenes last; another protocol is refused."""
+    roots = [write_run(tmp_path / scene, RunShape(scene=scene, content=scene)) for scene in ("fern", "flower")]
+    lines = list(csv.DictReader(tables_of_runs(roots, ["PSNR", "LPIPS"], "csv").splitlines()))
+    assert [(line["table"], line["column"]) for line in lines[:3]] == [("PSNR", "fern"), ("PSNR", "flower"), ("PSNR", "Mean")]
+    values = [float(line["value"]) for line in lines if line["table"] == "PSNR"]
+    for fern, flower, mean in zip(values[::3], values[1::3], values[2::3], strict=True):
+        assert mean == pytest.approx((fern + flower) / 2, abs=1e-12)
+    write_run(tmp_path / "other", RunShape(scene="other", k=3))
+    with refused(ResultsError, "runs of one protocol", "share no table"):
+        tables_of_runs([roots[0], tmp_path / "other"], [], "csv")
+
+
+@pytest.mark.skipif(ENGINE is None, reason="no LaTeX engine; apt-get install texlive-latex-base texlive-latex-recommended")
+def test_a_table_for_a_paper_compiles(nasty_run, tmp_path):
+    """As it is printed, in a plain article."""
+    log = compile_latex(tables_of_runs([nasty_run], ["PSNR", "SSIM", "LPIPS"], "latex"), tmp_path)
+    assert "Overfull" not in log

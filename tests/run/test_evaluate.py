@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, ProtocolError, RenderError
 from ggvs_eval.files.images import read_image, write_image
@@ -21,8 +23,6 @@ from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.refusals import refused
 
 pytestmark = pytest.mark.slow

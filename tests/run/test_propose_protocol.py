@@ -12,7 +12,7 @@ from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, read_doubts
 from ggvs_eval.pipelines.inspection.finding import Finding
-from ggvs_eval.pipelines.run.suggest_protocol import propose_protocol, published_protocols, suggest_protocol
+from ggvs_eval.pipelines.run.suggest_protocol import hold_out, propose_protocol, published_protocols, suggest_protocol
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import write_json
 from helpers.captures import make_rig
@@ -41,6 +41,19 @@ def test_every_camera_has_a_reason():
     assert proposal.reasons["cam3"].endswith("% of its view")
     assert "stays a source" in proposal.reasons["cam2"]
     assert suggest_protocol(rig_of()) == proposal.protocol
+
+
+def test_test_views_may_be_chosen():
+    """Each with what its sources show of it; the rest stays as proposed; a name of no camera is told with those there are."""
+    rig = rig_of(turned="cam2")
+    proposal = hold_out(propose_protocol(rig), rig, ("cam2", "cam0"), {})
+    assert proposal.protocol.views.test == ("cam2", "cam0")
+    assert proposal.protocol.measurement == suggest_protocol(rig).measurement
+    assert proposal.reasons["cam0"].startswith("held out, as asked: cam1")
+    assert proposal.reasons["cam2"].endswith("can show 0 % of its view")
+    assert proposal.reasons["cam1"] == "stays a source"
+    with refused(CaptureError, "no camera cam9", "cam0, cam1"):
+        hold_out(propose_protocol(rig), rig, ("cam9",), {})
 
 
 @pytest.mark.parametrize("count", [21, 60, 240])

@@ -9,6 +9,31 @@ from ggvs_eval.protocol import load_protocol, packaged_protocols
 from helpers.refusals import refused
 
 DEMO_SHA256 = "f25aff147bd9170d9c2c6249a923c3ffb6af271568f72c610bd99b08fcbc3240"  # at 3326e7f
+HASHES = {  # as they begin; results bear them
+    "d3dmv": "5c396f5d47c1",
+    "demo": "0885aaea3365",
+    "demo-d3dmv": "3e267f59abe9",
+    "demo-enerf-outdoor": "292ee462b1b1",
+    "demo-k": "f4a5f7456ed4",
+    "dynerf": "a1071aa52738",
+    "enerf-outdoor": "262490b85392",
+    "immersive_stg": "65ccd53fd7fa",
+    "meetroom_3dgstream": "88fd6ae441b4",
+    "n3v_3dgstream": "b114f4e6b8d9",
+    "n3v_4dgs": "dc14c9a17c98",
+    "n3v_queen": "c5e37936b990",
+    "n3v_stg": "dc7042b94f2e",
+    "offline": "b31d2107d3bd",
+    "panoptic_sports": "9c943d5419df",
+    "readings": "9b78aff8d8a5",
+    "real_frame": "8623c788d767",
+    "real_frame_coverage": "87471cd0c255",
+    "real_frame_held": "5096f52f1a98",
+    "real_frame_small": "ca34271acb4f",
+    "rooms": "33380ff22977",
+    "rooms_short": "b566d5c10cd7",
+    "technicolor_stg": "0e7bd2564ab1",
+}
 
 
 @pytest.mark.parametrize("name", packaged_protocols())
@@ -21,6 +46,7 @@ def test_packaged_protocols_survive_a_round_trip(name, tmp_path):
 
     assert copy == protocol
     assert copy.sha256 == protocol.sha256
+    assert protocol.sha256.startswith(HASHES[name])
 
 
 def test_the_hash_depends_on_every_value():
@@ -67,8 +93,12 @@ def test_the_choice_of_sources_survives_a_round_trip(tmp_path):
             "k = 4\nsources = 'covrage'",
             "synthesis.sources must be one of 'nearest', 'coverage', 'triplet', got 'covrage'",
         ),
-        ("count = 24", "", "missing key frames.count"),
-        ("count = 24", "count = 0", "frames.count at least 1"),
+        ("count = 24", "count = -1", "frames.count must be at least 0"),
+        (
+            "[views]\ntest",
+            "kind = 3\n[views]\nviews",
+            r"unknown key kind; did you mean .*; also unknown key views.views; .*; also missing key views.test; add it",
+        ),
         ('"lanczos"', '"lanzcos"', "synthesis.resize_filter must be one of 'area', 'lanczos'"),
         ("[frames]", "[frame]", r"unknown key frame; did you mean frames\?"),
         ('"cam03"', '"cam00"', "name each test view once"),
@@ -89,6 +119,16 @@ def test_mistakes_are_refused_in_one_line(old, new, message, tmp_path):
 
     assert "mine.toml" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_test_views_alone_are_a_protocol(tmp_path):
+    """All else has a default: the file's name, four sources, the usual metrics, and as many frames as the capture has."""
+    (tmp_path / "mine.toml").write_text("views.test = ['cam01', 'cam04']\n")
+    protocol = load_protocol(tmp_path / "mine.toml")
+    assert (protocol.name, protocol.dataset, protocol.synthesis.k) == ("mine", "mine", 4)
+    assert protocol.measurement.metrics == ("PSNR", "SSIM", "LPIPS", "TCC", "STED")
+    assert protocol.over(7).frames.numbers == range(7)
+    assert load_protocol("demo").over(7) == load_protocol("demo")
 
 
 def test_an_unknown_name_lists_the_packaged_ones():

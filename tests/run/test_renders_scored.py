@@ -298,17 +298,28 @@ def test_what_contradicts_itself_is_refused(arguments, message, coffee_folder, p
     assert message in str(caught.value.code)
 
 
-def test_renders_that_were_moved_are_named(tmp_path):
-    """A run links to imported frames: once they are elsewhere, report and score name the method, the place and the way out."""
+def test_imported_frames_survive_their_folder(tmp_path):
+    """It may be renamed or emptied: the same run scores and reports as before."""
     run = make_run(tmp_path / "run", ("PSNR",))
     import_renders(run, "b", write_folders(tmp_path / "b"))
+    table = score(run).table
+    shutil.rmtree(tmp_path / "b")
+    shutil.rmtree(run.root / "scores")
+    assert score(run).table.equals(table)
+    assert report([run.root]).is_file()
+
+
+def test_linked_renders_that_were_moved_are_named(tmp_path):
+    """Once they are elsewhere, report and score name the method, the place and the way out."""
+    run = make_run(tmp_path / "run", ("PSNR",))
+    import_renders(run, "b", write_folders(tmp_path / "b"), link=True)
     table = score(run).table
     (tmp_path / "b").rename(tmp_path / "moved")
 
     for call in (lambda: report([run.root]), lambda: score(run)):
         with refused(RenderError, f"frames of b were read from {tmp_path / 'b'}/", "--renders b=NEWPLACE"):
             call()
-    import_renders(run, "b", tmp_path / "moved")
+    import_renders(run, "b", tmp_path / "moved", link=True)
     assert score(run).table.equals(table)
 
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
-from ggvs_eval.datasets import open_capture
-from ggvs_eval.errors import CaptureError, ProtocolError
+from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.shard import WHOLE, Shard
@@ -26,7 +25,6 @@ from ggvs_eval.pipelines.run.evaluate import measure, render
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import DEPTH_BYTES, Piece, Workload, count_work, work_left
-from ggvs_eval.pipelines.sweep.demo_plan import demo_to_plan, renders_first
 from ggvs_eval.pipelines.sweep.run_sweep import plan_cells
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
@@ -34,7 +32,7 @@ from ggvs_eval.run_folder import RunFolder, frame_path
 from ggvs_eval.sweep import Sweep, SweepRow
 from helpers.command_line import refusal
 from helpers.refusals import refused
-from helpers.small_runs import LABELS, small_options, small_protocol, write_small_capture
+from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
 pytestmark = pytest.mark.slow
 
@@ -318,19 +316,3 @@ def test_partners_are_chosen_once_for_a_source_and_the_camera_it_must_not_see(de
 def test_durations_are_told_in_their_unit(seconds, text):
     """Seconds below two minutes, minutes below two hours, then hours."""
     assert duration(seconds) == text
-
-
-def test_a_demo_is_planned_before_it_is_rendered(demo_capture, protocol, tmp_path):
-    """A demo that is not there yet is planned like the rendered one, and the plan says what will be rendered."""
-    absent = demo_to_plan(tmp_path / "demo", small_options(3), open_capture)
-    rendered = demo_to_plan(demo_capture.path, small_options(3), open_capture)
-    plans = [planned(tmp_path / "run", each, protocol) for each in (absent, rendered)]
-
-    assert counts(plans[0]) == counts(plans[1])
-    assert renders_first([rendered]) == []
-    assert renders_first([absent, absent]) == [
-        f"demo: is rendered first, 6 cameras x 3 frames at 64 x 48, into {tmp_path / 'demo'}"
-    ]
-    assert list(tmp_path.iterdir()) == []
-    with pytest.raises(CaptureError, match="the demo is not rendered"):
-        list(absent.frames("cam00", 0, 1))

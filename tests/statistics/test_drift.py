@@ -44,13 +44,16 @@ def test_intervals_hold_no_drift_where_there_is_none(frames, correlation):
     assert 0.9 <= np.mean([abs(drift.slope) <= drift.half_width for drift in drifts]) <= 0.985
 
 
-@pytest.mark.parametrize(("frames", "correlation"), [(100, 0.0), (100, 0.8), (100, 0.9), (100, 0.95), (150, 0.95), (300, 0.95)])
-def test_no_more_alarms_than_chance_among_what_is_not_marked(frames, correlation):
-    """At every length that the table shows (from 100): at most 6 % of unmarked intervals exclude 0, give or take 300 series."""
-    random = np.random.default_rng(5)
-    drifts = [measure_drift(wandering(random, frames, correlation)) for _ in range(300)]
+@pytest.mark.parametrize(
+    ("frames", "correlation", "count"),
+    [(100, 0.0, 1000), (100, 0.8, 1000), (100, 0.9, 1000), (100, 0.95, 8000), (300, 0.95, 1000)],
+)
+def test_no_more_alarms_than_chance_among_what_is_not_marked(frames, correlation, count):
+    """At the lengths that the table shows (from 100): at most 5 % of unmarked intervals exclude 0 (5.3 % before)."""
+    random = np.random.default_rng(1)
+    drifts = [measure_drift(wandering(random, frames, correlation)) for _ in range(count)]
     unmarked = [abs(drift.slope) > drift.half_width for drift in drifts if not drift.short]
-    assert np.sum(unmarked) <= 0.06 * len(unmarked) + 2 * np.sqrt(0.06 * len(unmarked))
+    assert np.mean(unmarked) <= 0.05
 
 
 def test_a_clear_drift_is_not_marked():

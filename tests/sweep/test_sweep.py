@@ -8,6 +8,8 @@ import pytest
 import torch
 
 from ggvs_eval.capture import CaptureEdit
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.errors import ProtocolError
@@ -18,8 +20,6 @@ from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
 from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.gaussian_clouds import random_cloud
 from helpers.refusals import refused
 

@@ -11,6 +11,11 @@ import numpy as np
 import pytest
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.contrib.worlds.demo import DEMO_ROOMS, MAIN, write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
+from ggvs_eval.contrib.worlds.film.raycast import AIM_M, ARC_YAW_RAD, UNITS_PER_METRE, arc_rig, eye_in_room
+from ggvs_eval.contrib.worlds.film.shots import rig_shots
+from ggvs_eval.contrib.worlds.room.room import build_room
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
@@ -21,11 +26,6 @@ from ggvs_eval.pipelines.sweep import demo_runs
 from ggvs_eval.pipelines.sweep.demo_runs import capture_beside, demo_plans, demo_root, evaluate_demos
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
-from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN, write_demo
-from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.rig import AIM_M, ARC_YAW_RAD, UNITS_PER_METRE, arc_rig, eye_in_room
-from ggvs_eval.synthetic.film.shots import rig_shots
-from ggvs_eval.synthetic.room.room import build_room
 from helpers.captures import make_rig
 from helpers.refusals import refused
 
@@ -147,11 +147,15 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     """Each room is rendered and evaluated beside the main one, one page shows all, and a second call computes nothing."""
     monkeypatch.setattr(demo_runs, "load_protocol", small_protocols)
     rooms = {MAIN: TINY, "demo-d3dmv": replace(TINY, layout="d3dmv", cameras_per_row=2)}
+
+    def film(folder: Path, name: str) -> Capture:
+        return open_capture(write_demo(folder, rooms[name], 1))
+
     root, told, shown = tmp_path / "out", [], []
 
     def run() -> Path:
         labels = {MAIN: ["no-blending", "distance-based"], "demo-d3dmv": ["no-blending"]}
-        planned = demo_plans(root, labels, lambda folder, options: open_capture(write_demo(folder, options, 1)), rooms=rooms)
+        planned = demo_plans(root, labels, film, rooms=tuple(rooms))
         return evaluate_demos((told.append(each) or each for each in planned), 1, keep)
 
     def keep(page: Path) -> None:
@@ -180,18 +184,17 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts} == before
 
 
-def test_a_dry_run_films_nothing(tmp_path, capsys):
-    """Without a capture the plan says for each room what will be rendered and how much is to be done; nothing is written."""
+def test_a_dry_run_leaves_nothing(tmp_path, capsys):
+    """Without a capture the plan says for each room how much is to be done; nothing is written."""
     run_command(["run", str(tmp_path / "out"), "--dry-run"])
 
-    told = [line for line in capsys.readouterr().out.splitlines() if line.startswith(("demo: ", "plan: ", "disk: "))]
-    assert [line.split(":")[0] for line in told] == ["demo", "plan", "disk"] * 4
-    assert "24 cameras x 24 frames at 480 x 360, into " in told[0]
-    assert "3 views x 24 frames x 6 methods at 480 x 360, K = 4" in told[1]
-    assert "2 views x 8 frames x 3 methods at 384 x 216, K = 4" in told[4]
-    assert "2 views x 8 frames x 7 methods at 320 x 180, K = 2" in told[7]
-    assert "5 runs of 2 views x 6 frames x 2 methods at 480 x 360, K = 2, 3, 4, 5, 6" in told[10]
-    assert str(tmp_path / "out-k") + "," in told[11]
+    told = [line for line in capsys.readouterr().out.splitlines() if line.startswith(("plan: ", "disk: "))]
+    assert [line.split(":")[0] for line in told] == ["plan", "disk"] * 4
+    assert "3 views x 24 frames x 6 methods at 480 x 360, K = 4" in told[0]
+    assert "2 views x 8 frames x 3 methods at 384 x 216, K = 4" in told[2]
+    assert "2 views x 8 frames x 7 methods at 320 x 180, K = 2" in told[4]
+    assert "5 runs of 2 views x 6 frames x 2 methods at 480 x 360, K = 2, 3, 4, 5, 6" in told[6]
+    assert str(tmp_path / "out-k") + "," in told[7]
     assert list(tmp_path.iterdir()) == []
 
 

@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from ggvs_eval.synthetic.layouts.d3dmv import create_lzf, encode_lzf, write_chunk
+from ggvs_eval.synthetic.d3dmv_scene import create_lzf, encode_lzf, write_chunk
 
 RNG = np.random.default_rng(3)
 NOISE = RNG.integers(0, 256, (48, 64, 3), np.uint8)

@@ -23,14 +23,14 @@ from benchmarks.depth_validation.sparse_points import choose_points, evaluate_sp
 from benchmarks.depth_validation.static_reuse import evaluate_reuse
 from benchmarks.depth_validation.temporal_spread import find_static, measure_spread, temporal_spread
 from ggvs_eval.capture import Capture
+from ggvs_eval.contrib.worlds.film.film import DepthWriter, depth_path
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CaptureError, DepthError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
-from ggvs_eval.synthetic.film.depth import DepthWriter, depth_path
-from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.refusals import refused
 from helpers.stereo_scenes import PLANE, look_from, plane_depth, random_texture, see_plane, write_capture
 

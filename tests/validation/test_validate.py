@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN, write_demo
+from ggvs_eval.contrib.worlds.demo import DEMO_ROOMS, MAIN, write_demo
 
 validate = pytest.importorskip("benchmarks.validate", reason="benchmarks lie beside the package")
 rooms = pytest.importorskip("benchmarks.depth_validation.rooms", reason="benchmarks lie beside the package")

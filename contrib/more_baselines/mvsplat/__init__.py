@@ -8,7 +8,6 @@ BASELINE = LearnedBaseline(
     source="Chen et al., ECCV 2024",
     checkpoint="re10k.ckpt of donydchen/mvsplat",
     method="ggvs_eval.contrib.more_baselines.mvsplat.method:Mvsplat",
-    recipe="ggvs_eval.contrib.more_baselines.mvsplat.training:MvsplatRecipe",
     renditions=(Rendition("MVSplat", "Gaussians of all sources' pixels, by cost volumes between them", retrained="compact"),),
     takes_depth=True,
 )

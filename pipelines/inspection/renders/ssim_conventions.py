@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
+from ggvs_eval.metric_choices import StedPairing
 from ggvs_eval.metrics.image.ms_ssim import SMALLEST_PX, ms_ssim
 from ggvs_eval.metrics.image.ssim import ssim_variant
-from ggvs_eval.metrics.metric import StedPairing
 from ggvs_eval.metrics.time import strred
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
     ALL_VIEWS,

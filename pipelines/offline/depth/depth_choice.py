@@ -1,40 +1,30 @@
 """Choice of depth estimation: the matchers by name, and the few words that the command line takes and a run folder keeps."""
 
-import hashlib
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from ggvs_eval.errors import DepthError, WeightsError, did_you_mean
+from ggvs_eval import built_in
+from ggvs_eval.errors import DepthError, did_you_mean
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, TimeOptions
-from ggvs_eval.pipelines.offline.itermvs.options import PUBLISHED, IterMvs, cached_weights
+from ggvs_eval.pipelines.offline.itermvs.options import IterMvs, cached_weights
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName, SensorDepthOptions
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
-from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
+from ggvs_eval.plugins import Registry
 
 FREE_MATCHER = "sgbm"  # that needs no file
 LIVE_MATCHER = "live"  # the default of play and view
-MATCHERS = {
-    "sgbm": "OpenCV's semi-global matching over an image pyramid, each partner on its own",
-    "live": "semi-global matching of images of at most 928 pixels, each pair once for both of its cameras; for play and view",
-    "sweep": "planes swept through all partners at once, then semi-global matching over the planes",
-    "raft": "the compact RAFT-Stereo that ships, started from semi-global matching",
-    "raft:CHECKPOINT": "RAFT-Stereo with a checkpoint of its authors, e.g. raft:raftstereo-middlebury.pth",
-    "itermvs:CHECKPOINT": "IterMVS, all partners at once, with a checkpoint of its authors; by default that of the cache folder",
-    "sgbm+itermvs:CHECKPOINT": "semi-global matching where other cameras confirm it, IterMVS elsewhere; so does raft+itermvs",
-    "sgbm+raft": "semi-global matching where other cameras confirm it, RAFT-Stereo elsewhere, also as sgbm+raft:CHECKPOINT",
-}
-PUBLISHED_ITERATIONS = 32  # what the authors' networks are made for
+MATCHERS: Registry[Callable[..., StereoMatcher | PlaneSweep | IterMvs]] = Registry("matchers", built_in.MATCHERS)
+FORMS = ("raft:CHECKPOINT", "itermvs:CHECKPOINT", "sgbm+raft", "sgbm+itermvs:CHECKPOINT")  # names of others
 KEYFRAME_EVERY = 16  # instants, where instants depend on each other
 DEVICE = "device"  # in a record of depth
-ITERMVS, RAFT = "itermvs", "raft"
-FILLER = re.compile(rf"\+(?=(?:{ITERMVS}|{RAFT})(?::|$))")  # stands before a filler's name
+ITERMVS, RAFT = built_in.NETWORK_MATCHERS[::-1]
+FILLER = re.compile(rf"\+(?=(?:{'|'.join(built_in.NETWORK_MATCHERS)})(?::|$))")  # stands before a filler's name
 
 
 def default_matcher() -> str:
@@ -48,57 +38,23 @@ def finds_live(record: Mapping[str, Any]) -> bool:
     return matcher == LIVE_MATCHER or (matcher.partition(":")[0] == ITERMVS and DEVICE in record)
 
 
-def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep | IterMvs:
-    """The matcher of a name without a filler, see `MATCHERS`.
+def find_matcher(name: str, device: str = "cpu", *, dense: bool = False) -> StereoMatcher | PlaneSweep | IterMvs:
+    """The matcher of a name without a filler: one of `MATCHERS`, or ``NETWORK:CHECKPOINT``.
 
     Args:
         device: where a network computes; the others are the CPU's. Whether it is there shows when it computes.
+        dense: it fills what another matcher does not find.
+
+    Raises:
+        DepthError: no such matcher.
     """
     kind, _, checkpoint = name.partition(":")
-    if kind == ITERMVS:
-        return _itermvs(checkpoint, device)
-    if kind == RAFT:
-        return _raft(checkpoint, device)
-    if name == "sgbm":
-        return SgbmMatcher()
-    if name == LIVE_MATCHER:
-        return LiveMatcher()
-    if name == "sweep":
-        return PlaneSweep()
-    raise DepthError(f"no stereo matcher {name!r}; there are {', '.join(MATCHERS)}{did_you_mean(name, MATCHERS)}")
-
-
-def _filler(name: str, device: str) -> IterMvs | StereoMatcher:
-    kind, _, checkpoint = name.partition(":")
-    return _itermvs(checkpoint, device) if kind == ITERMVS else _raft(checkpoint, device, dense=True)
-
-
-def _raft(checkpoint: str, device: str, *, dense: bool = False) -> StereoMatcher:
-    from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
-        DeviceRaftMatcher,
-        RaftMatcher,
-        load_network,
-        shipped_weights,
-        weights_digest,
-    )
-
-    path = Path(checkpoint) if checkpoint else shipped_weights()
-    digest = weights_digest(path)
-    load_network(path)  # what is wrong with it is said before hours of work
-    make = partial(RaftMatcher if device == "cpu" else partial(DeviceRaftMatcher, device=device), dense=dense)
-    if checkpoint:
-        return make(path, digest, iterations=PUBLISHED_ITERATIONS, from_matching=False)
-    return make(path, digest)
-
-
-def _itermvs(checkpoint: str, device: str) -> IterMvs:
-    from ggvs_eval.pipelines.offline.itermvs.estimator import load_network
-
-    path = Path(checkpoint) if checkpoint else cached_weights()
-    if not path.is_file():
-        raise WeightsError(f"{path}: wanted weights of IterMVS, got no file; its authors publish them: {PUBLISHED}")
-    load_network(path)  # what is wrong with it is said before hours of work
-    return IterMvs(path, hashlib.sha256(path.read_bytes()).hexdigest(), device=device)
+    if kind in built_in.NETWORK_MATCHERS:
+        return MATCHERS[kind](checkpoint, device, dense)
+    if name not in MATCHERS:
+        known = (*MATCHERS, *FORMS)
+        raise DepthError(f"no stereo matcher {name!r}; there are {', '.join(known)}{did_you_mean(name, known)}")
+    return MATCHERS[name]()
 
 
 @dataclass(frozen=True)
@@ -125,7 +81,9 @@ class DepthRunOptions:
     @property
     def is_learned(self) -> bool:
         """True if a network finds depth, which may compute on a GPU."""
-        return self.stereo_weights is not None or any(name in self.matcher.partition(":")[0] for name in (RAFT, ITERMVS))
+        return self.stereo_weights is not None or any(
+            name in self.matcher.partition(":")[0] for name in built_in.NETWORK_MATCHERS
+        )
 
     def options(self, device: str = "cpu") -> DepthOptions:
         """All parameters of the depth estimation."""
@@ -136,7 +94,7 @@ class DepthRunOptions:
         matcher = find_matcher(name, device)
         if fillers and isinstance(matcher, LiveMatcher | IterMvs):
             raise DepthError(f"matcher {self.matcher}: wanted sgbm, sweep or raft before the +, got {name}; take one of them")
-        filler = _filler(fillers[0], device) if fillers else None
+        filler = cast(IterMvs | StereoMatcher, find_matcher(fillers[0], device, dense=True)) if fillers else None
         time = TimeOptions(KEYFRAME_EVERY, warm=True, reuse=True) if self.reuse_static else TimeOptions()
         sensor = SensorDepthOptions(registration=self.registration) if self.sensor else None
         return DepthOptions(matcher=matcher, filler=filler, time=time, sensor=sensor)

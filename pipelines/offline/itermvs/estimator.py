@@ -1,6 +1,7 @@
 """Depth of cameras by IterMVS, several at once: weights, sizes and cameras as the network counts them, and its recording."""
 
 import gc
+import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -16,10 +17,11 @@ from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import rendering_on
 from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.pipelines.offline.itermvs.network import NEAREST_SHARE, SIZE_MULTIPLE, IterMvsNetwork, MatchedViews
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
+from ggvs_eval.pipelines.offline.itermvs.options import PUBLISHED, IterMvs, cached_weights
 
 NETWORK = "IterMVS"  # in messages
 CHECKPOINT_KEY = "model"
@@ -43,6 +45,19 @@ def load_network(
     load_strict(read_tensors(path, CHECKPOINT_KEY, of=NETWORK), network, path, NETWORK)
     network.to(memory_format=layout)  # type: ignore[call-overload]  # not in torch's overloads
     return network.eval().to(device)
+
+
+def matcher_of_weights(checkpoint: str = "", device: str = "cpu", _dense: bool = True) -> IterMvs:
+    """The matcher with a checkpoint of the authors, by default the one in the cache folder; its maps are always dense.
+
+    Raises:
+        WeightsError: what is wrong with the file, before hours of work.
+    """
+    path = Path(checkpoint) if checkpoint else cached_weights()
+    if not path.is_file():
+        raise WeightsError(f"{path}: wanted weights of {NETWORK}, got no file; its authors publish them: {PUBLISHED}")
+    load_network(path)
+    return IterMvs(path, hashlib.sha256(path.read_bytes()).hexdigest(), device=device)
 
 
 class IterMvsRig:

@@ -105,6 +105,7 @@ def _at(image: Tensor, columns: Tensor) -> Tensor:
 
 SHIPPED = "raft-compact.safetensors"
 NETWORK = "RAFT-Stereo"  # in messages
+PUBLISHED_ITERATIONS = 32  # what the authors' networks are made for
 
 
 def shipped_weights() -> Path:
@@ -284,6 +285,21 @@ class DeviceRaftMatcher(RaftMatcher):
     """
 
     device: str = "cuda"  # type: ignore[misc]
+
+
+def matcher_of_weights(checkpoint: str = "", device: str = "cpu", dense: bool = False) -> RaftMatcher:
+    """The matcher with a checkpoint of the authors, or with the compact network that ships.
+
+    Raises:
+        WeightsError: what is wrong with the file, before hours of work.
+    """
+    path = Path(checkpoint) if checkpoint else shipped_weights()
+    digest = weights_digest(path)
+    load_network(path)
+    make = partial(RaftMatcher if device == "cpu" else partial(DeviceRaftMatcher, device=device), dense=dense)
+    if checkpoint:
+        return make(path, digest, iterations=PUBLISHED_ITERATIONS, from_matching=False)
+    return make(path, digest)
 
 
 def _flow(network: RaftStereo, device: torch.device, batch: tuple[Tensor, Tensor, int], starts: Sequence[Future[Map]]) -> Tensor:

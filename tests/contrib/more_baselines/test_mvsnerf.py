@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from ggvs_eval.baselines.registry import LEARNED_BASELINES, TRAINED_BASELINES
+from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.contrib.more_baselines.mvsnerf.method import MvsNerf, composite, render_volume
 from ggvs_eval.contrib.more_baselines.mvsnerf.network import Networks, load_mvsnerf
 from ggvs_eval.contrib.more_baselines.mvsnerf.volume import cost_volume, encode_volume
+from ggvs_eval.contrib.training.recipes.recipe import TRAINED_BASELINES
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method

@@ -14,12 +14,12 @@ from ggvs_eval.contrib.more_baselines.mvsplat.depth import correlations
 from ggvs_eval.contrib.more_baselines.mvsplat.gaussians import pixel_cloud
 from ggvs_eval.contrib.more_baselines.mvsplat.method import Mvsplat, instant_cloud
 from ggvs_eval.contrib.more_baselines.mvsplat.network import MvsplatNetwork, load_network
-from ggvs_eval.contrib.more_baselines.mvsplat.training import DEPTH_STEPS, MvsplatRecipe
 from ggvs_eval.contrib.more_baselines.mvsplat.views import Views, see_views
+from ggvs_eval.contrib.training.instant_samples import InstantSample
+from ggvs_eval.contrib.training.recipes.mvsplat import DEPTH_STEPS, MvsplatRecipe
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.files.weights_file import CONFIGURATION_NOTE
 from ggvs_eval.gaussians.torch_splat import rotations
-from ggvs_eval.training.instant_samples import InstantSample
 from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER
 from helpers.refusals import refused

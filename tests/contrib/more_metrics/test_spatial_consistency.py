@@ -10,14 +10,14 @@ import pytest
 from ggvs_eval.camera import Camera, translated_path
 from ggvs_eval.contrib.more_metrics.local_poses import WINDOWS
 from ggvs_eval.contrib.more_metrics.spatial_consistency import NAMES, spatial_consistency
+from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
+from ggvs_eval.contrib.worlds.film.shots import path_shots
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels.portable import rotation_by
 from ggvs_eval.metrics.path.rendered_path import PathPose
 from ggvs_eval.metrics.path_scores import score_path
-from ggvs_eval.synthetic.film.film import Footage, lit_room
-from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.shots import path_shots
 from helpers.epi_scenes import Plane, look
 from helpers.refusals import refused
 

@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 
 from ggvs_eval.compute_device import one_thread
+from ggvs_eval.contrib.training import train_all, train_one
+from ggvs_eval.contrib.training.blend_task import BlendTask
+from ggvs_eval.contrib.training.loop import train
+from ggvs_eval.contrib.training.request import TrainingOptions, TrainingRequest
+from ggvs_eval.contrib.training.samples.sample_kinds import OF_VIEWS, BlendKind, InstantKind, rendered_views
+from ggvs_eval.contrib.training.samples.samples import SamplePool
+from ggvs_eval.contrib.training.samples.training_data import RoomPlan, domain_validation_plan
+from ggvs_eval.contrib.worlds.domains import PLAIN
 from ggvs_eval.pipelines.online.blend_network import BlendNetworkOptions
-from ggvs_eval.pipelines.training import train_all, train_one
-from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
-from ggvs_eval.pipelines.training.request import TrainingRequest
-from ggvs_eval.pipelines.training.samples.blend_samples import OF_VIEWS, rendered_views
-from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, domain_validation_plan
-from ggvs_eval.pipelines.training.samples.sample_kinds import BlendKind, InstantKind
-from ggvs_eval.pipelines.training.samples.samples import SamplePool
-from ggvs_eval.synthetic.domains import PLAIN
-from ggvs_eval.training.loop import train
-from ggvs_eval.training.options import TrainingOptions
 from helpers.device_scenes import room_instants
 from helpers.filled_pools import fill
 from helpers.stereo_scenes import HEIGHT, WIDTH, write_capture

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from ggvs_eval.compute_device import compute_device, describe_device
+from ggvs_eval.contrib.training.samples.sample_kinds import OF_VIEWS, rendered_views
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.training.samples.blend_samples import OF_VIEWS, rendered_views
 from helpers.device_scenes import room_instants
 from helpers.scenes import camera_at, instant
 from helpers.seeded_baselines import turned_rig

@@ -1,0 +1,253 @@
+"""Samples on disk: their sources, the kinds that are made of them, and the pool that keeps both together."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from hashlib import sha256
+from json import dumps
+from pathlib import Path
+from typing import ClassVar, Generic, Literal, Protocol, TypeVar
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture, DepthSource
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import TrainingError
+from ggvs_eval.jobs.processes import finish_all, worker_pool
+from ggvs_eval.method import Instant, SourceView
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth, check_measured_depth
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
+
+
+class SampleMaker:
+    """Views of one instant of a capture, depth as `prepare` makes it; what several targets share is computed once.
+
+    Args:
+        options: how depth is computed by a matcher, or filtered where the camera has a sensor. The target takes no part in it.
+    """
+
+    def __init__(self, capture: Capture, options: DepthOptions, frame: int = 0) -> None:
+        self.capture = capture
+        self._options = options
+        self._frame = frame
+        self._images: dict[str, Image8] = {}
+        self._depths: dict[tuple[str, ...], DepthMap] = {}
+
+    def instant(self, target: Camera, sources: Sequence[Camera]) -> Instant:
+        """Return what a method is shown of a target and its K source cameras, the target none of them."""
+        depths = [(source, self._depth(source, target)) for source in sources]
+        views = tuple(self._view(source, depth, depths[:k] + depths[k + 1 :]) for k, (source, depth) in enumerate(depths))
+        return Instant(self._frame, target, views, self.capture.units_per_metre)
+
+    def image(self, camera: Camera) -> Image8:
+        """Return the image that a camera took."""
+        if camera.name not in self._images:
+            self._images[camera.name] = self.capture.frame(camera.name, self._frame)
+        return self._images[camera.name]
+
+    def _depth(self, source: Camera, target: Camera) -> DepthMap:
+        """Depth of a source camera, measured or found without the target."""
+        sensor = self._sensor(source)
+        partners = [] if sensor else self._options.choose_partners(source, self.capture.cameras, {target.name})
+        key = (source.name, *(partner.name for partner in partners))
+        if key not in self._depths:
+            if sensor is not None and self._options.sensor is not None:
+                measured = SensorDepthEstimator(source, sensor, self._options.sensor)
+                self._depths[key] = measured.at(self._frame, self.image(source))
+            else:
+                estimator = DepthEstimator(source, partners, self._options)
+                self._depths[key] = estimator.estimate(self.image(source), [self.image(partner) for partner in partners])
+        return self._depths[key]
+
+    def _view(self, source: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> SourceView:
+        """A source, its depth held against that of the others, as it is prepared for a view."""
+        image = self.image(source)
+        if self._sensor(source) is None:
+            checked = check_depth(source, depth_map, others, self._options)
+        else:
+            checked = check_measured_depth(source, image, depth_map, others, self._options)
+        return SourceView(source, image, checked.depth, checked.confidence)
+
+    def _sensor(self, source: Camera) -> DepthSource | None:
+        return None if self._options.sensor is None else self.capture.extras_of(source.name).depth
+
+
+Sample = TypeVar("Sample")
+Origin = Literal["rooms", "captures"]
+
+
+class SampleSource(Protocol):
+    """Numbered views to learn from, of procedural rooms or of a capture, whatever a sample is."""
+
+    @property
+    def origin(self) -> Origin:
+        """Of rooms or of captures."""
+
+    @property
+    def count(self) -> int:
+        """Number of its samples."""
+
+    @property
+    def most_views(self) -> int:
+        """The largest K of a sample."""
+
+    @property
+    def least_size(self) -> tuple[int, int]:
+        """Least width and height of a sample, pixels."""
+
+    @property
+    def matcher(self) -> str:
+        """Name of the matcher whose depth the samples have where no sensor measured it."""
+
+    def contents(self, depth: bool) -> str:
+        """Contents of the samples, with or without depth, for the model card."""
+
+    def describe(self, depth: bool) -> dict[str, object]:
+        """Describe what a sample depends on beside its scene, its number and its kind; folders are named by it."""
+
+    def file_name(self, number: int) -> str:
+        """Name of a sample's file, by its scene and its number."""
+
+    def groups(self) -> list[list[int]]:
+        """Numbers of the samples, those that share depth together: of one capture and one instant."""
+
+    def opened(self, folder: Path, number: int) -> Capture:
+        """The capture of a sample, at its size; `folder` keeps rooms once they are rendered."""
+
+    def frame(self, number: int) -> int:
+        """The instant of a sample."""
+
+    def draw(self, capture: Capture, number: int) -> tuple[Camera, list[Camera]]:
+        """Target and sources of a sample."""
+
+    def kept(self, number: int) -> tuple[int, int, int, int] | None:
+        """Left, top, width and height of the part of a sample that is kept, pixels; None keeps all of it."""
+
+
+class SampleKind(ABC, Generic[Sample]):
+    """Kind of sample: how one is made, and its file.
+
+    Attributes:
+        folders: beginnings of folders' names, and versions: each counts up whenever equal sources give other samples.
+        depth: whether it depends on the depth of its sources.
+        device: where it is computed, beside its depth; another one than ``cpu`` wants NVIDIA Warp.
+    """
+
+    folders: ClassVar[Mapping[Origin, tuple[str, int]]]
+    depth: bool = True
+    device: str = "cpu"
+
+    @abstractmethod
+    def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> Sample:
+        """The sample of a target and its source cameras."""
+
+    @abstractmethod
+    def cropped(self, sample: Sample, left: int, top: int, width: int, height: int) -> Sample:
+        """The window of a sample that starts at pixel (left, top)."""
+
+    @abstractmethod
+    def read(self, path: Path) -> Sample:
+        """Read a sample."""
+
+    @abstractmethod
+    def write(self, path: Path, sample: Sample) -> None:
+        """Write a sample, the whole file or none."""
+
+    def folder(self, source: SampleSource) -> str:
+        """Name of the folder of a source's samples, by all that they depend on but their scene and their number.
+
+        Reading:
+            Samples of a GPU lie apart: on the CPU equal inputs give equal bits, of a training too, and theirs differ in the last
+            ones. Which GPU is not told, since samples are rounded to 8 bits, where that moves next to nothing.
+        """
+        name, version = self.folders[source.origin]
+        described = {"version": version, **source.describe(self.depth)}
+        if self.device != "cpu":
+            described["device"] = self.device.partition(":")[0]
+        return f"{name}-{sha256(dumps(described, sort_keys=True).encode()).hexdigest()[:12]}"
+
+
+class SamplePool(Generic[Sample]):
+    """The samples of one kind of some sources, one source after the other, made once and kept on disk.
+
+    Args:
+        folder: where rooms and samples are kept; several pools, and several kinds, may share it.
+    """
+
+    def __init__(self, folder: Path, kind: SampleKind[Sample], sources: Sequence[SampleSource]) -> None:
+        self.kind = kind
+        self.sources = tuple(sources)
+        self._folder = folder
+
+    def __repr__(self) -> str:
+        """The sources, for the model card; the path is not recorded."""
+        return "; ".join(map(repr, self.sources))
+
+    def __len__(self) -> int:
+        return sum(source.count for source in self.sources)
+
+    def __add__(self, other: "SamplePool[Sample]") -> "SamplePool[Sample]":
+        """Both, one after the other: of one kind, in one folder."""
+        return SamplePool(self._folder, self.kind, self.sources + other.sources)
+
+    @property
+    def data(self) -> str:
+        """Contents of the samples, for the model card."""
+        return "; ".join(source.contents(self.kind.depth) for source in self.sources)
+
+    def read(self, index: int) -> Sample:
+        """One of the samples."""
+        number = index
+        for source in self.sources:
+            if number < source.count:
+                return self.kind.read(self.path(source, number))
+            number -= source.count
+        raise IndexError(index)
+
+    def path(self, source: SampleSource, number: int) -> Path:
+        """The file of a source's sample of that number."""
+        return self._folder / self.kind.folder(source) / source.file_name(number)
+
+    def jobs(self) -> list[Callable[[], None]]:
+        """List the jobs that make the samples that are not there yet; each is independent, and can be sent to a worker."""
+        jobs: list[Callable[[], None]] = []
+        for source in self.sources:
+            for numbers in source.groups():
+                lacking = {number: path for number in numbers if not (path := self.path(source, number)).is_file()}
+                if lacking:
+                    jobs.append(partial(_open_and_make, source, self.kind, self._folder, lacking))
+        return jobs
+
+    def prepare(self, workers: int) -> None:
+        """Make the samples that are not there yet; a killed preparation goes on where it stopped.
+
+        Args:
+            workers: processes that share the jobs.
+        """
+        jobs = self.jobs()
+        if jobs:
+            with worker_pool(min(workers, len(jobs))) as pool:
+                finish_all(pool, [pool.submit(job) for job in jobs], "views to learn from")
+
+
+def make_samples(source: SampleSource, kind: SampleKind[Sample], capture: Capture, paths: Mapping[int, Path]) -> None:
+    """Make samples of one capture and instant."""
+    maker = SampleMaker(capture, DepthRunOptions(source.matcher).options(), source.frame(next(iter(paths))))
+    for number, path in paths.items():
+        sample, window = kind.make(maker, *source.draw(capture, number)), source.kept(number)
+        kind.write(path, kind.cropped(sample, *window) if window else sample)
+
+
+def _open_and_make(source: SampleSource, kind: SampleKind[Sample], folder: Path, paths: Mapping[int, Path]) -> None:
+    make_samples(source, kind, source.opened(folder, next(iter(paths))), paths)
+
+
+def require_room(samples: SamplePool[Sample], width: int, height: int) -> None:
+    """Refuse samples in which crops of that size do not fit."""
+    for source in samples.sources:
+        least = source.least_size
+        if least[0] < width or least[1] < height:
+            raise TrainingError(
+                f"crops of {width} x {height} do not fit samples of {least[0]} x {least[1]}; take larger samples or smaller crops"
+            )

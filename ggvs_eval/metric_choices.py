@@ -1,0 +1,35 @@
+"""What a protocol may choose of the metrics themselves; apart from it, so that a metric depends on no more."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+SsimName = Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"]
+LpipsNet = Literal["vgg", "alex", "vgg-bf16"]
+StedPairing = Literal["disjoint", "consecutive"]
+StedPooling = Literal["means", "products"]
+# Of a field that came after the first protocols: at its default it is left out, so that the hashes of older results stay valid.
+LATER = {"left out": True}
+
+
+@dataclass(frozen=True, kw_only=True)
+class MetricChoices:
+    """What a protocol may choose of the metrics themselves.
+
+    Attributes:
+        ssim: which SSIM, see `ggvs_eval.metrics.image.ssim.SSIM_VARIANTS`; regions and colour-corrected frames take the
+            default one.
+        lpips_net: backbone of LPIPS v0.1; vgg-bf16 computes VGG in bfloat16, which is faster and not the same number.
+        lpips_every: LPIPS looks at every so many frames, the first among them; it costs as much as all other metrics.
+        sted_pairing: frame pairs of ST-RRED: ``disjoint`` (0-1, 2-3, ...) or ``consecutive``.
+        sted_pooling: ``means`` (mean spatial times mean temporal difference) or ``products`` (mean of the pairs' products).
+        colour_scope: one affine map per ``view`` or per ``frame`` for the colour-corrected metrics.
+        ddof: delta degrees of freedom of the standard deviations SDT and SDV.
+    """
+
+    ssim: SsimName = "gaussian-valid"
+    lpips_net: LpipsNet = "vgg"
+    lpips_every: int = field(default=1, metadata=LATER)
+    sted_pairing: StedPairing = "disjoint"
+    sted_pooling: StedPooling = "means"
+    colour_scope: Literal["view", "frame"] = "view"
+    ddof: int = 1

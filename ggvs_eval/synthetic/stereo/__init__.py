@@ -1,1 +1,0 @@
-"""Rectified pairs with exact disparity, for stereo networks to learn from."""

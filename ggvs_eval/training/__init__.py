@@ -1,1 +1,0 @@
-"""Training loop, options and checkpoints."""

@@ -1,0 +1,71 @@
+"""The tables that a paper prints, from stored results alone: metrics side by side, or a scene per column and their mean."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.merged_results import merge_results
+from ggvs_eval.progress import counted
+from ggvs_eval.reports.model.measured import MeasuredRun, read_scores
+from ggvs_eval.reports.model.table import SHORT_MEANS, Table, join_tables
+from ggvs_eval.reports.run_groups import HASH_DIGITS, runs_by_protocol
+from ggvs_eval.reports.tables.report_tables import main_tables
+from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
+from ggvs_eval.results import Results
+
+TableFormat = Literal["markdown", "latex", "csv"]
+MEAN = "Mean"
+
+
+def tables_of_runs(roots: Sequence[Path], columns: Sequence[str], to: TableFormat, with_notes: bool = False) -> str:
+    """Tables of scored runs of one protocol; neither frames nor the page are touched.
+
+    Args:
+        roots: run folders. One scene makes a table with a metric per column, several one table per metric, a scene per column.
+        columns: metrics, in this order; those of the protocol where none is named.
+        to: the format.
+        with_notes: also all that a table says of its terms; otherwise a line of them.
+
+    Raises:
+        ResultsError: no scored run, runs of several protocols, or a metric that was not measured.
+    """
+    groups = runs_by_protocol(roots, read_scores)
+    if len(groups) > 1:
+        called = ", ".join(f"{runs[0].protocol.name} ({runs[0].protocol.sha256[:HASH_DIGITS]})" for runs in groups)
+        raise ResultsError(f"wanted runs of one protocol, got {called}; values of different protocols share no table")
+    (runs,) = groups
+    protocol, results = runs[0].protocol, merge_results([run.results for run in runs])
+    names = list(dict.fromkeys(columns or protocol.measurement.metrics))
+    several = len({run.scene for run in runs}) > 1
+    tables = [_over_scenes(runs, results, name) for name in names] if several else [*main_tables(runs, results, names)]
+    means = f"{counted(protocol.frames.count, 'frame')} of {counted(len(protocol.views.test), 'view')}"
+    terms = f"Mean over {means}, K = {protocol.synthesis.k}; protocol {protocol.name}, {protocol.sha256[:HASH_DIGITS]}."
+    if not with_notes:
+        tables = [_in_short(table, terms, names) for table in tables]
+    if to == "csv":
+        return to_csv([(protocol, tables)])
+    return to_latex(tables) if to == "latex" else to_markdown(tables)
+
+
+def _in_short(table: Table, terms: str, metrics: Sequence[str]) -> Table:
+    """With one line of terms, and below it what changes the reading of a number: its frames and views, a fault, a short clip."""
+    _, _, marks = table.caption.partition(". ")
+    subjects = (*metrics, *(row.name for row in table.rows if not row.is_grey))
+    notes = [note for note in table.notes if note.startswith(tuple(f"{subject} " for subject in subjects))]
+    notes += [SHORT_MEANS] if any(cell.is_short for row in table.rows for cell in row.cells) else []
+    return replace(table, caption=f"{terms} {marks}".strip(), notes=tuple(notes))
+
+
+def _over_scenes(runs: Sequence[MeasuredRun], results: Results, metric: str) -> Table:
+    """A metric with a column per scene and one of their mean, each judged by itself."""
+    parts = {run.scene: main_tables([run], run.results, [metric])[0] for run in runs}
+    parts[MEAN] = main_tables(runs, results, [metric])[0]
+    unit = parts[MEAN].columns[0].unit
+    named = [
+        replace(part, key=name, dataset="", columns=(replace(part.columns[0], name=name, unit=""),))
+        for name, part in parts.items()
+    ]
+    (joined,) = join_tables(named, [*parts])
+    return replace(joined, key=metric, title=f"{metric}, {unit}" if unit else metric, judgements={})

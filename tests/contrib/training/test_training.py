@@ -1,0 +1,300 @@
+"""Training: a killed run goes on as if nothing was, batches depend on the step alone, what is written is readable."""
+
+import csv
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from ggvs_eval.baselines.fitted.training_log import TrainingLog, draw_curves
+from ggvs_eval.contrib.training.loop import train, write_card
+from ggvs_eval.contrib.training.request import TrainingOptions, TrainingRequest
+from ggvs_eval.contrib.training.stereo_task import StereoTask, matching_loss, sequence_loss
+from ggvs_eval.contrib.training.task import Schedule, freeze_statistics, recompute_statistics
+from ggvs_eval.contrib.training.train_one import planned_task
+from ggvs_eval.errors import TrainingError, WeightsError
+from ggvs_eval.files.images import read_image
+from ggvs_eval.files.weights_file import read_notes
+from ggvs_eval.raft_config import COMPACT
+from helpers.refusals import refused
+
+pytestmark = pytest.mark.slow
+
+
+@dataclass(frozen=True)
+class LineTask:
+    """Learns y = 2 x - 1 from noisy points; every step draws its own."""
+
+    schedule: Schedule = field(default_factory=lambda: Schedule(learning_rate=0.05, warm_up=2, average=0.5))
+    name = "line"
+    summary = "The training of a line."
+    data = "points on a line"
+    evaluated_on = "Distance from the line."
+    step_pixels = 16
+
+    def network(self):
+        """One weight, one offset."""
+        torch.manual_seed(0)
+        return nn.Linear(1, 1)
+
+    def batch(self, step):
+        """Sixteen points of a step."""
+        rng = np.random.default_rng(step)
+        x = rng.uniform(-1, 1, (16, 1))
+        return {"x": torch.from_numpy(x).float(), "y": torch.from_numpy(2 * x - 1 + rng.normal(0, 0.01, x.shape)).float()}
+
+    def loss(self, network, batch):
+        """Squared distance."""
+        error = (network(batch["x"]) - batch["y"]).square().mean()
+        return error, {"squared": float(error.detach())}
+
+    def settle(self, network):
+        """Nothing."""
+
+    def validate(self, network):
+        """Distance at 0.5."""
+        return {"distance": float(network(torch.tensor([[0.5]])).detach().abs())}
+
+
+OPTIONS = TrainingOptions(steps=120, device="cpu", precision="float32", save_every=10, validate_every=40, workers=0)
+
+
+def state_of(folder):
+    """Everything in the folder's state that changes."""
+    return torch.load(folder / "state.pt", weights_only=True)
+
+
+def assert_equal_states(one, other):
+    """Equal bits throughout."""
+    if isinstance(one, torch.Tensor):
+        assert torch.equal(one, other)
+    elif isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            assert_equal_states(one[key], other[key])
+    else:
+        assert one == other or isinstance(one, (list, tuple))
+
+
+def test_it_learns(tmp_path):
+    """The averaged weights end near the line, and the validation log says so."""
+    weights = load_file(train(LineTask(), tmp_path, OPTIONS))
+    assert abs(float(weights["weight"]) - 2) < 0.1
+    assert abs(float(weights["bias"]) + 1) < 0.1
+    with (tmp_path / "validation.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["step"]) for row in rows] == [40, 80, 120]
+    assert float(rows[-1]["distance"]) < 0.1
+
+
+class Killed(Exception):
+    """Stands for a kill in the middle of a step."""
+
+
+@dataclass(frozen=True)
+class DyingTask(LineTask):
+    """Dies at step 57, seven steps after the last checkpoint."""
+
+    def batch(self, step):
+        """Points, or death."""
+        if step == 57:
+            raise Killed
+        return super().batch(step)
+
+
+def test_a_killed_training_goes_on_with_equal_bits(tmp_path):
+    """Weights, averages, moments and logs of a killed and resumed training are those of an undisturbed one."""
+    train(LineTask(), tmp_path / "whole", OPTIONS)
+    with pytest.raises(Killed):
+        train(DyingTask(), tmp_path / "killed", OPTIONS)
+    train(LineTask(), tmp_path / "killed", OPTIONS)
+    assert_equal_states(state_of(tmp_path / "whole"), state_of(tmp_path / "killed"))
+    logs = [
+        [line.rsplit(",", 2)[0] for line in (tmp_path / each / "log.csv").read_text().splitlines()]
+        for each in ("whole", "killed")
+    ]
+    assert logs[0] == logs[1]  # but for the seconds, those of the clock and those of the processor
+
+
+def test_trained_weights_can_be_the_beginning(tmp_path):
+    """Without a state a training begins with given weights; weights of another network, or none, are refused."""
+    weights = train(LineTask(), tmp_path / "first", OPTIONS)
+    before = LineTask().validate(train_nothing_from(tmp_path / "second", weights))
+    assert before["distance"] < 0.1
+    (tmp_path / "other.safetensors").write_bytes(b"no tensors")
+    with refused(WeightsError, "other.safetensors", "damaged"):
+        train(LineTask(), tmp_path / "third", replace(OPTIONS, start_from=tmp_path / "other.safetensors"))
+    save_file({"weight": torch.zeros(2, 2)}, tmp_path / "wrong.safetensors")
+    with refused(WeightsError, "wrong.safetensors", "2 tensors"):
+        train(LineTask(), tmp_path / "third", replace(OPTIONS, start_from=tmp_path / "wrong.safetensors"))
+
+
+def test_pixels_are_counted_over_all_trainings(tmp_path):
+    """The header of the weights says how many they have learned from, with those of the weights that they began with."""
+    first = train(LineTask(), tmp_path / "first", OPTIONS)
+    second = train(LineTask(), tmp_path / "second", replace(OPTIONS, steps=20, start_from=first))
+    assert read_notes(first)["pixels"] == str(120 * 16)
+    assert read_notes(second)["pixels"] == str(140 * 16)
+    train(LineTask(), tmp_path / "second", replace(OPTIONS, steps=30))
+    assert read_notes(second)["pixels"] == str(150 * 16)
+
+
+def test_statistics_are_those_of_whole_views():
+    """Mean and variance over all views, whatever the network remembered; frozen ones do not move while it learns."""
+    network = nn.Sequential(nn.BatchNorm2d(3), nn.Conv2d(3, 1, 1))
+    rng = np.random.default_rng(5)
+    views = [torch.from_numpy(rng.normal(2 * n, 1 + n, (1, 3, 40, 30))).float() for n in range(4)]
+    network(torch.full((1, 3, 8, 8), 100.0))
+    recompute_statistics(network, [lambda net, view=view: net(view) for view in views])
+    norm = network[0]
+    torch.testing.assert_close(norm.running_mean, torch.stack([view.mean((0, 2, 3)) for view in views]).mean(0))
+    torch.testing.assert_close(norm.running_var, torch.stack([view.var((0, 2, 3)) for view in views]).mean(0))
+    assert not norm.training
+    before = norm.running_mean.clone()
+    network.train()
+    freeze_statistics(network)
+    network(views[3])
+    assert torch.equal(norm.running_mean, before)
+
+
+def train_nothing_from(folder, weights):
+    """The network after one step of no length that began with some weights."""
+    still = LineTask(Schedule(learning_rate=0.0))
+    trained = load_file(train(still, folder, replace(OPTIONS, steps=1, start_from=weights)))
+    network = LineTask().network()
+    network.load_state_dict(trained)
+    return network
+
+
+def test_more_steps_go_on_with_a_finished_training(tmp_path):
+    """A finished training is not run again; with more steps it goes on."""
+    train(LineTask(), tmp_path, OPTIONS)
+    before = (tmp_path / "state.pt").stat().st_mtime_ns
+    train(LineTask(), tmp_path, OPTIONS)
+    assert (tmp_path / "state.pt").stat().st_mtime_ns == before
+    train(LineTask(), tmp_path, replace(OPTIONS, steps=130))
+    assert state_of(tmp_path)["step"] == 130
+
+
+def test_a_state_of_another_network_is_refused(tmp_path):
+    """A damaged state, and one of other shapes, is an error that names the file; nothing is overwritten."""
+    (tmp_path / "state.pt").write_bytes(b"no zip")
+    with refused(TrainingError, "state.pt"):
+        train(LineTask(), tmp_path, OPTIONS)
+    torch.save({"step": 3, "network": {"weight": torch.zeros(2, 2)}}, tmp_path / "state.pt")
+    with refused(TrainingError, "delete it"):
+        train(LineTask(), tmp_path, OPTIONS)
+
+
+@dataclass(frozen=True)
+class BrokenTask(LineTask):
+    """One batch of infinities."""
+
+    def batch(self, step):
+        """Points, or nonsense."""
+        points = super().batch(step)
+        return {name: tensor * (float("inf") if step == 5 else 1) for name, tensor in points.items()}
+
+
+def test_one_bad_batch_does_not_spoil_the_weights(tmp_path):
+    """A gradient that is not finite moves nothing, and the log shows it."""
+    weights = load_file(train(BrokenTask(), tmp_path, OPTIONS))
+    assert abs(float(weights["weight"]) - 2) < 0.1
+    assert "nan" in (tmp_path / "log.csv").read_text() or "inf" in (tmp_path / "log.csv").read_text()
+
+
+def test_a_training_is_drawn(tmp_path):
+    """The picture beside the logs follows them: losses and validations, the same bytes for the same logs."""
+    train(LineTask(), tmp_path, OPTIONS)
+    picture = tmp_path / "line.png"
+    drawn = picture.read_bytes()
+    assert read_image(picture).std() > 10
+    assert draw_curves(tmp_path, "line") == picture
+    assert picture.read_bytes() == drawn
+    log = (tmp_path / "log.csv").read_text().splitlines()
+    (tmp_path / "log.csv").write_text("\n".join(log[: len(log) // 2]) + "\n")
+    assert draw_curves(tmp_path, "line").read_bytes() != drawn
+
+
+def test_a_log_keeps_the_columns_that_it_began_with(tmp_path):
+    """A training that an earlier release began goes on with a figure more: the log stays a table, the old columns are filled."""
+    log = TrainingLog(tmp_path, 0)
+    log.step(0, {"loss": 0.5, "seconds": 2.0})
+    log.step(1, {"loss": 0.25, "passed_over": 3.0, "seconds": 1.0})
+    assert (tmp_path / "log.csv").read_text().split() == ["step,loss,seconds", "0,0.5,2", "1,0.25,1"]
+    log.validation(2, {"psnr_db": 20.0})
+    assert (tmp_path / "validation.csv").read_text().split() == ["step,psnr_db", "2,20"]
+
+
+def test_the_card_tells_cost_and_quality(tmp_path):
+    """The model card names the command, the steps, the data, the hash of the weights and the last validation."""
+    train(LineTask(), tmp_path, OPTIONS)
+    text = write_card(LineTask(), tmp_path, "ggvs-eval train line", device="cuda: NVIDIA H100").read_text()
+    assert "`ggvs-eval train line`" in text
+    assert "Steps: 120" in text
+    assert text.count(", cuda: NVIDIA H100\n") == 1
+    assert "points on a line" in text
+    assert "| 120 |" in text
+    assert "sha256" in text
+
+
+SMALL = StereoTask(width=128, height=96, batch_size=1, iterations=2, validation_pairs=1)
+
+
+@pytest.mark.proof
+def test_stereo_batches_depend_on_the_step_alone():
+    """The same step gives the same bits, another one other pairs; starts have the size of the network's cells."""
+    once, again, other = SMALL.batch(3), SMALL.batch(3), SMALL.batch(7)
+    assert all(torch.equal(once[name], again[name]) for name in once)
+    assert not torch.equal(once["left"], other["left"])
+    assert once["left"].shape == (1, 3, 96, 128)
+    assert once["initial"].shape == (1, 1, 24, 32)
+
+
+def test_weights_that_have_learned_are_moved_more_gently(tmp_path):
+    """A stereo training that starts from weights has a lower rate than one from nothing; its card says so."""
+    fresh, tuned = (
+        planned_task("stereo", tmp_path, TrainingRequest(start_from=start_from)) for start_from in (None, tmp_path / "shipped")
+    )
+    assert tuned.schedule.rate(300, 1000) < 0.5 * fresh.schedule.rate(300, 1000)
+    assert fresh.batch_size == tuned.batch_size
+
+
+def test_a_stereo_step_moves_the_weights(tmp_path):
+    """Two steps of the real task run through: finite loss, gradients in features, recurrent unit and heads."""
+    network = SMALL.network()
+    loss, figures = SMALL.loss(network, SMALL.batch(3))
+    loss.backward()
+    assert torch.isfinite(loss)
+    assert figures["epe_px"] > 0
+    for name in ("cnet.conv1.weight", "update_block.gru08.convz.weight", "update_block.mask.2.weight", "conv2.1.weight"):
+        assert float(network.get_parameter(name).grad.abs().sum()) > 0, name
+
+
+def test_sequence_loss_is_its_formula():
+    """Later iterations weigh more, earlier ones are evaluated at their cells, too large truths are left out."""
+    truth = torch.full((1, 1, 8, 8), -10.0)
+    truth[..., 0, 1] = -900.0
+    flows = [torch.full((1, 1, 2, 2), -2.0), torch.full((1, 1, 2, 2), -2.5)]
+    last = torch.full((1, 1, 8, 8), -9.0)
+    weight = 0.9**15
+    torch.testing.assert_close(sequence_loss(flows, last, truth), torch.tensor(weight * 2.0 + 1.0))
+
+
+def test_matching_loss_is_the_cross_entropy():
+    """Features that match only at the true disparity have no loss; equal features everywhere have log of the width."""
+    width, factor = 12, 4
+    left = torch.eye(width)[None, :, None].repeat(1, 1, 2, 1) * 1000  # (1, C = width, 2, width)
+    right = torch.roll(left, -2, dims=3)  # cell x lies at x - 2
+    disparity, visible = torch.full((1, 8, width * factor), 8.0), torch.ones(1, 8, width * factor, dtype=torch.bool)
+    assert float(matching_loss(left, right, disparity, visible, factor)) < 1e-3
+    same = torch.ones_like(left)
+    torch.testing.assert_close(matching_loss(same, same, disparity, visible, factor), torch.log(torch.tensor(12.0)))
+
+
+def test_the_compact_network_ships_small():
+    """Half precision keeps it under 12 MB."""
+    assert 2 * sum(parameter.numel() for parameter in StereoTask(config=COMPACT).network().parameters()) < 12e6
