@@ -31,8 +31,8 @@ from ggvs_eval.pipelines.online.blend_network import (
     compose_tensors,
     read_outputs,
     weighted_mean_tensor,
+    weights_name,
 )
-from ggvs_eval.pipelines.online.blend_weights import weights_name
 from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input_channels, reference_depth
 

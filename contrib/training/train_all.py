@@ -21,7 +21,7 @@ from ggvs_eval.contrib.training.samples.training_data import prepare_samples, sa
 from ggvs_eval.contrib.training.train_one import CACHE, sample_device, sample_workers
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.online.blend_weights import weights_name
+from ggvs_eval.pipelines.online.blend_network import weights_name
 from ggvs_eval.progress import LOOK_BACK_S
 
 LOOK_S = 1.0  # between two looks at the trainings

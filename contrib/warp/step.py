@@ -31,7 +31,7 @@ from ggvs_eval.contrib.warp.tables import Size, Sizes, Tables
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.tsdf import march_end
 from ggvs_eval.method import Instant, Rendering, SourceView
-from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
+from ggvs_eval.pipelines.online.blend_network import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 from ggvs_eval.pipelines.online.network_inputs import Guidance, nearness
 

@@ -1,11 +1,13 @@
-"""Frames of each camera on disk, by the one table of arrangements that layouts and commands look through."""
+"""Frames of each camera on disk, by the one table of arrangements that layouts and commands look through, and their coding."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
+from ggvs_eval.capture import FrameSource
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.coding import Coding, read_coding
 from ggvs_eval.files.listing import (
     VIDEO_SUFFIXES,
     list_entries,
@@ -29,6 +31,7 @@ NO_CAMERAS = {"images", "frames", "videos", "background", "bkgd", "mask", "masks
 LISTED = 24
 # File systems take no longer ones.
 LONGEST_NAME_BYTES, LONGEST_PATH = 200, 1000
+JPEG = (".jpg", ".jpeg")
 
 
 class FoundFrames(NamedTuple):
@@ -149,3 +152,20 @@ def is_inside(relative: str) -> bool:
     path = PurePosixPath(relative)
     fits = all(len(part.encode()) < LONGEST_NAME_BYTES for part in path.parts)
     return fits and bool(path.name) and not path.is_absolute() and ".." not in path.parts
+
+
+def coding_of(source: FrameSource, frames: range) -> Coding | None:
+    """Say how frames were coded.
+
+    Returns:
+        None where every pixel is as it was given; `Coding.unknown` where it is not and nothing more is known.
+    """
+    stored = source
+    while hasattr(stored, "source"):  # undistorted, held still, or with noise added
+        stored = stored.source
+    if isinstance(stored, VideoFrames):
+        changed = Coding(unknown="frames were changed after they were coded")
+        return read_coding(stored.path, frames) if stored is source else changed
+    if isinstance(stored, ImageFrames) and Path(stored.files[0]).suffix.lower() in JPEG:
+        return Coding(unknown="frames are JPEG images")
+    return None

@@ -46,7 +46,7 @@ def doctor(
         jobs: processes.
     """
     from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
-    from ggvs_eval.pipelines.inspection.renders.forgiven_error import forgiven_error
+    from ggvs_eval.pipelines.inspection.renders.explain import forgiven_error
     from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, views_of_run
     from ggvs_eval.pipelines.inspection.renders.steadiness import steadiness_line
     from ggvs_eval.pipelines.run.references import find_seen_views

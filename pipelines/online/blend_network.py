@@ -1,4 +1,6 @@
-"""The blending network: what its outputs mean, and the composition of Eqs. 4-5 that gradients flow through.
+"""The blending network: what its outputs mean, and the composition of Eqs. 4-5 that gradients flow through; its weights files.
+
+Weights ship, one file per guidance, or are a file of the user.
 
 Its U-Net runs in torch, which training differentiates, and by compiled kernels with equal bits; these take layers packed once
 for as long as a network keeps its weights.
@@ -6,6 +8,9 @@ for as long as a network keeps its weights.
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
 from typing import TypeVar
 from weakref import WeakKeyDictionary
 
@@ -16,9 +21,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ggvs_eval.arrays import Map
+from ggvs_eval.errors import WeightsError
+from ggvs_eval.files.weights_file import load_strict, read_tensors, require_shapes
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, Guidance, channel_count
-from ggvs_eval.pipelines.online.refiner import NO_WEIGHT, STATISTICS, Refiner, evidence
+from ggvs_eval.pipelines.online.refiner import EVIDENCE, NO_WEIGHT, STATISTICS, Refiner, evidence
 
 Packed = TypeVar("Packed")
 _kept: WeakKeyDictionary[nn.Module, tuple[Hashable, object]] = WeakKeyDictionary()
@@ -28,6 +35,10 @@ LEAST_SIZE_PX = 2 * SIZE_MULTIPLE  # the coarsest level must be two cells wide, 
 BEYOND_VIEWS = 4  # outputs beside one per view: weight of the background and change of its colour
 WIDTHS = {"small": 8, "standard": 16, "large": 32}  # of named sizes; the standard one ships
 SURE = 0.02  # the background's weight starts between this and 1 - this
+NETWORK = "a blending network"  # in messages
+CPU = torch.device("cpu")
+MOST_SCALE = 8  # of a weights file, lest a wrong one asks for anything
+SUFFIXES: dict[Guidance, str] = {"registered": "", "channels": "-as-printed", "none": "-no-tsdf", "naive": "-naive"}
 
 
 @dataclass(frozen=True)
@@ -307,3 +318,69 @@ def _version(parameter: nn.Parameter) -> int:
 def parameter_map(module: nn.Module, name: str) -> Map:
     """A parameter as a float32 array."""
     return module.get_parameter(name).detach().float().cpu().numpy()
+
+
+def weights_name(guidance: Guidance) -> str:
+    """Name of a network's weights, without file suffix."""
+    return f"blend{SUFFIXES[guidance]}"
+
+
+def shipped_blend_weights(guidance: Guidance = "registered") -> Path:
+    """File of the weights that ship.
+
+    Raises:
+        WeightsError: none ship for that guidance.
+    """
+    folder = Path(str(resources.files("ggvs_eval.pipelines") / "weights"))
+    path = folder / f"{weights_name(guidance)}.safetensors"
+    if not path.is_file():
+        file_names = ", ".join(sorted(file.name for file in folder.glob("blend*.safetensors"))) or "none"
+        raise WeightsError(
+            f"no blending network with {guidance} guidance ships (wanted {path.name}, there are: {file_names}); "
+            "train one (ggvs-eval train blend)"
+        )
+    return path
+
+
+@lru_cache(maxsize=4)
+def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
+    """The network of a weights file, in evaluation mode; its configuration is known from the tensors' shapes.
+
+    Args:
+        path: safetensors, or a torch checkpoint that is a state dict.
+        device: where the network shall lie.
+
+    Raises:
+        WeightsError: absent, damaged, or tensors of no blending network.
+    """
+    tensors = BlendNetwork.completed(read_tensors(path, of=NETWORK))
+    network = BlendNetwork(_configuration(tensors, path))
+    load_strict(tensors, network, path, NETWORK)
+    if device.type != "cpu":
+        return network.eval().to(device)
+    # Channels that lie side by side are convolved twice as fast.
+    return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+
+def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> BlendNetworkOptions:
+    """The configuration whose parameters these are: by names, shapes and the scale that is kept among them."""
+    shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    first, last = shapes.get("unet.down.0.0.weight", ()), shapes.get("unet.last.weight", ())
+    scale = int(tensors["scale"]) if shapes.get("scale") == () else 0
+    if len(first) != 4 or len(last) != 4 or not 1 <= scale <= MOST_SCALE:
+        raise WeightsError(f"{path}: {len(shapes)} tensors of no blending network; give weights that `train blend` wrote")
+    looks = shapes.get("refiner.looks.0.weight", ())
+    features = looks[1] - EVIDENCE if len(looks) == 4 else 0
+    views = last[0] - BEYOND_VIEWS - features
+    for guidance in SUFFIXES:
+        config = BlendNetworkOptions(views, guidance, first[0], scale, features)
+        if views > 0 and config.inputs == first[1]:
+            with torch.device("meta"):  # a wrong file may ask for any width
+                network = BlendNetwork(config)
+            require_shapes(tensors, network, path, f"{NETWORK} of width {config.width}")
+            return config
+    raise WeightsError(
+        f"{path}: {last[0]} outputs, {views} views, want {channel_count(views, 'registered')} inputs, "
+        f"{channel_count(views, 'channels')} as printed, {channel_count(views, 'none')} without TSDF guidance or "
+        f"{channel_count(views, 'naive')} without depth, got {first[1]}; give weights that `train blend` wrote"
+    )

@@ -26,13 +26,14 @@ from ggvs_eval.pipelines.online.blend_network import (
     SURE,
     BlendNetwork,
     compose_tensors,
+    load_blend_network,
     packed_once,
     parameter_map,
     read_outputs,
+    shipped_blend_weights,
     small_outputs,
     unet_outputs,
 )
-from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs, push_pull
 from ggvs_eval.pipelines.online.network_inputs import (
     FAINT,

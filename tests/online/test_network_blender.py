@@ -13,9 +13,10 @@ from ggvs_eval.pipelines.online.blend_network import (
     BlendNetworkOptions,
     BlendOutputs,
     compose_tensors,
+    load_blend_network,
     read_outputs,
+    shipped_blend_weights,
 )
-from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.blending import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
@@ -223,7 +224,7 @@ def test_weights_of_something_else_are_refused(network, tmp_path):
 
 def test_weights_that_do_not_ship_are_named(monkeypatch, tmp_path):
     """For a guidance nobody trained for, the message says what is there and what to do."""
-    monkeypatch.setattr("ggvs_eval.pipelines.online.blend_weights.resources.files", lambda package: tmp_path)
+    monkeypatch.setattr("ggvs_eval.pipelines.online.blend_network.resources.files", lambda package: tmp_path)
     with refused(WeightsError, "none guidance", "blend-no-tsdf.safetensors"):
         shipped_blend_weights("none")
 

@@ -1,4 +1,7 @@
-"""Explanation of a quoted number: recomputed under the conventions in use, of which those that give it are named."""
+"""Explanation of a quoted number: recomputed under the conventions in use, of which those that give it are named.
+
+What misregistration, colour offset and noise have in an error is told by the gap between the PSNR of YCbCr and IV-PSNR.
+"""
 
 import re
 import textwrap
@@ -6,11 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 
+import numpy as np
+
 from ggvs_eval.built_in import CONVENTIONS, PATH_METRICS
 from ggvs_eval.errors import AbsentPartError, MetricError, did_you_mean
+from ggvs_eval.metrics.image.psnr import PSNR_CEILING_DB, psnr
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import ALL_VIEWS, MaskReader, Recomputed
-from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, spread
 from ggvs_eval.pipelines.inspection.table import WIDTH, text_table
 from ggvs_eval.plugins import Registry
 
@@ -24,6 +30,8 @@ PRINTED = re.compile(r"(?P<number>[+-]?\d+(?:[.,]\d+)?)\s*(?P<unit>dB|%)?")
 OF_NO_VIEW = {"path": "a camera path", "depth": "depth videos"}
 Masks = Mapping[str, MaskReader]
 FAMILIES: Registry[Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = Registry("conventions", CONVENTIONS)
+FRAMES_PER_VIEW = 3
+FORGIVING, PLAIN = "IV_PSNR", "PSNR_YCbCr"
 
 
 @dataclass(frozen=True)
@@ -187,3 +195,26 @@ def _share_text(share: float) -> str:
 
 def _full_name(convention: Convention) -> str:
     return convention.name + ("" if convention.views == ALL_VIEWS else f", {convention.views} alone")
+
+
+def forgiven_error(views: Mapping[str, ViewFrames]) -> str:
+    """Say what IV-PSNR forgives of some renders.
+
+    Args:
+        views: name -> rendered and captured frames, of which a few are read.
+
+    Returns:
+        A sentence with both numbers; empty where no frame has the size of its truth, all are the truth itself, or the metric is
+        not installed.
+    """
+    if FORGIVING not in METRICS or PLAIN not in METRICS:
+        return ""
+    iv_psnr, psnr_ycbcr = METRICS[FORGIVING].function, METRICS[PLAIN].function
+    pairs = (pair for view in views.values() for pair in view.pairs(spread(view.frames, FRAMES_PER_VIEW)))
+    alike = (pair for pair in pairs if pair[0].shape == pair[1].shape)
+    values = np.array([(psnr_ycbcr(*pair), iv_psnr(*pair), psnr(*pair)) for pair in alike])
+    if not len(values) or values[:, 2].min() >= PSNR_CEILING_DB:
+        return ""
+    plain, forgiving, _ = values.mean(axis=0)
+    numbers = f"PSNR of YCbCr {plain:.2f} dB, IV-PSNR {forgiving:.2f} dB: the {forgiving - plain:.1f} dB between them"
+    return f"{numbers} are misregistration of up to 2 pixels, a global colour offset of up to 3 levels, and noise"

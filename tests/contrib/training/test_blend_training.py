@@ -26,8 +26,14 @@ from ggvs_eval.contrib.training.samples.training_data import RoomPlan, choose_vi
 from ggvs_eval.contrib.worlds.domains import PLAIN
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetwork, BlendNetworkOptions, BlendOutputs
-from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
+from ggvs_eval.pipelines.online.blend_network import (
+    WIDTHS,
+    BlendNetwork,
+    BlendNetworkOptions,
+    BlendOutputs,
+    load_blend_network,
+    shipped_blend_weights,
+)
 from ggvs_eval.pipelines.online.network_inputs import input_channels
 from helpers.filled_pools import fill
 from helpers.refusals import refused
