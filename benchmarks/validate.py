@@ -101,9 +101,9 @@ def validate_real_frame(capture: Path, run: Path, protocol: str) -> Figures:
 
 def validate_demo(run: Path) -> Figures:
     """The demo room of `make reports` over time: ours against both baselines, and against itself without its temporal term."""
-    from ggvs_eval.contrib.worlds.demo import DEMO_ROOMS, MAIN, write_demo
+    from ggvs_eval.synthetic.shipped import write_room
 
-    capture = write_demo(run.with_name(f"{run.name}-capture"), DEMO_ROOMS[MAIN])
+    capture = write_room(run.with_name(f"{run.name}-capture"))
     evaluate(run, open_capture(capture), load_protocol("demo"), usual_methods(), default_workers())
     means = _means(Results.read(run))
     print(means.round(4).to_string())

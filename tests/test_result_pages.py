@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from ggvs_eval.contrib.worlds.demo import SHIPPED, write_demo
 from ggvs_eval.jobs.code_identity import installed_code
+from ggvs_eval.synthetic.shipped import write_room
 from helpers.places import ROOT
 
 pytestmark = [
@@ -219,7 +219,7 @@ def test_the_demo_of_the_plan_is_that_of_the_main_job(tmp_path):
         if command.startswith(f"ggvs-eval demo {result_plan.DEMO_CAPTURE}")
     }
     assert films
-    write_demo(tmp_path / result_plan.DEMO_CAPTURE, SHIPPED)
+    write_room(tmp_path / result_plan.DEMO_CAPTURE)
     for film in films:
         subprocess.run([sys.executable, "-m", "ggvs_eval", *film.split()[1:]], cwd=tmp_path, check=True)
 

@@ -116,7 +116,7 @@ def harmonic_basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
         splatting.
 
     Examples:
-        >>> basis(torch.tensor([[0.0, 0.0, 1.0]]), degree=1)[0, ::2].tolist()
+        >>> harmonic_basis(torch.tensor([[0.0, 0.0, 1.0]]), degree=1)[0, ::2].tolist()
         [0.28209..., 0.48860...]
     """
     x, y, z = directions.unbind(-1)
@@ -167,7 +167,7 @@ def turned_harmonics(sh: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
     Examples:
         >>> quarter = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # x to y
         >>> along_x = torch.tensor([0.0, 0, 0, -1])[None, :, None].expand(1, 4, 3)
-        >>> turned(along_x, quarter)[0, :, 0].round(decimals=6).abs().tolist()
+        >>> turned_harmonics(along_x, quarter)[0, :, 0].round(decimals=6).abs().tolist()
         [0.0, 1.0, 0.0, 0.0]
     """
     degree = int(sh.shape[1] ** 0.5) - 1

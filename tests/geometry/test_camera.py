@@ -118,7 +118,7 @@ def test_a_camera_is_written_in_one_way():
 
     A layout of JSON that is not ours is written in its own way.
     """
-    colmap = {"datasets.colmap_reader", "pipelines.offline.calibration.calibration_job", "synthetic.layouts.panoptic"}
+    colmap = {"datasets.colmap_reader", "pipelines.offline.calibration.calibrate", "contrib.worlds.layouts.pictures"}
     writing = re.compile(r"(world_to_camera|\bK)(\[[^]]*\]|\.ravel\(\)|\.flatten\(\))?\.tolist\(\)")
     files = {module: installed_code().file(module) for module in installed_code().modules()}
     texts = {module: file.read_text(encoding="utf-8") for module, file in files.items() if file and file.suffix == ".py"}
