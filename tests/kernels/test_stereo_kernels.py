@@ -135,6 +135,7 @@ def test_blocks_are_matched_as_by_opencv(seed, height, columns, sixteens, radius
     assert np.array_equal(cv2.medianBlur(ours, 3), opencv_blocks(left, right, count, radius, *steps))
 
 
+@pytest.mark.skipif(cv2.__version__ < "5", reason="before OpenCV 5 cv2.remap rounds places to 1/32 of a pixel, so it is no twin")
 @settings(deadline=None, max_examples=25)
 @given(seeds, st.integers(1, 30), st.integers(1, 60), st.integers(1, 8), st.integers(0, 3))
 def test_refinement_agrees_with_its_twin(seed, height, width, window, iterations):
