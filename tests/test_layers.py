@@ -21,7 +21,7 @@ FLOORS = (
     ("geometry", "capture", "colour_maps"),
     ("depth_store", "protocol", "gaussians"),
     ("run_folder", "results", "scene_fitter", "sweep"),
-    ("statistics", "merged_results", "datasets", "jobs", "synthetic.d3dmv_scene"),
+    ("statistics", "merged_results", "datasets", "jobs", "synthetic.d3dmv_scene", "coverage"),
     ("synthetic", "renders"),
     ("baselines", "metrics.inputs", "metrics.metric"),
     ("metrics.on_device",),

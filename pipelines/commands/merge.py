@@ -47,7 +47,7 @@ def merge(
 
 def missing_renders(run: RunFolder) -> str:
     """Views that methods of a merged run lack, as text; empty where nothing is missing."""
-    from ggvs_eval.pipelines.run.coverage import read_import
+    from ggvs_eval.coverage import read_import
 
     views = run.protocol().views.test
     own = [label for label in run.labels() if read_import(run, label) is None]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from ggvs_eval.capture import Capture, CaptureEdit
+from ggvs_eval.coverage import read_coverage, require_imported
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.jobs.code_identity import code_identity
@@ -21,7 +22,6 @@ from ggvs_eval.jobs.ledger import Failure, Ledger
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.run.coverage import read_coverage, read_import, require_imported
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, MadeFiles, digest_folder
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare_run
@@ -31,7 +31,7 @@ from ggvs_eval.pipelines.run.score import Scores, plan_scores
 from ggvs_eval.pipelines.run.score_path import lacks_path
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results
-from ggvs_eval.run_folder import RunFolder, missing_frames
+from ggvs_eval.run_folder import RunFolder
 
 Value = TypeVar("Value")
 AnyJob = TypeVar("AnyJob", bound=Job)
@@ -239,8 +239,8 @@ def _left_unfinished(plan: RunPlan) -> set[str]:
     run, numbers, views = plan.run, plan.protocol.frames.numbers, plan.protocol.views.test
     others = [label for label in run.labels() if label not in {*plan.methods, *plan.request.imports}]
     coverage = read_coverage(run, numbers, others)
-    rendered_here = [label for label in others if label not in coverage.partial and not read_import(run, label)]
-    lacking = {label for label in rendered_here if any(missing_frames(run.renders(label, view), numbers) for view in views)}
+    lacking = coverage.unfinished(run, views, others)
+    rendered_here = {*others}.difference(coverage.partial, coverage.imported)
     lacking |= {label for label in rendered_here if lacks_path(run, label)}
     for label in sorted(lacking):
         words = f"its frames are incomplete, --methods {label} goes on with them"

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.coverage import IMPORT_FILE, read_import
 from ggvs_eval.errors import GgvsError, MetricError, ProtocolError, RenderError
 from ggvs_eval.files.archive import Limits, is_archive, unpack
 from ggvs_eval.files.atomic import atomic_folder, remove_leftovers, scratch_folder
@@ -21,7 +22,6 @@ from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.metrics.registry import METRICS, select_metrics
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.run.claim import require_protocol
-from ggvs_eval.pipelines.run.coverage import IMPORT_FILE, read_import
 from ggvs_eval.pipelines.run.derived_files import MadeFiles
 from ggvs_eval.pipelines.run.prepare import prepare_truth
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol

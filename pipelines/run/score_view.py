@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 
 from ggvs_eval.arrays import Image8, Mask
+from ggvs_eval.coverage import Coverage
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.jobs.job import Job
@@ -22,7 +23,6 @@ from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen
 from ggvs_eval.metrics.time.on_screen import Screen, ScreenMetric
 from ggvs_eval.pipelines.inspection.renders.identity import frame_reader
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
-from ggvs_eval.pipelines.run.coverage import Coverage
 from ggvs_eval.pipelines.run.score_code import checks_code, metric_code
 from ggvs_eval.protocol import ON_SCREEN, Measurement, Protocol
 from ggvs_eval.results import installed_versions

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from ggvs_eval.coverage import Coverage
 from ggvs_eval.errors import RenderError
 from ggvs_eval.metrics.time.on_screen import Screen, on_screen
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth.depth_choice import finds_live
-from ggvs_eval.pipelines.run.coverage import Coverage
 from ggvs_eval.protocol import Protocol, Stream
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 

@@ -10,13 +10,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from ggvs_eval.coverage import read_coverage
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.table import Cell, Row, RowKind, format_value
 from ggvs_eval.results import Results, without_labels
-from ggvs_eval.run_folder import RunFolder, missing_frames, read_json, require_frames
+from ggvs_eval.run_folder import RunFolder, read_json, require_frames
 
 METRICS_FILE = "metrics.json"
 FURTHER = "further"  # group of the metrics that belong to no other
@@ -274,8 +275,8 @@ def read_run(root: Path) -> MeasuredRun:
     folder = run.folder
     if not folder.labels():
         raise ResultsError(f"{folder.root}: no frames under renders/ to report on; run `ggvs-eval render` again")
-    hidden = {label for others in run.replicas.values() for label in others}
-    labels = tuple(label for label in folder.labels() if label not in hidden and not _is_unfinished(run, label))
+    hidden = {label for others in run.replicas.values() for label in others} | _left_out(run)
+    labels = tuple(label for label in folder.labels() if label not in hidden)
     run = replace(run, labels=labels, references=read_references(folder))
     for view in run.protocol.views.test:
         named = {f"{run.name(label)} in {view}": path for label, path in run.frame_folders(view).items()}
@@ -283,10 +284,13 @@ def read_run(root: Path) -> MeasuredRun:
     return run
 
 
-def _is_unfinished(run: MeasuredRun, label: str) -> bool:
-    """Tell whether a method was begun by a call that was stopped: it was never scored, and lacks frames."""
-    folders = (run.folder.renders(label, view) for view in run.protocol.views.test)
-    return label not in run.labels and any(missing_frames(folder, run.frames) for folder in folders)
+def _left_out(run: MeasuredRun) -> set[str]:
+    """Methods that were never scored and do not have every frame: unfinished, partial, or refused in a view."""
+    unscored = [label for label in run.folder.labels() if label not in run.labels]
+    if not unscored:
+        return set()
+    coverage = read_coverage(run.folder, run.frames, unscored)
+    return {*coverage.partial} | coverage.unfinished(run.folder, run.protocol.views.test, unscored)
 
 
 def read_scores(root: Path) -> MeasuredRun:

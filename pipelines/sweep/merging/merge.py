@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ggvs_eval.coverage import IMPORT_FILE
 from ggvs_eval.errors import GgvsError, ProtocolError, ResultsError
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.jobs.ledger import JOBS_FOLDER
-from ggvs_eval.pipelines.run.coverage import IMPORT_FILE
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, join_records
 from ggvs_eval.pipelines.run.render import FITS
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json

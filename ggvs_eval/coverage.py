@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, as_ranges, read_json, require_frames
+from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, as_ranges, frame_path, read_json, require_frames
 
 IMPORT_FILE = "import.json"
 SHOWN_FIELDS = ("kind", "source", "sha256", "notes")
@@ -42,6 +42,15 @@ class Coverage:
             else:
                 stretches.append(range(frame, frame + 1))
         return tuple(stretches)
+
+    def unfinished(self, run: RunFolder, views: Sequence[str], labels: Sequence[str]) -> set[str]:
+        """Methods rendered here that lack frames which they have not refused: an earlier call was stopped."""
+        here = [label for label in labels if label not in self.imported]
+        files = {
+            label: [frame_path(run.renders(label, view), frame) for view in views for frame in self.frames(label, view)]
+            for label in here
+        }
+        return {label for label, frames in files.items() if not all(frame.is_file() for frame in frames)}
 
     def require(self, run: RunFolder, views: Sequence[str], labels: Sequence[str]) -> None:
         """Refuse a run in which frames are missing that should be there."""
