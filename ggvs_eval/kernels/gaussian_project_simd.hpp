@@ -1,5 +1,5 @@
 // Gaussians in the world to Gaussians in the image, a batch at a time (included by gaussian_*.cpp after a simd_*.hpp).
-// Steps and constants are those of ggvs_eval/gaussians/projection.py.
+// Steps and constants are those of ggvs_eval/gaussians/torch_splat.py.
 #pragma once
 #include "gaussian_splat.hpp"
 

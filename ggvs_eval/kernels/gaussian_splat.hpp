@@ -1,5 +1,5 @@
 // The differentiable splat of 3D Gaussians: the data that pass between the driver (gaussian_splat.cpp) and its SIMD parts.
-// ggvs_eval/gaussians/projection.py and torch_splat.py say the same in torch, readably.
+// ggvs_eval/gaussians/torch_splat.py says the same in torch, readably.
 #pragma once
 #include <cstdint>
 #include <vector>

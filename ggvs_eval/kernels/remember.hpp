@@ -5,7 +5,7 @@
 
 namespace ggvs {
 
-// How long, and how far behind one another; docs of remembered_background.py.
+// How long, and how far behind one another; docs of geometry_guided.py.
 struct Remembering {
     double behind, forgetting;
     float renewal, sure_still;

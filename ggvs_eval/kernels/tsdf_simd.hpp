@@ -1,5 +1,5 @@
 // The inner loops of the TSDF, written once for every instruction set (included by level_*.cpp after a simd_*.hpp).
-// Products are rounded before they are added: the march on a device (online/device/march_kernels.py) has the same bits.
+// Products are rounded before they are added: the march on a device (contrib/warp/march.py) has the same bits.
 #pragma once
 #include "tsdf.hpp"
 

@@ -8,7 +8,7 @@
 namespace ggvs {
 
 constexpr int kMostLanes = 16;
-constexpr int kSizeMultiple = 1 << kUNetLevels, kLeastSize = 2 * kSizeMultiple;  // as in unet.py
+constexpr int kSizeMultiple = 1 << kUNetLevels, kLeastSize = 2 * kSizeMultiple;  // as in blend_network.py
 
 inline int64_t rounded_up(int64_t n, int64_t multiple) { return (n + multiple - 1) / multiple * multiple; }
 
