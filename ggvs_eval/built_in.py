@@ -60,7 +60,7 @@ VERBS: dict[str, Verb] = {
     ),
     "check": Verb(
         f"{VERBS_ROOM}.captures:check",
-        "Look for what would spoil results: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.",
+        "Check a capture for problems: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.",
         CAPTURES,
     ),
     "calibrate": Verb(
@@ -96,7 +96,7 @@ VERBS: dict[str, Verb] = {
     ),
     "run": Verb(
         f"{VERBS_ROOM}.runs:run",
-        "Do it all: prepare, render, score, report. A second call does only what is missing.",
+        "Run the whole evaluation (prepare, render, score, report); resumes completed steps.",
         RUNS,
     ),
     "sweep": Verb(
@@ -106,7 +106,7 @@ VERBS: dict[str, Verb] = {
     ),
     "status": Verb(
         f"{VERBS_ROOM}.runs:status",
-        "Tell what of a run or a sweep is done, running, failed and missing, and how large it is. May be asked while it runs.",
+        "Show progress, failures and disk use of a run or sweep, also while it runs.",
         RUNS,
     ),
     "report": Verb(
@@ -147,7 +147,7 @@ VERBS: dict[str, Verb] = {
     ),
     "play": Verb(
         f"{VERBS_ROOM}.play:play",
-        "Synthesise the view of a camera that goes round between the cameras of a rig into a video, and tell how fast.",
+        "Render a camera orbit within the rig to a video and report the frame rate.",
         LIVE,
     ),
     "view": Verb(

@@ -31,7 +31,7 @@ class Camera:
         height: image height in pixels.
         near: smallest depth of the scene seen from here, world units.
         far: largest depth of the scene seen from here, world units.
-        deviation: by how much, at most, the entries of the rotation that was given differ from those of the nearest one, which
+        deviation: largest difference between the entries of the given matrix and those of the nearest rotation, which
             took its place; 0 where it is kept as it was given.
         range_origin: whether near and far are given by the capture or its user, measured on its pictures, or guessed from where
             its cameras look; nothing may be refused for a guess.
@@ -95,7 +95,7 @@ class Camera:
             raise CameraError(f"camera {self.name}: depth range must satisfy 0 < near < far, got {self.near:g} .. {self.far:g}")
 
     def _straighten(self) -> None:
-        """Put the nearest rotation in the place of one that is off by a little."""
+        """Replace an almost orthonormal matrix by the nearest rotation."""
         rotation, deviation = nearest_rotation(self.rotation)
         if deviation > LARGEST_DEVIATION:
             raise CameraError(

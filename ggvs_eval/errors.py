@@ -18,7 +18,7 @@ MENDS = {
     (errno.EMFILE, errno.ENFILE): "raise the limit of open files (ulimit -n) or use fewer --jobs",
     (errno.ECONNREFUSED, errno.ECONNRESET, errno.EPIPE, errno.ETIMEDOUT): "see whether the other side still runs",
 }
-GO_ON = "what is done stays, the same command goes on from there"
+GO_ON = "finished work is kept; run the same command to resume"
 
 
 class GgvsError(Exception):
@@ -30,7 +30,7 @@ class GgvsError(Exception):
 
 
 class GgvsWarning(UserWarning):
-    """Input that is computed on all the same, though it is hardly meant."""
+    """Suspicious input that is processed anyway."""
 
 
 class CommandError(GgvsError):
@@ -42,7 +42,7 @@ class CaptureError(GgvsError):
 
 
 class CameraError(GgvsError):
-    """A camera is not a camera: NaN, not a rotation, no size."""
+    """Invalid camera: NaN, non-rotation or zero size."""
 
 
 class ProtocolError(GgvsError):
@@ -58,7 +58,7 @@ class RenderError(GgvsError):
 
 
 class ViewRefusedError(RenderError):
-    """A method cannot show a view from where its sources stand, whatever they show: its cells say so, and a run goes on."""
+    """The source cameras cannot cover this view; its cells are marked and the run continues."""
 
 
 class MetricError(GgvsError):
@@ -111,7 +111,7 @@ def mendable(error: BaseException) -> str | None:
 
     Examples:
         >>> mendable(OSError(errno.ENOSPC, "No space left on device", "run/a.png"))
-        'run/a.png: No space left on device; make room; what is done stays, the same command goes on from there'
+        'run/a.png: No space left on device; make room; finished work is kept; run the same command to resume'
         >>> mendable(ZeroDivisionError()) is None
         True
     """

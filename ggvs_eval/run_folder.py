@@ -33,7 +33,7 @@ from ggvs_eval.protocol import Protocol, load_protocol
 
 JOB_FILE = "job.json"
 REFUSED = "refused"  # in the record of a render or a fit: why the method cannot show those views
-DIAGNOSTICS = "inside"  # beside the frames of a method that tells what it decided
+DIAGNOSTICS = "inside"  # folder of diagnostic images, next to a method's frames
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ def _baseline(name: str) -> Callable[..., None]:
         out: folder for the state to go on from, the weights, the logs and the model card.
         training: how the network is trained.
         data: the views that the network learns from.
-        configuration: compact, which an hour of one core trains, or full, as the authors publish it.
+        configuration: compact (about one CPU-hour) or full (the published architecture).
         crop: width and height of the crops that it learns from, multiples of 8 pixels; a GPU can afford larger ones than the
             recipe's.
         start_from: weights to begin with where the folder holds no state, such as those that ship.
@@ -93,7 +93,7 @@ def train_all(
         training: how each network is trained.
         data: the views that all networks learn from.
         size: of the blending networks; the first level of each has 8, 16 or 32 channels.
-        configuration: of the baselines: compact, which an hour of one core trains, or full, as the authors publish it.
+        configuration: of the baselines: compact (about one CPU-hour) or full (the published architecture).
         jobs: trainings at a time; by default all of them on a GPU, and one per two cores without.
     """
     _require_rooms()

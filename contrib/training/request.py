@@ -88,7 +88,7 @@ class TrainingRequest(TrainingOptions, DataOptions):
         size: blend: of the U-Net; its first level has 8, 16 or 32 channels.
         guidance: blend: what it sees of the fused depth: views registered by it, its channels as the paper prints them, none
             of it (ablation), or no depth at all (naive).
-        configuration: baselines: compact, which an hour of one core trains, or full, as the authors publish it.
+        configuration: baselines: compact (about one CPU-hour) or full (the published architecture).
         crop: baselines: width and height of the target's crops, pixels; empty takes those of the recipe, for an hour of one core.
     """
 

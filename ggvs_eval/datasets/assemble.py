@@ -114,7 +114,7 @@ def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[st
 
 
 def _exif_notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
-    """List what was made of the EXIF orientations of pictures; the poses alone tell whether that is right."""
+    """List how EXIF orientations were applied; only the poses can confirm it."""
     names: dict[bool, list[str]] = {}
     for camera, source in zip(cameras, sources, strict=True):
         inner = list(source_chain(source))[-1]

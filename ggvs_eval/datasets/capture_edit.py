@@ -1,4 +1,4 @@
-"""A capture shown otherwise than it was taken: one instant held still, or time as it was, with sensor noise on every frame.
+"""Capture perturbations: one instant held still, and added sensor noise.
 
 With an instant held still nothing moves, so that whatever moves in a rendering of it is the method's own flicker.
 """

@@ -112,7 +112,7 @@ def rig_depth_range(poses: Sequence[Array]) -> list[tuple[float, float]]:
         distance of neighbouring cameras. One camera alone, or all in one place, gets 0.1 and 100.
     """
     if any(pose.shape != (4, 4) or not (np.abs(pose) < LARGEST_NUMBER).all() for pose in poses):
-        return [(0.1, 100.0)] * len(poses)  # no poses at all; `Camera` says so better
+        return [(0.1, 100.0)] * len(poses)  # invalid poses; `Camera` raises the error
     rotations = np.stack([pose[:3, :3] for pose in poses])
     centres = np.stack([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
     spacing = _median_spacing(centres)
@@ -276,7 +276,7 @@ def _matchable(camera: Camera, cameras: Sequence[Camera]) -> Camera:
 
 
 def _features(capture: Capture, name: str) -> Features:
-    """Features of a camera's first frame; none where it cannot be read, which others say better."""
+    """Features of a camera's first frame; none if unreadable (reported elsewhere)."""
     try:
         return find_features(capture.frame(name, 0))
     except CaptureError:

@@ -163,7 +163,7 @@ class NumberedFrames(ImageFrames):
 
 
 def as_calibrated(frames: Source, width: int, height: int) -> Source:
-    """Frames as a calibration for (width, height) means them.
+    """Orient frames to match a calibration of (width, height).
 
     Reading:
         COLMAP and OpenCV's calibration ignore EXIF tags, so poses that were found elsewhere may belong to stored pixels: these

@@ -127,4 +127,4 @@ def _require_secure(asked: str, answered: str) -> None:
 
 
 def _unreached(url: str, file: Path, reason: str) -> DownloadError:
-    return DownloadError(f"{url}: {reason}; the same command goes on from there, or fetch it by another way and put it to {file}")
+    return DownloadError(f"{url}: {reason}; run the same command to resume, or fetch it another way and save it as {file}")

@@ -90,7 +90,7 @@ def read_orientation(encoded: bytes) -> int:
     try:
         with Image.open(BytesIO(encoded), formats=("PNG", "JPEG")) as image:
             return _orientation(image.info.get("exif", b""))
-    except Exception:  # the parsers raise whatever a damaged header makes them stumble over; the decoder says so better
+    except Exception:  # parsers raise anything on a damaged header; the decoder reports it
         return UPRIGHT
 
 

@@ -107,7 +107,7 @@ def ray_march(
         depths: of each, (H, W) float32, world units, 0 = invalid.
         weights: omega_k of Eqs. 11-12, see `fusion_weights`: (H, W) float32 each, 0 = this pixel says nothing.
         tau: truncation distance, world units.
-        previous: the previous frame's result, if it shall hold the surface steady.
+        previous: the previous frame's result, used for temporal smoothing.
         skip_empty: pass whole steps that no view can influence without sampling them; the result is the same, bit for bit.
         step_fraction: of the fused distance, taken as a step.
         min_step: smallest step, in tau.

@@ -91,7 +91,7 @@ class ReadingOptions(CaptureOptions):
     noise_seed: int = 0
 
     def open(self, path: Path) -> Capture:
-        """Open a capture and tell what was left out of it and what was done to it."""
+        """Open a capture and report which cameras and frames were dropped or modified."""
         capture = open_capture(path, self.layout, units=self.given_units(), drop_unsynced=not self.keep_unsynced)
         capture = perturb_capture(capture, CaptureEdit(self.hold_frames, self.hold_frame, self.sensor_noise, self.noise_seed))
         for note in capture.notes:
@@ -117,7 +117,7 @@ def demo(out: Output, room: RoomName = MAIN, quick: bool = False) -> None:
     Args:
         out: folder to write; absent, or holding this very demo.
         room: the main one, in DyNeRF's layout, or a small one.
-        quick: the main room with renders of it to try things on and a short protocol.
+        quick: the main room, sample renders and a short protocol (a few seconds).
     """
     from ggvs_eval.synthetic.shipped import write_quick, write_room
 
@@ -146,7 +146,7 @@ def check(
     crop: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="COLUMN ROW")] = None,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Look for what would spoil results: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
+    """Check a capture for problems: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
 
     Prints a verdict per question, writes them as JSON, and ends with 1 where a verdict is bad. Videos that have no poses yet are
     checked for what can be said without.

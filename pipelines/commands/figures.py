@@ -99,9 +99,9 @@ def figure(
         metrics: panels of k, scores of the others.
         methods: labels of the methods that are shown, in this order.
         squares: of crops, in pixels, as the crop button of the page writes them.
-        width: of the figure, with its unit: in, cm, mm or pt; 7in, of k by its panels, by default.
-        title: say in the figure what it shows.
-        scores: write each method's scores behind its name.
+        width: figure width with unit (in, cm, mm, pt); default 7in, for k by its panels.
+        title: draw a title.
+        scores: append each method's scores to its label.
     """
     from ggvs_eval.reports.figures.look import FigureLook, parse_row, parse_width
     from ggvs_eval.reports.figures.paper_figures import write_figure

@@ -30,7 +30,7 @@ PLUGIN = "--plugin"  # of any verb: a file with metrics, methods or layouts of t
 PLAIN, PLAIN_SIGNS = "ggvs-eval-plain", str.maketrans("─━–—−±×·", "-----~x.")  # how stdout writes what it cannot
 CONTINUED = re.compile(r"\n {12,}(?=\S)")  # the second and later lines of an argument in a docstring
 ABOUT = {
-    "ggvs-eval": "How good and how steady, over views and over time, is a method on a multi-view capture - and why? "
+    "ggvs-eval": "Evaluate multi-view 3D video synthesis. "
     "Every command also takes --plugin FILE.py: metrics, methods and layouts of your own.",
     "ggvs-eval train": "Train a network of this package; a second call goes on where the first one stopped.",
 }

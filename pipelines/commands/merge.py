@@ -24,7 +24,7 @@ def merge(
     The runs may differ in their methods and in the views that were rendered; what two of them both have must be the same.
 
     Args:
-        out: run folder to make; made whole or not at all.
+        out: output run folder; written atomically.
         runs: run folders; they stay as they are.
         copy: copy files; otherwise they are linked where the file system can.
         jobs: processes that measure what no run has measured.

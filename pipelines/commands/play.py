@@ -40,7 +40,7 @@ def play(
     depth: DepthFlags = LIVE_DEPTH,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Synthesise the view of a camera that goes round between the cameras of a rig into a video, and tell how fast.
+    """Render a camera orbit within the rig to a video and report the frame rate.
 
     Args:
         source: a capture, whose frames and depth are kept beside the video (OUT-cache); or a run folder, which has both.
@@ -95,7 +95,7 @@ def view(
         frames: instants from the first on; all by default.
         sources: which cameras are source views: the nearest, or those that see most of the view (coverage); as the run's protocol
             says, or the nearest, by default.
-        host: address to listen at; 0.0.0.0 lets other machines in, who need the printed address all the same.
+        host: address to listen at; 0.0.0.0 accepts remote connections; they need the printed URL, which carries a token.
         port: the next free one is taken where it is in use.
         out: folder of recorded paths, and of a capture's frames and depth.
         export: write a page with the cameras and the points of every instant, which needs no server, and stop.

@@ -98,7 +98,7 @@ def prepare(
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
-        dry_run: only print the plan: the work that is left, the disk space that it needs, and the time where it is known.
+        dry_run: print the remaining work, its disk use and estimated time, then exit.
     """
     from ggvs_eval.pipelines.run.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
     from ggvs_eval.pipelines.run.prepare import prepare_run
@@ -129,7 +129,7 @@ def render(
         run: run folder that `prepare` has made.
         methods: which methods, splats:PATH for 3D Gaussians that others have fitted; what is rendered already is left alone.
         weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
-        device: where networks of methods compute; on a GPU pixels may differ by a level from those of the CPU.
+        device: where networks of methods compute; GPU results can differ from the CPU's by 1/255 per pixel.
         engine: where jobs run.
     """
     from ggvs_eval.pipelines.run.evaluate import render as synthesise
@@ -207,7 +207,7 @@ def run(
     engine: Running = HERE,
     dry_run: bool = False,
 ) -> None:
-    """Do it all: prepare, render, score, report. A second call does only what is missing.
+    """Run the whole evaluation (prepare, render, score, report); resumes completed steps.
 
     Args:
         run: run folder to make or to go on with.
@@ -223,7 +223,7 @@ def run(
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
-        dry_run: only print the plan: the work that is left, the disk space that it needs, and the time where it is known.
+        dry_run: print the remaining work, its disk use and estimated time, then exit.
     """
     from ggvs_eval.pipelines.run.evaluate import measure, report
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
@@ -292,7 +292,7 @@ def sweep(
         engine: where jobs run.
         shard: i/n, for the i-th of n machines: every n-th view; 0/n prepares for all. A last call without it makes the table.
         plan: JSON file to write instead of running: the commands of the sweep, and which waits for which.
-        dry_run: only print the plan: the work that is left, the disk space that it needs, and the time where it is known.
+        dry_run: print the remaining work, its disk use and estimated time, then exit.
     """
     from ggvs_eval.jobs.shard import Shard
     from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
@@ -328,7 +328,7 @@ def sweep(
 
 
 def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_OR_SWEEP")]) -> None:
-    """Tell what of a run or a sweep is done, running, failed and missing, and how large it is. May be asked while it runs.
+    """Show progress, failures and disk use of a run or sweep, also while it runs.
 
     Args:
         folder: run folder, or folder of a sweep.

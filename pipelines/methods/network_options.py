@@ -1,4 +1,4 @@
-"""With which weights networks render and where they compute, in the few words that the command line takes."""
+"""Options of `--weights`, `--splats` and `--device`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

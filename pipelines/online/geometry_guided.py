@@ -195,7 +195,7 @@ class GeometryGuided:
         return [fusion_weights(view.depth, self._tau(filtered), noise) for view in filtered.sources]
 
     def _blend(self, filtered: Instant, splats: list[Splat], depth: Map | None, changes: Changes) -> tuple[Map, dict[str, Map]]:
-        """Blend the views and mix the output with the one before where nothing moves; and what was decided for it."""
+        """Blend the views, apply temporal blending in static regions; return image and diagnostics."""
         chosen = self.options
         index, target = filtered.index, filtered.target
         surface = np.zeros((target.height, target.width), np.float32) if depth is None else depth

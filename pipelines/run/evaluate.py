@@ -1,6 +1,6 @@
 """The whole evaluation on one page: capture -> prepare -> render -> score -> report. Each step reads a folder and writes one.
 
-Stages of runs are worked through over all runs at once: one bar, one pool, one ledger. A single run is a list of one.
+Stages run for several runs together, sharing progress bar, pool and job log. A single run is a list of one.
 """
 
 import sys
@@ -235,7 +235,7 @@ def _score_runs(plans: Sequence[RunPlan], whole: dict[str, list[str]], stages: S
 
 
 def _left_unfinished(plan: RunPlan) -> set[str]:
-    """Methods that an earlier call began to render, did not finish, and that this one was not asked for; each is named."""
+    """Partially rendered methods that this call did not request; each is logged."""
     run, numbers, views = plan.run, plan.protocol.frames.numbers, plan.protocol.views.test
     others = [label for label in run.labels() if label not in {*plan.methods, *plan.request.imports}]
     coverage = read_coverage(run, numbers, others)

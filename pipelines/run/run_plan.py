@@ -75,7 +75,7 @@ WITHOUT_DEPTH = "methods that look at no depth, such as enerf and ibrnet, run al
 
 @dataclass(frozen=True)
 class RunRequest:
-    """A run as it is asked for.
+    """User request for a run.
 
     Attributes:
         labels: methods; none where it is only prepared.
@@ -147,7 +147,7 @@ class RunPlan:
 
     @cached_property
     def jobs(self) -> RunJobs:
-        """Everything that the methods do in the units of the request; the work is as prepared, whether it is yet or not.
+        """All render jobs of the request, assuming that preparation is done.
 
         Raises:
             DeviceError: no such device here.

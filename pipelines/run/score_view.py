@@ -1,4 +1,4 @@
-"""Score one view: every method's frames against the captured ones, as one job, because the truth's part is then done once."""
+"""Score all methods of a view in one job, so that the reference is processed once."""
 
 import hashlib
 from collections import defaultdict
@@ -143,7 +143,7 @@ def _score_view(
 
 
 def _replaced(kept: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:
-    """Values that stand and values that are new; of what was measured beside the metrics asked for, the new ones alone."""
+    """Merge cached and new values; companion metrics are kept only if new."""
     new = {value[0] for value in measured["values"]} | set(measured["not_computed"])
     reasons = {name: reason for name, reason in kept["not_computed"].items() if name not in new}
     return {

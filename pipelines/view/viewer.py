@@ -60,7 +60,7 @@ class Listener:
     known to be this machine's (Host): a foreign name may have been pointed here (DNS rebinding).
 
     Args:
-        host: address or name to listen at; 0.0.0.0 lets other machines in.
+        host: address or name to listen at; 0.0.0.0 accepts remote connections.
         port: the next free one is taken where it is in use; 0 takes any.
     """
 

@@ -236,7 +236,7 @@ class MeasuredRun:
 
     @property
     def ours_first(self) -> tuple[str, ...]:
-        """The same with the paper's method before its variants, and these before all others: whom to show where one is shown."""
+        """The same, ordered for displays of a single method: the paper's first, then its variants."""
         ours = sorted((label for label in self.pictured if label in self.ours), key=lambda label: "+" in label)  # stable
         return (*ours, *(label for label in self.pictured if label not in self.ours))
 

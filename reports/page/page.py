@@ -56,7 +56,7 @@ CONTEXT_WIDTH = 480
 UPS_AT_MOST = 2  # folders from a page up to what holds its run
 FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
 Part = tuple[str, str, tuple[str, ...]]
-# Behind the first screen of a group: place, title and templates of each part.
+# Sections of each group after the overview: anchor, title, templates.
 PARTS: tuple[Part, ...] = (
     ("compare", "Compare", ("comparison", "linked_slices", "errors")),
     ("results", "Scores", ("results",)),

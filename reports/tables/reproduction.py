@@ -187,7 +187,7 @@ def _shown(value: float | None, digits: int | None) -> str:
 
 
 def _remark(missing: NotComparable, method: PaperMethod, metric: str) -> str:
-    """The value of a run that comes near, which proves nothing, and whether there are weights."""
+    """Closest measured value (not comparable), and whether weights are available."""
     remarks = [f"weights of {method.name} do not ship either"] if method.weights else []
     if missing.near is not None and metric not in TIMINGS:
         label = method.find_label(missing.near)

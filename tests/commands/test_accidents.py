@@ -27,7 +27,7 @@ from helpers.small_runs import small_protocol
 pytestmark = pytest.mark.slow
 
 COMMAND = [sys.executable, "-m", "ggvs_eval"]
-GO_ON = "what is done stays, the same command goes on from there"
+GO_ON = "finished work is kept; run the same command to resume"
 AS_NOBODY = ("setpriv", "--reuid", "65534", "--regid", "65534", "--clear-groups")
 WAIT_S = 120
 

@@ -96,7 +96,7 @@ def test_a_capture_is_fetched_once_and_opens_by_its_name(dataset, server, tmp_pa
 def test_a_stopped_download_goes_on(dataset, server, tmp_path, changed):
     """From the byte where it stopped; from the first one where the server has another file meanwhile."""
     server.limit = 2500
-    with pytest.raises(DownloadError, match="goes on from there"):
+    with pytest.raises(DownloadError, match="run the same command to resume"):
         get_capture("own:juggling")
     assert (dataset.folder() / "juggling.zip.part").stat().st_size == 2500
     server.limit = None

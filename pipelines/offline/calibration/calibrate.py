@@ -81,7 +81,9 @@ class CalibrationOptions:
         """Refuse options that contradict each other."""
         if self.known_intrinsics is not None and self.known_poses is not None:
             choice = f"{self.known_intrinsics} and {self.known_poses}"
-            raise CaptureError(f"calibrate: wanted known intrinsics or known poses, which bring theirs, got {choice}; give one")
+            raise CaptureError(
+                f"calibrate: wanted known intrinsics or known poses (which include intrinsics), got {choice}; give one"
+            )
         if self.refine and self.known_poses is None:
             raise CaptureError("calibrate: wanted poses to refine, got none; give them with --known-poses RIG")
         if self.frame < 0 or self.max_features < 1 or self.max_image_size_px < 1 or not 0 <= self.seed < 1 << 31:
@@ -180,7 +182,7 @@ def measure_against(given: Capture, calibration: Calibration) -> dict[str, float
 def _known(
     files: dict[str, CameraFrames], options: CalibrationOptions
 ) -> tuple[dict[str, CameraFrames], dict[str, KnownCamera] | None]:
-    """The frames as what the user knows of the cameras means them, and that at their size; None where nothing is known."""
+    """Frames and known intrinsics, rescaled to one size; None if nothing is known."""
     path = options.known_poses or options.known_intrinsics
     sizes = {name: file.size for name, file in files.items()}
     if path is None:

@@ -250,7 +250,7 @@ def _run_together(
 
 
 def _check(capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
-    """Hold what was found for one camera against the others; runs in a worker."""
+    """Check one camera's depth against the others; runs in a worker."""
     key = store.write_spec(job.spec)
     own, *others = ((each.camera_name, each.key) for each in (job.unchecked, *job.checked_with))
     for frame in sorted(_missing(store, key, frames)):

@@ -163,7 +163,7 @@ def surface_confidence(depth: Map, camera: Camera, edge_px: float, step: float) 
 
     Args:
         depth: (H, W), 0 = unknown.
-        edge_px: distance from edges and holes at which they matter no more, pixels.
+        edge_px: distance from edges and holes beyond which they have no effect, pixels.
         step: neighbours whose depths differ by more than this share of them are an edge.
     """
     mask = depth > 0
