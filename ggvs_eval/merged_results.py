@@ -24,7 +24,7 @@ def merge_results(parts: Sequence[Results]) -> Results:
         ResultsError: they were measured under different protocols (the message names both hashes), or a value is in two of
             them (it names both places).
     """
-    hashes = {part.provenance["protocol_sha256"] for part in parts}
+    hashes = {part.protocol_sha256 for part in parts}
     if len(hashes) != 1:
         raise ResultsError(
             f"results of different protocols do not belong in one table: {', '.join(sorted(digest[:12] for digest in hashes))}; "
@@ -42,7 +42,7 @@ def merge_results(parts: Sequence[Results]) -> Results:
             provenance[name] = joined
     for name in ("versions", "machine"):
         provenance[name] = join_versions(part.provenance.get(name, {}) for part in parts)
-    provenance["partial"] = _merge_marks([part.provenance.get("partial", {}) for part in parts] + [_missing_scenes(table)])
+    provenance["partial"] = _merge_marks([part.partial for part in parts] + [_missing_scenes(table)])
     provenance["faults"] = [list(one) for part in parts for one in part.faults]
     measured = set(table["metric"])
     lacking = [one for part in parts for one in _absent_everywhere(part, measured)]
@@ -67,7 +67,7 @@ def tell_scenes_apart(parts: Sequence[Results]) -> list[Results]:
 
 def _digest_of(results: Results, scene: str) -> str:
     """Digest of the frames of a scene's cameras, or of its name where no frames are recorded."""
-    inputs = results.provenance.get("inputs", {})
+    inputs = results.inputs
     own = {name.removeprefix(f"{scene}/"): digest for name, digest in inputs.items() if name.startswith(f"{scene}/")}
     return digest_values(*(f"{name} {own[name]}" for name in sorted(own))) if own else digest_values(scene)
 
@@ -77,7 +77,7 @@ def with_scenes(results: Results, names: Mapping[str, str]) -> Results:
     names = {scene: name for scene, name in names.items() if scene != name}
     if not names:
         return results
-    inputs = results.provenance.get("inputs", {})
+    inputs = results.inputs
     for scene, name in names.items():
         own = {key: f"{name}/{key.removeprefix(f'{scene}/')}" for key in inputs if key.startswith(f"{scene}/")}
         inputs = {own.get(key, key): digest for key, digest in inputs.items()}

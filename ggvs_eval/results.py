@@ -146,6 +146,44 @@ class Results:
         return [label_of(*names) for names in zip(self.table["method"], self.table["variant"], strict=True)]
 
     @property
+    def protocol_sha256(self) -> str:
+        """Hash of the protocol that everything was measured under."""
+        return str(self.provenance["protocol_sha256"])
+
+    @property
+    def protocol_values(self) -> dict[str, Any]:
+        """That protocol as it was written down; empty in results of earlier versions."""
+        return self._recorded("protocol")
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Captured frames, ``scene/view`` -> their hash."""
+        return self._recorded("inputs")
+
+    @property
+    def renders(self) -> dict[str, str]:
+        """Frames of a method in a view -> their hash."""
+        return self._recorded("renders")
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """Packages -> their version when this was measured."""
+        return self._recorded("versions")
+
+    @property
+    def devices(self) -> dict[str, str]:
+        """What was not computed on the CPU, ``label/view`` or metrics -> the device."""
+        return self._recorded("devices")
+
+    @property
+    def partial(self) -> dict[str, str]:
+        """Methods whose renders lack views or frames -> what their numbers stand on."""
+        return self._recorded("partial")
+
+    def _recorded(self, name: str) -> dict[str, Any]:
+        return dict(self.provenance.get(name, {}))
+
+    @property
     def absences(self) -> tuple[Absence, ...]:
         """Values that some methods or views lack while others have them."""
         return tuple(Absence(*one) for one in self.provenance.get("absent", ()))
@@ -163,7 +201,7 @@ class Results:
     @property
     def set_aside(self) -> dict[str, str]:
         """Methods that are not ranked -> why, as it follows their name: partial ones, and those with a certain fault."""
-        return {label: f"is {mark}" for label, mark in self.provenance.get("partial", {}).items()} | self.spoilt
+        return {label: f"is {mark}" for label, mark in self.partial.items()} | self.spoilt
 
     def fault_lines(self, names: Mapping[str, str] | None = None) -> list[str]:
         """Each fault of a method, with the views that have it, the measurement in the first one, and what to do.

@@ -184,7 +184,7 @@ def score(
             print(f"{name}: {note}", file=sys.stderr)
     results = measure(target, jobs, device=checked_device(device))
     print(results.summary().droplevel("dataset").round(4).to_string())
-    for label, mark in results.provenance["partial"].items():
+    for label, mark in results.partial.items():
         print(f"{label} is {mark}")
     for line in results.fault_lines():
         print(line)

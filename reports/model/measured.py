@@ -226,8 +226,7 @@ class MeasuredRun:
     @property
     def partial(self) -> Mapping[str, str]:
         """Methods whose renders lack views or frames -> what their numbers stand on."""
-        marks: dict[str, str] = self.results.provenance.get("partial", {})
-        return marks
+        return self.results.partial
 
     @property
     def pictured(self) -> tuple[str, ...]:
@@ -255,7 +254,7 @@ class MeasuredRun:
         """A method's row of a table, of the kind that its name says too; `results` are those of a table of several runs."""
         marks = self.results if results is None else results
         usual: RowKind = "ours" if label in self.ours else "measured"
-        partial = label in marks.provenance.get("partial", {})
+        partial = label in marks.partial
         kind: RowKind = "partial" if partial else "faulty" if label in marks.spoilt else usual
         return Row(self.name(label), tuple(cells), kind, label)
 
@@ -301,9 +300,9 @@ def read_scores(root: Path) -> MeasuredRun:
     """
     folder = RunFolder(Path(root))
     protocol, results = folder.protocol(), Results.read(folder.root)
-    if results.provenance["protocol_sha256"] != protocol.sha256:
+    if results.protocol_sha256 != protocol.sha256:
         raise ResultsError(
-            f"{folder.root}: results were measured under protocol {results.provenance['protocol_sha256'][:12]}, "
+            f"{folder.root}: results were measured under protocol {results.protocol_sha256[:12]}, "
             f"protocol.toml is {protocol.sha256[:12]}; run `ggvs-eval score` again"
         )
     labels = tuple(dict.fromkeys(results.row_labels))

@@ -289,7 +289,7 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
     foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in ours]
     prepare = ["prepare", root, "--capture", Path(capture).name, "--protocol", f"{root}/protocol.toml"]
     commands = [[*prepare, *(["--matcher", matcher] if (matcher := _matcher(run)) else [])]]
-    on_gpu = {render.rsplit("/", 1)[0] for render in run.results.provenance.get("devices", {})}
+    on_gpu = {render.rsplit("/", 1)[0] for render in run.results.devices}
     for device, flags in ((False, []), (True, ["--device", "cuda"])):
         if labels := [label for label in ours if (label in on_gpu) == device]:
             commands.append(["render", root, "--methods", *labels, *flags])

@@ -155,7 +155,7 @@ def _no_bolder(comparison: Comparison, judgement: Judgement, labels: Sequence[st
 def _per_view(both: Results, dataset: str, note: MetricNote, set_aside: str) -> list[Difference]:
     """The same in each test view by itself; nothing for what belongs to the whole rig or to the camera path."""
     means = both.per_view(note.name)
-    test_views = both.provenance.get("protocol", {}).get("views", {}).get("test", means.columns)
+    test_views = both.protocol_values.get("views", {}).get("test", means.columns)
     compared = {
         str(view): compare(_view_alone(both, view), note.name, *SIDES, dataset) for view in test_views if view in means.columns
     }
@@ -173,14 +173,14 @@ def _view_alone(both: Results, view: str) -> Results:
 
 def what_else_differs(first: Path, second: Path) -> list[str]:
     """Versions, methods and frames that differ between two runs, one line each."""
-    one, other = Results.read(first).provenance, Results.read(second).provenance
-    versions = _unequal(one.get("versions", {}), other.get("versions", {}))
+    one, other = Results.read(first), Results.read(second)
+    versions = _unequal(one.versions, other.versions)
     lines = [f"version of {name}: {a} in {first}, {b} in {second}" for name, a, b in versions]
-    renders = one.get("renders", {}), other.get("renders", {})
+    renders = one.renders, other.renders
     shared = [name for name in renders[0] if name in renders[1]]
     same = [name for name in shared if renders[0][name] == renders[1][name]]
     lines += [f"equal frames: {', '.join(same)}"] if same else []
-    labels = _labels(Results.read(first)), _labels(Results.read(second))
+    labels = _labels(one), _labels(other)
     alone = [(first, set(labels[0]) - set(labels[1])), (second, set(labels[1]) - set(labels[0]))]
     return lines + [f"only in {run}: {', '.join(sorted(own))}" for run, own in alone if own]
 
@@ -207,15 +207,15 @@ def _require_label(results: Results, label: str, run: Path) -> None:
 
 def _require_alike(first: Path, second: Path, one: Results, other: Results) -> None:
     """Refuse runs whose numbers do not answer the same question."""
-    hashes = one.provenance["protocol_sha256"], other.provenance["protocol_sha256"]
+    hashes = one.protocol_sha256, other.protocol_sha256
     if hashes[0] != hashes[1]:
-        terms = _flat(one.provenance.get("protocol", {})), _flat(other.provenance.get("protocol", {}))
+        terms = _flat(one.protocol_values), _flat(other.protocol_values)
         told = "; ".join(f"{name} {a} and {b}" for name, a, b in _unequal(*terms))
         raise ResultsError(
             f"{first} and {second} were measured under different protocols ({hashes[0][:12]}, {hashes[1][:12]}): "
             f"{told or 'their values are not recorded'}; score both under one"
         )
-    inputs = [name for name, _, _ in _unequal(one.provenance["inputs"], other.provenance["inputs"])]
+    inputs = [name for name, _, _ in _unequal(one.inputs, other.inputs)]
     if inputs:
         raise ResultsError(f"{first} and {second} are not of the same captured frames: {', '.join(inputs)}")
 

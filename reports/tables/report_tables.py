@@ -160,7 +160,7 @@ def measured_rows(
 
 
 def _cell(note: MetricNote, key: str, value: float | None, results: Results, label: str, judgement: Judgement | None) -> Cell:
-    is_partial = label in results.provenance.get("partial", {})
+    is_partial = label in results.partial
     absent = "partial renders" if is_partial else "no value in the results; run `ggvs-eval score` again"
     reason = results.why_absent(note.name, label, "" if key == note.name else key) or absent
     interval = judgement.interval(label) if judgement else None
@@ -185,7 +185,7 @@ def main_captions(
             frames = _instants(protocol)
         means = f"Mean over {frames}, then {views}, then scenes"
     sources = _sources(runs, names)
-    partial = results.provenance.get("partial", {})
+    partial = results.partial
     marks = [f"{names.get(label, label).removesuffix(PARTIAL)} is {mark}; it is not ranked." for label, mark in partial.items()]
     marks += results.fault_lines(names)
     whole = without_labels(results, partial)
@@ -252,6 +252,6 @@ def _fewer_frames(results: Results, metrics: Sequence[str], protocol: Protocol) 
 
 def _versions(results: Results) -> list[str]:
     """Name the packages of which more than one version made these values."""
-    versions = results.provenance.get("versions", {})
+    versions = results.versions
     mixed = [f"{name} {version}" for name, version in versions.items() if BETWEEN in version and name != OWN_PACKAGE]
     return [f"Values here were made under several versions: {', '.join(mixed)}."] if mixed else []
