@@ -174,10 +174,11 @@ def instead_of(path: Path, view: str, request: FrameRequest) -> str:
 def instead_of_all(path: Path, request: FrameRequest) -> str:
     """The same where no view is there at all."""
     present = {file.name if file.is_dir() else re.split(r"_(?=[^_]*$)", file.stem)[0] for file in list_entries(path)}
-    if tested := [name for name in request.cameras if name in present]:
+    others = [name for name in request.cameras if name in present]
+    if others and present.isdisjoint(request.views):
         return (
-            f"{path.name} has {', '.join(tested)}, cameras that the protocol does not test; write one that does: "
-            f"ggvs-eval protocol CAPTURE mine.toml --test {' '.join(tested)}"
+            f"{path.name} has {', '.join(others)}, cameras that the protocol does not test; write one that does: "
+            f"ggvs-eval protocol CAPTURE mine.toml --test {' '.join(others)}"
         )
     hints = [hint for view in request.views if (hint := instead_of(path, view, request))]
     if hints:

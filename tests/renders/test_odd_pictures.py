@@ -194,9 +194,9 @@ def test_a_dangling_link_to_a_folder_is_one_line(truth_run, tmp_path):
 
 
 def test_renders_that_are_gone_are_told(truth_run, tmp_path):
-    """Imported frames are links: where the files were taken away the run says what to do."""
+    """Where frames are links and the files were taken away the run says what to do."""
     folder = write_folders(tmp_path / "theirs")
-    import_renders(truth_run, "mine", folder)
+    import_renders(truth_run, "mine", folder, link=True)
     shutil.rmtree(folder / "cam00")
 
     with refused(RenderError, "frames of mine", "cam00 and are gone", "--renders mine=NEWPLACE"):

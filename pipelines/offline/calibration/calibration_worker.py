@@ -239,12 +239,6 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-if __name__ == "__main__":
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    result = run_job(Path(sys.argv[1]))
-    (Path(sys.argv[1]) / "result.json").write_text(json.dumps(result), encoding="utf-8")
-
-
 def release_lenses(folder: Path, images: Sequence[str], shared: Any, options: Any) -> Any:
     """Give every image a camera of its own and adjust poses, lenses and points together.
 
@@ -316,3 +310,9 @@ def _copy_matches(folder: Path, database: Path, images: Sequence[str], cameras: 
                 target.write_two_view_geometry(first.image_id, second.image_id, geometry)
     source.close()
     target.close()
+
+
+if __name__ == "__main__":
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    result = run_job(Path(sys.argv[1]))
+    (Path(sys.argv[1]) / "result.json").write_text(json.dumps(result), encoding="utf-8")
