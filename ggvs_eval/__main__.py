@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 
 INTERRUPTED = 128 + signal.SIGINT
-STOPPED = "ggvs-eval: stopped; what is done stays, the same command goes on from there"
+STOPPED = "ggvs-eval: stopped; finished work is kept; run the same command to resume"
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ from importlib import import_module
 from threading import Event, Thread
 from typing import Any, TypeVar
 
-from ggvs_eval.errors import RenderError
+from ggvs_eval.errors import GO_ON, RenderError
 from ggvs_eval.jobs.engine import start_remedy
 from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.processes import default_workers, share_cpus
@@ -58,7 +58,7 @@ def run_on_dask(
                 alone = client.submit(_work_on, work, items[index], threads, pure=False)
                 yield index, _outcome(distributed, alone)
         except (CancelledError, distributed.comm.CommClosedError) as error:
-            raise RenderError(f"{scheduler or 'dask'}: the scheduler has gone; what is done stays, run this again") from error
+            raise RenderError(f"{scheduler or 'dask'}: the scheduler has gone; {GO_ON}") from error
 
 
 def _work_on(work: Callable[[Item], Result], item: Item, threads: int | None) -> Result:

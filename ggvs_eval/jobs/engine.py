@@ -21,7 +21,7 @@ from tempfile import TemporaryFile
 from typing import IO, Any, Literal, TypeVar
 
 from ggvs_eval import built_in
-from ggvs_eval.errors import AbsentPartError, RenderError
+from ggvs_eval.errors import GO_ON, AbsentPartError, RenderError
 from ggvs_eval.jobs.code_identity import package_digest
 from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.machine import has_room
@@ -223,7 +223,7 @@ def run_all(work: Callable[[Item], None], items: Sequence[Item], workers: Worker
     checked = partial(_do_one, work, package_digest()) if engine.scheduler else work
     for _, outcome in track(engine.run(checked, items), description, len(items)):
         if isinstance(outcome, LostJob):
-            raise RenderError(f"{description}: {outcome.reason}; what is done stays, run this again")
+            raise RenderError(f"{description}: {outcome.reason}; {GO_ON}")
 
 
 def _do_one(work: Callable[[Item], None], code: str, item: Item) -> None:

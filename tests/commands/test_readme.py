@@ -82,10 +82,11 @@ def psnr_db(printed: str) -> float:
 def test_the_guide_goes_from_a_capture_to_its_page(first_evaluation):
     """Nothing stumbles; a method of ours and imported frames are in one table, and their difference has its interval."""
     folder, steps = first_evaluation
-    assert [each.exit_code for each in steps] == [0] * 6
-    _, _, scored, explained, compared, reported = (" ".join(each.output.split()) for each in steps)
+    assert [each.exit_code for each in steps] == [0] * 7
+    _, _, scored, explained, compared, reported, table = (" ".join(each.output.split()) for each in steps)
     assert "mine" in scored
     assert f"PSNR {psnr_db(steps[2].output):.2f}" in explained
     assert "Distance-based Blending" in compared
     assert "first better" in compared
     assert (folder / reported.split()[-1]).is_file()
+    assert r"\begin{tabular}{lccc}" in table

@@ -128,7 +128,7 @@ def test_without_a_network_one_line_says_what_to_fetch_and_where_to_put_it(datas
         get_capture("own:juggling")
     message = str(caught.value)
     assert server.url.format(archive="juggling") in message
-    assert f"put it to {dataset.folder() / 'juggling.zip'}" in message
+    assert f"save it as {dataset.folder() / 'juggling.zip'}" in message
     assert "\n" not in message
 
 
