@@ -79,7 +79,7 @@ def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> Trai
         fresh.step, fresh.pixels = int(values["step"]), int(values.get("pixels", 0))
     except (RuntimeError, KeyError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
         reason = str(error).splitlines()[0]
-        raise TrainingError(f"{path}: not a state of this training ({reason}); choose another folder or delete it") from error
+        raise TrainingError(f"{path}: not a state of this training ({reason}); choose another folder") from error
     return fresh
 
 

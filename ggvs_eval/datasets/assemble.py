@@ -1,7 +1,7 @@
 """Assembly, the last step of every adapter: cameras and frames that fit each other become a `Capture`.
 
 Frame t of every camera shows one instant, so that counts and rates must be one; ``crop.toml`` says which part of a calibration's
-pictures the frames are; known faults of public scenes and cameras are told or left out.
+pictures the frames are; known faults of public scenes and cameras are reported or left out.
 """
 
 from collections import Counter

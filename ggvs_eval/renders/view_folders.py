@@ -1,6 +1,6 @@
 """Renders as ``<view>/<frame>.png`` or ``.jpg``, as ``<view>_<frame>.png`` in one folder, and our own run folders.
 
-Names that are spelled otherwise, and pictures in another format, are told.
+Names that are spelled otherwise, and pictures in another format, are reported.
 """
 
 import os

@@ -85,10 +85,10 @@ def is_written(folder: Path, description: str, files: Sequence[str]) -> bool:
     if not described.is_file():
         raise CaptureError(f"{folder}: wanted an empty folder or a demo of these options, found other files; choose another")
     if described.read_text(encoding="utf-8") != description:
-        raise CaptureError(f"{folder}: holds a demo of other options or another version; delete it or choose another folder")
+        raise CaptureError(f"{folder}: holds a demo of other options or another version; choose another folder")
     if missing := [name for name in files if not (folder / name).is_file()]:
         listed = ", ".join(missing[:LISTED]) + (f" and {len(missing) - LISTED} more" if len(missing) > LISTED else "")
-        raise CaptureError(f"{folder}: this demo has lost {listed}; delete the folder and write it again")
+        raise CaptureError(f"{folder}: this demo has lost {listed}; write it into another folder")
     return True
 
 

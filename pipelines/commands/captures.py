@@ -227,7 +227,7 @@ def protocol(
     from ggvs_eval.pipelines.run.suggest_protocol import hold_out, propose_protocol, published_protocols
 
     if out.exists():
-        raise ProtocolError(f"{out}: wanted a new file for the protocol, it is there already; delete it or choose another name")
+        raise ProtocolError(f"{out}: wanted a new file for the protocol, it is there already; choose another name")
     opened = reading.open(capture)
     doubts = read_doubts(checked) if checked else {}
     proposal = propose_protocol(opened, doubts)

@@ -1,6 +1,6 @@
 """Live synthesis: images of a rig go in, with depth or without, the view of a virtual camera comes out, instant by instant.
 
-Doubts about the input are told: mistakes that still give a picture, and views that no camera has.
+Doubtful input is reported: mistakes that still give a picture, and views that no camera has.
 """
 
 import warnings

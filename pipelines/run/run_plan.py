@@ -348,6 +348,6 @@ def _depth_of(run: RunFolder, request: RunRequest) -> tuple[DepthRunOptions, str
     if asked not in (None, record):
         raise ProtocolError(
             f"{run.root}: holds a run whose depth is found by {record.options().matcher.name} ({run.depth_record.name}), wanted "
-            f"{asked}; choose a new folder or delete it"
+            f"{asked}; choose a new folder"
         )
     return record, values.get(DEVICE, "cpu")

@@ -1,6 +1,6 @@
 """Explanation of a quoted number: recomputed under the conventions in use, of which those that give it are named.
 
-What misregistration, colour offset and noise have in an error is told by the gap between the PSNR of YCbCr and IV-PSNR.
+What misregistration, colour offset and noise have in an error shows in the gap between the PSNR of YCbCr and IV-PSNR.
 """
 
 import re

@@ -193,7 +193,7 @@ def prepare_depth(
     groups = _by_camera(lacking, options, as_engine(workers).jobs)
     run_all(partial(_run, capture, frames, store, options), groups, workers, "depth maps per camera")
     lacking = [job for job in dict.fromkeys(checked) if _missing(store, job.key, frames)]
-    run_all(partial(_check, capture, frames, store, options), lacking, workers, "depth held against other cameras")
+    run_all(partial(_check, capture, frames, store, options), lacking, workers, "depth checked against other cameras")
 
 
 def _by_camera(jobs: Sequence[DepthJob], options: DepthOptions, processes: int) -> list[list[DepthJob]]:

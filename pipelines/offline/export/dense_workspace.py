@@ -117,7 +117,7 @@ def write_dense_workspace(
 
 def _check(cameras: Sequence[Camera], images: Sequence[Image8], depth_maps: Sequence[DepthMap], folder: Path) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise DepthError(f"{folder}: wanted a folder to make, or an empty one, found files; choose another or delete it")
+        raise DepthError(f"{folder}: wanted a folder to make, or an empty one, found files; choose another")
     for camera, image, depth_map in zip(cameras, images, depth_maps, strict=True):
         as_image8(image, camera, DepthError)
         as_image(depth_map.depth, camera, "depth", DepthError)

@@ -185,7 +185,7 @@ def test_a_state_of_another_network_is_refused(tmp_path):
     with refused(TrainingError, "state.pt"):
         train(LineTask(), tmp_path, OPTIONS)
     torch.save({"step": 3, "network": {"weight": torch.zeros(2, 2)}}, tmp_path / "state.pt")
-    with refused(TrainingError, "delete it"):
+    with refused(TrainingError, "choose another folder"):
         train(LineTask(), tmp_path, OPTIONS)
 
 
