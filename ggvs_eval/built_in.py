@@ -152,7 +152,7 @@ VERBS: dict[str, Verb] = {
     ),
     "view": Verb(
         f"{VERBS_ROOM}.play:view",
-        "Look at a scene in the browser: drag the camera, and a method renders what it sees while time plays or stands.",
+        "View a scene in the browser: drag the camera; a method renders its view as time plays or is paused.",
         LIVE,
     ),
     "export": Verb(

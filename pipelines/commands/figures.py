@@ -31,7 +31,7 @@ def report(
         out: folder to write; RUN/report of the first run by default, the file leaderboard.html, or the folder tracked.
         to: page with all that belongs to it; leaderboard: the tables alone on one page, for which no frames are needed; or a
             tracker, whose package must be installed: its files are written without a network.
-        standalone: make a page that loads nothing; otherwise it shows frames at full size from the run folder that it lies in.
+        standalone: make a page that loads nothing; otherwise it shows frames at full size from its run folder.
         columns: of the tables in Markdown, LaTeX and Excel, in this order: PSNR SSIM LPIPS TCC.
     """
     if to == "leaderboard":
@@ -134,7 +134,7 @@ def compare(
         first: run folder, or with --run the label of a method.
         second: the other one; differences are the first minus the second.
         run: run folder that both methods are in.
-        views: also each view by itself.
+        views: also each view alone.
         csv: file for all differences, each view's too, unrounded.
     """
     from ggvs_eval.reports.tables.compare_runs import write_comparison

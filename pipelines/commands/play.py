@@ -84,7 +84,7 @@ def view(
     depth: DepthFlags = LIVE_DEPTH,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Look at a scene in the browser: drag the camera, and a method renders what it sees while time plays or stands.
+    """View a scene in the browser: drag the camera; a method renders its view as time plays or is paused.
 
     Needs the package viser: pip install 'ggvs-eval[view]'.
 
