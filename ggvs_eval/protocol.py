@@ -11,10 +11,11 @@ from typing import Any, Literal
 
 from ggvs_eval.errors import ProtocolError, did_you_mean
 from ggvs_eval.files.images import ResizeFilter
-from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
+from ggvs_eval.files.toml_tables import build_table, key_of, parse_toml, read_toml
 from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.metric_choices import LATER, MetricChoices
 
+WayName = Literal["as-is", "mvsnerf", "enerf"]
 STREAMED = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")  # the usual metrics, and those that there are of the screen
 ON_SCREEN = "_stream"  # behind the name of a metric: of what stands on the screen, see `Stream`
 
@@ -121,6 +122,9 @@ class Measurement(MetricChoices):
         width: width to which both images are resized before anything is measured; 0 keeps the rendered size.
         height: height to which both images are resized; 0 keeps the rendered size.
         resize_filter: filter that resizes both images.
+        as_: way of measuring, see `ggvs_eval.measured_frames`: frames ``as-is``; ``mvsnerf``, as MVSNeRF's notebook measures LLFF
+            (both resized to 960 x 640, a tenth cut off at every side, SSIM of range 2); ``enerf``, as ENeRF's evaluator does (the
+            same without resizing).
         ceilings: also estimate the scores of perfect renderings, as grey rows of the tables.
         aggregation: order of the means.
     """
@@ -129,6 +133,7 @@ class Measurement(MetricChoices):
     width: int = 0
     height: int = 0
     resize_filter: ResizeFilter = "area"
+    as_: WayName = field(default="as-is", metadata=LATER)
     ceilings: bool = True
     aggregation: Literal["frames, views, scenes"] = "frames, views, scenes"
 
@@ -260,7 +265,7 @@ def _values_of(table: Any) -> dict[str, Any]:
         other = each.metadata.get("left out with", name)
         if not each.metadata or getattr(table, other) != fields[other].default:
             value = getattr(table, name)
-            values[name] = _values_of(value) if dataclasses.is_dataclass(value) else _plain(value)
+            values[key_of(name)] = _values_of(value) if dataclasses.is_dataclass(value) else _plain(value)
     return values
 
 

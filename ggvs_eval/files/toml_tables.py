@@ -76,9 +76,14 @@ def build_table(kind: type[Table], values: dict[str, Any], file: str, section: s
     return table
 
 
+def key_of(name: str) -> str:
+    """The key of a field in a file: its name, without the underscore that tells it from a word of Python (``as_``)."""
+    return name.removesuffix("_")
+
+
 def _table(kind: type[Table], values: dict[str, Any], section: str, faults: list[str]) -> Table:
     """The table as far as it can be read; what is wrong with it is added to `faults`."""
-    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    fields = {key_of(field.name): field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(kind)
     faults += [
         f"unknown key {section}{key}{did_you_mean(key, fields, cutoff=0.0, prefix=section)}"
@@ -90,7 +95,9 @@ def _table(kind: type[Table], values: dict[str, Any], section: str, faults: list
     if missing := [f"{section}{name}" for name in required if name not in values]:
         faults.append(f"missing key {', '.join(missing)}; add it, the known keys are {', '.join(fields)}")
     known = {key: value for key, value in values.items() if key in fields}
-    converted = {key: _convert(hints[key], value, f"{section}{key}", faults) for key, value in known.items()}
+    converted = {
+        fields[key].name: _convert(hints[fields[key].name], value, f"{section}{key}", faults) for key, value in known.items()
+    }
     return typing.cast(Table, None) if faults else kind(**converted)
 
 

@@ -9,13 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
-
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.coverage import Coverage
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import read_image, resize
+from ggvs_eval.files.images import read_image
 from ggvs_eval.jobs.job import Job
+from ggvs_eval.measured_frames import measured_frame, measured_mask, measuring_way
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metric_choices import MetricChoices
 from ggvs_eval.metrics.metric import MetricOptions, ViewMetric
@@ -53,10 +52,10 @@ def view_job(
     common: dict[str, Any] = {
         "truth": digest_frames(run.truth(view), coverage.numbers),
         "disoccluded": digest_frames(run.disoccluded(view), coverage.numbers),
-        "measurement": [str(value) for name, value in vars(measurement).items() if name != "metrics"],
+        "measurement": [str(value) for name, value in vars(measurement).items() if name not in ("metrics", "as_")],
         "metrics": {metric.name: _metric_identity(metric, options) for metric in metrics},
         "checks": checks_code(),
-    }
+    } | ({} if measurement.as_ == "as-is" else {"as": measurement.as_})
     stretches = {label: there for label in labels if (there := coverage.stretches(label, view))}
     identities = {
         label: common
@@ -250,6 +249,8 @@ def _score_screen(
 def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptions:
     """Return the protocol's options of the metrics, and where those compute that can."""
     chosen = {field.name: getattr(measurement, field.name) for field in fields(MetricChoices)}
+    if way := measuring_way(measurement):
+        chosen["ssim"] = way.ssim
     return MetricOptions(**chosen, device=device)
 
 
@@ -267,10 +268,7 @@ def _disoccluded(folder: Path, frames: range, measurement: Measurement) -> Itera
 
 
 def _read_mask(path: Path, measurement: Measurement) -> Mask:
-    mask = read_image(path)[..., 0]
-    if measurement.width:
-        mask = cv2.resize(mask, (measurement.width, measurement.height), interpolation=cv2.INTER_NEAREST)
-    return mask > 127
+    return measured_mask(read_image(path)[..., 0], measurement)
 
 
 def _instants(
@@ -287,6 +285,5 @@ def _instants(
                     f"{path}: wanted {true_size[0]} x {true_size[1]} pixels as the truth has, got {size[0]} x {size[1]}; "
                     "render at the protocol's size"
                 )
-        if measurement.width:
-            images = [resize(image, measurement.width, measurement.height, measurement.resize_filter) for image in images]
-        yield images[:-1], images[-1]
+        measured = [measured_frame(image, measurement) for image in images]
+        yield measured[:-1], measured[-1]

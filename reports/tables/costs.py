@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from ggvs_eval.measured_frames import measuring_way
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun, MetricNote
 from ggvs_eval.reports.model.table import (
@@ -347,5 +348,10 @@ def _same(protocol: Protocol) -> str:
     return (
         f"test views {', '.join(protocol.views.test)}, each left out of its own rendering and of the depth for it; "
         f"{protocol.frames.count} frames of {size}, resized by {synthesis.resize_filter}; K = {synthesis.k} sources for methods "
-        "that render from sources; scores from 8-bit pictures on disk by one implementation of each metric"
+        f"that render from sources; scores from 8-bit images on disk{_measured(protocol)} by one implementation of each metric"
     )
+
+
+def _measured(protocol: Protocol) -> str:
+    way = measuring_way(protocol.measurement)
+    return f", {way.describe}," if way else ""

@@ -223,9 +223,9 @@ def test_enerfs_and_mvsnerfs_ssim_is_that_of_float_pictures_without_a_range():
     from skimage.metrics import structural_similarity
 
     rendered, truth = large_pair((187, 339))  # of which a tenth is 18.7 and 33.9
-    large = [cv2.resize(image, (960, 640), interpolation=cv2.INTER_AREA) for image in (rendered, truth)]
+    large = [cv2.resize(image.astype(np.float64), (960, 640)) for image in (rendered, truth)]
     for frames, rows, columns, name in ((large, 64, 96, "MVSNeRF on LLFF"), ((rendered, truth), 18, 33, "ENeRF as published")):
-        first, second = (image[rows:-rows, columns:-columns].astype(np.float32) / np.float32(255) for image in frames)
+        first, second = (image[rows:-rows, columns:-columns] / 255 for image in frames)
         known = structural_similarity(first, second, channel_axis=2, data_range=2.0)
         (found,) = [measure(rendered, truth) for key, measure in frame_measures().items() if f"({name})" in key]
         assert found == pytest.approx(known, abs=1e-5)

@@ -46,7 +46,7 @@ def test_who_chose_the_views_is_said(name):
 def test_community_protocols_stand_apart_from_the_papers(name):
     """The authors' cameras are held out, at the published size, under a name of the data set that has no row of the paper."""
     protocol = load_protocol(name)
-    assert len(protocol.views.test) == (4 if name == "panoptic_sports" else 1)
+    assert len(protocol.views.test) == (4 if name.startswith(("panoptic", "llff")) else 1)
     assert protocol.dataset not in read_published("quality")
     assert protocol.views.keep_unsynced == (name in ("n3v_4dgs", "n3v_stg"))
     if name.startswith("n3v_"):

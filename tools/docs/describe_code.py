@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from ggvs_eval import metric_choices, protocol
+from ggvs_eval.files.toml_tables import key_of
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("ggvs_eval", "baselines", "contrib", "metrics", "pipelines", "reports")
@@ -58,7 +59,7 @@ def keys_table() -> str:
         meanings = _meanings(table) | _meanings(INHERITED.get(section, table))
         for each in dataclasses.fields(table):
             if each.name not in LEFT_OUT.get(section, set()):
-                key = f"{section}.{each.name}" if section else each.name
+                key = f"{section}.{key_of(each.name)}" if section else each.name
                 rows.append(f"| `{key}` | {_default(each)} | {meanings[each.name]}{_choices(table, each.name)} |")
     return "\n".join(rows)
 

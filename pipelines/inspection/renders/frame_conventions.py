@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.measured_frames import MVSNERF, cut_border
 from ggvs_eval.metrics.inputs import check_pair
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
@@ -16,11 +17,9 @@ MaskReader = Callable[[int], NDArray[np.bool_]]
 FrameMeasure = Callable[[Image8, Image8], float]
 BT601 = np.array([0.299, 0.587, 0.114])
 BT709 = np.array([0.2126, 0.7152, 0.0722])
-CROPPED_SHARE = 0.1
 Planes = NDArray[np.float64]
 Preparation = Callable[[Image8, Image8], tuple[Planes, Planes]]
 CEILING_DB = 100.0
-LLFF_SIZE = (960, 640)
 
 
 @dataclass(frozen=True)
@@ -85,9 +84,7 @@ def _video_luma(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
 
 def cropped(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
     """Both frames without a tenth of their size at every side, rounded down as ENeRF and MVSNeRF do."""
-    rows, columns = (int(size * CROPPED_SHARE) for size in truth.shape[:2])
-    inner = slice(rows, truth.shape[0] - rows), slice(columns, truth.shape[1] - columns)
-    return rendered[inner], truth[inner]
+    return cut_border(rendered), cut_border(truth)
 
 
 def grey(image: Image8) -> Image8:
@@ -100,10 +97,16 @@ def halved(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
     return _half(rendered), _half(truth)
 
 
-def at_llff_size(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
-    """Both frames at 960 x 640, at which MVSNeRF and ENeRF evaluate LLFF."""
-    first, second = (cv2.resize(image, LLFF_SIZE, interpolation=cv2.INTER_AREA) for image in (rendered, truth))
-    return np.asarray(first, np.uint8), np.asarray(second, np.uint8)
+def as_mvsnerf(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+    """Both frames as MVSNeRF's notebook measures LLFF, in levels of 255: at 960 x 640, without a border."""
+    first, second = (255 * MVSNERF.prepare(image) for image in (rendered, truth))
+    return first, second
+
+
+def at_llff_size(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+    """Both frames at the size at which MVSNeRF evaluates LLFF, resized as its notebook does, in levels of 255."""
+    whole = replace(MVSNERF, is_cut=False)
+    return 255 * whole.prepare(rendered), 255 * whole.prepare(truth)
 
 
 def half_truth(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
@@ -141,7 +144,7 @@ PREPARATIONS: Mapping[str, Preparation] = {
     "RGB, both at half size": lambda rendered, truth: _rgb(*halved(rendered, truth)),
     "RGB, truth of half size enlarged": lambda rendered, truth: _rgb(*half_truth(rendered, truth)),
     "RGB without a border of 10 %": lambda rendered, truth: _rgb(*cropped(rendered, truth)),
-    "RGB, both at 960 x 640, without a border of 10 %": lambda *pair: _rgb(*cropped(*at_llff_size(*pair))),
+    "RGB, both at 960 x 640, without a border of 10 % (MVSNeRF on LLFF)": as_mvsnerf,
     "RGB after the best affine colour map": _colour_corrected,
 }
 OUR_PSNR = "RGB, mean of the frames' PSNR"

@@ -13,7 +13,8 @@ import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import read_image, resize
+from ggvs_eval.files.images import read_image
+from ggvs_eval.measured_frames import resized_frame
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.protocol import Measurement
 from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, require_frames
@@ -181,9 +182,7 @@ def frame_reader(folder: Path, measurement: Measurement | None = None) -> FrameR
 
     def read(index: int) -> Image8:
         image = read_image(frame_path(folder, index))
-        if measurement is None or not measurement.width:
-            return image
-        return resize(image, measurement.width, measurement.height, measurement.resize_filter)
+        return image if measurement is None else resized_frame(image, measurement)
 
     return read
 

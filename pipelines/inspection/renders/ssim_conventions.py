@@ -24,6 +24,7 @@ from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
     FrameMeasure,
     MaskReader,
     Recomputed,
+    as_mvsnerf,
     at_llff_size,
     changes,
     cropped,
@@ -85,7 +86,7 @@ def frame_measures() -> dict[str, FrameMeasure]:
         "uniform 7 x 7, range 1, without a border of 10 % (ENeRF, later code)": lambda *pair: similarity(*cropped(*pair)),
         "uniform 7 x 7, range 2, without a border of 10 % (ENeRF as published)": partial(_prepared, cropped, data_range=2.0),
         "uniform 7 x 7, range 2, both at 960 x 640, without a border of 10 % (MVSNeRF on LLFF)": partial(
-            _prepared, lambda *pair: cropped(*at_llff_size(*pair)), data_range=2.0
+            _prepared, as_mvsnerf, data_range=2.0
         ),
     }
     sized: dict[str, FrameMeasure] = {
