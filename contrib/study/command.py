@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ggvs_eval.pipelines.commands.captures import ONE_PER_CORE, Jobs, Output
+from ggvs_eval.pipelines.commands.flags import ONE_PER_CORE, Jobs, Output
 
 Captures = Annotated[
     tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE|VIDEOS|VIDEO ...", help_behavior_hint="(default: the demo)")

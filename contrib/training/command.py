@@ -9,7 +9,7 @@ import tyro
 from ggvs_eval.contrib.training.recipes.recipe import TRAINED_BASELINES
 from ggvs_eval.contrib.training.request import Configuration, DataOptions, Guidance, LoopOptions, Size, TrainingRequest
 from ggvs_eval.errors import AbsentPartError
-from ggvs_eval.pipelines.commands.captures import Output
+from ggvs_eval.pipelines.commands.flags import Output
 from ggvs_eval.plugins import missing_part
 
 Training = tyro.conf.OmitArgPrefixes[LoopOptions]

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from ggvs_eval import built_in
-from ggvs_eval.pipelines.commands.captures import Output, Run
+from ggvs_eval.pipelines.commands.flags import Output, Run
 from ggvs_eval.plugins import Registry
 
 TRACKERS: Registry[Any] = Registry("trackers", built_in.TRACKERS)

@@ -1,6 +1,7 @@
 """Work left in runs, counted from their plans and folders; nothing is written."""
 
 import shutil
+import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -192,6 +193,28 @@ def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workloa
     means = {label: sum(values) / len(values) for label, values in seconds.items() if values}
     pieces = {(piece.kind, piece.folder): piece for plan in plans for piece in work_left(plan)}
     return Workload(_title(plans), tuple(pieces.values()), folder, means, jobs)
+
+
+def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool = False) -> None:
+    """Print what runs will do, as a few lines; nothing where all is done.
+
+    Args:
+        plans: of the runs.
+        jobs: processes.
+        folder: where they go.
+        dry_run: print it on stdout, and a line even where all is done: nothing will follow.
+
+    Raises:
+        ProtocolError: they need more room than the disk has.
+    """
+    if not plans:
+        return
+    work = count_work(plans, folder, jobs)
+    notes = [note for plan in plans for note in plan.capture.notes if note not in plan.request.capture.notes]
+    lines = [*dict.fromkeys(notes), *work.describe().splitlines()]
+    if lines or dry_run:
+        print("\n".join(lines) or f"{folder}: nothing is left to do", file=sys.stdout if dry_run else sys.stderr)
+    work.require_disk()
 
 
 def work_left(plan: RunPlan) -> list[Piece]:
