@@ -81,7 +81,7 @@ def prepare(
     if dry_run:
         return
     prepared = prepare_run(plan, engine)
-    print(write_prepared_page(prepared, depth.options().filled_confidence, engine.jobs))
+    print(write_prepared_page(prepared, engine.jobs))
     if fuse:
         fused = fuse_prepared(prepared)
         print(fused.points, fused.mesh, sep="\n")

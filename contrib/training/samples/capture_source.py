@@ -15,7 +15,9 @@ from ggvs_eval.contrib.worlds.domains import FIRST_TRAINING_SEED, VALIDATION_SEE
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.digest import digest_values
+from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 
 GRID = 8  # rays across and down, and depths
 
@@ -193,8 +195,8 @@ class CaptureSource:
         return {
             "plan": {name: value for name, value in asdict(self.plan).items() if name != "targets"},
             "depth": options.describe() if depth else None,
-            "sensor": options.sensor.describe() if depth and options.sensor else None,
-            "consistency": options.consistency.describe() if depth and options.consistency else None,
+            "sensor": describe_filter() if depth and options.sensor else None,
+            "consistency": describe_check() if depth and options.consistency else None,
         }
 
     def file_name(self, number: int) -> str:

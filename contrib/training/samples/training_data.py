@@ -23,7 +23,9 @@ from ggvs_eval.contrib.worlds.domains import DOMAINS, FIRST_TRAINING_SEED, PLAIN
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
+from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 
 FIRST_TRAINING_ROOM = FIRST_TRAINING_SEED
 WINDOW = (480, 360)  # of large images, pixels
@@ -111,7 +113,7 @@ class RoomPlan:
             "size": [self.width, self.height],
             "wide_share": self.wide_share,
             "depth": options.describe() if depth else None,
-            "consistency": options.consistency.describe() if depth and options.consistency else None,
+            "consistency": describe_check() if depth and options.consistency else None,
             **({} if self.domain == PLAIN else _describe_domain(self.domain)),
             **({"window": self.window} if self.window else {}),
         }
@@ -232,8 +234,7 @@ def _describe_domain(name: str) -> dict[str, Any]:
     domain = find_domain(name)
     described: dict[str, Any] = {"domain": name, "options": dict(domain.options), "strengths": dict(domain.strengths)}
     if domain.hand_held:
-        sensor = DepthRunOptions().options().sensor
-        described |= {"frames": [domain.gap, domain.span], "sensor": sensor.describe() if sensor else None}
+        described |= {"frames": [domain.gap, domain.span], "sensor": describe_filter()}
     return described
 
 
