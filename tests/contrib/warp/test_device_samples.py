@@ -10,7 +10,7 @@ from ggvs_eval.compute_device import one_thread
 from ggvs_eval.contrib.training import train_all, train_one
 from ggvs_eval.contrib.training.blend_task import BlendTask
 from ggvs_eval.contrib.training.loop import train
-from ggvs_eval.contrib.training.request import TrainingOptions, TrainingRequest
+from ggvs_eval.contrib.training.request import TrainingOptions
 from ggvs_eval.contrib.training.samples.sample_kinds import OF_VIEWS, BlendKind, InstantKind, rendered_views
 from ggvs_eval.contrib.training.samples.samples import SamplePool
 from ggvs_eval.contrib.training.samples.training_data import RoomPlan, domain_validation_plan
@@ -105,7 +105,7 @@ def test_a_training_s_device_reaches_its_samples(tmp_path, monkeypatch):
     prepared = []
     for module in (train_one, train_all):
         monkeypatch.setattr(module, "prepare_samples", lambda *samples: prepared.append(samples[1] + samples[0]))
-    request = TrainingRequest(rooms=1, targets=1, domains=("plain",), views=2, device=DEVICE)
+    request = TrainingOptions(rooms=1, targets=1, domains=("plain",), views=2, device=DEVICE)
     planned = [request, replace(request, device="cpu")]
     for each in planned:
         train_one.planned_task("blend", tmp_path, each)
