@@ -15,7 +15,7 @@ from ggvs_eval.contrib.study.captures import open_footage, prepare_views, study_
 from ggvs_eval.contrib.study.clips import Clip, SourceClip, Take, write_take
 from ggvs_eval.contrib.study.rendered_ladders import render, require_sources
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import CaptureError, MetricError
 from ggvs_eval.files.images import resize
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
@@ -32,20 +32,30 @@ RENDERER = render.__module__
 
 
 @dataclass(frozen=True)
-class TakeOptions:
-    """Options of the takes of a capture.
+class StudyOptions:
+    """Options of a metric study.
 
     Attributes:
+        metrics: names; those that do not cost much where there are none, ``all`` for every one.
+        ladders: names; all where there are none.
+        seeds: how often each ladder is planted in each take, with other random numbers.
+        frames: of a clip, and poses of a stretch of a camera path.
+        size: of the images' shorter side, pixels.
         on: what degradations are planted in: the ``truth``, where nothing else is wrong; or the online method's ``rendering`` of
             it, so that they compete with its own errors.
     """
 
+    metrics: tuple[str, ...] = ()
+    ladders: tuple[str, ...] = ()
+    seeds: int = 1
     frames: int = 12
     size: int = 168
     on: Literal["truth", "rendering"] = "truth"
 
     def __post_init__(self) -> None:
-        """Refuse clips that nothing can be measured on."""
+        """Refuse clips that nothing can be measured on, and degradations that cannot be planted."""
+        if self.seeds < 1:
+            raise MetricError(f"metric study: wanted at least 1 seed, got {self.seeds}")
         if self.on not in ("truth", "rendering"):
             raise CaptureError(f"metric study: wanted degradations on truth or rendering, got {self.on!r}")
         if self.frames < 5 or self.size < 32:
@@ -68,7 +78,7 @@ class Draft:
     depth: list[str]
 
 
-def make_takes(out: Path, captures: Sequence[Path], options: TakeOptions, workers: Workers) -> list[Take]:
+def make_takes(out: Path, captures: Sequence[Path], options: StudyOptions, workers: Workers) -> list[Take]:
     """Take clips of captures, or of the shipped demo where none is given; what is there is kept.
 
     Raises:
@@ -86,7 +96,7 @@ def make_takes(out: Path, captures: Sequence[Path], options: TakeOptions, worker
     return takes
 
 
-def _takes_of(out: Path, name: str, capture: Capture, options: TakeOptions, workers: Workers) -> list[Take]:
+def _takes_of(out: Path, name: str, capture: Capture, options: StudyOptions, workers: Workers) -> list[Take]:
     scale = options.size / min(capture.cameras[0].size)
     width, height = (2 * round(scale * each / 2) for each in capture.cameras[0].size)
     capture = capture.resized(width, height, "area")
@@ -104,13 +114,11 @@ def _takes_of(out: Path, name: str, capture: Capture, options: TakeOptions, work
     return [Take.open(job.folder, job.name) for job in jobs]
 
 
-def _identity(capture: Capture, options: TakeOptions) -> dict[str, Any]:
-    return {"frames": [capture.digest(name) for name in capture.camera_names], "options": vars(options), "code": _code(options)}
-
-
-def _code(options: TakeOptions) -> str:
-    """Hash of the code that renders, where degradations are planted in a rendering."""
-    return code_identity(RENDERER) if options.on == "rendering" else ""
+def _identity(capture: Capture, options: StudyOptions) -> dict[str, Any]:
+    """What the clips of a capture depend on; the code that renders too, where degradations are planted in a rendering."""
+    taken = {"frames": options.frames, "size": options.size, "on": options.on}
+    code = code_identity(RENDERER) if options.on == "rendering" else ""
+    return {"frames": [capture.digest(name) for name in capture.camera_names], "options": taken, "code": code}
 
 
 def fill_take(make: Callable[[], list[Clip]], on: str, folder: Path) -> dict[str, Any]:
@@ -126,7 +134,7 @@ def fill_take(make: Callable[[], list[Clip]], on: str, folder: Path) -> dict[str
     return {"views": [clip.name for clip in clips]}
 
 
-def _drafts(root: Path, capture: Capture, options: TakeOptions, workers: Workers) -> Iterator[Draft]:
+def _drafts(root: Path, capture: Capture, options: StudyOptions, workers: Workers) -> Iterator[Draft]:
     if capture.n_frames == 1:
         yield from _hand_held(root, capture, options, workers)
         return
@@ -180,7 +188,7 @@ def _sources(plan: RunPlan, planned: SourcePlan, frames: range) -> tuple[SourceC
     return tuple(sources)
 
 
-def _hand_held(root: Path, capture: Capture, options: TakeOptions, workers: Workers) -> Iterator[Draft]:
+def _hand_held(root: Path, capture: Capture, options: StudyOptions, workers: Workers) -> Iterator[Draft]:
     """A camera that was carried through a scene at rest: every second place is a pose, the others are sources."""
     needed = 2 * options.frames * STRETCHES
     if len(capture.cameras) < 2 * options.frames:
@@ -199,7 +207,7 @@ def _hand_held(root: Path, capture: Capture, options: TakeOptions, workers: Work
 
 
 def _stretches(
-    plan: RunPlan, poses: Sequence[SourcePlan], truth: Sequence[Image8], instant: int, options: TakeOptions, depths: Path
+    plan: RunPlan, poses: Sequence[SourcePlan], truth: Sequence[Image8], instant: int, options: StudyOptions, depths: Path
 ) -> Iterator[Draft]:
     """Stretches of a camera path, one after another."""
     for start in range(0, min(len(poses), STRETCHES * options.frames) - options.frames + 1, options.frames):

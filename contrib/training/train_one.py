@@ -30,7 +30,7 @@ from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.method import Instant
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetworkOptions
+from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetworkShape
 from ggvs_eval.plugins import DEVICE_PARTS
 
 STATISTICS_VIEWS = 48  # that running statistics are computed over
@@ -245,7 +245,7 @@ def planned_task(what: str, cache: Path, request: TrainingOptions) -> Task:
         baseline = baseline_task(what, cache, request, request.configuration, request.seed, is_trained, request.crop)
         prepare_samples(baseline.training, baseline.validation, default_workers())
         return baseline
-    config, device = BlendNetworkOptions(request.views, request.guidance, WIDTHS[request.size]), sample_device(request)
+    config, device = BlendNetworkShape(request.views, request.guidance, WIDTHS[request.size]), sample_device(request)
     schedule = blend_task.FINE_TUNING if is_trained else blend_task.LEARNING
     blend = BlendTask(*sample_pools(cache, request, BlendKind(device)), config, seed=request.seed, schedule=schedule)
     prepare_samples(blend.training, blend.validation, sample_workers(device))

@@ -15,7 +15,7 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import Image
 from ggvs_eval.metrics.metric import Value
 from ggvs_eval.metrics.path.epi_lines import Lines, find_lines
-from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, SlopeOptions, whole_path
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, whole_path
 
 MIN_POSES = 5
 STRAIGHT_PX = 0.5
@@ -24,6 +24,8 @@ LEAST_TEXTURE_255 = 0.25
 WIDER = 1.25
 COHERENCE_NAMES = ("EPI_coherence", "EPI_line_texture")
 BIN_PX = 1.0 / 1024
+TOLERANCE_PX, SLOPE_TEXTURE_255 = 0.1, 4.0  # of the slope agreement
+SLOPE_COHERENCE = 0.5  # of a line whose slope is believed, see `epi_coherence`
 WIDER_PX = 1.0
 SLOPE_NAMES = ("EPI_slope_error", "EPI_slope_agreeing", "EPI_slope_measured")
 NO_SLOPE = "EPI slope: no pixel has texture and a coherent line; no slope to compare with depth's"
@@ -200,14 +202,18 @@ class SlopeAgreement:
 
 
 def slope_agreement(
-    epis: Iterable[tuple[Image, NDArray[np.float32]]], path: HorizontalPath, options: SlopeOptions | None = None
+    epis: Iterable[tuple[Image, NDArray[np.float32]]],
+    path: HorizontalPath,
+    tolerance_px: float = TOLERANCE_PX,
+    least_texture_255: float = SLOPE_TEXTURE_255,
 ) -> SlopeAgreement:
     """Compare the slope of the lines in epipolar plane images with the slope that depth predicts, -f * step / z.
 
     Args:
         epis: pairs of an EPI, (V, W, 3), uint8 in 0..255 or float in [0, 1], and the same rows of the poses' depth, (V, W)
             float32, world units, 0 = unknown; consumed as a stream.
-        options: thresholds; the defaults where None.
+        tolerance_px: slopes that differ by no more agree, px per pose step.
+        least_texture_255: least root mean square gradient across a line, grey levels of 255 per pixel.
 
     Returns:
         The agreement over all pixels; the median is exact to 0.001 px.
@@ -216,7 +222,6 @@ def slope_agreement(
         Not in the paper. Slopes are searched 1 px beyond those of near and far, and from there to 0, so that an image that
         stands still shows it. The first and last two poses and a margin of columns have no whole window and no vote.
     """
-    options = options or SlopeOptions()
     low, high = path.slope_range_px
     slope_range_px = min(low, 0.0) - WIDER_PX, max(high, 0.0) + WIDER_PX
     bins = np.zeros(int((slope_range_px[1] - slope_range_px[0]) / BIN_PX) + 2, np.int64)
@@ -228,10 +233,10 @@ def slope_agreement(
         lines = find_lines(epi, slope_range_px)
         predicted = path.slope_px(_inner(depth, lines))
         has_depth = predicted != 0
-        error = np.abs(lines.slope_px - predicted)[has_depth & _is_measured(lines, options)]
+        error = np.abs(lines.slope_px - predicted)[has_depth & _is_measured(lines, least_texture_255)]
         bins += np.bincount(np.minimum(error / BIN_PX, len(bins) - 1).astype(np.int64), minlength=len(bins))
         n_with_depth += int(np.count_nonzero(has_depth))
-        agreeing += int(np.count_nonzero(error <= options.tolerance_px))
+        agreeing += int(np.count_nonzero(error <= tolerance_px))
         predicted_sum += float(np.abs(predicted).sum(dtype=np.float64))
     if not n_with_depth:
         raise MetricError("EPI slope: no depth along the path; give depth maps of the poses to compare slopes with")
@@ -249,10 +254,10 @@ def _inner(depth: NDArray[np.float32], lines: Lines) -> NDArray[np.float32]:
     return depth[2:-2, lines.first_column : depth.shape[1] - lines.first_column]
 
 
-def _is_measured(lines: Lines, options: SlopeOptions) -> NDArray[np.bool_]:
+def _is_measured(lines: Lines, least_texture_255: float) -> NDArray[np.bool_]:
     """Tell where texture and coherence suffice to trust a slope."""
-    coherent = lines.across - lines.along >= options.least_coherence * (lines.across + lines.along)
-    return coherent & (lines.across >= options.least_texture_255**2)
+    coherent = lines.across - lines.along >= SLOPE_COHERENCE * (lines.across + lines.along)
+    return coherent & (lines.across >= least_texture_255**2)
 
 
 def _measure_slopes(path: RenderedPath) -> list[Value]:
@@ -260,7 +265,7 @@ def _measure_slopes(path: RenderedPath) -> list[Value]:
     if len(depths) < len(path.cameras):
         raise MetricError(f"EPI slope: {len(depths)} of {len(path.cameras)} poses have a depth; give all of them one")
     pairs = ((epi, np.stack([depth[row] for depth in depths])) for row, epi in enumerate(path.epis()))
-    measured = slope_agreement(pairs, horizontal_path(path.cameras), path.options.slope)
+    measured = slope_agreement(pairs, horizontal_path(path.cameras))
     shares = whole_path(SLOPE_NAMES[1:], measured.agreeing_share, measured.measured_share)
     if measured.median_error_px is None:
         return shares

@@ -27,7 +27,7 @@ PREFIX = "encoder."  # of its names in the authors' checkpoint
 
 
 @dataclass(frozen=True)
-class MvsplatOptions:
+class MvsplatShape:
     """Shape of the network, and how its output is read.
 
     Attributes:
@@ -61,8 +61,8 @@ class MvsplatOptions:
 
 
 CONFIGURATIONS = {
-    "full": MvsplatOptions(),
-    "compact": MvsplatOptions((32, 48, 64), 64, 3, 8, 48, 48, 24, degree=1, published=False),
+    "full": MvsplatShape(),
+    "compact": MvsplatShape((32, 48, 64), 64, 3, 8, 48, 48, 24, degree=1, published=False),
 }
 
 
