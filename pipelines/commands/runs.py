@@ -328,8 +328,11 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
         folder: run folder, or folder of a sweep.
     """
     from ggvs_eval.jobs.ledger import describe_status
+    from ggvs_eval.pipelines.run.work_left import describe_outdated
 
     print(describe_status(folder))
+    if outdated := describe_outdated([RunFolder(folder)]):
+        print(f"{folder}: {outdated}; `ggvs-eval run` makes them again")
 
 
 def _flags(options: Any, default: Any) -> list[str]:
