@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -74,7 +74,10 @@ def draw_views(capture: Capture, plan: CapturePlan, name: str, number: int) -> t
     target = targets[np.random.default_rng([seed, 95, turn]).permutation(len(targets))[place]]
     rng = np.random.default_rng([seed, 96, number])
     if is_sequence(capture):
-        pool = _overlapping(within_rule(capture, target, plan), target, plan)
+        candidates = within_rule(capture, target, plan)
+        shares = {camera.name: overlap(target, camera) for camera in candidates}
+        enough = [camera for camera in candidates if shares[camera.name] >= plan.overlap]
+        pool = enough if len(enough) >= plan.views else sorted(candidates, key=lambda each: -shares[each.name])[: plan.views]
     else:
         wide = rng.random() < plan.wide_share
         pool = nearest_cameras(target, capture.cameras, min(2 * plan.views, len(capture.cameras) - 1) if wide else plan.views)
@@ -100,13 +103,6 @@ def overlap(target: Camera, source: Camera) -> float:
     uv = np.broadcast_to(np.stack([across, down], axis=-1), (GRID - 2, GRID, GRID, 2))
     seen_at, depth = source.project(target.unproject(uv, np.broadcast_to(depths, uv.shape[:-1])))
     return float(np.mean((depth > 0) & ((seen_at > 0) & (seen_at < source.size)).all(axis=-1)))
-
-
-def _overlapping(candidates: Sequence[Camera], target: Camera, plan: CapturePlan) -> list[Camera]:
-    """Cameras that see enough of the target's view, or the K that see most of it."""
-    shares = {camera.name: overlap(target, camera) for camera in candidates}
-    enough = [camera for camera in candidates if shares[camera.name] >= plan.overlap]
-    return enough if len(enough) >= plan.views else sorted(candidates, key=lambda each: -shares[each.name])[: plan.views]
 
 
 def possible_targets(capture: Capture, plan: CapturePlan) -> list[Camera]:
