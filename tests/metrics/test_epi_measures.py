@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.path.epi_lines import find_lines
-from ggvs_eval.metrics.path.epi_metrics import HorizontalPath, epi_coherence, horizontal_path, slope_agreement
+from ggvs_eval.metrics.path.epi_metrics import HorizontalPath, epi_coherence, find_lines, horizontal_path, slope_agreement
 from helpers.epi_scenes import FOCAL, POSES, SPAN, WALL, exact, path, rendered
 from helpers.refusals import refused
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.depth_frames import DepthFrames
+from ggvs_eval.datasets.rgbd import DepthFrames
 from ggvs_eval.depth_store import DepthStore, describe_depth
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.sensor import sensor_depth
