@@ -1,7 +1,7 @@
 """The verb of the command line that trains the networks of this package: a subcommand per network, and one for all."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 
@@ -50,7 +50,7 @@ def _training(what: str) -> Callable[..., None]:
 
     command: Callable[..., None] = train_side_by_side if what == ALL else train
     command.__doc__ = ABOUT[what] + ARGUMENTS
-    command.__annotations__["training"] = tyro.conf.OmitArgPrefixes[used]
+    command.__annotations__["training"] = Annotated[used, tyro.conf.OmitArgPrefixes]
     command.__defaults__ = (used(), *(command.__defaults__ or ()))
     return command
 

@@ -1,7 +1,7 @@
 """LPIPS v0.1, learned perceptual similarity (Zhang et al. 2018), on VGG16 or AlexNet."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -125,7 +125,7 @@ def compare_features(rendered: Features, truth: Features, net: LpipsNet) -> Lpip
     if [layer.shape for layer in rendered] != [layer.shape for layer in truth]:
         raise MetricError(f"LPIPS-{net}: the frames differ in size; resize or render again, metrics never resample")
     device = "cpu" if isinstance(truth[0], np.ndarray) else str(truth[0].device)
-    distance = _compiled_distances if device == "cpu" else _device_distances
+    distance: Callable[..., NDArray[np.float32]] = _compiled_distances if device == "cpu" else _device_distances
     maps = tuple(distance(*layer) for layer in zip(rendered, truth, load_heads(net, device), strict=True))
     value = require_finite(sum(float(each.mean(dtype=np.float64)) for each in maps), f"LPIPS-{net}")
     return LpipsDistance(value, maps)

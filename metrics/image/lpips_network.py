@@ -143,7 +143,8 @@ def network_input(image: Image, device: str = "cpu") -> "torch.Tensor":
 def compiled_input(image: Image) -> NDArray[np.float32]:
     """`network_input` as `compiled_layers` takes it, with the same bits: an array, (H, W, 3)."""
     signed = image.astype(np.float32) * np.float32(2.0 / white_level(image)) - np.float32(1)
-    return (signed - np.array(COLOUR_SHIFT, np.float32)) / np.array(COLOUR_SCALE, np.float32)
+    shift, scale = (np.array(each, np.float32) for each in (COLOUR_SHIFT, COLOUR_SCALE))
+    return np.asarray((signed - shift) / scale, np.float32)
 
 
 def network_input_of(images: "torch.Tensor") -> "torch.Tensor":

@@ -145,9 +145,11 @@ def run_demos(
     """
 
     def announce(each: RunPlan | SweepPlan) -> RunPlan | SweepPlan:
-        is_run = isinstance(each, RunPlan)
-        print_plan([each] if is_run else each.plans, engine.jobs, each.run.root if is_run else each.root, dry_run)
-        for failure in () if is_run or not dry_run else each.failures:
+        if isinstance(each, RunPlan):
+            print_plan([each], engine.jobs, each.run.root, dry_run)
+            return each
+        print_plan(each.plans, engine.jobs, each.root, dry_run)
+        for failure in each.failures if dry_run else ():
             print(f"failed: {failure}", file=sys.stderr)
         return each
 
