@@ -94,7 +94,7 @@ def measure_rig() -> dict[str, Figure]:
     with tempfile.TemporaryDirectory() as root:
         capture = write_rig(Path(root) / "rig", max(RIG_INSTANTS))
         for name in (PEER, "live"):
-            options = replace(MATCHERS[name](), consistency=None)
+            options = replace(MATCHERS[name](), consistency=False)
             jobs, times = plan_rig_depth(capture, options), []
             for instants in RIG_INSTANTS:
                 store, start = DepthStore(Path(root) / f"{name}{instants}"), _clocks()

@@ -21,7 +21,7 @@ from ggvs_eval.contrib.training.samples.sample_kinds import raw_views
 from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetwork, BlendNetworkOptions, compose_tensors, read_outputs
+from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetwork, BlendNetworkShape, compose_tensors, read_outputs
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
@@ -119,7 +119,7 @@ def measure_network_blender(setting: Setting, repeats: int = 5) -> dict[str, dic
 
 def _random_network(width: int) -> BlendNetwork:
     torch.manual_seed(0)
-    network: BlendNetwork = BlendNetwork(BlendNetworkOptions(width=width)).eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network: BlendNetwork = BlendNetwork(BlendNetworkShape(width=width)).eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network
 
 

@@ -23,7 +23,9 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.method import Instant, SourceView
+from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 
 VERSION = 2  # counts up whenever equal plans give other views
 REAL, REAL_TITLE = "real", "real hand-held"
@@ -114,7 +116,7 @@ def make_views(cache: Path, domain: str, seed: int, plan: ViewPlan, data: Path |
     capture, choices = _real(data, plan) if domain == REAL else render_domain(cache, domain, seed, plan)
     for frame in range(len(views_of(cache, domain, seed, plan)[0].files)):
         options = DepthRunOptions(plan.matcher).options()
-        maker = SampleMaker(capture, replace(options, consistency=None) if plan.alone else options, frame)
+        maker = SampleMaker(capture, replace(options, consistency=False) if plan.alone else options, frame)
         for view, (target, sources) in zip(views_of(cache, domain, seed, plan), choices, strict=True):
             if not view.files[frame].is_file():
                 write_view(view.files[frame], InstantSample(maker.instant(target, sources), maker.image(target)))
@@ -152,8 +154,7 @@ def _real(data: Path | None, plan: ViewPlan) -> tuple[Capture, Choices]:
 def _digest(domain: str, seed: int, plan: ViewPlan) -> str:
     """Names all that views depend on but their number."""
     depth = DepthRunOptions(plan.matcher).options()
-    parts = [depth, depth.consistency, depth.sensor]
-    described = [str(part.describe()) for part in parts if part is not None]
+    described = [str(each) for each in (depth.describe(), describe_check(), describe_filter())]
     shared = {name: value for name, value in asdict(plan).items() if name not in ("targets", "seeds")}
     if domain != REAL:
         rooms = domain_validation_plan(domain, plan.views, plan.targets, plan.seeds, plan.matcher, plan.size)

@@ -23,7 +23,9 @@ from ggvs_eval.files.images import quantise
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.consistency import WIDE_SHARE
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthPartners
 from ggvs_eval.progress import track
@@ -39,10 +41,10 @@ def main() -> None:
     arguments = _arguments()
     choices = {name: DepthRunOptions(name).options() for name in arguments.matchers}
     if arguments.pixels_alone:
-        plain = DepthRunOptions("sgbm").options()
-        choices = {PIXELS_ALONE: replace(plain, consistency=replace(plain.consistency, wide_share=0.0)), **choices}
+        choices = {PIXELS_ALONE: DepthRunOptions("sgbm").options(), **choices}
     rows: list[dict[str, object]] = []
     for name, options in choices.items():
+        consistency.WIDE_SHARE = 0.0 if name == PIXELS_ALONE else WIDE_SHARE
         views = [*_dome_views(arguments, options), *_room_views(arguments)]
         for view in track(views, name, len(views)):
             rows += [{"depth": name, **row} for row in _scores(view, options, arguments.methods)]

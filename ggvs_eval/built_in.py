@@ -29,12 +29,14 @@ class Verb(NamedTuple):
         target: its function, or the table of its subcommands, as ``module:attribute``.
         about: the first line of its help.
         group: heading under which the overview lists it.
+        example: arguments of one call, which its help shows; NETWORK stands for the name of a subcommand.
         wider: the verb that is called instead where an option is none of its own.
     """
 
     target: str
     about: str
     group: str
+    example: str
     wider: str = ""
 
 
@@ -46,124 +48,158 @@ VERBS: dict[str, Verb] = {
         f"{VERBS_ROOM}.captures:demo",
         "Unpack a demo capture that ships: a procedural dynamic room in the layout of a data set.",
         CAPTURES,
+        "room",
         "film",
     ),
     "film": Verb(
         "ggvs_eval.contrib.worlds.command:film",
         "Film a demo capture: a procedural dynamic room or garden in the layout of a data set, with exact depth beside it.",
         CAPTURES,
+        "room --layout dynerf --n-frames 8",
     ),
     "get": Verb(
         f"{VERBS_ROOM}.captures:get",
         "Fetch a public capture from where its authors publish it; its name then serves as --capture.",
         CAPTURES,
+        "n3v:flame_steak",
     ),
     "check": Verb(
         f"{VERBS_ROOM}.captures:check",
         "Check a capture for problems: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.",
         CAPTURES,
+        "my_capture --repair",
     ),
     "calibrate": Verb(
         f"{VERBS_ROOM}.captures:calibrate",
         "Find the cameras of a fixed rig from one instant, with COLMAP, and write them as a capture that every verb reads.",
         CAPTURES,
+        "my_videos my_capture",
     ),
     "undistort": Verb(
         f"{VERBS_ROOM}.captures:undistort",
         "Write raw videos of known lenses as pinhole videos, with the new intrinsics beside them for `calibrate`.",
         CAPTURES,
+        "raw_videos pinhole_videos --lenses rig.yml",
     ),
     "protocol": Verb(
         f"{VERBS_ROOM}.captures:protocol",
         "Propose a protocol for a capture, and say of every camera why it is held out as a test view or not.",
         CAPTURES,
+        "my_capture mine.toml --test cam02 cam05 --metrics PSNR SSIM LPIPS",
     ),
     "prepare": Verb(
         f"{VERBS_ROOM}.runs:prepare",
         "Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page.",
         RUNS,
+        "out/mine --capture my_capture --protocol mine.toml",
     ),
-    "render": Verb(f"{VERBS_ROOM}.runs:render", "Synthesise every test view of a prepared run by each method.", RUNS),
+    "render": Verb(
+        f"{VERBS_ROOM}.runs:render",
+        "Synthesise every test view of a prepared run by each method.",
+        RUNS,
+        "out/mine --methods ours no-blending",
+    ),
     "score": Verb(
         f"{VERBS_ROOM}.runs:score",
         "Measure all renders of a run, and frames that others rendered, under one protocol.",
         RUNS,
+        "--renders mine=my_renders --capture my_capture --protocol mine.toml",
     ),
     "merge": Verb(
-        f"{VERBS_ROOM}.merge:merge",
+        f"{VERBS_ROOM}.runs:merge",
         "Put run folders of one capture and protocol, made on several machines, into a new one, and make its table.",
         RUNS,
+        "out/both out/first out/second",
     ),
     "run": Verb(
         f"{VERBS_ROOM}.runs:run",
         "Run the whole evaluation (prepare, render, score, report); resumes completed steps.",
         RUNS,
+        "out/mine --capture my_capture --protocol mine.toml --methods ours distance-based",
     ),
     "sweep": Verb(
         f"{VERBS_ROOM}.runs:sweep",
         "Evaluate every row of a sweep under each of its variants and print one table of all.",
         RUNS,
+        "ablations out/ablations --capture my_capture --protocol mine.toml",
     ),
     "status": Verb(
         f"{VERBS_ROOM}.runs:status",
         "Show progress, failures and disk use of a run or sweep, also while it runs.",
         RUNS,
+        "out/ablations",
     ),
     "report": Verb(
         f"{VERBS_ROOM}.figures:report",
         "Write the page, tables (Markdown, CSV, LaTeX, Excel), figures and the comparison with the paper.",
         RESULTS,
+        "out/mine",
     ),
     "table": Verb(
         f"{VERBS_ROOM}.figures:table",
         "Print a table of scored runs for a paper, in seconds; of several scenes a table per metric with a column for each.",
         RESULTS,
+        "out/mine --columns PSNR SSIM LPIPS --to latex",
     ),
     "figure": Verb(
-        f"{VERBS_ROOM}.figures:figure", "Draw a figure for a paper, labelled, every method beside the truth.", RESULTS
+        f"{VERBS_ROOM}.figures:figure",
+        "Draw a figure for a paper, labelled, every method beside the truth.",
+        RESULTS,
+        "crops out/mine figures/crops",
     ),
     "compare": Verb(
         f"{VERBS_ROOM}.figures:compare",
         "Say what differs between two runs, method by method, or between two methods of a run, and whether that is significant.",
         RESULTS,
+        "ours mine --run out/mine",
     ),
     "doctor": Verb(
-        f"{VERBS_ROOM}.renders:doctor", "Find what is wrong with rendered frames before their numbers are believed.", FRAMES
+        f"{VERBS_ROOM}.renders:doctor",
+        "Find what is wrong with rendered frames before their numbers are believed.",
+        FRAMES,
+        "my_renders --capture my_capture --protocol mine.toml",
     ),
     "explain": Verb(
         f"{VERBS_ROOM}.renders:explain",
         "Recompute a number under every convention in use and say which one gives a quoted value, if any does.",
         FRAMES,
+        "out/mine ssim 0.936 --method mine",
     ),
     "steadiness": Verb(
-        f"{VERBS_ROOM}.steadiness:steadiness",
+        f"{VERBS_ROOM}.renders:steadiness",
         "Measure how steady videos or depth maps are over time, without any truth, and how sharp, since blur is steady too.",
         FRAMES,
+        "mine=my_video.mp4 theirs=their_video.mp4",
     ),
     "metric-study": Verb(
         "ggvs_eval.contrib.study.command:metric_study",
         "Plant degradations of known strength in true frames, and find out which metric sees which and what it is blind to.",
         FRAMES,
+        "out/study --capture my_capture",
     ),
     "play": Verb(
         f"{VERBS_ROOM}.play:play",
         "Render a camera orbit within the rig to a video and report the frame rate.",
         LIVE,
+        "my_capture round.mp4",
     ),
     "view": Verb(
         f"{VERBS_ROOM}.play:view",
         "View a scene in the browser: drag the camera; a method renders its view as time plays or is paused.",
         LIVE,
+        "my_capture",
     ),
     "export": Verb(
         "ggvs_eval.contrib.export.command:export",
         "Write 3D Gaussians, one cloud or a sequence, as one .glb that viewers open and play (glTF, KHR_gaussian_splatting).",
         LIVE,
+        "my_clouds sequence.glb --capture my_capture",
     ),
     "train": Verb(
         "ggvs_eval.contrib.training.command:TRAININGS",
         "Train a network of this package; a second call goes on where the first one stopped.",
         LIVE,
+        "out/NETWORK --steps 5000",
     ),
 }
 

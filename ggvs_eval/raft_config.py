@@ -4,10 +4,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 Norm = Literal["batch", "instance"]
+CORR_LEVELS = 4  # sizes of the correlation pyramid
+CORR_RADIUS = 4  # cells looked up on either side, per level
 
 
 @dataclass(frozen=True)
-class RaftOptions:
+class RaftShape:
     """Shape of the network; the defaults are the authors' default.
 
     Attributes:
@@ -22,8 +24,6 @@ class RaftOptions:
         motion_width: channels of the motion encoder's first layers.
         motion_features: channels that it gives; those of the state where None.
         head_width: channels inside the heads for flow and upsampling weights.
-        corr_levels: sizes of the correlation pyramid.
-        corr_radius: cells looked up on either side, per level.
         early_stride: the trunk halves the image as early as it can; the authors halve as late as they can, which costs four times
             as much.
     """
@@ -39,8 +39,6 @@ class RaftOptions:
     motion_width: int = 64
     motion_features: int | None = None
     head_width: int = 256
-    corr_levels: int = 4
-    corr_radius: int = 4
     early_stride: bool = False
 
     @property
@@ -55,7 +53,7 @@ class RaftOptions:
         return first, second, third
 
 
-COMPACT = RaftOptions(
+COMPACT = RaftShape(
     shared_backbone=True,
     n_gru_layers=2,
     context_norm="instance",
@@ -68,8 +66,8 @@ COMPACT = RaftOptions(
 )
 
 # raftstereo-middlebury, -eth3d and -sceneflow share one configuration.
-PUBLISHED: dict[str, RaftOptions] = {
-    "default": RaftOptions(),
-    "realtime": RaftOptions(shared_backbone=True, n_downsample=3, n_gru_layers=2, slow_fast_gru=True),
-    "rvc": RaftOptions(context_norm="instance"),
+PUBLISHED: dict[str, RaftShape] = {
+    "default": RaftShape(),
+    "realtime": RaftShape(shared_backbone=True, n_downsample=3, n_gru_layers=2, slow_fast_gru=True),
+    "rvc": RaftShape(context_norm="instance"),
 }

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ggvs_eval.raft_config import RaftOptions
+from ggvs_eval.raft_config import CORR_LEVELS, CORR_RADIUS, RaftShape
 
 VOLUME_BYTES = 512 * 2**20  # a larger volume is not kept but computed again for every lookup, row by row
 Context = tuple[Tensor, Tensor]  # the context's share of both gates, (B, 2 C, H, W), and of the candidate, (B, C, H, W)
@@ -111,9 +111,9 @@ class ConvGru(nn.Module):
 class MotionEncoder(nn.Module):
     """Mixes correlations with the flow they were looked up at."""
 
-    def __init__(self, config: RaftOptions) -> None:
+    def __init__(self, config: RaftShape) -> None:
         super().__init__()
-        looked_up = config.corr_levels * (2 * config.corr_radius + 1)
+        looked_up = CORR_LEVELS * (2 * CORR_RADIUS + 1)
         width = config.motion_width
         self.convc1 = nn.Conv2d(looked_up, width, 1)
         self.convc2 = nn.Conv2d(width, width, 3, padding=1)
@@ -147,7 +147,7 @@ class FlowHead(nn.Module):
 class UpdateBlock(nn.Module):
     """One iteration over all levels, coarse to fine."""
 
-    def __init__(self, config: RaftOptions) -> None:
+    def __init__(self, config: RaftShape) -> None:
         super().__init__()
         hidden, levels = config.hidden_width, config.n_gru_layers
         self.config = config
@@ -213,7 +213,7 @@ def walk(
         `slow_fast_gru` with three levels first updates the coarsest alone, then the two coarse ones, then all; with two levels,
         the coarse one, then both.
     """
-    correlation = Correlation(of_left, of_right, block.config.corr_levels, block.config.corr_radius, volume_bytes)
+    correlation = Correlation(of_left, of_right, CORR_LEVELS, CORR_RADIUS, volume_bytes)
     hidden = [state for state, _ in states]
     context = [_split(conv(features)) for conv, (_, features) in zip(gates, states, strict=True)]
     batch, _, height, width = of_left.shape

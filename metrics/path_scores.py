@@ -9,7 +9,7 @@ from pathlib import Path
 from ggvs_eval.built_in import PATH_METRICS
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.metric import Value
-from ggvs_eval.metrics.path.rendered_path import PathMetric, PathOptions, PathPose, PathScorer, RenderedPath
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose, PathScorer, RenderedPath
 from ggvs_eval.metrics.registry import METRICS, measured
 
 
@@ -31,12 +31,11 @@ class PathScores:
     n_switches: int | None
 
 
-def score_path(poses: Iterable[PathPose], options: PathOptions | None = None, metrics: Collection[str] = ()) -> PathScores:
+def score_path(poses: Iterable[PathPose], metrics: Collection[str] = ()) -> PathScores:
     """Measure the view consistency of images along a camera path.
 
     Args:
         poses: in order; consumed as a stream. Two poses and `n_rows` rows of each are in memory.
-        options: variants; the defaults where None.
         metrics: names of those that take seconds and are measured only where they are named; all others always are.
 
     Returns:
@@ -56,7 +55,7 @@ def score_path(poses: Iterable[PathPose], options: PathOptions | None = None, me
     """
     scorers = dict.fromkeys(metric.scorer for metric in measured_on_path(metrics))
     with tempfile.TemporaryDirectory(prefix="ggvs-path-") as folder:
-        path = RenderedPath(options or PathOptions(), Path(folder) if any(one.wants_images for one in scorers) else None)
+        path = RenderedPath(Path(folder) if any(one.wants_images for one in scorers) else None)
         for pose in poses:
             path.add(pose)
         if not path.cameras:

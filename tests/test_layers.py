@@ -67,7 +67,7 @@ FORBIDDEN = {
     "pipelines": ("reports",),
 }
 MAY_START_REPORTS = {
-    *("pipelines.commands.figures", "pipelines.commands.steadiness"),
+    *("pipelines.commands.figures", "pipelines.commands.renders"),
     *("pipelines.run.evaluate", "pipelines.run.depth_outputs"),
 }
 

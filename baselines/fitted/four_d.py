@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ggvs_eval.baselines.fitted.hexplane import DeformationNetwork, compact
-from ggvs_eval.baselines.fitted.optimiser import GaussianFitter, Journal, clip_options, optimise
+from ggvs_eval.baselines.fitted.optimiser import GaussianFitter, Journal, clip_schedule, optimise
 from ggvs_eval.baselines.fitted.points import Points, initial_points
 from ggvs_eval.baselines.fitted.scene import (
     SCENE,
@@ -67,7 +67,7 @@ class FourD(GaussianFitter):
         """Fit one cloud to the clip."""
         device = compute_device(self.device)
         shots = Shots(footage, footage.indices, folder)
-        options = clip_options(self.steps, self.steps // 4, self.most, self.structure, self.save_every)
+        options = clip_schedule(self.steps, self.steps // 4, self.most, self.structure, self.save_every)
         with one_thread(), computing_on(device):
             state = self._state(footage, shots, folder / STATE, device)
             journal = Journal(folder, "fit", self.steps, 0, state.step, progress)

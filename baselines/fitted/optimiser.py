@@ -28,6 +28,7 @@ STRUCTURE = 0.2  # its share in the loss
 WINDOW, SIGMA_PX = 11, 1.5
 MARGIN = WINDOW // 2
 C1, C2 = 0.01**2, 0.03**2
+LARGE = 0.01  # standard deviation, in extents of the rig, from which on a Gaussian is split instead of cloned
 SHRINK = 1.6  # a Gaussian that is split leaves two, smaller by this
 LAST_LENGTH_RATE, LAST_SHARED_RATE = 0.01, 0.1  # of the first one, at the last step: of lengths, and of what all share
 WATCHED = 4  # training images whose PSNR is the curve
@@ -103,14 +104,13 @@ def _blurred(image: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 @dataclass(frozen=True)
-class DensityOptions:
+class DensitySchedule:
     """Density control, by which Gaussians are added and taken away; the published values of 3D Gaussian splatting.
 
     Attributes:
         first: step of the first round.
         last: no round after this step.
         gradient: mean norm of the screen gradient, in units of half the image, from which on a Gaussian is not enough.
-        large: largest standard deviation, in extents of the rig, from which on it is split instead of cloned.
         least_opacity: below it a Gaussian is taken away.
         most: Gaussians at most; those that the image pulls at most come first.
     """
@@ -119,7 +119,6 @@ class DensityOptions:
     first: int = 500
     last: int = 4000
     gradient: float = 2e-4
-    large: float = 0.01
     least_opacity: float = 0.005
     most: int = 60_000
 
@@ -141,7 +140,7 @@ def watch_gradients(state: FitState, gradient_px: Tensor, radii: Tensor, camera:
     state.visits += visible
 
 
-def control_density(state: FitState, extent: float, options: DensityOptions, seed: int) -> None:
+def control_density(state: FitState, extent: float, options: DensitySchedule, seed: int) -> None:
     """Clone small Gaussians and split large ones where the gradient is high; prune what is transparent.
 
     Args:
@@ -155,7 +154,7 @@ def control_density(state: FitState, extent: float, options: DensityOptions, see
         if int(dense.sum()) > room:
             strongest = torch.sort(torch.where(dense, pull, -1), descending=True, stable=True).indices[:room]
             dense = torch.zeros_like(dense).index_fill_(0, strongest, value=True)
-        large = state.gaussians["log_scales"].exp().amax(dim=1) > options.large * extent
+        large = state.gaussians["log_scales"].exp().amax(dim=1) > LARGE * extent
         kept, cloned, split = (torch.nonzero(rows)[:, 0] for rows in (opaque & ~(dense & large), dense & ~large, dense & large))
         rows = torch.cat([kept, cloned, split, split])
         fresh = torch.arange(len(rows), device=rows.device) >= len(kept)
@@ -212,7 +211,7 @@ class GaussianFitter(SceneFitter):
 
 
 @dataclass(frozen=True)
-class OptimiserOptions:
+class FitSchedule:
     """Schedule of one fit.
 
     Attributes:
@@ -226,22 +225,22 @@ class OptimiserOptions:
     steps: int
     coarse_steps: int = 0
     rate: float = 1.0
-    density: DensityOptions | None = field(default_factory=DensityOptions)
+    density: DensitySchedule | None = field(default_factory=DensitySchedule)
     structure: float = STRUCTURE
     save_every: int = 500
     measure_every: int = 500
 
 
-def clip_options(steps: int, coarse_steps: int, most: int, structure: float, save_every: int) -> OptimiserOptions:
-    """Options of a fit from first points to the end: density control in the first half, less often only in long fits.
+def clip_schedule(steps: int, coarse_steps: int, most: int, structure: float, save_every: int) -> FitSchedule:
+    """The schedule of a fit from first points to the end: density control in the first half, less often only in long fits.
 
     Args:
         coarse_steps: of these, without motion.
         most: Gaussians at most.
         structure: share of 1 - SSIM in the loss.
     """
-    density = DensityOptions(every=max(1, min(100, steps // 40)), first=min(500, steps // 10), last=steps // 2, most=most)
-    return OptimiserOptions(steps, coarse_steps, density=density, structure=structure, save_every=save_every)
+    density = DensitySchedule(every=max(1, min(100, steps // 40)), first=min(500, steps // 10), last=steps // 2, most=most)
+    return FitSchedule(steps, coarse_steps, density=density, structure=structure, save_every=save_every)
 
 
 class Journal:
@@ -269,7 +268,7 @@ class Journal:
         draw_curves(self._folder, self._name)
 
 
-def optimise(state: FitState, shots: Shots, options: OptimiserOptions, journal: Journal, checkpoint: Path | None) -> None:
+def optimise(state: FitState, shots: Shots, options: FitSchedule, journal: Journal, checkpoint: Path | None) -> None:
     """Do the steps that a fit still lacks.
 
     Args:
@@ -292,7 +291,7 @@ def optimise(state: FitState, shots: Shots, options: OptimiserOptions, journal: 
             state.write(checkpoint)
 
 
-def _step(state: FitState, shot: Shot, options: OptimiserOptions, extent: float, near: float) -> float:
+def _step(state: FitState, shot: Shot, options: FitSchedule, extent: float, near: float) -> float:
     """Look at one image and move everything once; the loss of it."""
     _set_rates(state, options, extent)
     is_coarse = state.motion.has_coarse_stage and state.step < options.coarse_steps
@@ -310,7 +309,7 @@ def _step(state: FitState, shot: Shot, options: OptimiserOptions, extent: float,
     return float(loss.detach())
 
 
-def _set_rates(state: FitState, options: OptimiserOptions, extent: float) -> None:
+def _set_rates(state: FitState, options: FitSchedule, extent: float) -> None:
     """Learning rates of a step: lengths count in extents, and fall log-linearly with what all Gaussians share."""
     share = state.step / max(1, options.steps - 1)
     for group in state.optimiser.param_groups:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from ggvs_eval.baselines.fitted.optimiser import GaussianFitter, Journal, clip_options, optimise
+from ggvs_eval.baselines.fitted.optimiser import GaussianFitter, Journal, clip_schedule, optimise
 from ggvs_eval.baselines.fitted.points import initial_points
 from ggvs_eval.baselines.fitted.scene import NoMotion, StoredScene, render_cloud, write_scene
 from ggvs_eval.baselines.fitted.shots import Shots
@@ -47,7 +47,7 @@ class PerInstant(GaussianFitter):
     def fit(self, footage: Footage, folder: Path, progress: Progress) -> None:
         """Fit a cloud to each instant that has none yet."""
         device = compute_device(self.device)
-        options = clip_options(self.steps, 0, self.most, self.structure, self.save_every)
+        options = clip_schedule(self.steps, 0, self.most, self.structure, self.save_every)
         missing = [index for index in footage.indices if not scene_file(folder, index).is_file()]
         finished = len(footage.indices) - len(missing)
         for place, index in enumerate(missing):

@@ -11,11 +11,11 @@ import numpy as np
 import torch
 
 from ggvs_eval.baselines.fitted.optimiser import (
-    DensityOptions,
+    DensitySchedule,
+    FitSchedule,
     GaussianFitter,
     Journal,
-    OptimiserOptions,
-    clip_options,
+    clip_schedule,
     optimise,
     rotated,
 )
@@ -93,7 +93,7 @@ class Stream(GaussianFitter):
         index = footage.indices[0]
         state = fresh_or_stored(footage, index, (self.points, self.degree), folder / STATE, device)
         journal = self._journal(footage, folder, 0, state.step, progress)
-        options = clip_options(self.steps, 0, self.most, self.structure, self.save_every)
+        options = clip_schedule(self.steps, 0, self.most, self.structure, self.save_every)
         optimise(state, Shots(footage, [index], folder, salt=index), options, journal, folder / STATE)
         write_scene(scene_file(folder, index), state.gaussians, state.motion, footage)
         (folder / STATE).unlink()
@@ -105,15 +105,15 @@ class Stream(GaussianFitter):
         journal = self._journal(footage, folder, before, 0, progress)
         field = TransformationMotion(box_of(base["means"]), shots.extent, footage.seed).to(device)
         moving = FitState(base, field, learns_gaussians=False)
-        transforming = OptimiserOptions(self.transforming, density=None, structure=self.structure, measure_every=0)
+        transforming = FitSchedule(self.transforming, density=None, structure=self.structure, measure_every=0)
         optimise(moving, shots, transforming, journal, None)
         with torch.no_grad():
             base = field.moved(base)
         added = self._spawned(base, moving, footage.seed + index)
         later = self._journal(footage, folder, before + self.transforming, 0, progress)
         state = FitState(added, Backdrop(base))
-        density = DensityOptions(20, 20, self.spawning - 20, GRADIENT, least_opacity=0.01, most=self.spawned)
-        spawning = OptimiserOptions(self.spawning, rate=RATE, density=density, structure=self.structure, measure_every=0)
+        density = DensitySchedule(20, 20, self.spawning - 20, GRADIENT, least_opacity=0.01, most=self.spawned)
+        spawning = FitSchedule(self.spawning, rate=RATE, density=density, structure=self.structure, measure_every=0)
         optimise(state, shots, spawning, later, None)
         later.measure(state, shots)
         write_scene(scene_file(folder, index), state.gaussians, field, footage)

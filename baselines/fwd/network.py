@@ -31,7 +31,7 @@ OF = "FWD (this project's names)"
 
 
 @dataclass(frozen=True)
-class FwdOptions:
+class FwdShape:
     """Widths of the network.
 
     Attributes:
@@ -52,8 +52,8 @@ class FwdOptions:
 
 
 CONFIGURATIONS = {
-    "full": FwdOptions(),
-    "compact": FwdOptions(32, (16, 24, 24), (8, 16), (32, 48, 64, 64, 48, 32, 16), 16, 8),
+    "full": FwdShape(),
+    "compact": FwdShape(32, (16, 24, 24), (8, 16), (32, 48, 64, 64, 48, 32, 16), 16, 8),
 }
 
 

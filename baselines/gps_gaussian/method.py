@@ -230,7 +230,7 @@ class GpsGaussian:
         weights: file of its weights, see `load_network`.
         depth: ``own`` stereo between the two images, or the depth ``given`` with the sources; Gaussians are its own either way.
         pairs: how many pairs are rendered together; by default what the weights' configuration says, one for the authors'.
-        rotations_in: what the network's rotations refer to, see `GpsGaussianOptions`, which says it where nothing is said here.
+        rotations_in: what the network's rotations refer to, see `GpsGaussianShape`, which says it where nothing is said here.
 
     Reading:
         The network knows metres: inverse depth goes in per metre, and scales, at most 0.01 m, come out in metres. What that is in

@@ -18,12 +18,12 @@ from torch.serialization import safe_globals
 from ggvs_eval.baselines.learned import FULL
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.weights_file import configuration_of, load_strict, read_tensors
-from ggvs_eval.raft_config import RaftOptions
+from ggvs_eval.raft_config import RaftShape
 from ggvs_eval.raft_update import UpdateBlock, upsample_convex, walk
 from ggvs_eval.residual_block import ResidualBlock
 
 HIDDEN = 96  # channels of the state
-SHAPE = RaftOptions(n_downsample=3, n_gru_layers=1, hidden_width=HIDDEN, motion_features=128)
+SHAPE = RaftShape(n_downsample=3, n_gru_layers=1, hidden_width=HIDDEN, motion_features=128)
 CHANNELS_PER_GROUP = 8  # of the residual blocks' group normalisation
 STEM_WIDTH, STEM_GROUPS = 32, 8
 HEAD_WIDTH = 32
@@ -188,7 +188,7 @@ def _double(features: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class GpsGaussianOptions:
+class GpsGaussianShape:
     """Shape of the network, and how it is used.
 
     Attributes:
@@ -210,8 +210,8 @@ class GpsGaussianOptions:
 
 
 CONFIGURATIONS = {
-    "full": GpsGaussianOptions(),
-    "compact": GpsGaussianOptions((16, 24, 48), (24, 32, 48), stereo=False, pairs=2, rotations_in="camera", whole=True),
+    "full": GpsGaussianShape(),
+    "compact": GpsGaussianShape((16, 24, 48), (24, 32, 48), stereo=False, pairs=2, rotations_in="camera", whole=True),
 }
 
 

@@ -127,7 +127,7 @@ def _convolution(width_in: int, width: int, size: int, stride: int = 1, bias: bo
 
 
 @dataclass(frozen=True)
-class IbrnetOptions:
+class IbrnetShape:
     """Shape of the networks, and how finely a ray is sampled.
 
     Attributes:
@@ -141,7 +141,7 @@ class IbrnetOptions:
     samples: int = 64
 
 
-CONFIGURATIONS = {"full": IbrnetOptions(), "compact": IbrnetOptions(16, (2, 2, 2), 32)}
+CONFIGURATIONS = {"full": IbrnetShape(), "compact": IbrnetShape(16, (2, 2, 2), 32)}
 
 
 class Networks(nn.Module):

@@ -14,7 +14,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.contrib.worlds.film.film import read_exact_depth
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, DepthEstimator, DepthOptions
 from ggvs_eval.progress import track
 
 FRAME = 4
@@ -40,7 +40,7 @@ def evaluate_rooms(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOpt
         masks = find_regions(truth, image, RegionOptions()) | {WHOLE: truth > 0}
         for matcher, each in options.items():
             depth_map = estimate_depth(room.capture, camera, image, each)
-            for region, (evaluated, rejected) in errors_by_region(depth_map, truth, masks, each.filled_confidence).items():
+            for region, (evaluated, rejected) in errors_by_region(depth_map, truth, masks, FILLED_CONFIDENCE).items():
                 errors.setdefault((room.name, region, matcher), []).append((evaluated, rejected))
     table = _table(rooms, list(options), errors)
     return table, _figures(table)

@@ -15,7 +15,7 @@ from benchmarks.depth_validation.temporal_spread import estimate_views
 from ggvs_eval.camera import Camera
 from ggvs_eval.contrib.worlds.film.film import read_exact_depth
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import KEYFRAME_EVERY
 
 MEASURES = (
     Measure("time_saved_percent", "% of CPU seconds", higher_is_better=True),
@@ -42,8 +42,7 @@ def evaluate_reuse(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOpt
         truths = np.stack([read_exact_depth(room.capture.path, camera.name, frame) for frame in range(FRAMES)])
         rows[room.name] = {}
         for matcher, each in options.items():
-            whole = replace(each, time=DepthRunOptions(reuse_static=False).options().time)
-            reused = replace(each, time=DepthRunOptions(reuse_static=True).options().time)
+            whole, reused = (replace(each, keyframe_every=every) for every in (1, KEYFRAME_EVERY))
             (seconds, good), (fewer, still_good) = (_measured(room, camera, images, truths, way) for way in (whole, reused))
             values = (100 * (1 - fewer / seconds), good, still_good)
             rows[room.name] |= {(matcher, measure.name): value for measure, value in zip(MEASURES, values, strict=True)}

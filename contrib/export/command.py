@@ -7,7 +7,7 @@ import tyro
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CommandError, RenderError
-from ggvs_eval.pipelines.commands.captures import Layout
+from ggvs_eval.pipelines.commands.flags import Layout
 
 FPS = 30.0  # of a sequence whose capture is not given
 Direction = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]

@@ -78,10 +78,12 @@ def dists_features(image: Image, device: str = "cpu") -> "list[torch.Tensor]":
 
 def _block(features: "torch.Tensor", first: int, last: int, weights: "dict[str, torch.Tensor] | None") -> "torch.Tensor":
     """Convolutions of VGG16 from `first` to `last`, with these weights or by the compiled kernel."""
+    import torch
     from torch.nn import functional
 
     if weights is None:
-        return compiled_layers(features, first, last)[0]
+        pixels = np.ascontiguousarray(features[0].permute(1, 2, 0).numpy())
+        return torch.from_numpy(compiled_layers(pixels, first, last)[0]).permute(2, 0, 1)[None]
     for i in range(first, last):
         features = functional.conv2d(features, weights[f"conv{i}.weight"], weights[f"conv{i}.bias"], 1, 1).relu_()
     return features

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ggvs_eval.pipelines.commands.captures import ONE_PER_CORE, Jobs, Output
+from ggvs_eval.pipelines.commands.flags import ONE_PER_CORE, Jobs, Output
 
 Captures = Annotated[
     tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE|VIDEOS|VIDEO ...", help_behavior_hint="(default: the demo)")
@@ -41,13 +41,13 @@ def metric_study(
         seeds: how often each degradation is planted in each clip.
         jobs: processes.
     """
-    from ggvs_eval.contrib.study.study import StudyOptions, run_study
+    from ggvs_eval.contrib.study.study import run_study
     from ggvs_eval.contrib.study.study_figure import draw_study
     from ggvs_eval.contrib.study.study_tables import absence_list, study_text, verdict_table
-    from ggvs_eval.contrib.study.takes import TakeOptions
+    from ggvs_eval.contrib.study.takes import StudyOptions
     from ggvs_eval.files.atomic import write_text
 
-    study = run_study(out, capture, StudyOptions(metrics, ladders, seeds, TakeOptions(frames, size, on)), jobs)
+    study = run_study(out, capture, StudyOptions(metrics, ladders, seeds, frames, size, on), jobs)
     write_text(out / "study.md", study_text(study))
     print(verdict_table([study]))
     if absent := absence_list(study):

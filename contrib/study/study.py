@@ -1,7 +1,7 @@
 """The metric study from top to bottom: takes of captures, every series measured, and the answer of each metric to each ladder."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,7 @@ import pandas as pd
 from ggvs_eval.contrib.study.clips import Take
 from ggvs_eval.contrib.study.ladders import Ladder, select_ladders
 from ggvs_eval.contrib.study.measure import series_job, study_metrics
-from ggvs_eval.contrib.study.takes import TakeOptions, make_takes
-from ggvs_eval.errors import MetricError
+from ggvs_eval.contrib.study.takes import StudyOptions, make_takes
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
@@ -21,28 +20,6 @@ from ggvs_eval.statistics.rank_correlation import answer
 
 STUDY_FILE, VALUES_FILE = "study.json", "values.csv"
 COLUMNS = ("capture", "take", "seed", "ladder", "strength", "metric", "value")
-
-
-@dataclass(frozen=True)
-class StudyOptions:
-    """Options of a metric study.
-
-    Attributes:
-        metrics: names; those that do not cost much where there are none, ``all`` for every one.
-        ladders: names; all where there are none.
-        seeds: how often each ladder is planted in each take, with other random numbers.
-        takes: length and size of the clips.
-    """
-
-    metrics: tuple[str, ...] = ()
-    ladders: tuple[str, ...] = ()
-    seeds: int = 1
-    takes: TakeOptions = field(default_factory=TakeOptions)
-
-    def __post_init__(self) -> None:
-        """Refuse options that cannot be planted."""
-        if self.seeds < 1:
-            raise MetricError(f"metric study: wanted at least 1 seed, got {self.seeds}")
 
 
 def run_study(out: Path, captures: Sequence[Path], options: StudyOptions, workers: Workers = 1) -> dict[str, Any]:
@@ -55,7 +32,7 @@ def run_study(out: Path, captures: Sequence[Path], options: StudyOptions, worker
         What ``study.json`` holds.
     """
     metrics, ladders = study_metrics(options.metrics), select_ladders(options.ladders)
-    takes = make_takes(out, captures, options.takes, workers)
+    takes = make_takes(out, captures, options, workers)
     undegraded, series, refusals = _plan(out, takes, ladders, metrics, options.seeds)
     run_jobs([*undegraded.values(), *series.values()], workers, "metric study")
     table = _values(undegraded, series)

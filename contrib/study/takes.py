@@ -1,5 +1,6 @@
 """Takes of a capture: time windows of pairs of views, and stretches of a camera path of which the true images are known."""
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,41 +12,105 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.contrib.study.captures import open_footage, prepare_views, study_protocol
 from ggvs_eval.contrib.study.clips import Clip, SourceClip, Take, write_take
 from ggvs_eval.contrib.study.rendered_ladders import render, require_sources
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.llff import open_path
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import CameraError, CaptureError, DepthError, MetricError
 from ggvs_eval.files.images import resize
+from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_images
+from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
+from ggvs_eval.pipelines.inspection.capture.check import LAYOUT, open_uncalibrated, uncalibrated_capture
 from ggvs_eval.pipelines.methods.render_unit import SourcePlan
 from ggvs_eval.pipelines.run.path_depth import read_path_depth, write_path_depth
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.protocol import CameraPath
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views
 from ggvs_eval.synthetic.shipped import write_room
+
+K = 4
+CHOSEN_BY = "by rule: cameras evenly spread over the capture, for a metric study"
+
+
+def open_footage(path: Path) -> Capture:
+    """A capture, videos without calibration, one video, or the pictures of one in a folder."""
+    if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES:
+        return uncalibrated_capture(path, {path.stem: VideoFrames(path)})
+    if path.is_dir() and list_images(path):
+        return uncalibrated_capture(path, {path.resolve().name: ImageFrames(path)})
+    return (open_uncalibrated(path) if path.is_dir() else None) or open_capture(path)
+
+
+def prepare_views(root: Path, capture: Capture, names: Sequence[str], frames: range, workers: Workers) -> RunPlan | None:
+    """The capture prepared as for a run, with depth; None where its cameras are unknown or see too little in common."""
+    if capture.layout == LAYOUT or len(capture.cameras) < 2:
+        return None
+    path = CameraPath() if open_path(capture.path) is not None else CameraPath(0)
+    protocol = study_protocol(capture, names, frames, path)
+    try:
+        return prepare_run(plan_run(RunRequest(root, capture, protocol)), workers)
+    except (CameraError, DepthError) as error:
+        print(f"{capture.path}: nothing can be rendered of it, so that nothing boils or switches: {error}", file=sys.stderr)
+        return None
+
+
+def study_protocol(
+    capture: Capture, names: Sequence[str], frames: range, path: CameraPath, sources: Sequence[str] = ()
+) -> Protocol:
+    """The protocol under which a capture is prepared, at the capture's own size.
+
+    Args:
+        sources: cameras that they are rendered from; all others where there are none.
+    """
+    base = suggest_protocol(capture)
+    width, height = capture.cameras[0].size
+    synthesis = Synthesis(min(K, len(sources or capture.cameras) - 1), width, height, "area", base.synthesis.sources)
+    return replace(
+        base,
+        name=f"metric study of {capture.scene}",
+        views=Views(tuple(names), CHOSEN_BY, sources=tuple(sources)),
+        frames=Frames(frames.start, len(frames)),
+        synthesis=synthesis,
+        measurement=replace(base.measurement, metrics=("PSNR",), width=0, height=0, ceilings=False),
+        path=path,
+    )
+
 
 VIEWS, VIEWS_OF_TAKE, WINDOWS, STRETCHES = 4, 2, 2, 4
 RENDERER = render.__module__
 
 
 @dataclass(frozen=True)
-class TakeOptions:
-    """Options of the takes of a capture.
+class StudyOptions:
+    """Options of a metric study.
 
     Attributes:
+        metrics: names; those that do not cost much where there are none, ``all`` for every one.
+        ladders: names; all where there are none.
+        seeds: how often each ladder is planted in each take, with other random numbers.
+        frames: of a clip, and poses of a stretch of a camera path.
+        size: of the images' shorter side, pixels.
         on: what degradations are planted in: the ``truth``, where nothing else is wrong; or the online method's ``rendering`` of
             it, so that they compete with its own errors.
     """
 
+    metrics: tuple[str, ...] = ()
+    ladders: tuple[str, ...] = ()
+    seeds: int = 1
     frames: int = 12
     size: int = 168
     on: Literal["truth", "rendering"] = "truth"
 
     def __post_init__(self) -> None:
-        """Refuse clips that nothing can be measured on."""
+        """Refuse clips that nothing can be measured on, and degradations that cannot be planted."""
+        if self.seeds < 1:
+            raise MetricError(f"metric study: wanted at least 1 seed, got {self.seeds}")
         if self.on not in ("truth", "rendering"):
             raise CaptureError(f"metric study: wanted degradations on truth or rendering, got {self.on!r}")
         if self.frames < 5 or self.size < 32:
@@ -68,7 +133,7 @@ class Draft:
     depth: list[str]
 
 
-def make_takes(out: Path, captures: Sequence[Path], options: TakeOptions, workers: Workers) -> list[Take]:
+def make_takes(out: Path, captures: Sequence[Path], options: StudyOptions, workers: Workers) -> list[Take]:
     """Take clips of captures, or of the shipped demo where none is given; what is there is kept.
 
     Raises:
@@ -86,7 +151,7 @@ def make_takes(out: Path, captures: Sequence[Path], options: TakeOptions, worker
     return takes
 
 
-def _takes_of(out: Path, name: str, capture: Capture, options: TakeOptions, workers: Workers) -> list[Take]:
+def _takes_of(out: Path, name: str, capture: Capture, options: StudyOptions, workers: Workers) -> list[Take]:
     scale = options.size / min(capture.cameras[0].size)
     width, height = (2 * round(scale * each / 2) for each in capture.cameras[0].size)
     capture = capture.resized(width, height, "area")
@@ -104,13 +169,11 @@ def _takes_of(out: Path, name: str, capture: Capture, options: TakeOptions, work
     return [Take.open(job.folder, job.name) for job in jobs]
 
 
-def _identity(capture: Capture, options: TakeOptions) -> dict[str, Any]:
-    return {"frames": [capture.digest(name) for name in capture.camera_names], "options": vars(options), "code": _code(options)}
-
-
-def _code(options: TakeOptions) -> str:
-    """Hash of the code that renders, where degradations are planted in a rendering."""
-    return code_identity(RENDERER) if options.on == "rendering" else ""
+def _identity(capture: Capture, options: StudyOptions) -> dict[str, Any]:
+    """What the clips of a capture depend on; the code that renders too, where degradations are planted in a rendering."""
+    taken = {"frames": options.frames, "size": options.size, "on": options.on}
+    code = code_identity(RENDERER) if options.on == "rendering" else ""
+    return {"frames": [capture.digest(name) for name in capture.camera_names], "options": taken, "code": code}
 
 
 def fill_take(make: Callable[[], list[Clip]], on: str, folder: Path) -> dict[str, Any]:
@@ -126,7 +189,7 @@ def fill_take(make: Callable[[], list[Clip]], on: str, folder: Path) -> dict[str
     return {"views": [clip.name for clip in clips]}
 
 
-def _drafts(root: Path, capture: Capture, options: TakeOptions, workers: Workers) -> Iterator[Draft]:
+def _drafts(root: Path, capture: Capture, options: StudyOptions, workers: Workers) -> Iterator[Draft]:
     if capture.n_frames == 1:
         yield from _hand_held(root, capture, options, workers)
         return
@@ -180,7 +243,7 @@ def _sources(plan: RunPlan, planned: SourcePlan, frames: range) -> tuple[SourceC
     return tuple(sources)
 
 
-def _hand_held(root: Path, capture: Capture, options: TakeOptions, workers: Workers) -> Iterator[Draft]:
+def _hand_held(root: Path, capture: Capture, options: StudyOptions, workers: Workers) -> Iterator[Draft]:
     """A camera that was carried through a scene at rest: every second place is a pose, the others are sources."""
     needed = 2 * options.frames * STRETCHES
     if len(capture.cameras) < 2 * options.frames:
@@ -199,7 +262,7 @@ def _hand_held(root: Path, capture: Capture, options: TakeOptions, workers: Work
 
 
 def _stretches(
-    plan: RunPlan, poses: Sequence[SourcePlan], truth: Sequence[Image8], instant: int, options: TakeOptions, depths: Path
+    plan: RunPlan, poses: Sequence[SourcePlan], truth: Sequence[Image8], instant: int, options: StudyOptions, depths: Path
 ) -> Iterator[Draft]:
     """Stretches of a camera path, one after another."""
     for start in range(0, min(len(poses), STRETCHES * options.frames) - options.frames + 1, options.frames):

@@ -26,7 +26,7 @@ from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.online.blend_network import (
     BlendNetwork,
-    BlendNetworkOptions,
+    BlendNetworkShape,
     BlendOutputs,
     compose_tensors,
     read_outputs,
@@ -265,7 +265,7 @@ class BlendTask:
 
     training: SamplePool[BlendSample]
     validation: SamplePool[BlendSample]
-    config: BlendNetworkOptions = field(default_factory=BlendNetworkOptions)
+    config: BlendNetworkShape = field(default_factory=BlendNetworkShape)
     seed: int = 0
     crop_width: int = 320
     crop_height: int = 240
@@ -359,7 +359,7 @@ class BlendTask:
 
 
 def crop_arrays(
-    sample: BlendSample, window: tuple[int, int, int, int], config: BlendNetworkOptions, change: Change | None = None
+    sample: BlendSample, window: tuple[int, int, int, int], config: BlendNetworkShape, change: Change | None = None
 ) -> dict[str, Map]:
     """Return the input of the network and its loss from a window (left, top, width, height) of a sample.
 

@@ -247,7 +247,7 @@ def _step(
     for group in state.optimiser.param_groups:
         group["lr"] = rate
     with computing_on(device), torch.autocast(device.type, torch.bfloat16, enabled=uses_bfloat16(options.precision, device)):
-        loss, figures = task.loss(state.network, _to(batch, device))
+        loss, figures = task.loss(state.network, {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()})
     state.optimiser.zero_grad(set_to_none=True)
     loss.backward()
     norm = nn.utils.clip_grad_norm_(state.network.parameters(), task.schedule.clip)
@@ -264,10 +264,6 @@ def uses_bfloat16(precision: Precision, device: torch.device) -> bool:
     if device.type == "cuda":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     return bool(torch.cpu._is_amx_tile_supported())
-
-
-def _to(batch: Any, device: torch.device) -> Any:
-    return {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}
 
 
 class _Steps(Dataset[Any]):

@@ -1,18 +1,40 @@
-"""Request to `ggvs-eval train`, for one network or for all, the words of the command line that make it, and its options."""
+"""Options of `ggvs-eval train`, for one network or for all, and the words of the command line that ask for them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import Field, dataclass, field, fields, make_dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
+Precision = Literal["auto", "float32", "bfloat16"]
+Size = Literal["small", "standard", "large"]
+Guidance = Literal["registered", "channels", "none", "naive"]
+Configuration = Literal["compact", "full"]
+BASELINES = "baselines"  # stands for each of them where a field says which trainings use it
+STEREO, BLEND, ALL = "stereo", "blend", "all"
+EVERY, OF_VIEWS = (STEREO, BLEND, BASELINES, ALL), (BLEND, BASELINES, ALL)
+USED_BY, DECIDES = "used by", "decides what is learned"
+
+
+def _of(*trainings: str, decides: bool = True) -> dict[str, Any]:
+    """What a field says of itself: which trainings use it, and whether it decides what is learned by more than rounding."""
+    return {USED_BY: trainings, DECIDES: decides}
+
 
 @dataclass(frozen=True)
-class DataOptions:
-    """The views that a network learns from.
+class TrainingOptions:
+    """Options of the training of one network or of all; a field says which trainings use it.
 
     Attributes:
+        steps: of the whole training, those of earlier calls included.
+        seed: of the weights and the scenes.
+        guidance: what the network sees of the fused depth: views registered by it, its channels as the paper prints them, none of
+            it (ablation), or no depth at all (naive).
+        size: of the blending network's U-Net; its first level has 8, 16 or 32 channels.
+        configuration: of baselines: compact (about one CPU-hour) or full (the published architecture).
+        crop: width and height of the crops that a baseline learns from, multiples of 8 pixels; those of the recipe by default. A
+            GPU can afford larger ones.
         views: the most source views of a sample, K.
         rooms: rooms to render of each domain, one to four minutes and 50 MB each.
         targets: target views per room.
@@ -20,105 +42,68 @@ class DataOptions:
         captures: folders of captures to learn from beside the rooms (RGB-D sequences by ScanNet's rule, Spaces, DyNeRF, rigs of
             your own), never those that you test on.
         hold_back: learn from the first half of each RGB-D sequence, and validate on what is new in the rest.
-    """
-
-    views: int = 6
-    rooms: int = 3
-    targets: int = 9
-    domains: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DOMAIN ...", help_behavior_hint="(default: all)")] = ()
-    captures: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE ...", help_behavior_hint="(none by default)")] = ()
-    hold_back: bool = False
-
-
-Precision = Literal["auto", "float32", "bfloat16"]
-
-
-@dataclass(frozen=True)
-class LoopOptions:
-    """Options of the training loop; none changes the result but `steps`, `seed`, `precision` and the device.
-
-    Attributes:
-        steps: of the whole training, those of earlier calls included.
-        seed: of the weights and the scenes.
+        start_from: weights to begin with where the folder holds no state, such as those that ship; a lower rate moves them.
         device: cpu, cuda, or the better one by default.
         precision: of convolutions; auto takes bfloat16 where the hardware multiplies it faster.
         workers: processes that make batches.
         compile_network: let torch compile it first: some minutes once, a fifth less per step.
+        save_every: steps between checkpoints; the command line does not show it.
+        validate_every: steps between validations; likewise.
     """
 
-    steps: int = 20000
-    seed: int = 0
-    device: str = "auto"
-    precision: Precision = "auto"
-    workers: int = 1
-    compile_network: bool = False
-
-
-@dataclass(frozen=True)
-class TrainingOptions(LoopOptions):
-    """Options of a training, those that the command line does not show included.
-
-    Attributes:
-        start_from: weights that a training without a state begins with, such as those that ship.
-        save_every: steps between checkpoints.
-        validate_every: steps between validations.
-    """
-
-    start_from: Path | None = None
-    save_every: int = 100
-    validate_every: int = 500
-
-
-Size = Literal["small", "standard", "large"]
-Guidance = Literal["registered", "channels", "none", "naive"]
-Configuration = Literal["compact", "full"]
-
-LEARNED = ("steps", "seed")
-VIEWED = ("views", "rooms", "targets", "domains", "captures", "hold_back")
-OF_BLEND = (*LEARNED, "guidance", "size", *VIEWED, "start_from")
-OF_BASELINES = (*LEARNED, "configuration", "crop", *VIEWED, "start_from")
-HOW = ("device", "precision", "workers", "compile_network")  # change nothing that is learned but by rounding
-
-
-@dataclass(frozen=True)
-class TrainingRequest(TrainingOptions, DataOptions):
-    """Request for the training of one network or of all.
-
-    Attributes:
-        size: blend: of the U-Net; its first level has 8, 16 or 32 channels.
-        guidance: blend: what it sees of the fused depth: views registered by it, its channels as the paper prints them, none
-            of it (ablation), or no depth at all (naive).
-        configuration: baselines: compact (about one CPU-hour) or full (the published architecture).
-        crop: baselines: width and height of the target's crops, pixels; empty takes those of the recipe, for an hour of one core.
-    """
-
-    size: Size = "standard"
-    guidance: Guidance = "registered"
-    configuration: Configuration = "compact"
-    crop: tuple[int, int] | tuple[()] = ()
+    steps: int = field(default=20000, metadata=_of(*EVERY))
+    seed: int = field(default=0, metadata=_of(*EVERY))
+    guidance: Guidance = field(default="registered", metadata=_of(BLEND))
+    size: Size = field(default="standard", metadata=_of(BLEND, ALL))
+    configuration: Configuration = field(default="compact", metadata=_of(BASELINES, ALL))
+    crop: tuple[int, int] | None = field(default=None, metadata=_of(BASELINES))
+    views: int = field(default=6, metadata=_of(*OF_VIEWS))
+    rooms: int = field(default=3, metadata=_of(*OF_VIEWS))
+    targets: int = field(default=9, metadata=_of(*OF_VIEWS))
+    domains: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DOMAIN ...", help_behavior_hint="(default: all)")] = field(
+        default=(), metadata=_of(*OF_VIEWS)
+    )
+    captures: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE ...", help_behavior_hint="(none by default)")] = field(
+        default=(), metadata=_of(*OF_VIEWS)
+    )
+    hold_back: bool = field(default=False, metadata=_of(*OF_VIEWS))
+    start_from: Path | None = field(default=None, metadata=_of(STEREO, BLEND, BASELINES))
+    device: str = field(default="auto", metadata=_of(*EVERY, decides=False))
+    precision: Precision = field(default="auto", metadata=_of(*EVERY, decides=False))
+    workers: int = field(default=1, metadata=_of(*EVERY, decides=False))
+    compile_network: bool = field(default=False, metadata=_of(*EVERY, decides=False))
+    save_every: int = field(default=100, metadata=_of(decides=False))
+    validate_every: int = field(default=500, metadata=_of(decides=False))
 
     def words(self, what: str) -> list[str]:
         """The options that ask for the training of a network, how it is computed included, as `ggvs-eval` takes them."""
-        return self._options((*_named(what), *HOW), str)
+        return self._options(_used_by(what), str)
 
     def card_words(self, what: str) -> list[str]:
         """The options that decide what the network learns, without the folders that captures and weights lie in."""
-        return self._options(_named(what), _name)
+        return self._options([each for each in _used_by(what) if each.metadata[DECIDES]], _name)
 
-    def _options(self, fields: tuple[str, ...], text: Callable[[object], str]) -> list[str]:
+    def _options(self, used: list[Field[Any]], text: Callable[[object], str]) -> list[str]:
         words = []
-        for field in fields:
-            value = getattr(self, field)
+        for each in used:
+            value = getattr(self, each.name)
             if value is None or value is False or value == ():
                 continue
-            words.append("--" + field.replace("_", "-"))
+            words.append("--" + each.name.replace("_", "-"))
             if value is not True:
-                words += [text(each) for each in (value if isinstance(value, tuple) else (value,))]
+                words += [text(part) for part in (value if isinstance(value, tuple) else (value,))]
         return words
 
 
-def _named(what: str) -> tuple[str, ...]:
-    return (*LEARNED, "start_from") if what == "stereo" else OF_BLEND if what == "blend" else OF_BASELINES
+def options_class(what: str) -> type:
+    """The class of those options that the training of a network uses, by which the command line shows no others."""
+    used = [(each.name, each.type, field(default=each.default)) for each in _used_by(what)]
+    return make_dataclass("UsedOptions", used, namespace={"__doc__": TrainingOptions.__doc__}, frozen=True)
+
+
+def _used_by(what: str) -> list[Field[Any]]:
+    training = what if what in EVERY else BASELINES
+    return [each for each in fields(TrainingOptions) if training in each.metadata[USED_BY]]
 
 
 def _name(value: object) -> str:

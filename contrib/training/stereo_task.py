@@ -14,7 +14,7 @@ from ggvs_eval.contrib.training.stereo_pairs import StereoSample, stereo_sample
 from ggvs_eval.contrib.training.task import Schedule
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
-from ggvs_eval.raft_config import COMPACT, RaftOptions
+from ggvs_eval.raft_config import COMPACT, RaftShape
 
 
 def sequence_loss(flows: Sequence[Tensor], last: Tensor, truth: Tensor, decay: float = 0.9, largest_px: float = 700.0) -> Tensor:
@@ -82,7 +82,7 @@ class StereoTask:
         schedule: see `Schedule`.
     """
 
-    config: RaftOptions = COMPACT
+    config: RaftShape = COMPACT
     seed: int = 0
     width: int = 384
     height: int = 256

@@ -15,7 +15,7 @@ from typing import IO
 
 from ggvs_eval.compute_device import compute_device
 from ggvs_eval.contrib.training.recipes.recipe import TRAINED_BASELINES
-from ggvs_eval.contrib.training.request import Guidance, TrainingRequest
+from ggvs_eval.contrib.training.request import Guidance, TrainingOptions
 from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
 from ggvs_eval.contrib.training.samples.training_data import prepare_samples, sample_pools
 from ggvs_eval.contrib.training.train_one import CACHE, sample_device, sample_workers
@@ -222,7 +222,7 @@ NETWORKS: tuple[Network, ...] = (
 
 
 def train_all(
-    folder: Path, request: TrainingRequest, jobs: int | None = None, networks: Sequence[Network] = NETWORKS
+    folder: Path, request: TrainingOptions, jobs: int | None = None, networks: Sequence[Network] = NETWORKS
 ) -> list[Path]:
     """Train all networks of a comparison on the same views; finished ones are not trained again.
 
@@ -253,7 +253,7 @@ def train_all(
     return [training.folder / f"{training.name}{end}" for training in trainings for end in (".safetensors", ".md")]
 
 
-def planned_trainings(folder: Path, request: TrainingRequest, networks: Sequence[Network] = NETWORKS) -> list[Training]:
+def planned_trainings(folder: Path, request: TrainingOptions, networks: Sequence[Network] = NETWORKS) -> list[Training]:
     """The command of each network's training."""
     trainings = []
     for what, guidance in networks:
@@ -263,7 +263,7 @@ def planned_trainings(folder: Path, request: TrainingRequest, networks: Sequence
     return trainings
 
 
-def prepare_all(cache: Path, request: TrainingRequest, networks: Sequence[Network] = NETWORKS) -> None:
+def prepare_all(cache: Path, request: TrainingOptions, networks: Sequence[Network] = NETWORKS) -> None:
     """Make the samples that any of the networks lacks, with all cores; rooms are rendered once for all."""
     if any(what == "blend" for what, _ in networks):
         device = sample_device(request)

@@ -18,7 +18,7 @@ from ggvs_eval.contrib.training.blend_task import FINE_TUNING, LEARNING, BlendTa
 from ggvs_eval.contrib.training.instant_samples import InstantSample
 from ggvs_eval.contrib.training.loop import train, write_card
 from ggvs_eval.contrib.training.recipes.recipe import RECIPES, TRAINED_BASELINES, TrainingRecipe
-from ggvs_eval.contrib.training.request import DataOptions, TrainingRequest
+from ggvs_eval.contrib.training.request import TrainingOptions
 from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
 from ggvs_eval.contrib.training.samples.samples import SamplePool, require_room
 from ggvs_eval.contrib.training.samples.training_data import prepare_samples, sample_pools
@@ -30,7 +30,7 @@ from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.method import Instant
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetworkOptions
+from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetworkShape
 from ggvs_eval.plugins import DEVICE_PARTS
 
 STATISTICS_VIEWS = 48  # that running statistics are computed over
@@ -40,18 +40,18 @@ LEAST_CROP_PX, CROP_MULTIPLE = 32, 8  # windows of SSIM and of attention fit in,
 def baseline_task(
     name: str,
     cache: Path,
-    data: DataOptions,
+    data: TrainingOptions,
     configuration: str = "compact",
     seed: int = 0,
     is_trained: bool = False,
-    crop: tuple[int, int] | tuple[()] = (),
+    crop: tuple[int, int] | None = None,
 ) -> "BaselineTask":
     """The training of a baseline on the views that the blending network learns from.
 
     Args:
         name: one of `TRAINED_BASELINES`.
         is_trained: begins with weights that have learned already, and changes them less.
-        crop: width and height of the target's crops, pixels; the recipe's where empty.
+        crop: width and height of the target's crops, pixels; the recipe's where None.
     """
     baseline = TRAINED_BASELINES[name]
     samples = sample_pools(cache, data, InstantKind(baseline.takes_depth))
@@ -220,7 +220,7 @@ CACHE = "blend-samples"  # beside the folders of the trainings
 WORKER_BYTES = 2**30  # of a GPU, for a worker that makes samples: its context, kernels, and a sample's maps
 
 
-def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, Path]:
+def train_one(what: str, folder: Path, request: TrainingOptions) -> tuple[Path, Path]:
     """Train a network, or go on training it.
 
     Args:
@@ -236,7 +236,7 @@ def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, 
     return weights, write_card(task, folder, command, device=hardware)
 
 
-def planned_task(what: str, cache: Path, request: TrainingRequest) -> Task:
+def planned_task(what: str, cache: Path, request: TrainingOptions) -> Task:
     """The task that is asked for, its samples in place."""
     if what == "stereo":
         return StereoTask(seed=request.seed, schedule=Schedule() if request.start_from is None else stereo_task.FINE_TUNING)
@@ -245,14 +245,14 @@ def planned_task(what: str, cache: Path, request: TrainingRequest) -> Task:
         baseline = baseline_task(what, cache, request, request.configuration, request.seed, is_trained, request.crop)
         prepare_samples(baseline.training, baseline.validation, default_workers())
         return baseline
-    config, device = BlendNetworkOptions(request.views, request.guidance, WIDTHS[request.size]), sample_device(request)
+    config, device = BlendNetworkShape(request.views, request.guidance, WIDTHS[request.size]), sample_device(request)
     schedule = blend_task.FINE_TUNING if is_trained else blend_task.LEARNING
     blend = BlendTask(*sample_pools(cache, request, BlendKind(device)), config, seed=request.seed, schedule=schedule)
     prepare_samples(blend.training, blend.validation, sample_workers(device))
     return blend
 
 
-def sample_device(request: TrainingRequest) -> str:
+def sample_device(request: TrainingOptions) -> str:
     """Device of the blending network's samples: that of its training if NVIDIA Warp is installed, else on the CPU."""
     return str(compute_device(request.device)) if "training samples" in DEVICE_PARTS else "cpu"
 

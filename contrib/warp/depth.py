@@ -4,8 +4,6 @@ Maps are stacks (K, H, W), 0 where depth is unknown. Points that meet in a pixel
 sort as the numbers do: whichever comes first, the outcome is the same.
 """
 
-import math
-
 import torch
 import warp as wp
 from torch import Tensor
@@ -13,7 +11,7 @@ from torch import Tensor
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch, on_current_stream
 from ggvs_eval.contrib.warp.registration import is_inside
 from ggvs_eval.pipelines.offline.depth import consistency
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, FLYING, SMOOTH, SMOOTH_RADIUS_PX, DepthOptions
 
 wp.set_module_options({**MODULE_OPTIONS, "fuse_fp": True})
 
@@ -124,12 +122,11 @@ def moved(m: wp.array[wp.float32], u: wp.float32, v: wp.float32, depth: wp.float
 
 @wp.struct
 class Limits:
-    """What counts as agreement, see `ConsistencyOptions`."""
+    """What counts as agreement, see `consistency`."""
 
     error_px: wp.float32
     wide_share: wp.float32
     error_share: wp.float32
-    average: wp.bool
 
 
 @wp.func
@@ -212,7 +209,7 @@ def evaluate(
                 elif there > at[2]:
                     found.conflict += 1.0
     found.depth = depth
-    if limits.average and found.support > 0.0 and mass > 0.0:
+    if found.support > 0.0 and mass > 0.0:
         found.depth = weighted / mass
     evaluated = found.support + found.conflict
     found.confidence = _UNCHECKED * confidence
@@ -297,19 +294,15 @@ def finish_maps(depth: Tensor, confidence: Tensor, between: Tensor, *, options: 
     Returns:
         Depth and confidence, (K, H, W).
     """
-    if math.isclose(options.smooth, 0.0) or options.filled_confidence <= 0:
-        from ggvs_eval.pipelines.offline.depth.device_maps import finish_maps as in_torch
-
-        return in_torch(depth, confidence, between, options=options)
     with on_current_stream(depth.device):
         depth, confidence = depth.contiguous(), confidence.float().contiguous()
         kept, even = torch.empty_like(depth), torch.empty_like(depth)
-        launch(keep_surfaces, depth.shape, depth, options.flying, kept)
-        launch(smooth, depth.shape, kept, options.smooth, options.smooth_radius_px, even)
-        depth, confidence = _filled(even, confidence, options.filled_confidence)
-        if options.consistency is None or len(depth) == 1:
+        launch(keep_surfaces, depth.shape, depth, FLYING, kept)
+        launch(smooth, depth.shape, kept, SMOOTH, SMOOTH_RADIUS_PX, even)
+        depth, confidence = _filled(even, confidence, FILLED_CONFIDENCE)
+        if not options.consistency or len(depth) == 1:
             return depth, confidence
-        return _filled(*_checked(depth, confidence, between.contiguous(), options.consistency), options.filled_confidence)
+        return _filled(*_checked(depth, confidence, between.contiguous()), FILLED_CONFIDENCE)
 
 
 def _filled(depth: Tensor, confidence: Tensor, filled_confidence: float) -> tuple[Tensor, Tensor]:
@@ -320,20 +313,18 @@ def _filled(depth: Tensor, confidence: Tensor, filled_confidence: float) -> tupl
     return out, sure
 
 
-def _checked(
-    depth: Tensor, confidence: Tensor, between: Tensor, options: consistency.ConsistencyOptions
-) -> tuple[Tensor, Tensor]:
+def _checked(depth: Tensor, confidence: Tensor, between: Tensor) -> tuple[Tensor, Tensor]:
     """Check each map of a stack against all others, see `consistency.check_consistency`."""
     limits = Limits()
-    limits.error_px, limits.wide_share, limits.error_share = options.error_px, options.wide_share, options.error_share
-    limits.average = options.average
+    limits.error_px, limits.wide_share = consistency.ERROR_PX, consistency.WIDE_SHARE
+    limits.error_share = consistency.ERROR_SHARE
     maps, out, sure = (torch.empty_like(depth) for _ in range(3))
-    launch(leave_doubtful, depth.shape, depth, confidence, options.least_confidence, maps)
-    launch(check, depth.shape, maps, confidence, between, limits, float(options.min_support), out, sure)
-    if options.fill_support > 0:
+    launch(leave_doubtful, depth.shape, depth, confidence, consistency.LEAST_CONFIDENCE, maps)
+    launch(check, depth.shape, maps, confidence, between, limits, float(consistency.MIN_SUPPORT), out, sure)
+    if consistency.FILL_SUPPORT > 0:
         others = len(depth) - 1
         layers = torch.full((others, *depth.shape), NOWHERE, dtype=torch.int32, device=depth.device)
         launch(project, layers.shape, maps, between, layers)
-        fewest = float(min(options.fill_support, others))
+        fewest = float(min(consistency.FILL_SUPPORT, others))
         launch(fill_from_others, depth.shape, maps, confidence, between, layers, limits, fewest, out, sure)
     return out, sure

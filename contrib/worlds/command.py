@@ -5,7 +5,7 @@ from dataclasses import replace
 import tyro
 
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.pipelines.commands.captures import ONE_PER_CORE, Jobs, Output
+from ggvs_eval.pipelines.commands.flags import ONE_PER_CORE, Jobs, Output
 
 
 def film(

@@ -201,7 +201,7 @@ def _stage_status(ledger: Ledger, root: Path) -> StageStatus:
     mine = [entry for entry in entries if entry.folder.resolve().is_relative_to(root.resolve())]
     done = [entry for entry in mine if entry.is_done()]
     rest = [entry for entry in mine if entry not in done]
-    running = [entry for entry in rest if _is_in_hand(entry)]
+    running = [entry for entry in rest if any(is_in_hand(temporary) for temporary in scratch_folders(entry.folder))]
     failures = {entry: failure for entry in rest if entry not in running and (failure := ledger.failure(entry))}
     missing = [entry for entry in rest if entry not in running and entry not in failures]
     return StageStatus(
@@ -213,10 +213,6 @@ def _stage_status(ledger: Ledger, root: Path) -> StageStatus:
         sum(_size(entry.folder) for entry in done),
         _left_s(begun_s, done, len(running) + len(missing)) if running else None,
     )
-
-
-def _is_in_hand(entry: Entry) -> bool:
-    return any(is_in_hand(temporary) for temporary in scratch_folders(entry.folder))
 
 
 def _left_s(begun_s: float, done: list[Entry], left: int) -> float | None:

@@ -280,7 +280,9 @@ def find_arrays(path: Path, request: FrameRequest, is_temporary: bool) -> Render
     del is_temporary  # written to PNG either way
     if path.is_file():
         members = npz_members(path)
-        _refuse_twice(path, members)
+        twice = sorted({member for member in members if members.count(member) > 1})
+        if twice:
+            raise RenderError(f"{path}: wanted one array per view, got several called {', '.join(twice)}; save it again")
         stacks = {view: ArrayStack(path, view) for view in request.views if view in members}
         unexpected = [f"{path.name}[{member}]" for member in members if member not in request.views]
     else:
@@ -315,12 +317,6 @@ def _stack(file: Path) -> ArrayStack:
         contents = ", ".join(members[:9]) or "none"
         raise RenderError(f"{file}: wanted one array, got {contents}; save frames (T, H, W, 3) alone")
     return ArrayStack(file, members[0])
-
-
-def _refuse_twice(path: Path, members: list[str]) -> None:
-    twice = sorted({member for member in members if members.count(member) > 1})
-    if twice:
-        raise RenderError(f"{path}: wanted one array per view, got several called {', '.join(twice)}; save it again")
 
 
 def _one_each(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> dict[str, Path]:

@@ -9,7 +9,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results, label_of
-from ggvs_eval.statistics.decomposition import Panel, make_panel
+from ggvs_eval.statistics.decomposition import make_panel
 from ggvs_eval.statistics.pooling import Pool, Pooling
 
 if TYPE_CHECKING:
@@ -76,15 +76,10 @@ def pool_scene(cells: "Mapping[str, pd.DataFrame]", metric: str, pooling: Poolin
     pool = pooling.pool(*(panel.values for panel in panels))
     pooled = PooledScene(scene, first.views, first.frames, pool, pooling.takes_views_as_given, pooling.squares)
     if pooling.parts:
-        _check_same(pooled, make_panel(cells[metric], f"{metric} of {what}"), f"{metric} of {what}")
+        from_table, from_parts = float(make_panel(cells[metric], f"{metric} of {what}").values.mean(axis=1).mean()), pooled.value
+        if not abs(from_table - from_parts) <= SAME * max(abs(from_table), abs(from_parts)):  # NaN is refused too
+            raise ResultsError(f"{what}: {from_table:.6g} in the table, {from_parts:.6g} from its parts; score again")
     return pooled
-
-
-def _check_same(pooled: PooledScene, tabulated: Panel, what: str) -> None:
-    """Refuse parts that do not give the number that the table has."""
-    from_table, from_parts = float(tabulated.values.mean(axis=1).mean()), pooled.value
-    if not abs(from_table - from_parts) <= SAME * max(abs(from_table), abs(from_parts)):  # NaN is refused too
-        raise ResultsError(f"{what}: {from_table:.6g} in the table, {from_parts:.6g} from its parts; score again")
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,10 @@
 """LPIPS v0.1, learned perceptual similarity (Zhang et al. 2018), on VGG16 or AlexNet."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.image.lpips_network import (
     LAYERS,
     MIN_SIDE_PX,
+    compiled_input,
     compiled_layers,
     load_heads,
     load_weights,
@@ -30,6 +31,7 @@ from ggvs_eval.metrics.metric import QUALITY, ColourMap, FramePair, MetricOption
 if TYPE_CHECKING:
     import torch
 
+Features: TypeAlias = "list[NDArray[np.float32]] | list[torch.Tensor]"  # of the compared layers
 # Of truths whose features a process remembers from one run to the next; four of 480 x 360 pixels.
 REMEMBERED_BYTES = 400_000_000
 
@@ -65,7 +67,7 @@ def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
     return lpips_between(lpips_features(rendered, net), lpips_features(truth, net), net)
 
 
-def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> "list[torch.Tensor]":
+def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> Features:
     """Compute the LPIPS features of a frame, so that one truth can be compared with several renders at the cost of one.
 
     Args:
@@ -73,16 +75,17 @@ def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> "list[to
         net: ``vgg``, ``alex`` or ``vgg-bf16``.
 
     Returns:
-        Feature maps of the compared layers, each (1, C, H', W'), float32.
+        Feature maps of the compared layers, float32: arrays (H', W', C) of ``vgg`` on the CPU, which needs no torch, else tensors
+        (1, C, H', W').
     """
-    import torch
-
     if net not in LAYERS:
         raise MetricError(f"LPIPS: no network {net!r}; there are {', '.join(LAYERS)}")
     if min(image.shape[:2]) < MIN_SIDE_PX[net]:
         raise MetricError(f"LPIPS-{net} needs at least {MIN_SIDE_PX[net]} pixels a side, got {image.shape[:2]}")
     if net == "vgg" and device == "cpu":
-        return compiled_layers(network_input(image)[None])
+        return compiled_layers(compiled_input(image))
+    import torch
+
     weights = load_weights(net, device)
     # On a GPU without rounded factors, and with equal bits from call to call.
     with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
@@ -112,42 +115,43 @@ class LpipsDistance:
         return total
 
 
-def lpips_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", net: LpipsNet) -> float:
+def lpips_between(rendered: Features, truth: Features, net: LpipsNet) -> float:
     """`compare_features`, the value alone."""
     return compare_features(rendered, truth, net).value
 
 
-def compare_features(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", net: LpipsNet) -> LpipsDistance:
+def compare_features(rendered: Features, truth: Features, net: LpipsNet) -> LpipsDistance:
     """LPIPS of two frames from their `lpips_features`; those of an 8-bit truth serve float renders too."""
-    import torch
-
     if [layer.shape for layer in rendered] != [layer.shape for layer in truth]:
         raise MetricError(f"LPIPS-{net}: the frames differ in size; resize or render again, metrics never resample")
-    device = str(truth[0].device)
-    distance = _compiled_distances if device == "cpu" else _device_distances
-    with torch.inference_mode():
-        maps = tuple(distance(*layer) for layer in zip(rendered, truth, load_heads(net, device), strict=True))
+    device = "cpu" if isinstance(truth[0], np.ndarray) else str(truth[0].device)
+    distance: Callable[..., NDArray[np.float32]] = _compiled_distances if device == "cpu" else _device_distances
+    maps = tuple(distance(*layer) for layer in zip(rendered, truth, load_heads(net, device), strict=True))
     value = require_finite(sum(float(each.mean(dtype=np.float64)) for each in maps), f"LPIPS-{net}")
     return LpipsDistance(value, maps)
 
 
-def _compiled_distances(rendered: "torch.Tensor", truth: "torch.Tensor", weights: "torch.Tensor") -> NDArray[np.float32]:
-    """Weighted squared difference of the unit feature vectors of two frames (1, C, H, W), (H, W)."""
-    import torch
+def _compiled_distances(rendered: Any, truth: Any, weights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Weighted squared difference of the unit feature vectors of two frames, (H, W)."""
+    ours, theirs = map(_as_array, (rendered, truth))
+    return _features.compare_features(ours, theirs, weights, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
-    ours, theirs = (each.contiguous(memory_format=torch.channels_last)[0].permute(1, 2, 0).numpy() for each in (rendered, truth))
-    return _features.compare_features(ours, theirs, weights.numpy(), get_threads(), SIMD_LEVELS.index(get_simd_level()))
+
+def _as_array(layer: "NDArray[np.float32] | torch.Tensor") -> NDArray[np.float32]:
+    """Features (H, W, C) of an array, or of a tensor (1, C, H, W) on the CPU."""
+    return layer if isinstance(layer, np.ndarray) else np.ascontiguousarray(layer[0].permute(1, 2, 0).numpy())
 
 
 def _device_distances(rendered: "torch.Tensor", truth: "torch.Tensor", weights: "torch.Tensor") -> NDArray[np.float32]:
     """`_compiled_distances` on a device."""
     import torch
 
-    ours, theirs = (each / (torch.linalg.vector_norm(each, dim=1, keepdim=True) + 1e-10) for each in (rendered, truth))
-    return torch.einsum("nchw,c->hw", (ours - theirs).square_(), weights).numpy(force=True)
+    with torch.inference_mode():
+        ours, theirs = (each / (torch.linalg.vector_norm(each, dim=1, keepdim=True) + 1e-10) for each in (rendered, truth))
+        return torch.einsum("nchw,c->hw", (ours - theirs).square_(), weights).numpy(force=True)
 
 
-def truth_features(truth: TruthFrame, options: MetricOptions) -> "list[torch.Tensor]":
+def truth_features(truth: TruthFrame, options: MetricOptions) -> Features:
     """`lpips_features` of a captured frame, once for all methods and metrics, and for runs scored one after another."""
     net, device = options.lpips_net, options.device
     return truth.once((lpips_features, net), lambda: _remembered.features(truth.image, net, device))
@@ -158,9 +162,9 @@ class _Remembered:
 
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes = most_bytes
-        self._kept: dict[tuple[str, LpipsNet, str], list[torch.Tensor]] = {}
+        self._kept: dict[tuple[str, LpipsNet, str], Features] = {}
 
-    def features(self, image: Image8, net: LpipsNet, device: str) -> "list[torch.Tensor]":
+    def features(self, image: Image8, net: LpipsNet, device: str) -> Features:
         """`lpips_features` of an image."""
         key = hashlib.sha256(str(image.shape).encode() + image.tobytes()).hexdigest(), net, device
         features = self._kept.pop(key, None) or lpips_features(image, net, device)

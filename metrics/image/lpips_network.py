@@ -64,8 +64,11 @@ def load_weights(net: LpipsNet, device: str = "cpu") -> "dict[str, torch.Tensor]
     return _torch_weights(weights_path(net), net, device)
 
 
-def load_heads(net: LpipsNet, device: str) -> "list[torch.Tensor]":
-    """What a difference in each channel counts, (C,) for each compared layer; errors are those of `load_weights`."""
+def load_heads(net: LpipsNet, device: str = "cpu") -> "list[NDArray[np.float32]] | list[torch.Tensor]":
+    """What a difference in each channel counts, (C,) for each compared layer: arrays, or tensors on another device than the CPU.
+
+    Errors are those of `load_weights`.
+    """
     return _heads(weights_path(net), net, device)
 
 
@@ -76,43 +79,48 @@ def _torch_weights(path: Path, net: LpipsNet, device: str) -> "dict[str, torch.T
     dtype = torch.bfloat16 if net == "vgg-bf16" else torch.float32
     with torch.inference_mode(False):  # whoever asks first, a training may learn by them later
         return {
-            name: tensor.to(device, copy=True) if name.startswith("head") else _kernel(tensor.to(device, dtype, copy=True))
-            for name, tensor in _read_tensors(path, net).items()
+            name: _kernel(torch.tensor(array, dtype=torch.float32 if name.startswith("head") else dtype, device=device))
+            for name, array in _read_arrays(path, net).items()
         }
 
 
 @lru_cache(maxsize=1)
 def _packed_layers(path: Path) -> list[tuple[NDArray[np.float32], NDArray[np.float32], bool]]:
     """VGG's filters, biases and marks of compared layers as the compiled kernel takes them: 235 MB."""
-    tensors = _read_tensors(path, "vgg")
+    arrays = _read_arrays(path, "vgg")
     return [
-        (_features.pack_filters(tensors[f"conv{i}.weight"].numpy(), get_threads()), tensors[f"conv{i}.bias"].numpy(), layer.tap)
+        (_features.pack_filters(arrays[f"conv{i}.weight"], get_threads()), arrays[f"conv{i}.bias"], layer.tap)
         for i, layer in enumerate(LAYERS["vgg"])
     ]
 
 
 @lru_cache(maxsize=4)
-def _heads(path: Path, net: LpipsNet, device: str) -> "list[torch.Tensor]":
-    tensors = _read_tensors(path, net)
-    return [tensors[f"head{i}.weight"].reshape(-1).to(device) for i in range(sum(layer.tap for layer in LAYERS[net]))]
+def _heads(path: Path, net: LpipsNet, device: str) -> "list[NDArray[np.float32]] | list[torch.Tensor]":
+    arrays = _read_arrays(path, net)
+    heads = [arrays[f"head{i}.weight"].reshape(-1) for i in range(sum(layer.tap for layer in LAYERS[net]))]
+    if device == "cpu":
+        return heads
+    import torch
+
+    return [torch.from_numpy(each).to(device) for each in heads]
 
 
-def _read_tensors(path: Path, net: LpipsNet) -> "dict[str, torch.Tensor]":
-    """The tensors of a network's file, by their names."""
+def _read_arrays(path: Path, net: LpipsNet) -> dict[str, NDArray[np.float32]]:
+    """The arrays of a network's file, by their names."""
     from safetensors import SafetensorError
-    from safetensors.torch import load_file
+    from safetensors.numpy import load_file
 
     if not path.is_file():
         raise WeightsError(f"LPIPS-{net}: no weights at {path}; run `{FETCH_COMMAND}` with network access")
     try:
-        tensors = load_file(path)
+        arrays = load_file(path)
     except SafetensorError as error:
         raise WeightsError(f"{path}: damaged ({error}); delete it and run `{FETCH_COMMAND}`") from error
     convolutions, heads = len(LAYERS[net]), sum(layer.tap for layer in LAYERS[net])
     convolution_names = {f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")}
-    if set(tensors) != convolution_names | {f"head{i}.weight" for i in range(heads)}:
+    if set(arrays) != convolution_names | {f"head{i}.weight" for i in range(heads)}:
         raise WeightsError(f"{path}: holds the tensors of another network; delete it and run `{FETCH_COMMAND}`")
-    return tensors
+    return arrays
 
 
 def _kernel(tensor: "torch.Tensor") -> "torch.Tensor":
@@ -130,6 +138,13 @@ def network_input(image: Image, device: str = "cpu") -> "torch.Tensor":
     signed = torch.from_numpy(np.ascontiguousarray(levels)).to(device).float() * (2.0 / white_level(image)) - 1.0
     shift, scale = (torch.tensor(each, device=device) for each in (COLOUR_SHIFT, COLOUR_SCALE))
     return ((signed - shift) / scale).permute(2, 0, 1)
+
+
+def compiled_input(image: Image) -> NDArray[np.float32]:
+    """`network_input` as `compiled_layers` takes it, with the same bits: an array, (H, W, 3)."""
+    signed = image.astype(np.float32) * np.float32(2.0 / white_level(image)) - np.float32(1)
+    shift, scale = (np.array(each, np.float32) for each in (COLOUR_SHIFT, COLOUR_SCALE))
+    return np.asarray((signed - shift) / scale, np.float32)
 
 
 def network_input_of(images: "torch.Tensor") -> "torch.Tensor":
@@ -157,21 +172,16 @@ def tapped_layers(
     return taps
 
 
-def compiled_layers(features: "torch.Tensor", first: int = 0, last: int | None = None) -> "list[torch.Tensor]":
-    """Some of VGG's layers by the compiled kernel, which takes half of torch's time: those that are compared.
+def compiled_layers(features: NDArray[np.float32], first: int = 0, last: int | None = None) -> list[NDArray[np.float32]]:
+    """Some of VGG's layers by the compiled kernel, which takes half of torch's time and none to load it.
 
     Args:
-        features: (1, C, H, W) what enters the first of them; `network_input` enters layer 0.
+        features: (H, W, C) what enters the first of them; `compiled_input` enters layer 0.
         first: of `LAYERS`.
         last: the one that is no longer taken.
 
     Returns:
-        (1, C, H', W') each, channels last in memory, within 1e-5 of the largest of torch's.
+        Those that are compared, (H', W', C') each, within 1e-5 of the largest of torch's.
     """
-    import torch
-
-    pixels = np.ascontiguousarray(features[0].permute(1, 2, 0).numpy())
-    maps = _features.feature_maps(
-        pixels, _packed_layers(weights_path("vgg"))[first:last], get_threads(), SIMD_LEVELS.index(get_simd_level())
-    )
-    return [torch.from_numpy(each).permute(2, 0, 1)[None] for each in maps]
+    layers = _packed_layers(weights_path("vgg"))[first:last]
+    return list(_features.feature_maps(features, layers, get_threads(), SIMD_LEVELS.index(get_simd_level())))

@@ -2,20 +2,147 @@
 
 Scene points draw straight lines as the camera moves; near points must move faster, and by the right amount. The camera path is
 one camera that moves along its own rows in equal steps.
+
+An EPI (v, x) is a row of the image over the poses of that path; a scene point draws the line x = x0 + slope * v. Neighbouring
+rows may be many pixels apart, where derivatives mean nothing; so the EPI is sheared by every whole slope of a range, and near its
+own slope each line stands upright, where its tensor is measured ("refocusing" an EPI).
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array32
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.inputs import Image
+from ggvs_eval.metrics.inputs import Image, white_level
 from ggvs_eval.metrics.metric import Value
-from ggvs_eval.metrics.path.epi_lines import Lines, find_lines
-from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, SlopeOptions, whole_path
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, whole_path
+
+SMOOTHING_PX = 1.0
+WINDOW_PX = 1.5
+MARGIN_PX = 10  # radius of both filters
+OVER_POSES = {-2: 0.125, -1: 0.375, 0: 0.375, 1: 0.125}  # weights of the pairs (v + m, v + m + 1) around pose v
+MAX_SHEARS = 128
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """The best line through every pixel of an epipolar plane image, within a range of slopes.
+
+    Attributes:
+        slope_px: dx/dv, px per pose, (V - 4, X).
+        across: gradient energy across the line, mean over RGB, (grey levels of 255 per px)^2, (V - 4, X).
+        along: energy of the change along the line, mean over RGB, (grey levels of 255 per pose)^2, (V - 4, X).
+        first_column: column of the EPI where they start; they end as far from the other side. Rows start at pose 2.
+    """
+
+    slope_px: Array32
+    across: Array32
+    along: Array32
+    first_column: int
+
+
+def find_lines(epi: Image, slope_range_px: tuple[float, float]) -> Lines:
+    """Fit a line to every pixel by the structure tensor over 5 poses and about 7 columns, sheared by every whole slope.
+
+    Args:
+        epi: (V, W, 3), uint8 in 0..255 or float in [0, 1], V >= 5.
+        slope_range_px: smallest and largest slope to allow, px per pose.
+
+    Returns:
+        For each pixel the line with the least change along it, relative to the change across it.
+
+    Raises:
+        MetricError: not an EPI, too narrow for these slopes, or more slopes than can be tried.
+
+    Reading:
+        The textbook's tensor takes its own orientation, and a flash of the whole image (a horizontal line) is perfectly
+        coherent to it. Here a line must have a slope that some depth explains, and all other change counts against it.
+        Change along v is the difference of neighbouring poses, not the smoother central one, which cannot see a line that
+        jitters from pose to pose.
+    """
+    low, high = slope_range_px
+    shears = range(math.floor(low + 0.5), math.ceil(high - 0.5) + 1)
+    if epi.ndim != 3 or epi.shape[2] != 3 or epi.shape[0] < 5:
+        raise MetricError(f"wanted an epipolar plane image (poses >= 5, width, 3), got {epi.shape}")
+    first_column = MARGIN_PX + 2 * max(abs(shears[0]), abs(shears[-1]))
+    if len(shears) > MAX_SHEARS or epi.shape[1] <= 2 * first_column:
+        raise MetricError(
+            f"slopes from {low:.1f} to {high:.1f} px per pose are too many for an image {epi.shape[1]} px wide; use more "
+            "poses on the same way, or a larger near"
+        )
+    smooth, gradient = _filtered(epi)
+    best: Lines | None = None
+    for shear in shears:
+        limits = max(low, shear - 0.5), min(high, shear + 0.5)
+        best = _straighter(best, _upright_lines(smooth, gradient, shear, limits, first_column))
+    if best is None:
+        raise MetricError(f"wanted a range of slopes, got {low:g} to {high:g} px per pose")
+    return best
+
+
+def _filtered(epi: Image) -> tuple[Array32, Array32]:
+    """The EPI smoothed along x by a Gaussian and its derivative, both (V, W, 3) on the scale 0..255."""
+    scaled = epi.astype(np.float32) * np.float32(255.0 / white_level(epi))
+    x = np.arange(-4.0, 5.0)
+    gaussian = np.exp(-0.5 * (x / SMOOTHING_PX) ** 2)
+    gaussian /= gaussian.sum()
+    slope = x * gaussian
+    slope /= (x * slope).sum()  # a ramp of 1 has derivative 1
+    smooth, gradient = (cv2.filter2D(scaled, cv2.CV_32F, kernel[None]) for kernel in (gaussian, slope))
+    return smooth, gradient
+
+
+def _upright_lines(smooth: Array32, gradient: Array32, shear: int, limits: tuple[float, float], first_column: int) -> Lines:
+    """Lines whose slope lies within `limits`, half a pixel around `shear` at most."""
+    xx, xv, vv = (_over_window(pairs, shear, first_column) for pairs in _pair_tensors(smooth, gradient, shear))
+    moved = np.divide(xv, xx, out=np.zeros_like(xx), where=xx > 1e-6)  # how much less than `shear` a line moves per pose
+    np.clip(moved, shear - limits[1], shear - limits[0], out=moved)
+    along = np.maximum(vv + moved * (moved * xx - 2 * xv), 0)
+    return Lines(shear - moved, xx, along, first_column)
+
+
+def _pair_tensors(smooth: Array32, gradient: Array32, shear: int) -> tuple[Array32, Array32, Array32]:
+    """xx, xv, vv of poses v and v + 1 of the sheared EPI, each (V - 1, W - |shear|), by the column at pose v."""
+    here, there = _shifted(-shear), _shifted(shear)
+    x = (gradient[:-1, here] + gradient[1:, there]) * np.float32(0.5)
+    v = smooth[1:, there] - smooth[:-1, here]
+    products = (np.einsum("vxc,vxc->vx", *pair) / np.float32(3) for pair in ((x, x), (x, v), (v, v)))
+    xx, xv, vv = (cv2.GaussianBlur(product, (13, 1), WINDOW_PX) for product in products)
+    return xx, xv, vv
+
+
+def _shifted(shift: int) -> slice:
+    """Columns that remain when an image is read `shift` further right."""
+    return slice(shift, None) if shift >= 0 else slice(None, shift)
+
+
+def _over_window(pairs: Array32, shear: int, first_column: int) -> Array32:
+    """Weighted sum over the pairs around each pose, along the sheared lines, (V - 4, X)."""
+    n_poses, width = pairs.shape[0] + 1, pairs.shape[1] + abs(shear)
+    total = np.zeros((n_poses - 4, width - 2 * first_column), np.float32)
+    left = min(shear, 0)  # a pair's column at its earlier pose starts there when `here` was cut on the left
+    for pair, weight in OVER_POSES.items():
+        start = first_column + shear * pair + left
+        total += np.float32(weight) * pairs[2 + pair : n_poses - 2 + pair, start : start + total.shape[1]]
+    return total
+
+
+def _straighter(best: Lines | None, other: Lines) -> Lines:
+    """Of two lines through each pixel the one that changes less along itself, relative to the change across it."""
+    if best is None:
+        return other
+    # along / across < along' / across' without a division by zero
+    take = other.along * best.across < best.along * other.across
+    pairs = ((best.slope_px, other.slope_px), (best.across, other.across), (best.along, other.along))
+    slope_px, across, along = (np.where(take, theirs, ours) for ours, theirs in pairs)
+    return Lines(slope_px, across, along, best.first_column)
+
 
 MIN_POSES = 5
 STRAIGHT_PX = 0.5
@@ -24,6 +151,8 @@ LEAST_TEXTURE_255 = 0.25
 WIDER = 1.25
 COHERENCE_NAMES = ("EPI_coherence", "EPI_line_texture")
 BIN_PX = 1.0 / 1024
+TOLERANCE_PX, SLOPE_TEXTURE_255 = 0.1, 4.0  # of the slope agreement
+SLOPE_COHERENCE = 0.5  # of a line whose slope is believed, see `epi_coherence`
 WIDER_PX = 1.0
 SLOPE_NAMES = ("EPI_slope_error", "EPI_slope_agreeing", "EPI_slope_measured")
 NO_SLOPE = "EPI slope: no pixel has texture and a coherent line; no slope to compare with depth's"
@@ -200,14 +329,18 @@ class SlopeAgreement:
 
 
 def slope_agreement(
-    epis: Iterable[tuple[Image, NDArray[np.float32]]], path: HorizontalPath, options: SlopeOptions | None = None
+    epis: Iterable[tuple[Image, NDArray[np.float32]]],
+    path: HorizontalPath,
+    tolerance_px: float = TOLERANCE_PX,
+    least_texture_255: float = SLOPE_TEXTURE_255,
 ) -> SlopeAgreement:
     """Compare the slope of the lines in epipolar plane images with the slope that depth predicts, -f * step / z.
 
     Args:
         epis: pairs of an EPI, (V, W, 3), uint8 in 0..255 or float in [0, 1], and the same rows of the poses' depth, (V, W)
             float32, world units, 0 = unknown; consumed as a stream.
-        options: thresholds; the defaults where None.
+        tolerance_px: slopes that differ by no more agree, px per pose step.
+        least_texture_255: least root mean square gradient across a line, grey levels of 255 per pixel.
 
     Returns:
         The agreement over all pixels; the median is exact to 0.001 px.
@@ -216,7 +349,6 @@ def slope_agreement(
         Not in the paper. Slopes are searched 1 px beyond those of near and far, and from there to 0, so that an image that
         stands still shows it. The first and last two poses and a margin of columns have no whole window and no vote.
     """
-    options = options or SlopeOptions()
     low, high = path.slope_range_px
     slope_range_px = min(low, 0.0) - WIDER_PX, max(high, 0.0) + WIDER_PX
     bins = np.zeros(int((slope_range_px[1] - slope_range_px[0]) / BIN_PX) + 2, np.int64)
@@ -228,10 +360,10 @@ def slope_agreement(
         lines = find_lines(epi, slope_range_px)
         predicted = path.slope_px(_inner(depth, lines))
         has_depth = predicted != 0
-        error = np.abs(lines.slope_px - predicted)[has_depth & _is_measured(lines, options)]
+        error = np.abs(lines.slope_px - predicted)[has_depth & _is_measured(lines, least_texture_255)]
         bins += np.bincount(np.minimum(error / BIN_PX, len(bins) - 1).astype(np.int64), minlength=len(bins))
         n_with_depth += int(np.count_nonzero(has_depth))
-        agreeing += int(np.count_nonzero(error <= options.tolerance_px))
+        agreeing += int(np.count_nonzero(error <= tolerance_px))
         predicted_sum += float(np.abs(predicted).sum(dtype=np.float64))
     if not n_with_depth:
         raise MetricError("EPI slope: no depth along the path; give depth maps of the poses to compare slopes with")
@@ -249,10 +381,10 @@ def _inner(depth: NDArray[np.float32], lines: Lines) -> NDArray[np.float32]:
     return depth[2:-2, lines.first_column : depth.shape[1] - lines.first_column]
 
 
-def _is_measured(lines: Lines, options: SlopeOptions) -> NDArray[np.bool_]:
+def _is_measured(lines: Lines, least_texture_255: float) -> NDArray[np.bool_]:
     """Tell where texture and coherence suffice to trust a slope."""
-    coherent = lines.across - lines.along >= options.least_coherence * (lines.across + lines.along)
-    return coherent & (lines.across >= options.least_texture_255**2)
+    coherent = lines.across - lines.along >= SLOPE_COHERENCE * (lines.across + lines.along)
+    return coherent & (lines.across >= least_texture_255**2)
 
 
 def _measure_slopes(path: RenderedPath) -> list[Value]:
@@ -260,7 +392,7 @@ def _measure_slopes(path: RenderedPath) -> list[Value]:
     if len(depths) < len(path.cameras):
         raise MetricError(f"EPI slope: {len(depths)} of {len(path.cameras)} poses have a depth; give all of them one")
     pairs = ((epi, np.stack([depth[row] for depth in depths])) for row, epi in enumerate(path.epis()))
-    measured = slope_agreement(pairs, horizontal_path(path.cameras), path.options.slope)
+    measured = slope_agreement(pairs, horizontal_path(path.cameras))
     shares = whole_path(SLOPE_NAMES[1:], measured.agreeing_share, measured.measured_share)
     if measured.median_error_px is None:
         return shares

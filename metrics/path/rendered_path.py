@@ -4,7 +4,7 @@ Each pose is compared with the one before, reprojected by depth.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from ggvs_eval.metrics.inputs import Image, check_pair, white_level
 from ggvs_eval.metrics.metric import ALONG_PATH, Group, Kind, Metric, Value
 
 DEPTH_TOLERANCE = 0.02
+N_ROWS = 128  # of the image that EPIs are taken from, evenly spaced; all of them in a lower image
 OVER_RGB = np.full(3, 1 / 3, np.float32)  # the mean over channels, as a product: numpy's own is ten times slower
 Pose = tuple[Camera, Image, NDArray[np.float32] | None]
 
@@ -127,36 +128,6 @@ class PathPose:
     sources: Collection[str] = ()
 
 
-@dataclass(frozen=True)
-class SlopeOptions:
-    """Thresholds above which the images show a slope, and within which it agrees.
-
-    Attributes:
-        least_texture_255: least root mean square gradient across a line, grey levels of 255 per pixel.
-        least_coherence: least coherence of a line, see `epi_coherence`.
-        tolerance_px: slopes that differ by no more agree, px per pose step.
-    """
-
-    least_texture_255: float = 4.0
-    least_coherence: float = 0.5
-    tolerance_px: float = 0.1
-
-
-@dataclass(frozen=True)
-class PathOptions:
-    """Variants of the measures.
-
-    Attributes:
-        n_rows: rows of the image that EPIs are taken from, evenly spaced; all of them in a lower image.
-        slope: thresholds of the slope agreement.
-        depth_tolerance: of the visibility test, see `reprojection_step`.
-    """
-
-    n_rows: int = 128
-    slope: SlopeOptions = field(default_factory=SlopeOptions)
-    depth_tolerance: float = DEPTH_TOLERANCE
-
-
 def write_view(folder: Path, index: int, image: Image) -> None:
     """Write a whole image of a path for the metrics that want files."""
     (folder / "views").mkdir(exist_ok=True)
@@ -189,8 +160,7 @@ class RenderedPath:
         folder: where the whole images lie, see `write_view`, and the depths; None where no metric wants them.
     """
 
-    def __init__(self, options: PathOptions, folder: Path | None = None) -> None:
-        self.options = options
+    def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
         self.cameras: list[Camera] = []
         self.rows: list[int] = []
@@ -212,7 +182,7 @@ class RenderedPath:
         if pose.image.shape != (pose.camera.height, pose.camera.width, 3):
             size = f"{pose.camera.height} x {pose.camera.width} x 3"
             raise MetricError(f"pose {pose.camera.name}: wanted an image {size}, got {pose.image.shape}; resize one of them")
-        self.rows = self.rows or spread_rows(pose.camera.height, self.options.n_rows)
+        self.rows = self.rows or spread_rows(pose.camera.height, N_ROWS)
         if self.cameras and pose.camera.size != self.cameras[0].size:
             raise MetricError(
                 f"pose {pose.camera.name}: {pose.camera.size}, before it {self.cameras[0].size}; a path has one size"
@@ -255,7 +225,7 @@ class RenderedPath:
     def _add_step(self, *poses: PathPose) -> None:
         before, after = ((pose.camera, pose.image, pose.depth) for pose in poses)
         try:
-            self._steps.append(reprojection_step(before, after, self.options.depth_tolerance))
+            self._steps.append(reprojection_step(before, after))
         except MetricError as error:
             self._no_steps = str(error)
 

@@ -2,111 +2,35 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from ggvs_eval.capture import Capture, CaptureEdit
-from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.assemble import Crop, write_crop
-from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.datasets.public_captures import find_scene, get_capture, locate
-from ggvs_eval.datasets.units import GivenUnits
-from ggvs_eval.errors import CaptureError, CommandError, ProtocolError
+from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.atomic import atomic_file
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.pipelines.commands.flags import (
+    CAPTURE_DEFAULTS,
+    ONE_PER_CORE,
+    CaptureFlags,
+    CaptureFolder,
+    Jobs,
+    Layout,
+    Output,
+    given_units,
+)
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
 from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER, DepthRunOptions
 from ggvs_eval.protocol import Stream, checked_protocol
 from ggvs_eval.synthetic.shipped import MAIN, RoomName
 
-NONE = "(none by default)"
 MOST_NAMES = 6  # of cameras in one line
-
-
-def _at_least_one(words: list[str]) -> int:
-    jobs = int(words[0])
-    if jobs < 1:
-        raise CommandError(f"--jobs {jobs}: wanted at least 1")
-    return jobs
-
-
-_COUNT = tyro.constructors.PrimitiveConstructorSpec(
-    nargs=1,
-    metavar="INT",
-    instance_from_str=_at_least_one,
-    is_instance=lambda value: isinstance(value, int),
-    str_from_instance=lambda value: [str(value)],
-)
-Jobs = Annotated[int, _COUNT]
-ONE_PER_CORE = default_workers()
-Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-CaptureFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
 Frames = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FRAMES")]
-Output = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
-Layout = Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(DATASETS)}}}")]
-
-
-@dataclass(frozen=True)
-class CaptureOptions:
-    """Options by which a capture is read.
-
-    Attributes:
-        layout: on disk; detected by default.
-        units: world units per metre, or a TOML file with a known baseline or two marked points (docs/captures.md).
-        keep_unsynced: keep cameras that are known to be out of step (cam13 of coffee_martini).
-    """
-
-    layout: Layout = None
-    units: str | None = None
-    keep_unsynced: bool = False
-
-    def given_units(self) -> GivenUnits:
-        """The number or the file that the user gave."""
-        if self.units is None or self.units.endswith(".toml"):
-            return None if self.units is None else Path(self.units)
-        try:
-            return float(self.units)
-        except ValueError as error:
-            raise CaptureError(f"--units wants a number or a .toml file, got {self.units!r}") from error
-
-
-@dataclass(frozen=True)
-class ReadingOptions(CaptureOptions):
-    """Options by which a capture is read and shown.
-
-    Attributes:
-        hold_frames: hold one instant still for so many instants; 0 lets time go on.
-        hold_frame: the instant that is held still.
-        sensor_noise: add sensor noise of this standard deviation, of 255 levels, to every camera and instant, truth included.
-        noise_seed: of that noise.
-    """
-
-    hold_frames: int = 0
-    hold_frame: int = 0
-    sensor_noise: float = 0.0
-    noise_seed: int = 0
-
-    def open(self, path: Path) -> Capture:
-        """Open a capture and report which cameras and frames were dropped or modified."""
-        capture = open_capture(path, self.layout, units=self.given_units(), drop_unsynced=not self.keep_unsynced)
-        capture = perturb_capture(capture, CaptureEdit(self.hold_frames, self.hold_frame, self.sensor_noise, self.noise_seed))
-        for note in capture.notes:
-            print(f"{path}: {note}", file=sys.stderr)
-        return capture
-
-
-LayoutFlags = tyro.conf.OmitArgPrefixes[CaptureOptions]
-LAYOUT_DEFAULTS = CaptureOptions()
-CaptureFlags = tyro.conf.OmitArgPrefixes[ReadingOptions]
-CAPTURE_DEFAULTS = ReadingOptions()
 Calibrating = tyro.conf.OmitArgPrefixes[CalibrationOptions]
-DepthFlags = tyro.conf.OmitArgPrefixes[DepthRunOptions]
-DEPTH_DEFAULTS = DepthRunOptions()
-LIVE_DEPTH = DepthRunOptions(LIVE_MATCHER)  # what play and view wait for
 
 
 def demo(out: Output, room: RoomName = MAIN, quick: bool = False) -> None:
@@ -140,7 +64,8 @@ def get(scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATAS
 
 def check(
     capture: CaptureFolder,
-    reading: LayoutFlags = LAYOUT_DEFAULTS,
+    layout: Layout = None,
+    units: str | None = None,
     out: Path | None = None,
     repair: bool = False,
     crop: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="COLUMN ROW")] = None,
@@ -153,7 +78,8 @@ def check(
 
     Args:
         capture: the capture.
-        reading: how it is read.
+        layout: on disk; detected by default.
+        units: world units per metre, or a TOML file with a known baseline or two marked points (docs/captures.md).
         out: JSON file; CAPTURE.check.json in the current folder by default.
         repair: write CAPTURE/corrections.toml, by which every command shifts cameras that are out of step by whole frames and
             divides the colours of those that are brighter or darker; then check again.
@@ -168,10 +94,11 @@ def check(
     out = out or Path(f"{capture.resolve().name}.check.json")
     if crop is not None:
         print(write_crop(capture if capture.is_dir() else capture.parent, Crop(*crop)))
-    inspected, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
+    look = partial(run_check, capture, out, layout=layout, units=given_units(units), workers=jobs)
+    inspected, table = look()
     if repair and (written := repair_capture(capture, inspected.findings)):
         print(written)
-        inspected, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
+        inspected, table = look()
     print(table)
     print(out)
     if not inspected.is_usable:

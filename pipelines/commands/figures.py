@@ -1,13 +1,15 @@
 """The verbs of the command line that show what was measured: report, table, figure, compare."""
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
 from ggvs_eval import built_in
-from ggvs_eval.pipelines.commands.captures import Output, Run
+from ggvs_eval.pipelines.commands.flags import Output, Run
 from ggvs_eval.plugins import Registry
+from ggvs_eval.run_folder import RunFolder
 
 TRACKERS: Registry[Any] = Registry("trackers", built_in.TRACKERS)
 Runs = Annotated[
@@ -40,7 +42,11 @@ def report(
         print(write_leaderboard(runs, out or Path("leaderboard.html")))
     elif to == "page":
         from ggvs_eval.pipelines.run.evaluate import report as write
+        from ggvs_eval.pipelines.run.work_left import describe_outdated
 
+        for run in runs:
+            if outdated := describe_outdated([RunFolder(run)]):
+                print(f"{run}: {outdated}; shown as measured, `ggvs-eval run` makes them again", file=sys.stderr)
         print(write(runs, out, standalone=standalone, columns=columns))
     else:
         print(TRACKERS[to](runs, to, out or Path("tracked")))

@@ -16,7 +16,6 @@ from typing import Any, TextIO
 from ggvs_eval import __version__
 from ggvs_eval.built_in import VERBS
 from ggvs_eval.errors import CommandError, GgvsError, GgvsWarning, did_you_mean, mendable
-from ggvs_eval.pipelines.commands.examples import EXAMPLES
 from ggvs_eval.plugins import Registry, use_file
 
 Command = Callable[..., Any]
@@ -127,8 +126,9 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
 
         called = f"{program} {name}"
         command.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")  # tyro would break help where the source does
-        about = f"{_about(command)}\n\nExample: {called} {EXAMPLES[called]}"
-        tyro.cli(command, prog=called, args=words[1:], description=about, config=(tyro.conf.DisallowNone,))
+        verb = VERBS.get(called.split()[1])
+        example = f"\n\nExample: {called} {verb.example.replace('NETWORK', name)}" if verb else ""  # a plug-in's has none
+        tyro.cli(command, prog=called, args=words[1:], description=_about(command) + example, config=(tyro.conf.DisallowNone,))
 
 
 def _is_foreign(command: Callable[..., None], words: Sequence[str]) -> bool:

@@ -8,23 +8,23 @@ import tyro
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.geometry.source_views import SourceChoice
-from ggvs_eval.pipelines.commands.captures import (
+from ggvs_eval.pipelines.commands.flags import (
     CAPTURE_DEFAULTS,
     LIVE_DEPTH,
     ONE_PER_CORE,
     CaptureFlags,
+    CaptureOptions,
     DepthFlags,
+    Device,
     Jobs,
-    ReadingOptions,
+    Label,
 )
-from ggvs_eval.pipelines.commands.runs import Device
 from ggvs_eval.pipelines.methods.network_options import checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, online_method
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 
 Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE|RUN")]
-Label = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
 
 
 def play(
@@ -129,7 +129,7 @@ def view(
         viewer.wait()
 
 
-def _open(source: Path, reading: ReadingOptions, jobs: int) -> RunPlan | Capture:
+def _open(source: Path, reading: CaptureOptions, jobs: int) -> RunPlan | Capture:
     """The prepared run of a run folder, or a capture."""
     from ggvs_eval.pipelines.run.evaluate import reopen
 

@@ -1,4 +1,4 @@
-"""The verbs of the command line that question frames: doctor and explain."""
+"""The verbs of the command line that question frames: doctor, explain and steadiness."""
 
 import sys
 from collections.abc import Iterator
@@ -11,11 +11,12 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.built_in import CONVENTIONS
-from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.commands.captures import CAPTURE_DEFAULTS, ONE_PER_CORE, CaptureFlags, Jobs, ReadingOptions
+from ggvs_eval.errors import MetricError, RenderError
+from ggvs_eval.pipelines.commands.flags import CAPTURE_DEFAULTS, ONE_PER_CORE, CaptureFlags, CaptureOptions, Jobs
 from ggvs_eval.run_folder import RunFolder
 
 Renders = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RENDERS|RUN")]
+Videos = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="NAME=PATH")]
 Quoted = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VALUE")]
 Metric = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar=f"{{{','.join(CONVENTIONS)}}}")]
 
@@ -103,6 +104,45 @@ def explain(
         print(explanation_table(metric, quoted, recompute(metric, quoted, views)))
 
 
+def steadiness(
+    videos: Videos,
+    depth: bool = False,
+    mask: Path | None = None,
+    colmap: bool = False,
+    out: Path | None = None,
+) -> None:
+    """Measure how steady videos or depth maps are over time, without any truth, and how sharp, since blur is steady too.
+
+    Args:
+        videos: NAME=PATH of what each method made: a folder of numbered pictures, an .mp4 or .mov, a .npy or .npz.
+        depth: the paths hold depth maps (or disparity, in any unit): .png, .tif, .pfm, .npy, .npz, or a video of grey levels.
+        mask: a picture that is white where the scene stands still, for a camera that stands still; all pixels by default.
+        colmap: also whether COLMAP finds one scene in a video whose camera moves; takes some seconds per video.
+        out: also write the table there, as .md, .csv or .tex.
+    """
+    from ggvs_eval.pipelines.run.import_renders import named_renders
+    from ggvs_eval.pipelines.run.steadiness import measure_steadiness
+    from ggvs_eval.reports.tables.steadiness import FORMATS, remarks_on, steadiness_table, write_steadiness
+    from ggvs_eval.reports.tables.table_formats import to_markdown
+
+    if depth and colmap:
+        raise MetricError("COLMAP finds no features in depth maps; leave out --depth or --colmap")
+    if out is not None and out.suffix not in FORMATS:
+        raise RenderError(f"{out}: wanted a name that ends in {', '.join(FORMATS)}; change it")
+    paths = named_renders(videos)
+    if not paths:
+        raise RenderError("no videos to measure; name them, e.g. `ggvs-eval steadiness ours=renders/cam00 theirs=video.mp4`")
+    measured = measure_steadiness(paths, depth=depth, mask=mask, with_colmap=colmap)
+    where = "in all pixels" if mask is None else f"where {mask.name} is white"
+    table, remarks = (
+        steadiness_table(measured.metrics, measured.values, measured.not_computed, where),
+        remarks_on(measured.shapes),
+    )
+    print(to_markdown([table], remarks), end="")
+    if out is not None:
+        write_steadiness(out, table, remarks)
+
+
 @contextmanager
 def _rendered(
     renders: Path,
@@ -110,7 +150,7 @@ def _rendered(
     protocol: str | None,
     run: Path | None,
     first_frame: int | None,
-    reading: ReadingOptions,
+    reading: CaptureOptions,
     jobs: int,
 ) -> Iterator[tuple[RunFolder, list[str]]]:
     """A run folder with the frames in question, and what they are called there; it goes where none is named."""

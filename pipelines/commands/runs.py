@@ -1,75 +1,43 @@
-"""The verbs of the command line that make runs: prepare, render, score, run, sweep, status."""
+"""The verbs of the command line that make runs: prepare, render, score, merge, run, sweep, status."""
 
-import atexit
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
 from ggvs_eval import built_in
 from ggvs_eval.capture import Capture
-from ggvs_eval.errors import ProtocolError, WeightsError
-from ggvs_eval.jobs.engine import Engine
+from ggvs_eval.errors import ProtocolError, ResultsError, WeightsError
 from ggvs_eval.jobs.ledger import Failure
-from ggvs_eval.pipelines.commands.captures import (
+from ggvs_eval.pipelines.commands.flags import (
     CAPTURE_DEFAULTS,
     DEPTH_DEFAULTS,
+    HERE,
     NONE,
     ONE_PER_CORE,
+    USUAL_METHODS,
     CaptureFlags,
+    CaptureOptions,
     DepthFlags,
+    Device,
     Jobs,
+    Labels,
     Output,
-    ReadingOptions,
     Run,
+    Running,
+    Weights,
 )
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
-from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods, weights_takers
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method, weights_takers
 from ggvs_eval.pipelines.methods.splats import named_splats, splats_notes
-from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Protocol
+from ggvs_eval.run_folder import RunFolder
 
-if TYPE_CHECKING:  # they import pandas
-    from ggvs_eval.pipelines.sweep.demo_runs import Unpack
-    from ggvs_eval.pipelines.sweep.run_sweep import SweepPlan
-
-
-def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool = False) -> None:
-    """Tell what runs will do, as a few lines; nothing where all is done.
-
-    Args:
-        plans: of the runs.
-        jobs: processes.
-        folder: where they go.
-        dry_run: nothing will follow: say so even where all is done.
-
-    Raises:
-        ProtocolError: they need more room than the disk has.
-    """
-    from ggvs_eval.pipelines.run.work_left import count_work
-
-    if not plans:
-        return
-    work = count_work(plans, folder, jobs)
-    notes = [note for plan in plans for note in plan.capture.notes if note not in plan.request.capture.notes]
-    lines = [*dict.fromkeys(notes), *work.describe().splitlines()]
-    if lines or dry_run:
-        print("\n".join(lines) or f"{folder}: nothing is left to do", file=sys.stdout if dry_run else sys.stderr)
-    work.require_disk()
-
-
-Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)},splats:PATH}}")]
-Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE ...", help_behavior_hint=NONE)]
-Device = Annotated[str, tyro.conf.arg(metavar="{cpu,cuda,auto}")]
-Running = tyro.conf.OmitArgPrefixes[Engine]
-HERE = Engine()
-USUAL_METHODS = usual_methods()
 NO_SPLATS: Mapping[str, Path] = {}
 PLANS: Registry[Any] = Registry("plans of sweeps", built_in.SWEEP_PLANS)
 
@@ -103,6 +71,7 @@ def prepare(
     from ggvs_eval.pipelines.run.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
     from ggvs_eval.pipelines.run.prepare import prepare_run
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
+    from ggvs_eval.pipelines.run.work_left import print_plan
 
     networks = _networks((), device)
     root, opened = engine.place(run), _open(reading, engine.place(capture), protocol)
@@ -112,7 +81,7 @@ def prepare(
     if dry_run:
         return
     prepared = prepare_run(plan, engine)
-    print(write_prepared_page(prepared, depth.options().filled_confidence, engine.jobs))
+    print(write_prepared_page(prepared, engine.jobs))
     if fuse:
         fused = fuse_prepared(prepared)
         print(fused.points, fused.mesh, sep="\n")
@@ -195,6 +164,40 @@ def score(
         print(f"{metric} not computed in {where}: {reason}")
 
 
+def merge(
+    out: Output,
+    runs: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN RUN [RUN ...]", help_behavior_hint="(at least two)")
+    ],
+    copy: bool = False,
+    jobs: Jobs = ONE_PER_CORE,
+) -> None:
+    """Put run folders of one capture and protocol, made on several machines, into a new one, and make its table.
+
+    The runs may differ in their methods and in the views that were rendered; what two of them both have must be the same.
+
+    Args:
+        out: output run folder; written atomically.
+        runs: run folders; they stay as they are.
+        copy: copy files; otherwise they are linked where the file system can.
+        jobs: processes that measure what no run has measured.
+    """
+    from ggvs_eval.pipelines.run.score import score
+    from ggvs_eval.pipelines.sweep.merging.merge import merge_runs
+
+    if len(runs) < 2:
+        raise ResultsError(f"wanted at least two run folders to merge into {out}, got {len(runs)}; copy a single one")
+
+    def finish(merged: RunFolder) -> None:
+        missing = _missing_renders(merged)
+        if missing:
+            print(f"{out}: no table yet, {missing}; merge the runs that have them, or render them here", file=sys.stderr)
+        else:
+            print(score(merged, jobs).summary().droplevel("dataset").round(4).to_string())
+
+    print(merge_runs(out, runs, copy, finish).root)
+
+
 def run(
     run: Run,
     capture: Path | None = None,
@@ -227,29 +230,18 @@ def run(
     """
     from ggvs_eval.pipelines.run.evaluate import measure, report
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-    from ggvs_eval.pipelines.sweep.demo_runs import demo_plans, describe_outlook, evaluate_demos, room_labels
+    from ggvs_eval.pipelines.run.work_left import print_plan
+    from ggvs_eval.pipelines.sweep.demo_runs import demo_plans, room_labels, run_demos, unpack_rooms
 
     methods, splats = named_splats(methods)
     root, networks = engine.place(run), _networks(weights, device, splats)
     _require_methods(methods, networks)
+    unpack = unpack_rooms(reading.open, dry_run)
     if capture is None and protocol is None:
-        labels = room_labels(methods, USUAL_METHODS)
-        demos = demo_plans(root, labels, _unpacking(reading, dry_run), depth, networks)
-        announced = map(partial(_announce, jobs=engine.jobs, dry_run=dry_run), demos)
-        if dry_run:
-            for _ in announced:
-                pass
-            return
-
-        def show(page: Path) -> None:
-            print(f"{page} can be opened; it grows with each further run", file=sys.stderr, flush=True)
-
-        if outlook := describe_outlook(root, labels, engine.jobs):
-            print(outlook, file=sys.stderr, flush=True)
-        print(evaluate_demos(announced, engine, show))
+        labels = room_labels(methods)
+        run_demos(root, labels, demo_plans(root, labels, unpack, depth, networks), engine, dry_run)
         return
-    unpack = _unpacking(reading, dry_run)
-    opened = _open(reading, engine.place(capture), protocol) if capture else _demo_beside(root, unpack)
+    opened = _open(reading, engine.place(capture), protocol) if capture else unpack.beside(root)
     chosen = _protocol(protocol, opened)
     plan = plan_run(RunRequest(root, opened, chosen, methods, depth, networks))
     print_plan([plan], engine.jobs, root, dry_run)
@@ -295,13 +287,15 @@ def sweep(
         dry_run: print the remaining work, its disk use and estimated time, then exit.
     """
     from ggvs_eval.jobs.shard import Shard
+    from ggvs_eval.pipelines.run.work_left import print_plan
+    from ggvs_eval.pipelines.sweep.demo_runs import unpack_rooms
     from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
     from ggvs_eval.sweep import load_sweep
 
     definition, part = load_sweep(name), Shard.parse(shard)
     networks = _networks(weights, "cpu" if plan else device)  # planned commands may run where there is a GPU
     given = [_open(reading, engine.place(path), protocol) for path in capture]
-    captures = given or [_demo_beside(engine.place(out), _unpacking(reading, dry_run and plan is None))]
+    captures = given or [unpack_rooms(reading.open, dry_run and plan is None).beside(engine.place(out))]
     paths = [each.path for each in captures]
     opened = {each.path.resolve().name: each for each in captures}
     if len(opened) < len(capture):
@@ -334,8 +328,11 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
         folder: run folder, or folder of a sweep.
     """
     from ggvs_eval.jobs.ledger import describe_status
+    from ggvs_eval.pipelines.run.work_left import describe_outdated
 
     print(describe_status(folder))
+    if outdated := describe_outdated([RunFolder(folder)]):
+        print(f"{folder}: {outdated}; `ggvs-eval run` makes them again")
 
 
 def _flags(options: Any, default: Any) -> list[str]:
@@ -387,39 +384,7 @@ def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
     return checkpoints
 
 
-def _unpacking(reading: ReadingOptions, dry_run: bool) -> "Unpack":
-    """What unpacks a demo room and opens it; a dry run keeps what it unpacks elsewhere, until the process ends."""
-    from ggvs_eval.synthetic.shipped import write_room
-
-    elsewhere = TemporaryDirectory() if dry_run else None
-    if elsewhere:
-        atexit.register(elsewhere.cleanup)
-
-    def unpack(folder: Path, name: str) -> Capture:
-        place = Path(elsewhere.name) / folder.name if elsewhere and not folder.exists() else folder
-        return reading.open(write_room(place, name))
-
-    return unpack
-
-
-def _demo_beside(run: Path, unpack: "Unpack") -> Capture:
-    from ggvs_eval.pipelines.sweep.demo_runs import capture_beside
-    from ggvs_eval.synthetic.shipped import MAIN
-
-    return unpack(capture_beside(run), MAIN)
-
-
-def _announce(planned: "RunPlan | SweepPlan", jobs: int, dry_run: bool) -> "RunPlan | SweepPlan":
-    if isinstance(planned, RunPlan):
-        print_plan([planned], jobs, planned.run.root, dry_run)
-        return planned
-    print_plan(planned.plans, jobs, planned.root, dry_run)
-    for failure in planned.failures if dry_run else ():
-        print(f"failed: {failure}", file=sys.stderr)
-    return planned
-
-
-def _open(reading: ReadingOptions, path: Path, protocol: str | None) -> Capture:
+def _open(reading: CaptureOptions, path: Path, protocol: str | None) -> Capture:
     """Open a capture as its protocol wants it: with the cameras that are out of step where the protocol keeps them."""
     from ggvs_eval.pipelines.run.import_renders import asked_protocol
 
@@ -432,3 +397,13 @@ def _protocol(source: str | None, capture: Capture) -> Protocol:
     from ggvs_eval.protocol import load_protocol
 
     return load_protocol(source) if source else suggest_protocol(capture)
+
+
+def _missing_renders(run: RunFolder) -> str:
+    """Views that methods of a merged run lack, as text; empty where nothing is missing."""
+    from ggvs_eval.coverage import read_import
+
+    views = run.protocol().views.test
+    own = [label for label in run.labels() if read_import(run, label) is None]
+    lacking = {label: [view for view in views if not run.renders(label, view).is_dir()] for label in own}
+    return "; ".join(f"{label} lacks {', '.join(some)}" for label, some in lacking.items() if some)

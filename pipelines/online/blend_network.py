@@ -42,7 +42,7 @@ SUFFIXES: dict[Guidance, str] = {"registered": "", "channels": "-as-printed", "n
 
 
 @dataclass(frozen=True)
-class BlendNetworkOptions:
+class BlendNetworkShape:
     """Shape of a blending network.
 
     Attributes:
@@ -79,7 +79,7 @@ class BlendNetworkOptions:
 class BlendNetwork(nn.Module):
     """The U-Net between the input channels and the outputs that `read_outputs` understands, and the refiner behind them."""
 
-    def __init__(self, config: BlendNetworkOptions) -> None:
+    def __init__(self, config: BlendNetworkShape) -> None:
         super().__init__()
         self.config = config
         self.register_buffer("scale", torch.tensor(config.scale))  # lies in the weights file: no shape tells it
@@ -362,7 +362,7 @@ def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
     return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
-def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> BlendNetworkOptions:
+def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> BlendNetworkShape:
     """The configuration whose parameters these are: by names, shapes and the scale that is kept among them."""
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     first, last = shapes.get("unet.down.0.0.weight", ()), shapes.get("unet.last.weight", ())
@@ -373,7 +373,7 @@ def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> BlendNetw
     features = looks[1] - EVIDENCE if len(looks) == 4 else 0
     views = last[0] - BEYOND_VIEWS - features
     for guidance in SUFFIXES:
-        config = BlendNetworkOptions(views, guidance, first[0], scale, features)
+        config = BlendNetworkShape(views, guidance, first[0], scale, features)
         if views > 0 and config.inputs == first[1]:
             with torch.device("meta"):  # a wrong file may ask for any width
                 network = BlendNetwork(config)

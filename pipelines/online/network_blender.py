@@ -82,7 +82,7 @@ def overview(maps: BlendMaps, scale: int) -> Overview:
 
     Args:
         maps: the K views.
-        scale: of the network, see `BlendNetworkOptions`.
+        scale: of the network, see `BlendNetworkShape`.
     """
     from ggvs_eval.kernels import _core
 
@@ -285,7 +285,7 @@ class NetworkBlender:
 
     Attributes:
         weights: file of the weights; those that ship unless given.
-        guidance: which of those that ship, see `BlendNetworkOptions`. A given file knows by itself.
+        guidance: which of those that ship, see `BlendNetworkShape`. A given file knows by itself.
         device: where the network computes, see `compute_device`.
     """
 

@@ -159,7 +159,7 @@ def playback_of_capture(
     capture = without_unmatched(capture, depth)
     instants = _instants(capture, range(capture.n_frames), options.frames)
     k = _checked_k(capture, min(4, len(capture.cameras) - anywhere) if options.k is None else options.k)
-    alone, sources = replace(depth, consistency=None), options.sources or "nearest"
+    alone, sources = replace(depth, consistency=False), options.sources or "nearest"
     if anywhere:
         instants = sorted(set(instants))
         poses = [
@@ -238,7 +238,7 @@ def _frames_by_camera(
     """Frames of each camera that take part: of sources, and of those that their depth is matched with."""
     frames_by_camera: dict[str, set[int]] = {}
     for block, names in blocks:
-        frames = range(options.time.first_needed(block.start), block.stop)
+        frames = range(options.first_needed(block.start), block.stop)
         for name in {each for source in names for each in (source, *jobs[source].partner_names)}:
             frames_by_camera.setdefault(name, set()).update(frames)
     return {name: sorted(frames) for name, frames in sorted(frames_by_camera.items())}

@@ -4,15 +4,16 @@ from pathlib import Path
 
 from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline.export.dense_workspace import WorkspaceOptions, write_dense_workspace
-from ggvs_eval.pipelines.offline.export.surfaces import FusedFiles, FuseOptions, fuse_instant
+from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE
+from ggvs_eval.pipelines.offline.export.dense_workspace import write_dense_workspace
+from ggvs_eval.pipelines.offline.export.surfaces import FusedFiles, fuse_instant
 from ggvs_eval.pipelines.offline.sensor.registration import Registration
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.reports.depth_page.page import write_depth_page
 from ggvs_eval.reports.depth_page.record import StoredDepth
 
 
-def write_prepared_page(prepared: RunPlan, filled_confidence: float, workers: int = 1) -> Path:
+def write_prepared_page(prepared: RunPlan, workers: int = 1) -> Path:
     """Write ``RUN/depth_page/`` of the first, middle and last instant."""
     frames, width_px = prepared.frames, prepared.capture.cameras[0].width
     shown = tuple(sorted({frames[0], frames[len(frames) // 2], frames[-1]}))
@@ -21,7 +22,7 @@ def write_prepared_page(prepared: RunPlan, filled_confidence: float, workers: in
     alone = [job for job in prepared.path_jobs if job.camera_name not in of_views]
     stored += [StoredDepth(job, (prepared.path_frame,), _registration(job, width_px)) for job in alone]
     store = DepthStore(prepared.run.depth)
-    return write_depth_page(prepared.run.root / "depth_page", prepared.capture, stored, store, filled_confidence, workers)
+    return write_depth_page(prepared.run.root / "depth_page", prepared.capture, stored, store, FILLED_CONFIDENCE, workers)
 
 
 def _registration(job: DepthJob, width_px: int) -> str:
@@ -31,7 +32,7 @@ def _registration(job: DepthJob, width_px: int) -> str:
     return Registration(**applied).describe(width_px) if applied else ""
 
 
-def fuse_prepared(prepared: RunPlan, frame: int | None = None, options: FuseOptions | None = None) -> FusedFiles:
+def fuse_prepared(prepared: RunPlan, frame: int | None = None) -> FusedFiles:
     """Write ``RUN/fused/<frame>/points.ply`` and ``mesh.ply`` of all cameras with depth at one instant.
 
     Args:
@@ -45,11 +46,10 @@ def fuse_prepared(prepared: RunPlan, frame: int | None = None, options: FuseOpti
         [capture.frame(name, frame) for name in names],
         [store.read(job.key, frame) for job in chosen],
         prepared.run.root / "fused" / f"{frame:04d}",
-        options,
     )
 
 
-def export_prepared(prepared: RunPlan, folder: Path, frame: int | None = None, options: WorkspaceOptions | None = None) -> Path:
+def export_prepared(prepared: RunPlan, folder: Path, frame: int | None = None) -> Path:
     """Write all cameras with depth at one instant as a COLMAP dense workspace.
 
     Args:
@@ -65,7 +65,6 @@ def export_prepared(prepared: RunPlan, folder: Path, frame: int | None = None, o
         [store.read(job.key, frame) for job in chosen],
         {job.camera_name: job.partner_names for job in chosen},
         folder,
-        options,
     )
 
 

@@ -226,7 +226,7 @@ class RunPlan:
         """Frames of each camera that take part: test views, source cameras and those that their depth is matched with."""
         numbers: dict[str, list[int]] = {view: list(self.frames) for view in self.plans}
         for jobs, frames in self.depth_work():
-            needed = {*frames, *range(self.depth_options.time.first_needed(frames[0]), frames[0])}
+            needed = {*frames, *range(self.depth_options.first_needed(frames[0]), frames[0])}
             for name in {name for job in jobs for name in (job.camera_name, *job.partner_names)}:
                 numbers[name] = sorted({*numbers.get(name, []), *needed})
         for fit in self.fits:

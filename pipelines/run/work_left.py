@@ -1,15 +1,19 @@
-"""Work left in runs, counted from their plans and folders; nothing is written."""
+"""Work left in runs and results of other code, counted from their plans and folders; nothing is written."""
 
 import shutil
+import sys
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.errors import ProtocolError, ResultsError
+from ggvs_eval.errors import GgvsError, ProtocolError, ResultsError
 from ggvs_eval.jobs.machine import pace
+from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions
+from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.methods.render_unit import PATH
 from ggvs_eval.pipelines.methods.stage_costs import (
     CHECKED_DEPTH,
@@ -22,10 +26,14 @@ from ggvs_eval.pipelines.methods.stage_costs import (
     score_cost,
     stage_of,
 )
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 from ggvs_eval.pipelines.run.derived_files import frames_left, path_left
 from ggvs_eval.pipelines.run.disocclusion import mask_files
 from ggvs_eval.pipelines.run.path_depth import path_files, poses_left
+from ggvs_eval.pipelines.run.render import method_code
 from ggvs_eval.pipelines.run.run_plan import RunPlan
+from ggvs_eval.pipelines.run.score_code import metric_code
 from ggvs_eval.progress import counted, duration
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 
@@ -192,6 +200,82 @@ def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workloa
     means = {label: sum(values) / len(values) for label, values in seconds.items() if values}
     pieces = {(piece.kind, piece.folder): piece for plan in plans for piece in work_left(plan)}
     return Workload(_title(plans), tuple(pieces.values()), folder, means, jobs)
+
+
+def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool = False) -> None:
+    """Print what runs will do, as a few lines; nothing where all is done.
+
+    Args:
+        plans: of the runs.
+        jobs: processes.
+        folder: where they go.
+        dry_run: print it on stdout, and a line even where all is done: nothing will follow.
+
+    Raises:
+        ProtocolError: they need more room than the disk has.
+    """
+    if not plans:
+        return
+    if outdated := describe_outdated([plan.run for plan in plans]):
+        print(f"{folder}: {outdated}; they are made again", file=sys.stderr)
+    work = count_work(plans, folder, jobs)
+    notes = [note for plan in plans for note in plan.capture.notes if note not in plan.request.capture.notes]
+    lines = [*dict.fromkeys(notes), *work.describe().splitlines()]
+    if lines or dry_run:
+        print("\n".join(lines) or f"{folder}: nothing is left to do", file=sys.stdout if dry_run else sys.stderr)
+    work.require_disk()
+
+
+def describe_outdated(runs: Iterable[RunFolder]) -> str:
+    """Count what other code than this version's has made in run folders: renders, their depth, scored views; empty if nothing.
+
+    Reading:
+        Methods and metrics that this version does not have are not counted: nothing here would make them again.
+    """
+    renders: list[str] = []
+    scored = depth = 0
+    for run in runs:
+        if not run.protocol_file.is_file():
+            continue
+        views = run.protocol().views.test
+        for label in run.labels():
+            folders = (*(run.renders(label, view) for view in views), run.path(label))
+            renders += [label for folder in folders if _is_outdated(label, _identity(folder))]
+        for records in (_identity(run.scores(view)).values() for view in views):
+            metrics = {name: known for each in records for name, known in each.get("metrics", {}).items() if name in METRICS}
+            scored += any(known["code"] != metric_code(METRICS[name]) for name, known in metrics.items())
+        depth += _has_old_depth(run)
+    parts = [f"{counted(len(renders), 'render')} ({', '.join(dict.fromkeys(renders))})"] if renders else []
+    parts += ["the depth that renders are made from"] if depth else []
+    parts += [counted(scored, "scored view")] if scored else []
+    return f"{', '.join(parts)} are of another version of the code" if parts else ""
+
+
+def _is_outdated(label: str, identity: Mapping[str, Any]) -> bool:
+    """Tell whether a render was made by other code than the method's of this version."""
+    try:
+        method = find_method(label, NetworkOptions(device="cuda" if "device" in identity else "cpu"))
+    except GgvsError:
+        return False
+    return "code" in identity and identity["code"] != method_code(method)
+
+
+def _has_old_depth(run: RunFolder) -> bool:
+    """Tell whether all depth of a run was found by other code."""
+    found = {read_json(file)["options"].get("code") for file in run.depth.glob("*/spec.json")}
+    try:
+        options = DepthRunOptions.from_record(read_json(run.depth_record)).options()
+        return bool(found) and found.isdisjoint((options.describe()["code"], describe_filter()["code"]))
+    except (GgvsError, TypeError):
+        return False
+
+
+def _identity(folder: Path) -> dict[str, Any]:
+    """What the result in a folder was made of; empty where there is none."""
+    try:
+        return dict(read_json(folder / JOB_FILE)["identity"])
+    except (ResultsError, KeyError, TypeError):
+        return {}
 
 
 def work_left(plan: RunPlan) -> list[Piece]:

@@ -1,28 +1,32 @@
 """The demo rooms evaluated one after another, the figure over K, and one page of all: `ggvs-eval run` without a capture."""
 
+import atexit
+import sys
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
-from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.engine import Engine, Workers
 from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.jobs.machine import pace
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
+from ggvs_eval.pipelines.methods.registry import usual_methods
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import measure, report
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.run.work_left import count_work
+from ggvs_eval.pipelines.run.work_left import count_work, print_plan
 from ggvs_eval.pipelines.sweep.run_sweep import SweepPlan, plan_cells, run_sweep
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, load_sweep
-from ggvs_eval.synthetic.shipped import MAIN, ROOMS
+from ggvs_eval.synthetic.shipped import MAIN, ROOMS, write_room
 
-Unpack = Callable[[Path, str], Capture]
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")
 # Seconds of evaluating each room by the usual methods, and over K, times the cores: at `pace` 1.
@@ -34,10 +38,41 @@ SMALL_ROOMS_METHODS = {
 }
 
 
+@dataclass(frozen=True)
+class Unpacking:
+    """What unpacks a demo room and opens it.
+
+    Attributes:
+        open: opens the capture of a folder.
+        elsewhere: folder that rooms are unpacked into in place of their own; None where they go there.
+    """
+
+    open: Callable[[Path], Capture]
+    elsewhere: Path | None = None
+
+    def __call__(self, folder: Path, name: str) -> Capture:
+        """The capture of a room's name; a folder that is there is taken as it is."""
+        place = self.elsewhere / folder.name if self.elsewhere and not folder.exists() else folder
+        return self.open(write_room(place, name))
+
+    def beside(self, root: Path) -> Capture:
+        """The main room, next to a run folder."""
+        return self(capture_beside(root), MAIN)
+
+
+def unpack_rooms(open_room: Callable[[Path], Capture], dry_run: bool) -> Unpacking:
+    """What unpacks demo rooms; a dry run keeps what it unpacks elsewhere, until the process ends."""
+    if not dry_run:
+        return Unpacking(open_room)
+    elsewhere = TemporaryDirectory()
+    atexit.register(elsewhere.cleanup)
+    return Unpacking(open_room, Path(elsewhere.name))
+
+
 def demo_plans(
     root: Path,
     labels: Mapping[str, Sequence[str]],
-    unpack: Unpack,
+    unpack: Callable[[Path, str], Capture],
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
     rooms: Sequence[str] = ROOMS,
@@ -93,6 +128,43 @@ def evaluate_demos(
     return page
 
 
+def run_demos(
+    root: Path,
+    labels: Mapping[str, Sequence[str]],
+    planned: Iterable[RunPlan | SweepPlan],
+    engine: Engine,
+    dry_run: bool = False,
+) -> None:
+    """Evaluate the demo rooms and print what is left of each, how long all take, and where the page is.
+
+    Args:
+        root: run folder of the main room.
+        labels: name of a room -> its methods.
+        planned: see `demo_plans`.
+        dry_run: print what is left alone.
+    """
+
+    def announce(each: RunPlan | SweepPlan) -> RunPlan | SweepPlan:
+        if isinstance(each, RunPlan):
+            print_plan([each], engine.jobs, each.run.root, dry_run)
+            return each
+        print_plan(each.plans, engine.jobs, each.root, dry_run)
+        for failure in each.failures if dry_run else ():
+            print(f"failed: {failure}", file=sys.stderr)
+        return each
+
+    def show(page: Path) -> None:
+        print(f"{page} can be opened; it grows with each further run", file=sys.stderr, flush=True)
+
+    announced = map(announce, planned)
+    if dry_run:
+        deque(announced, maxlen=0)
+        return
+    if outlook := describe_outlook(root, labels, engine.jobs):
+        print(outlook, file=sys.stderr, flush=True)
+    print(evaluate_demos(announced, engine, show))
+
+
 def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int, probe: Callable[[], float] = pace) -> str:
     """Say in one line how long the demo takes and when its first page can be opened; empty once its rooms are evaluated.
 
@@ -110,9 +182,9 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
     )
 
 
-def room_labels(labels: Sequence[str], usual: Sequence[str]) -> dict[str, Sequence[str]]:
+def room_labels(labels: Sequence[str]) -> dict[str, Sequence[str]]:
     """Name of a demo room -> its methods: where they are the usual ones, small rooms have lists of their own."""
-    own = SMALL_ROOMS_METHODS if tuple(labels) == tuple(usual) else {}
+    own = SMALL_ROOMS_METHODS if tuple(labels) == usual_methods() else {}
     return {name: own.get(name, labels) for name in ROOMS}
 
 

@@ -41,7 +41,7 @@ from ggvs_eval.reports.depth_page.record import (
 from ggvs_eval.run_folder import read_json, write_json
 
 LEAST_MEASURED = 0.5  # of the pixels; the rest of the picture is guesswork
-LEAST_CONFIDENCE = 0.3  # what `FuseOptions` and `WorkspaceOptions` ask for
+LEAST_CONFIDENCE = 0.3  # below it `ggvs-eval prepare` fuses and exports nothing
 MOST_ROW_PX = 1.0  # a matcher looks for a match on one row; a pixel beside it everything is blurred or missed
 MOST_OUTSIDE = 0.05  # of the matches; mismatches alone stay well below
 MOST_ERROR = 2.0  # times what is usual among the cameras ...

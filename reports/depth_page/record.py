@@ -113,7 +113,8 @@ def resynthesise(camera: Camera, depth: Map, image: Image8, other: Camera, other
     """
     has_depth = depth > 0
     tolerance = SAME_SURFACE * float(np.median(depth[has_depth])) if has_depth.any() else SAME_SURFACE * camera.near
-    seen_from_there = _depth_from(camera, depth, other)
+    view = splat_depth(camera, depth, other, near=0.1 * min(camera.near, other.near))
+    seen_from_there = np.where(view.alpha > COVERED_ALPHA, view.depth, np.float32(0))
     other_colours = other_image.astype(np.float32) / np.float32(255)
     warped = warp(camera, depth, other, other_colours, seen_from_there, tolerance, bicubic=True)
     is_seen = has_depth & (warped.visibility > 0.5)
@@ -121,12 +122,6 @@ def resynthesise(camera: Camera, depth: Map, image: Image8, other: Camera, other
     colour = warped.colour * np.asarray(gain, np.float32)
     difference = np.abs(np.clip(colour, 0, 1) * 255 - image).mean(axis=-1, dtype=np.float32)
     return Resynthesis(quantise(colour), is_seen, np.where(is_seen, difference, np.float32(0)), gain)
-
-
-def _depth_from(camera: Camera, depth: Map, other: Camera) -> Map:
-    """The depth map as the other camera sees it, (H', W'); 0 where it does not reach."""
-    view = splat_depth(camera, depth, other, near=0.1 * min(camera.near, other.near))
-    return np.where(view.alpha > COVERED_ALPHA, view.depth, np.float32(0))
 
 
 def _gain(truth: NDArray[np.uint8], warped: NDArray[np.float32]) -> tuple[float, float, float]:

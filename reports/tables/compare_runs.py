@@ -87,7 +87,8 @@ def method_sides(run: Path, first: str, second: str) -> tuple[Side, Side]:
     results = Results.read(run)
     names = read_json(run / METHODS_FILE)["names"]
     for label in (first, second):
-        _require_label(results, label, run)
+        if label not in _labels(results):
+            raise ResultsError(f"{run}: no values of method {label!r}; it has {', '.join(_labels(results))}")
     if first == second:
         raise ResultsError(f"{run}: wanted two methods, got {first} twice")
     one, other = (Side(names.get(label, label), label, results) for label in (first, second))
@@ -118,7 +119,8 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
     Args:
         other: the second.
     """
-    both = _both(one, other)
+    parts = [_renamed(side, name) for side, name in zip((one, other), SIDES, strict=True)]
+    both = replace(one.results, table=pd.concat(parts, ignore_index=True))
     reasons = {side: each.results.set_aside.get(each.label) for side, each in zip(SIDES, (one, other), strict=True)}
     set_aside = "; ".join(f"{side} {why}" for side, why in reasons.items() if why)
     dataset = str(both.table["dataset"].iloc[0])
@@ -185,12 +187,6 @@ def what_else_differs(first: Path, second: Path) -> list[str]:
     return lines + [f"only in {run}: {', '.join(sorted(own))}" for run, own in alone if own]
 
 
-def _both(one: Side, other: Side) -> Results:
-    """The two as methods ``first`` and ``second`` of one table."""
-    parts = [_renamed(side, name) for side, name in zip((one, other), SIDES, strict=True)]
-    return replace(one.results, table=pd.concat(parts, ignore_index=True))
-
-
 def _renamed(side: Side, name: str) -> pd.DataFrame:
     chosen = [label == side.label for label in side.results.row_labels]
     return side.results.table[chosen].assign(method=name, variant="")
@@ -198,11 +194,6 @@ def _renamed(side: Side, name: str) -> pd.DataFrame:
 
 def _labels(results: Results) -> list[str]:
     return list(dict.fromkeys(results.row_labels))
-
-
-def _require_label(results: Results, label: str, run: Path) -> None:
-    if label not in _labels(results):
-        raise ResultsError(f"{run}: no values of method {label!r}; it has {', '.join(_labels(results))}")
 
 
 def _require_alike(first: Path, second: Path, one: Results, other: Results) -> None:

@@ -8,7 +8,7 @@ import torch
 
 from ggvs_eval import kernels
 from ggvs_eval.baselines.fitted.four_d import FourD
-from ggvs_eval.baselines.fitted.optimiser import Journal, OptimiserOptions, optimise
+from ggvs_eval.baselines.fitted.optimiser import FitSchedule, Journal, optimise
 from ggvs_eval.baselines.fitted.per_instant import PerInstant
 from ggvs_eval.baselines.fitted.scene import SCENE, LinearMotion, StoredScene
 from ggvs_eval.baselines.fitted.shots import Shots
@@ -70,7 +70,7 @@ def test_a_cloud_with_known_linear_motion_is_recovered(tmp_path):
     shots = Shots(footage, footage.indices, tmp_path)
 
     with one_thread():
-        optimise(state, shots, OptimiserOptions(600, density=None, measure_every=0), quiet(tmp_path, 600), None)
+        optimise(state, shots, FitSchedule(600, density=None, measure_every=0), quiet(tmp_path, 600), None)
 
     errors = []
     with torch.no_grad():

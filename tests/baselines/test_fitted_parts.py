@@ -9,7 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ggvs_eval.baselines.fitted.hexplane import PUBLISHED, DeformationNetwork, PlaneGrid, compact, read_deformation
-from ggvs_eval.baselines.fitted.optimiser import DensityOptions, control_density, photometric_loss, rotated, structural_loss
+from ggvs_eval.baselines.fitted.optimiser import DensitySchedule, control_density, photometric_loss, rotated, structural_loss
 from ggvs_eval.baselines.fitted.points import Points, initial_points
 from ggvs_eval.baselines.fitted.published import PublishedScene
 from ggvs_eval.baselines.fitted.scene import (
@@ -237,7 +237,7 @@ def test_density_control_clones_splits_and_prunes():
     state.visits[:] = 2
     before = {name: tensor.detach().clone() for name, tensor in state.gaussians.items()}
 
-    control_density(state, 1.0, DensityOptions(), seed=0)
+    control_density(state, 1.0, DensitySchedule(), seed=0)
 
     after = state.gaussians
     assert len(state) == 6
@@ -259,7 +259,7 @@ def test_density_control_keeps_to_its_cap():
     state.gradient_sum[:] = torch.tensor([1.0, 2, 3, 9, 4, 5])
     state.visits[:] = 1
 
-    control_density(state, 1.0, DensityOptions(most=7), seed=0)
+    control_density(state, 1.0, DensitySchedule(most=7), seed=0)
 
     assert len(state) == 7
     assert torch.equal(state.gaussians["means"][6], gaussians["means"][3])

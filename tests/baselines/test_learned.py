@@ -16,7 +16,7 @@ from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.contrib import more_baselines
 from ggvs_eval.contrib.training.recipes.recipe import RECIPES, TRAINED_BASELINES, TrainingRecipe
-from ggvs_eval.contrib.training.request import TrainingRequest
+from ggvs_eval.contrib.training.request import TrainingOptions
 from ggvs_eval.contrib.training.samples.sample_kinds import InstantKind
 from ggvs_eval.contrib.training.samples.training_data import sample_pools
 from ggvs_eval.contrib.training.train_one import CACHE, train_one
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.slow
 
 WIDTH, HEIGHT = 400, 300  # of domain plain
 START = torch.tensor([0.25, 0.5, 0.75])
-REQUEST = TrainingRequest(steps=1, views=2, rooms=1, targets=1, domains=("plain",), device="cpu", workers=0)
+REQUEST = TrainingOptions(steps=1, views=2, rooms=1, targets=1, domains=("plain",), device="cpu", workers=0)
 
 
 class ToyNetwork(nn.Module):

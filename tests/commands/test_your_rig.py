@@ -11,7 +11,7 @@ import pytest
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.geometry.alignment import pose_differences, rig_extent
-from ggvs_eval.pipelines.commands import captures
+from ggvs_eval.pipelines.commands import flags
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder
@@ -38,7 +38,7 @@ def walk(tmp_path_factory) -> tuple[Path, list[Step]]:
     folder = tmp_path_factory.mktemp("walk")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr(captures, "default_workers", lambda: 1)
+        patch.setattr(flags, "default_workers", lambda: 1)
         light_by_few_rays(patch, tmp_path_factory.mktemp("light"))
         return folder, [follow(line) for line in commands_of(PAGE)]
 

@@ -12,7 +12,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import HeldDepths, perturb_capture
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.pipelines.commands.captures import ReadingOptions
+from ggvs_eval.pipelines.commands.flags import CaptureOptions
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.evaluate import reopen
 from ggvs_eval.pipelines.run.prepare import prepare
@@ -150,7 +150,7 @@ def test_noise_is_added_once(folder_capture):
 
 def test_the_command_line_says_what_it_did(folder, capsys):
     """`--hold-frames 6 ...` gives these frames, and a note of them."""
-    opened = ReadingOptions(hold_frames=6, hold_frame=2, sensor_noise=1.5, noise_seed=7).open(folder)
+    opened = CaptureOptions(hold_frames=6, hold_frame=2, sensor_noise_255=1.5, noise_seed=7).open(folder)
 
     np.testing.assert_array_equal(opened.frame("cam00", 5), perturb_capture(open_capture(folder), HELD).frame("cam00", 5))
     assert "frame 2 held still for 6 instants, sensor noise of 1.5/255" in capsys.readouterr().err

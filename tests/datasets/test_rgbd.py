@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ggvs_eval.datasets import open_capture, rgbd
-from ggvs_eval.datasets.depth_frames import DepthFrames
+from ggvs_eval.datasets.rgbd import DepthFrames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
 from helpers.captures import make_image, refusal

@@ -22,9 +22,9 @@ from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.pipelines.methods.fitted import FittedMethod, StoredSplats
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions
+from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
-from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher
 from ggvs_eval.pipelines.run.render import method_code
@@ -206,8 +206,8 @@ def codes_of(tree: CodeTree) -> dict[str, Any]:
             "path with COLMAP": path_code(("COLMAP_matches",)),
             "ceilings": ceilings_code(ceiling_metrics()),
             **{f"depth by {name}": DepthOptions(matcher=each).describe()["code"] for name, each in matchers.items()},
-            "checked depth": ConsistencyOptions().describe()["code"],
-            "sensor depth": SensorDepthOptions().describe()["code"],
+            "checked depth": describe_check()["code"],
+            "sensor depth": describe_filter()["code"],
         }
 
 

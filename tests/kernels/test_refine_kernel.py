@@ -15,7 +15,7 @@ from ggvs_eval.pipelines.online.blend_network import (
     BEYOND_VIEWS,
     SURE,
     BlendNetwork,
-    BlendNetworkOptions,
+    BlendNetworkShape,
     compose_tensors,
     read_outputs,
     small_outputs,
@@ -45,7 +45,7 @@ def alone():
         yield
 
 
-def random_network(config: BlendNetworkOptions, width: int | None = None) -> BlendNetwork:
+def random_network(config: BlendNetworkShape, width: int | None = None) -> BlendNetwork:
     """A seeded network whose outputs and filters do something; its refiner as wide as wanted."""
     torch.manual_seed(0)
     network = BlendNetwork(config).eval()
@@ -80,14 +80,14 @@ def twin(network: BlendNetwork, maps: BlendMaps) -> np.ndarray:
 
 
 SHAPES = (  # the shipped one, sizes that the scale does not divide, several tiles, and sizes below a filter's reach
-    (BlendNetworkOptions(6, "registered", 4, 4, 8), None, (301, 131), 4),
-    (BlendNetworkOptions(6, "registered", 4, 4, 8), None, (143, 65), 2),
-    (BlendNetworkOptions(3, "channels", 4, 2, 3), 5, (37, 70), 3),
-    (BlendNetworkOptions(2, "naive", 4, 3, 1), 21, (40, 17), 1),
-    (BlendNetworkOptions(2, "none", 4, 1, 17), 8, (16, 16), 2),
-    (BlendNetworkOptions(4, "registered", 4, 4, 0), None, (30, 22), 3),
-    (BlendNetworkOptions(2, "registered", 4, 8, 2), None, (1, 5), 2),
-    (BlendNetworkOptions(2, "registered", 4, 2, 2), None, (1, 3), 2),
+    (BlendNetworkShape(6, "registered", 4, 4, 8), None, (301, 131), 4),
+    (BlendNetworkShape(6, "registered", 4, 4, 8), None, (143, 65), 2),
+    (BlendNetworkShape(3, "channels", 4, 2, 3), 5, (37, 70), 3),
+    (BlendNetworkShape(2, "naive", 4, 3, 1), 21, (40, 17), 1),
+    (BlendNetworkShape(2, "none", 4, 1, 17), 8, (16, 16), 2),
+    (BlendNetworkShape(4, "registered", 4, 4, 0), None, (30, 22), 3),
+    (BlendNetworkShape(2, "registered", 4, 8, 2), None, (1, 5), 2),
+    (BlendNetworkShape(2, "registered", 4, 2, 2), None, (1, 3), 2),
 )
 
 
@@ -176,7 +176,7 @@ def refined_picture(refiner: Refiner, size: tuple[int, int]) -> np.ndarray:
 
 def test_threads_and_instruction_sets_change_no_bit():
     """Any number of threads and every instruction set give the same bits."""
-    refiner, images = random_network(BlendNetworkOptions(features=8)).refiner, {}
+    refiner, images = random_network(BlendNetworkShape(features=8)).refiner, {}
     for level in kernels.available_levels():
         kernels.set_simd_level(level)
         alone, many = [], []
@@ -192,7 +192,7 @@ def test_threads_and_instruction_sets_change_no_bit():
 def test_statistics_steer_the_filters():
     """A network with a condition makes another picture than one whose condition is zero."""
     network, maps = (
-        random_network(BlendNetworkOptions(2, "registered", 4, 4, 4)),
+        random_network(BlendNetworkShape(2, "registered", 4, 4, 4)),
         random_maps(np.random.default_rng(4), 60, 44, 2),
     )
     steered = blend_by(network, maps).image
@@ -218,6 +218,6 @@ def test_a_network_that_must_not_see_depth_does_not():
     """Without TSDF guidance the fused depth changes nothing, with it it does."""
     random = np.random.default_rng(3)
     for guidance in ("none", "channels"):
-        network, maps = random_network(BlendNetworkOptions(2, guidance, 4, 1, 4)), random_maps(random, 33, 21, 2)
+        network, maps = random_network(BlendNetworkShape(2, guidance, 4, 1, 4)), random_maps(random, 33, 21, 2)
         moved = replace(maps, fused_depth=np.roll(maps.fused_depth, 7, axis=1))
         assert np.array_equal(blend_by(network, maps).image, blend_by(network, moved).image) == (guidance not in GUIDED)

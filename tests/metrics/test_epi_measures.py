@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.path.epi_lines import find_lines
-from ggvs_eval.metrics.path.epi_metrics import HorizontalPath, epi_coherence, horizontal_path, slope_agreement
-from ggvs_eval.metrics.path.rendered_path import SlopeOptions
+from ggvs_eval.metrics.path.epi_metrics import HorizontalPath, epi_coherence, find_lines, horizontal_path, slope_agreement
 from helpers.epi_scenes import FOCAL, POSES, SPAN, WALL, exact, path, rendered
 from helpers.refusals import refused
 
@@ -200,8 +198,8 @@ def test_tolerance_and_texture_of_the_slope_are_options():
     geometry = horizontal_path(path())
     wrong = [(epi, depth * np.float32(1.05)) for epi, depth in epis_of(poses)]
     error_px = FOCAL * STEP / 4.0 * (1 - 1 / 1.05)
-    strict = slope_agreement(wrong, geometry, SlopeOptions(tolerance_px=0.5 * error_px))
-    wide = slope_agreement(wrong, geometry, SlopeOptions(tolerance_px=2 * error_px))
+    strict = slope_agreement(wrong, geometry, 0.5 * error_px)
+    wide = slope_agreement(wrong, geometry, 2 * error_px)
     assert strict.median_error_px == pytest.approx(error_px, abs=0.005)
     assert strict.agreeing_share < 0.1 < 0.9 < wide.agreeing_share
-    assert slope_agreement(wrong, geometry, SlopeOptions(least_texture_255=15.0)).measured_share < wide.measured_share
+    assert slope_agreement(wrong, geometry, least_texture_255=15.0).measured_share < wide.measured_share

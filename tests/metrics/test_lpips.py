@@ -4,6 +4,8 @@ import hashlib
 import io
 import os
 import pickle
+import subprocess
+import sys
 import tarfile
 
 import numpy as np
@@ -18,7 +20,14 @@ from ggvs_eval.metrics.image import fetch_lpips
 from ggvs_eval.metrics.image import lpips as module
 from ggvs_eval.metrics.image.fetch_lpips import NETS, fetch_weights, read_checkpoint, weights_path
 from ggvs_eval.metrics.image.lpips import lpips, lpips_between, lpips_features
-from ggvs_eval.metrics.image.lpips_network import LAYERS, compiled_layers, load_weights, network_input, tapped_layers
+from ggvs_eval.metrics.image.lpips_network import (
+    LAYERS,
+    compiled_input,
+    compiled_layers,
+    load_weights,
+    network_input,
+    tapped_layers,
+)
 from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.registry import metric_notes
 from ggvs_eval.metrics.stream import score_views
@@ -126,9 +135,24 @@ def test_the_compiled_network_is_torchs():
         with torch.inference_mode():
             by_torch.append(tapped_layers(network_input(frame)[None], LAYERS["vgg"], weights))
 
-    for ours, theirs in zip(compiled_layers(network_input(truth)[None]), by_torch[1], strict=True):
-        assert float((ours - theirs).abs().max()) <= 1e-5 * float(theirs.max())
+    for ours, theirs in zip(compiled_layers(compiled_input(truth)), by_torch[1], strict=True):
+        assert np.abs(ours - theirs[0].permute(1, 2, 0).numpy()).max() <= 1e-5 * float(theirs.max())
     assert lpips(rendered, truth) == pytest.approx(lpips_between(*by_torch, "vgg"), abs=1e-6)
+
+
+@needs_weights
+def test_a_first_value_needs_no_torch():
+    """VGG on the CPU is measured, 8-bit and float, by a process that has not loaded torch; its input has the bits of torch's."""
+    frames = noisy_odd_pair(data.chelsea())
+    for frame in (*frames, frames[0] / np.float32(255)):
+        assert np.array_equal(compiled_input(frame), network_input(frame).permute(1, 2, 0).numpy())
+    code = (
+        "import sys, numpy as np\nfrom ggvs_eval.metrics.stream import score_view\n"
+        "frames = np.random.default_rng(0).integers(0, 256, (2, 40, 50, 3), np.uint8)\n"
+        "print(score_view([tuple(frames)], ['PSNR', 'SSIM', 'LPIPS']).values[-1][0], 'torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["LPIPS", "False"]
 
 
 @needs_weights
@@ -312,7 +336,7 @@ def test_truths_are_remembered_up_to_a_size(monkeypatch):
     remembered = module._Remembered(size_of[1] + size_of[2])
     for frame in (*frames, frames[2], frames[1]):
         features = remembered.features(frame, "vgg", "cpu")
-        assert all(ours.equal(theirs) for ours, theirs in zip(features, lpips_features(frame, "vgg"), strict=True))
+        assert all(np.array_equal(ours, theirs) for ours, theirs in zip(features, lpips_features(frame, "vgg"), strict=True))
 
     assert len(passes) == 3
     remembered.features(frames[0], "vgg", "cpu")

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.path import rendered_path
 from ggvs_eval.metrics.path.epi_metrics import COHERENCE_NAMES as COHERENCE
 from ggvs_eval.metrics.path.epi_metrics import SLOPE_NAMES as SLOPE
-from ggvs_eval.metrics.path.rendered_path import PathOptions, PathPose, spread_rows
+from ggvs_eval.metrics.path.rendered_path import PathPose, spread_rows
 from ggvs_eval.metrics.path.view_consistency import REPROJECTION_NAMES as REPROJECTION
 from ggvs_eval.metrics.path.view_consistency import SWITCH_NAMES as SWITCH
 from ggvs_eval.metrics.path.view_consistency import switch_steps
@@ -187,7 +188,7 @@ def test_images_that_do_not_fit_their_cameras_are_refused():
         score_path([poses[0], PathPose(half, np.zeros((16, 64, 3), np.uint8))])
 
 
-def test_a_path_streams():
+def test_a_path_streams(monkeypatch):
     """Two images at most are alive at a time, and only the rows asked for are kept of the others."""
     images: list[weakref.ref] = []
     most_alive = 0
@@ -201,7 +202,8 @@ def test_a_path_streams():
             yield replace(pose, image=image)
             del image
 
-    scores = score_path(stream(), PathOptions(n_rows=8))
+    monkeypatch.setattr(rendered_path, "N_ROWS", 8)
+    scores = score_path(stream())
     assert scores.rows == (2, 6, 10, 14, 18, 22, 26, 30) == tuple(spread_rows(32, 8))
     assert spread_rows(3, 128) == [0, 1, 2]
     assert most_alive <= 3  # the one that is made, and two poses

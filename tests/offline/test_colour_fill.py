@@ -1,16 +1,12 @@
 """Filling along the edges of colours: against OpenCV's smoother and a dense solution, its laws, and where it is used."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.pipelines.offline.sensor.colour_fill import ColourFillOptions, beside_jumps, fill_by_colour, smooth_by_colour
-
-OPTIONS = ColourFillOptions()
+from ggvs_eval.pipelines.offline.sensor.colour_fill import CONFIDENCE, beside_jumps, fill_by_colour, smooth_by_colour
 
 
 def test_opencv_smooths_the_same():
@@ -24,7 +20,7 @@ def test_opencv_smooths_the_same():
         [0.49208972, 0.41385022, 0.49416763, 0.4986749, 0.47854072, 0.45358932],
     ]
 
-    ours = smooth_by_colour(values[..., None], image, ColourFillOptions(strength=9.0, levels=20.0))[..., 0]
+    ours = smooth_by_colour(values[..., None], image, strength=9.0, levels=20.0)[..., 0]
 
     np.testing.assert_allclose(ours[::2], theirs, rtol=1e-6)
 
@@ -36,7 +32,7 @@ def test_a_line_is_the_solution_of_its_normal_equations():
     links = 5.0 * np.exp(-np.linalg.norm(np.diff(image[0].astype(float), axis=0), axis=1) / 40.0)
     laplacian = np.diag(np.r_[links, 0] + np.r_[0, links]) - np.diag(links, 1) - np.diag(links, -1)
 
-    line = smooth_by_colour(values, image, ColourFillOptions(strength=5.0, levels=40.0, rounds=1))
+    line = smooth_by_colour(values, image, strength=5.0, levels=40.0, rounds=1)
 
     np.testing.assert_allclose(line[0], np.linalg.solve(np.eye(9) + laplacian, values[0].astype(float)), rtol=1e-5)
 
@@ -53,24 +49,22 @@ def test_a_hole_across_an_edge_takes_each_side_from_its_own():
     holed = depth.copy()
     holed[12:30, 18:44] = 0
 
-    filled = fill_by_colour(DepthMap(holed, np.ones_like(depth)), image, OPTIONS)
+    filled = fill_by_colour(DepthMap(holed, np.ones_like(depth)), image)
 
-    kept = (holed > 0) & ~beside_jumps(holed, OPTIONS)
+    kept = (holed > 0) & ~beside_jumps(holed)
     np.testing.assert_allclose(filled.depth, depth, rtol=1e-3)
     np.testing.assert_array_equal(filled.depth[kept], depth[kept])
-    np.testing.assert_array_equal(filled.confidence, np.where(kept, np.float32(1), np.float32(OPTIONS.confidence)))
+    np.testing.assert_array_equal(filled.confidence, np.where(kept, np.float32(1), np.float32(CONFIDENCE)))
 
 
 def test_an_edge_of_depth_moves_to_that_of_colours():
-    """A sensor that sees the edge two pixels beside is put right; one that is told to keep edges is not."""
+    """Depth of a sensor that sees the edge two pixels beside is put right."""
     depth, image = two_walls()
     shifted, _ = two_walls(edge=32)
-    depth_map = DepthMap(shifted, np.ones_like(depth))
 
-    mended, kept = (fill_by_colour(depth_map, image, replace(OPTIONS, edge_px=edge_px)).depth for edge_px in (2, 0))
+    mended = fill_by_colour(DepthMap(shifted, np.ones_like(depth)), image).depth
 
     np.testing.assert_allclose(mended, depth, rtol=1e-2)
-    np.testing.assert_array_equal(kept, shifted)
 
 
 def test_jumps_are_neighbours_that_differ():
@@ -78,9 +72,9 @@ def test_jumps_are_neighbours_that_differ():
     columns = np.broadcast_to(np.arange(12), (5, 12))
     steep, gentle = (np.where(columns < 6, np.float32(1), np.float32(step)) for step in (1.06, 1.04))
 
-    assert set(columns[beside_jumps(steep, OPTIONS)]) == {3, 4, 5, 6, 7, 8}
-    assert not beside_jumps(gentle, OPTIONS).any()
-    assert not beside_jumps(np.where(columns < 6, np.float32(1), np.float32(0)), OPTIONS).any()
+    assert set(columns[beside_jumps(steep)]) == {3, 4, 5, 6, 7, 8}
+    assert not beside_jumps(gentle).any()
+    assert not beside_jumps(np.where(columns < 6, np.float32(1), np.float32(0))).any()
 
 
 def test_what_is_sure_counts_more():
@@ -89,23 +83,22 @@ def test_what_is_sure_counts_more():
     depth[:, 0], depth[:, -1] = 2, 4
     confidence = np.where(depth == 2, np.float32(1), np.float32(0.05)) * (depth > 0)
 
-    filled = fill_by_colour(DepthMap(depth, confidence), np.full((9, 9, 3), 90, np.uint8), OPTIONS)
+    filled = fill_by_colour(DepthMap(depth, confidence), np.full((9, 9, 3), 90, np.uint8))
 
     assert (filled.depth[:, 1:-1] < 2.3).all()
 
 
 @pytest.mark.parametrize(
-    ("depth", "options"),
+    "depth",
     [
-        (np.zeros((4, 5), np.float32), OPTIONS),  # nothing is known
-        (np.ones((4, 5), np.float32), OPTIONS),  # nothing is unknown
-        (np.eye(4, 5, dtype=np.float32), replace(OPTIONS, confidence=0.0)),
+        np.zeros((4, 5), np.float32),  # nothing is known
+        np.ones((4, 5), np.float32),  # nothing is unknown
     ],
 )
-def test_nothing_to_fill(depth, options):
+def test_nothing_to_fill(depth):
     """The map comes back as it is."""
     depth_map = DepthMap(depth, depth)
-    assert fill_by_colour(depth_map, np.zeros((4, 5, 3), np.uint8), options) is depth_map
+    assert fill_by_colour(depth_map, np.zeros((4, 5, 3), np.uint8)) is depth_map
 
 
 @settings(max_examples=25, deadline=None)
@@ -116,9 +109,9 @@ def test_units_and_mirrors_change_nothing(seed, scale, share):
     depth = np.where(random.random((13, 17)) < share, random.uniform(1, 5, (13, 17)), 0).astype(np.float32)
     image, confidence = random.integers(0, 256, (13, 17, 3), dtype=np.uint8), random.random((13, 17), dtype=np.float32)
 
-    filled = fill_by_colour(DepthMap(depth, confidence), image, OPTIONS).depth
-    scaled = fill_by_colour(DepthMap(depth * np.float32(scale), confidence), image, OPTIONS).depth
-    mirrored = fill_by_colour(DepthMap(depth[:, ::-1], confidence[:, ::-1]), image[:, ::-1], OPTIONS).depth[:, ::-1]
+    filled = fill_by_colour(DepthMap(depth, confidence), image).depth
+    scaled = fill_by_colour(DepthMap(depth * np.float32(scale), confidence), image).depth
+    mirrored = fill_by_colour(DepthMap(depth[:, ::-1], confidence[:, ::-1]), image[:, ::-1]).depth[:, ::-1]
 
     np.testing.assert_allclose(scaled, filled * scale, rtol=1e-3)
     np.testing.assert_allclose(mirrored, filled, rtol=1e-3)

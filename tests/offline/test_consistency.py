@@ -12,7 +12,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap, is_known
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth import consistency
-from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
+from ggvs_eval.pipelines.offline.depth.consistency import check_consistency
 from helpers.refusals import refused
 from helpers.stereo_scenes import look_from, plane_depth
 
@@ -34,6 +34,12 @@ def see_planes(cameras: tuple[Camera, ...] = OTHERS) -> list[tuple[Camera, Depth
     return [(camera, sure(plane_depth(camera))) for camera in cameras]
 
 
+def choose(monkeypatch: pytest.MonkeyPatch, **rules: float) -> None:
+    """Let other numbers decide what agrees."""
+    for name, value in rules.items():
+        monkeypatch.setattr(consistency, name, value)
+
+
 def step_depth(camera: Camera) -> np.ndarray:
     """Exact depth of a strip |x| < 1 at z = 5 before a wall at z = 8, for cameras that look along z."""
     x = (camera.centre + NEAR_Z * camera.rays())[..., 0]
@@ -43,22 +49,23 @@ def step_depth(camera: Camera) -> np.ndarray:
 def test_the_truth_stays():
     """Exact depth of a slanted plane stays, to 1e-5 and at the others' borders 5e-4, and what they see is as sure as before."""
     truth = plane_depth(CAMERA)
-    result = check_consistency(CAMERA, sure(truth), see_planes(), ConsistencyOptions())
+    result = check_consistency(CAMERA, sure(truth), see_planes())
     assert np.abs(result.depth / truth - 1).max() < 5e-4
     assert np.abs(result.depth / truth - 1)[MIDDLE].max() < 1e-5
     assert result.confidence[MIDDLE] == pytest.approx(0.8, abs=1e-6)
 
 
-def test_what_others_see_through_goes_and_is_filled():
+def test_what_others_see_through_goes_and_is_filled(monkeypatch):
     """A block in mid-air is dropped; where two others agree on what is behind, it is filled in, else it stays unknown."""
     truth = plane_depth(CAMERA)
     wrong = truth.copy()
     wrong[BLOCK] *= 0.7
-    dropped = check_consistency(CAMERA, sure(wrong), see_planes(), ConsistencyOptions(fill_support=0))
+    filled = check_consistency(CAMERA, sure(wrong), see_planes())
+    choose(monkeypatch, FILL_SUPPORT=0)
+    dropped = check_consistency(CAMERA, sure(wrong), see_planes())
     assert (dropped.depth[BLOCK] == 0).all()
     assert (dropped.confidence[BLOCK] == 0).all()
     assert np.count_nonzero(dropped.depth == 0) == truth[BLOCK].size
-    filled = check_consistency(CAMERA, sure(wrong), see_planes(), ConsistencyOptions())
     there = filled.depth[BLOCK] > 0
     assert there.mean() > 0.95
     assert np.abs(filled.depth[BLOCK] / truth[BLOCK] - 1)[there].max() < 0.003  # a pixel's slope
@@ -71,7 +78,7 @@ def test_one_of_two_opinions_fills_nothing():
     holed[BLOCK] = 0
     blind = RIGHT, sure(np.zeros_like(holed))
     for others, filled in (([*see_planes((LEFT,)), blind], False), (see_planes((LEFT,)), True)):
-        result = check_consistency(CAMERA, sure(holed), others, ConsistencyOptions())
+        result = check_consistency(CAMERA, sure(holed), others)
         assert ((result.depth[BLOCK] > 0).mean() > 0.9) == filled
         assert result.depth[BLOCK].any() == filled
 
@@ -80,7 +87,7 @@ def test_hidden_depth_stays_less_sure():
     """Others that see a nearer surface cannot tell: the depth stays, with half its confidence."""
     deep = plane_depth(CAMERA)
     deep[BLOCK] *= 1.3
-    result = check_consistency(CAMERA, sure(deep), see_planes(), ConsistencyOptions())
+    result = check_consistency(CAMERA, sure(deep), see_planes())
     inner = np.s_[64:76, 96:114]
     assert np.array_equal(result.depth[inner], deep[inner].astype(np.float32))
     assert result.confidence[inner] == pytest.approx(0.4)
@@ -90,7 +97,7 @@ def test_hidden_depth_stays_less_sure():
 def test_nobody_can_judge(others):
     """Without others, or outside all their images, depth stays as it is with half its confidence."""
     depth_map = sure(plane_depth(CAMERA))
-    result = check_consistency(CAMERA, depth_map, others, ConsistencyOptions())
+    result = check_consistency(CAMERA, depth_map, others)
     assert np.array_equal(result.depth, depth_map.depth)
     assert result.confidence == pytest.approx(0.4)
 
@@ -100,48 +107,48 @@ def test_average_weighs_by_confidence():
     truth = plane_depth(CAMERA)
     for confidence, left in ((0.9, 0.25), (0.3, 0.1)):
         others = [(camera, sure(plane_depth(camera), 0.9)) for camera in OTHERS]
-        result = check_consistency(CAMERA, sure(1.004 * truth, confidence), others, ConsistencyOptions())
+        result = check_consistency(CAMERA, sure(1.004 * truth, confidence), others)
         assert (result.depth / truth - 1)[MIDDLE] == pytest.approx(0.004 * left, rel=0.15)
-    alone = check_consistency(CAMERA, sure(1.004 * truth), see_planes(), ConsistencyOptions(average=False))
-    assert (alone.depth / truth - 1)[MIDDLE] == pytest.approx(0.004, rel=0.01)
 
 
-def test_agreement_is_measured_in_pixels():
+def test_agreement_is_measured_in_pixels(monkeypatch):
     """An error that shifts the point by 0.8 px in the others is agreement, one of 1.6 px towards the camera is not."""
     truth = plane_depth(CAMERA)
     disparity_px = CAMERA.focal_px * 0.4 / truth
-    options = ConsistencyOptions(error_px=1.0, error_share=0.5, fill_support=0)
+    choose(monkeypatch, ERROR_PX=1.0, ERROR_SHARE=0.5, FILL_SUPPORT=0)
     for shift_px, kept in ((0.8, True), (1.6, False)):
         depth = CAMERA.focal_px * 0.4 / (disparity_px + shift_px)
-        result = check_consistency(CAMERA, sure(depth), see_planes(), options)
+        result = check_consistency(CAMERA, sure(depth), see_planes())
         assert ((result.depth > 0)[MIDDLE] == kept).all()
 
 
-def test_wide_baselines_are_measured_in_depth():
+def test_wide_baselines_are_measured_in_depth(monkeypatch):
     """Where a percent of the depth is many pixels, depths that differ by no more than the share agree, and others do not."""
     truth = plane_depth(CAMERA)
     for share, wide_share, kept in ((0.01, 0.02, True), (0.01, 0.0, False), (0.03, 0.02, False)):
-        options = ConsistencyOptions(error_px=0.05, wide_share=wide_share, fill_support=0)
-        result = check_consistency(CAMERA, sure(truth * (1 - share)), see_planes(), options)
+        choose(monkeypatch, ERROR_PX=0.05, WIDE_SHARE=wide_share, FILL_SUPPORT=0)
+        result = check_consistency(CAMERA, sure(truth * (1 - share)), see_planes())
         assert ((result.depth > 0)[MIDDLE] == kept).all()
 
 
-def test_narrow_baselines_are_measured_in_depth():
+def test_narrow_baselines_are_measured_in_depth(monkeypatch):
     """Where a pixel is a large share of the depth, depths that differ by more than the share do not agree."""
     close = look_from(0.02, 0, "close")
+    choose(monkeypatch, FILL_SUPPORT=0)
     for share, kept in ((0.03, True), (0.08, False)):
         depth_map = sure(plane_depth(CAMERA) * (1 - share))
-        result = check_consistency(CAMERA, depth_map, see_planes((close,)), ConsistencyOptions(fill_support=0))
+        result = check_consistency(CAMERA, depth_map, see_planes((close,)))
         assert ((result.depth > 0)[MIDDLE] == kept).all()
 
 
-def test_majority():
+def test_majority(monkeypatch):
     """One who contradicts does not outweigh one who supports, but two do; more support can be asked for."""
     truth = plane_depth(CAMERA)
     right, behind = [[(camera, sure(share * plane_depth(camera))) for camera in OTHERS] for share in (1.0, 1.2)]
 
-    def kept(others, **options):
-        result = check_consistency(CAMERA, sure(truth), others, ConsistencyOptions(fill_support=0, **options))
+    def kept(others, min_support=1):
+        choose(monkeypatch, FILL_SUPPORT=0, MIN_SUPPORT=min_support)
+        result = check_consistency(CAMERA, sure(truth), others)
         return (result.depth > 0)[MIDDLE].mean()
 
     assert kept([right[0], behind[1]]) == 1
@@ -154,11 +161,11 @@ def test_majority():
 def test_guesses_neither_stay_nor_vote():
     """Depth that was filled with hardly any confidence is unknown, in the camera and in the others."""
     truth = plane_depth(CAMERA)
-    guessed = check_consistency(CAMERA, sure(truth, 0.02), [], ConsistencyOptions())
+    guessed = check_consistency(CAMERA, sure(truth, 0.02), [])
     assert not guessed.depth.any()
     assert not guessed.confidence.any()
     others = [(camera, sure(2 * plane_depth(camera), 0.02)) for camera in OTHERS]
-    result = check_consistency(CAMERA, sure(truth), others, ConsistencyOptions())
+    result = check_consistency(CAMERA, sure(truth), others)
     assert np.array_equal(result.depth, truth.astype(np.float32))
 
 
@@ -166,7 +173,7 @@ def test_edges_survive():
     """A strip before a wall, exact in all views: 99.5 % stays, on its own surface, and nothing is invented between the two."""
     truth = step_depth(CAMERA)
     others = [(camera, sure(step_depth(camera))) for camera in OTHERS]
-    result = check_consistency(CAMERA, sure(truth), others, ConsistencyOptions())
+    result = check_consistency(CAMERA, sure(truth), others)
     assert (np.abs(result.depth / truth - 1) < 1e-3).mean() > 0.995
     assert not ((result.depth > NEAR_Z + 0.1) & (result.depth < FAR_Z - 0.1)).any()
 
@@ -179,7 +186,7 @@ def test_filling_takes_what_is_in_front():
     others = [(camera, sure(step_depth(camera))) for camera in OTHERS]
     farther = look_from(0.8, 0, "farther right")  # sees the wall alone
     others.append((farther, sure(np.where(step_depth(farther) > NEAR_Z, FAR_Z, 0))))
-    filled = check_consistency(CAMERA, sure(holed), others, ConsistencyOptions()).depth[50:100, 40:160]
+    filled = check_consistency(CAMERA, sure(holed), others).depth[50:100, 40:160]
     known = filled > 0
     assert np.abs(filled / truth[50:100, 40:160] - 1)[known].max() < 1e-5
     assert known.mean() > 0.99
@@ -191,11 +198,10 @@ def test_filling_takes_the_nearest_unless_seen_through():
     holed[BLOCK] = 0
     pairs = [look_from(x, y, f"{x} {y}") for x, y in ((0.4, 0), (-0.4, 0), (0, 0.4), (0, -0.4))]
     near, far = [[(camera, sure(share * plane_depth(camera))) for camera in pairs] for share in (0.8, 1.0)]
-    options = ConsistencyOptions()
-    alone = check_consistency(CAMERA, sure(holed), near[:2], options).depth[BLOCK]
+    alone = check_consistency(CAMERA, sure(holed), near[:2]).depth[BLOCK]
     assert (np.abs(alone / holed.max() - 0.7) < 0.2)[alone > 0].all()
     assert (alone > 0).mean() > 0.9
-    both = check_consistency(CAMERA, sure(holed), [*near[:2], *far[2:]], options).depth[BLOCK]
+    both = check_consistency(CAMERA, sure(holed), [*near[:2], *far[2:]]).depth[BLOCK]
     truth = plane_depth(CAMERA)[BLOCK]
     assert np.abs(both / truth - 1)[both > 0].max() < 0.003  # the near one is seen through by the far two
     assert (both > 0).mean() > 0.9
@@ -210,7 +216,7 @@ def test_noise_and_outliers_shrink():
         return sure(np.where(random.random(depth.shape) < 0.05, depth * random.uniform(0.6, 0.9, depth.shape), depth))
 
     before = disturb(CAMERA)
-    after = check_consistency(CAMERA, before, [(camera, disturb(camera)) for camera in OTHERS], ConsistencyOptions())
+    after = check_consistency(CAMERA, before, [(camera, disturb(camera)) for camera in OTHERS])
     errors = [np.abs(each.depth / plane_depth(CAMERA) - 1)[MIDDLE] for each in (before, after)]
     known = after.depth[MIDDLE] > 0
     assert known.mean() > 0.97
@@ -222,7 +228,7 @@ def test_turned_cameras():
     """Cameras that differ in direction and focal length support the truth as parallel ones do."""
     turned = [look_from(-0.8, 0, "left", 0.1), look_from(0.8, 0.3, "right", 0.12).resized(300, 225)]
     truth = plane_depth(CAMERA)
-    result = check_consistency(CAMERA, sure(1.002 * truth), see_planes(tuple(turned)), ConsistencyOptions())
+    result = check_consistency(CAMERA, sure(1.002 * truth), see_planes(tuple(turned)))
     assert (result.depth / truth - 1)[MIDDLE] == pytest.approx(0.002 / 3, abs=3e-4)
 
 
@@ -231,7 +237,7 @@ def test_average_moves_along_the_ray():
     turned = look_from(-2.0, 0, "turned", 0.5)
     truth = (6 - (CAMERA.centre - turned.centre) @ turned.axis) / (CAMERA.rays() @ turned.axis)
     other = turned, sure(np.full(truth.shape, 6.0))
-    result = check_consistency(CAMERA, sure(1.002 * truth), [other], ConsistencyOptions())
+    result = check_consistency(CAMERA, sure(1.002 * truth), [other])
     evaluated = result.confidence > 0.5
     assert evaluated.mean() > 0.3
     assert (result.depth / truth - 1)[evaluated] == pytest.approx(0.001, rel=0.01)
@@ -255,7 +261,6 @@ def test_units_do_not_matter(exponent):
             change(CAMERA),
             sure(maps[0] * factor),
             [(change(camera), sure(depth * factor)) for camera, depth in zip(OTHERS, maps[1:], strict=True)],
-            ConsistencyOptions(),
         )
         for factor, change in ((1.0, lambda camera: camera), (scale, scaled))
     )
@@ -267,9 +272,9 @@ def test_parts_do_not_matter(monkeypatch):
     """How many points are handled at a time changes no bit."""
     random = np.random.default_rng(2)
     depth = plane_depth(CAMERA) * random.normal(1, 0.03, (CAMERA.height, CAMERA.width))
-    whole = check_consistency(CAMERA, sure(depth), see_planes(), ConsistencyOptions())
+    whole = check_consistency(CAMERA, sure(depth), see_planes())
     monkeypatch.setattr(consistency, "CHUNK", 777)
-    parts = check_consistency(CAMERA, sure(depth), see_planes(), ConsistencyOptions())
+    parts = check_consistency(CAMERA, sure(depth), see_planes())
     assert np.array_equal(whole.depth, parts.depth)
     assert np.array_equal(whole.confidence, parts.confidence)
 
@@ -278,7 +283,7 @@ def test_nothing_is_changed_in_place():
     """The maps that come in are as they were afterwards."""
     own, others = sure(1.1 * plane_depth(CAMERA)), see_planes()
     copies = [own.depth.copy(), *(theirs.depth.copy() for _, theirs in others)]
-    check_consistency(CAMERA, own, others, ConsistencyOptions())
+    check_consistency(CAMERA, own, others)
     for before, after in zip(copies, [own.depth, *(theirs.depth for _, theirs in others)], strict=True):
         assert np.array_equal(before, after)
 
@@ -287,15 +292,9 @@ def test_maps_of_another_size_are_refused():
     """A map that does not fit its camera raises DepthError naming the camera and both sizes."""
     small = sure(np.ones((10, 20)))
     with refused(DepthError, "camera camera", "150 x 200", "(10, 20)"):
-        check_consistency(CAMERA, small, [], ConsistencyOptions())
+        check_consistency(CAMERA, small, [])
     with refused(DepthError, "camera left", "depth"):
-        check_consistency(CAMERA, sure(plane_depth(CAMERA)), [(LEFT, small)], ConsistencyOptions())
-
-
-def test_every_option_is_described():
-    """What goes into a depth map's key names the algorithm, its code and every option."""
-    options = ConsistencyOptions()
-    assert set(options.describe()) == {"algorithm", "code", *vars(options)}
+        check_consistency(CAMERA, sure(plane_depth(CAMERA)), [(LEFT, small)])
 
 
 def on_an_arc(degrees: float, name: str) -> tuple[Camera, np.ndarray]:
@@ -321,10 +320,10 @@ def test_views_across_do_not_move_depth(degrees):
     for number, exact in enumerate((truth, other_truth)):
         noise = cv2.GaussianBlur(np.random.default_rng(number).normal(size=exact.shape), (0, 0), 4)
         maps.append(sure(exact * (1 + 0.004 * noise / noise.std())))
-    found = [check_consistency(camera, maps[0], [(other, maps[1])], ConsistencyOptions(average=on)).depth for on in (True, False)]
+    averaged = check_consistency(camera, maps[0], [(other, maps[1])]).depth
 
-    errors = [np.abs(depth / truth - 1)[depth != 0] for depth in found]
-    assert (found[0] >= 0).all()
+    errors = [np.abs(depth / truth - 1)[averaged != 0] for depth in (averaged, maps[0].depth)]
+    assert (averaged >= 0).all()
     for share in (50, 90, 99):
         assert np.percentile(errors[0], share) <= 1.05 * np.percentile(errors[1], share)
 
@@ -335,6 +334,6 @@ def test_what_is_no_depth_is_unknown(odd):
     for holed in (CAMERA, LEFT):
         maps = {camera: sure(plane_depth(camera)) for camera in (CAMERA, *OTHERS)}
         maps[holed].depth[BLOCK], maps[holed].confidence[BLOCK] = odd, 1
-        result = check_consistency(CAMERA, maps.pop(CAMERA), list(maps.items()), ConsistencyOptions())
+        result = check_consistency(CAMERA, maps.pop(CAMERA), list(maps.items()))
         assert (is_known(result.depth) | (result.depth == 0)).all()
         assert np.abs(result.depth / plane_depth(CAMERA) - 1)[MIDDLE].max() < 0.005

@@ -17,7 +17,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.pipelines.offline.export.dense_workspace import WorkspaceOptions, read_array, write_array, write_dense_workspace
+from ggvs_eval.pipelines.offline.export.dense_workspace import read_array, write_array, write_dense_workspace
 from helpers.refusals import refused
 from helpers.stereo_scenes import PLANE, look_from, plane_depth, see_plane
 
@@ -161,7 +161,7 @@ def test_points_come_from_what_two_cameras_see(tmp_path):
     maps = depth_maps()
     maps[3] = DepthMap(maps[3].depth * 1.2, maps[3].confidence)
     images = [see_plane(camera) for camera in rig()]
-    folder = write_dense_workspace(rig(), images, maps, {}, tmp_path / "workspace", WorkspaceOptions(points_per_camera=200))
+    folder = write_dense_workspace(rig(), images, maps, {}, tmp_path / "workspace", points_per_camera=200)
     lines = (folder / "sparse" / "points3D.txt").read_text().splitlines()
     tracks = [line.split()[8::2] for line in lines]
     assert 300 < len(tracks) <= 600

@@ -8,7 +8,7 @@ import pytest
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, WeightsError
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import FORMS, KEYFRAME_EVERY, MATCHERS, DepthRunOptions, find_matcher
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_depth
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 CAMERA = look_from(0, 0, "camera").resized(600, 450)
 ROW = [look_from(0.5 * index, 0, f"row{index:+d}").resized(600, 450) for index in (-1, 1)]
 CARD_DEPTH = 4.8
-REUSE = DepthOptions(matcher=SgbmMatcher(levels=2), time=TimeOptions(keyframe_every=4, warm=True, reuse=True))
+REUSE = DepthOptions(matcher=SgbmMatcher(levels=2), keyframe_every=4)
 
 
 def see(camera, card_x, noise_seed=None):
@@ -81,7 +81,7 @@ def test_keyframes_are_computed_from_nothing():
 
 def test_by_default_instants_do_not_know_each_other():
     """Without reuse every instant is what an estimator of its own would say."""
-    options = replace(REUSE, time=TimeOptions())
+    options = replace(REUSE, keyframe_every=1)
     stream = DepthStream(CAMERA, ROW, options)
     step(stream, 0, -0.4)
     images = [see(camera, 0.2)[0] for camera in (CAMERA, *ROW)]
@@ -109,7 +109,7 @@ def test_the_choice_of_the_command_line():
     assert isinstance(DepthRunOptions().options().matcher, SgbmMatcher)
     assert isinstance(DepthRunOptions("sweep").options().matcher, PlaneSweep)
     reused = DepthRunOptions("sgbm", reuse_static=True)
-    assert reused.options().time.keyframe_every == KEYFRAME_EVERY
+    assert reused.options().keyframe_every == KEYFRAME_EVERY
     assert DepthRunOptions.from_record(reused.record()) == reused
 
 

@@ -8,7 +8,7 @@ import torch
 
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.pipelines.offline.depth import device_maps
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, check_depth, finish
+from ggvs_eval.pipelines.offline.depth.camera_depth import FLYING, SMOOTH, SMOOTH_RADIUS_PX, DepthOptions, check_depth, finish
 from ggvs_eval.pipelines.offline.depth.device_maps import finish_maps
 from ggvs_eval.pipelines.offline.itermvs.estimator import projections_between
 from ggvs_eval.pipelines.offline.stereo import fusion
@@ -16,7 +16,7 @@ from helpers.recordable import forbidden_operations
 from helpers.stereo_scenes import look_from, plane_depth
 
 CHECKED = DepthOptions()
-UNCHECKED = replace(CHECKED, consistency=None)
+UNCHECKED = replace(CHECKED, consistency=False)
 
 
 @pytest.fixture(scope="module")
@@ -52,11 +52,11 @@ def test_steps_of_the_finish_are_the_cpus(scene):
     """Flying pixels and the fill to the last bit, smoothing but for OpenCV's table of weights."""
     _, maps = scene
     depth, confidence = stacked(maps)
-    kept = device_maps.drop_flying_pixels(depth, CHECKED.flying)
-    np.testing.assert_array_equal(kept, [fusion.drop_flying_pixels(each.depth, CHECKED.flying) for each in maps])
+    kept = device_maps.drop_flying_pixels(depth, FLYING)
+    np.testing.assert_array_equal(kept, [fusion.drop_flying_pixels(each.depth, FLYING) for each in maps])
     assert 0 < (kept == 0).float().mean() < 0.1
-    smooth = device_maps.smooth_surfaces(kept, CHECKED.smooth, CHECKED.smooth_radius_px)
-    expected = [fusion.smooth_surfaces(each.numpy(), CHECKED.smooth, CHECKED.smooth_radius_px) for each in kept]
+    smooth = device_maps.smooth_surfaces(kept, SMOOTH, SMOOTH_RADIUS_PX)
+    expected = [fusion.smooth_surfaces(each.numpy(), SMOOTH, SMOOTH_RADIUS_PX) for each in kept]
     np.testing.assert_allclose(smooth, expected, rtol=1e-5)
     smooth[1, 30:35], smooth[2] = 0, 0  # whole rows, and a map of which nothing is known
     filled = device_maps.fill_background(smooth, confidence, 0.02)
@@ -78,7 +78,7 @@ def test_a_stack_is_what_the_cpu_makes_of_each_map(scene, options):
     for k, each in enumerate(expected):
         assert np.mean(np.abs(depth[k].numpy() / each.depth - 1) < 1e-4) > 0.995
         assert np.mean(np.abs(confidence[k].numpy() - each.confidence) < 1e-4) > 0.995
-    if options.consistency is not None:
+    if options.consistency:
         changed = [np.abs(each.depth / own.depth - 1) > 0.05 for each, own in zip(expected, finished, strict=True)]
         assert np.mean(changed) > 0.02
 

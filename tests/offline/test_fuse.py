@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline.export.surfaces import FuseOptions, fuse_instant, surface_normals
+from ggvs_eval.pipelines.offline.export.surfaces import fuse_instant, surface_normals
 from helpers.refusals import refused
 from helpers.stereo_scenes import look_from
 
@@ -142,7 +142,7 @@ def test_far_from_the_origin(scene, tmp_path):
         world_to_camera = camera.world_to_camera.copy()
         world_to_camera[:3, 3] -= camera.rotation @ shift
         moved.append(replace(camera, world_to_camera=world_to_camera))
-    fused = fuse_instant(moved, images, [confident(depth) for depth in depths], tmp_path, FuseOptions(voxel=VOXEL))
+    fused = fuse_instant(moved, images, [confident(depth) for depth in depths], tmp_path, voxel=VOXEL)
     assert np.float32(shift[1]) + np.float32(VOXEL) == np.float32(shift[1])
     for path in (fused.points, fused.mesh):
         off, _ = distance(np.asarray(trimesh.load(path).vertices), shift)
@@ -171,9 +171,9 @@ def test_debris_is_left_out(scene, tmp_path):
     floating = [depth.copy() for depth in depths]
     floating[0][10:18, 10:18] = 4.2
     maps = [confident(depth) for depth in floating]
-    kept = fuse_instant(rig[:1], images[:1], maps[:1], tmp_path, FuseOptions(fewest_triangles=0))
+    kept = fuse_instant(rig[:1], images[:1], maps[:1], tmp_path, fewest_triangles=0)
     assert np.asarray(trimesh.load(kept.mesh).vertices)[:, 2].min() < 4.19
-    clean = fuse_instant(rig[:1], images[:1], maps[:1], tmp_path, FuseOptions(fewest_triangles=500))
+    clean = fuse_instant(rig[:1], images[:1], maps[:1], tmp_path, fewest_triangles=500)
     assert np.asarray(trimesh.load(clean.mesh).vertices)[:, 2].min() > 4.19
     assert not [file for file in tmp_path.iterdir() if file.name.startswith(".")]
 
@@ -205,8 +205,8 @@ def test_what_cannot_be_fused(scene, tmp_path):
         fuse_instant(rig, images, maps, tmp_path / "out")
     with refused(DepthError, "camera cam-0.5-0.4", "150 x 200", "(75, 200)"):
         fuse_instant(rig[:1], images[:1], [confident(depths[0][::2])], tmp_path / "out")
-    with refused(DepthError, "-1 and 5"):
-        fuse_instant(rig, images, maps, tmp_path / "out", FuseOptions(voxel=-1))
+    with refused(DepthError, "got -1"):
+        fuse_instant(rig, images, maps, tmp_path / "out", voxel=-1)
     assert not (tmp_path / "out").exists()
 
 

@@ -10,7 +10,8 @@ import torch
 from ggvs_eval.compute_device import one_thread, rendering_on
 from ggvs_eval.depth_store import DepthMap, DepthStore
 from ggvs_eval.errors import DepthError, WeightsError
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth, finish
+from ggvs_eval.pipelines.offline.depth import consistency
+from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, DepthEstimator, DepthOptions, check_depth, finish
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.itermvs.estimator import MOST_RECORDINGS, IterMvsEstimator, IterMvsRig, load_network
@@ -288,21 +289,22 @@ def test_a_file_in_the_cache_is_taken(weights, tmp_path, monkeypatch):
     assert load_network(cached_weights()) is not None
 
 
-def test_the_network_fills_what_is_not_confirmed():
+def test_the_network_fills_what_is_not_confirmed(monkeypatch):
     """What the matcher has not found, and what others see through, gets the guess in place of the background's depth."""
     camera, others = look_from(0, 0, "camera"), [look_from(x, 0, f"at{x}") for x in (-0.4, 0.4)]
     truth, hole, wrong = plane_depth(camera).astype(np.float32), np.s_[40:60, 60:90], np.s_[80:100, 60:90]
     depth = truth.copy()
     depth[hole], depth[wrong] = 0, 0.6 * truth[wrong]
     guess = 1.25 * truth
-    options = DepthOptions(consistency=replace(DepthOptions().consistency, fill_support=0), filler_share=0.0)
+    monkeypatch.setattr(consistency, "FILL_SUPPORT", 0)
+    options = DepthOptions(filler_share=0.0)
     sure = [DepthMap(each, np.full_like(each, 0.8)) for each in (depth, *(plane_depth(o).astype(np.float32) for o in others))]
     found = finish(replace(sure[0], guess=guess), options)
     assert np.array_equal(found.depth[hole], guess[hole])
     checked = check_depth(camera, found, list(zip(others, sure[1:], strict=True)), options)
     for part in (hole, np.s_[82:98, 62:88]):
         assert np.array_equal(checked.depth[part], guess[part])
-        assert (checked.confidence[part] == np.float32(options.filled_confidence)).all()
+        assert (checked.confidence[part] == np.float32(FILLED_CONFIDENCE)).all()
     assert checked.depth[110:140, 60:120] == pytest.approx(truth[110:140, 60:120], rel=0.01)
     assert checked.guess is None
     few = check_depth(camera, found, list(zip(others, sure[1:], strict=True)), replace(options, filler_share=0.2))

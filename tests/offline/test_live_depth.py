@@ -31,7 +31,7 @@ PLACES = {"cam00": (0, 0), "cam01": (0.4, 0), "cam02": (-0.4, 0), "cam03": (0, 0
 RIG = [look_from(*place, name, turn=0.03).resized(300, 225) for name, place in PLACES.items()]
 MATCHED = [("cam00", "cam01", "cam02", "cam03"), ("cam01", "cam00", "cam03"), ("cam02", "cam00"), ("cam03", "cam01", "cam00")]
 SMALLER = LiveMatcher(longest_px=225)  # three quarters of the images
-OPTIONS = DepthOptions(matcher=LiveMatcher(longest_px=150), consistency=None)
+OPTIONS = DepthOptions(matcher=LiveMatcher(longest_px=150), consistency=False)
 CUT = np.array([-0.2, 0.1, 5.0])  # another plane
 
 

@@ -9,11 +9,11 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, is_known
 from ggvs_eval.errors import CaptureError, DepthError
 from ggvs_eval.geometry.rectification import rectify, rectify_each
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, finish
+from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, DepthEstimator, DepthOptions, finish
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
-from ggvs_eval.pipelines.offline.sensor.colour_fill import ColourFillOptions, fill_by_colour
+from ggvs_eval.pipelines.offline.sensor.colour_fill import fill_by_colour
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
@@ -97,11 +97,11 @@ def test_check_rejects_what_only_one_eye_sees():
 def test_exposure_does_not_matter():
     """A partner exposed 20 % darker gives the plane within 0.5 %."""
     partner = look_from(0.8, 0, "partner")
-    estimator = DepthEstimator(CAMERA, [partner], DepthOptions(filled_confidence=0.0))
-    depth = estimator.estimate(see_plane(CAMERA), [see_plane(partner, gain=0.8)]).depth
-    seen = depth > 0
+    estimator = DepthEstimator(CAMERA, [partner], DepthOptions())
+    found = estimator.estimate(see_plane(CAMERA), [see_plane(partner, gain=0.8)])
+    seen = found.confidence > FILLED_CONFIDENCE
     assert seen.mean() > 0.6
-    assert np.median(np.abs(depth / plane_depth(CAMERA) - 1)[seen]) < 0.005
+    assert np.median(np.abs(found.depth / plane_depth(CAMERA) - 1)[seen]) < 0.005
 
 
 def test_fusion_prefers_consensus():
@@ -274,17 +274,14 @@ def test_options_change_the_key(plane_capture, tmp_path):
 
     keys = {key_with(OPTIONS)}
     for field, value in vars(OPTIONS).items():
-        if field not in ("matcher", "filler", "time", "sensor", "consistency"):
+        if field not in ("matcher", "filler", "sensor", "consistency"):
             keys.add(key_with(replace(OPTIONS, **{field: value + 1})))
-    for field, value in vars(OPTIONS.time).items():
-        changed = replace(OPTIONS, time=replace(OPTIONS.time, **{field: value + 1}))
-        keys.add(key_with(changed))
     for field, value in vars(OPTIONS.matcher).items():
         changed = replace(OPTIONS, matcher=replace(OPTIONS.matcher, **{field: value + 1}))
         keys.add(key_with(changed))
     keys.add(key_with(replace(OPTIONS, filler=IterMvs(tmp_path / "model.ckpt", "digest"))))
     keys.add(key_with(replace(OPTIONS, filler=SgbmMatcher())))
-    assert len(keys) == len(vars(OPTIONS)) - 2 + len(vars(OPTIONS.matcher)) + len(vars(OPTIONS.time))
+    assert len(keys) == len(vars(OPTIONS)) + len(vars(OPTIONS.matcher)) - 1
 
 
 def test_failure_in_a_worker_is_reported(plane_capture, tmp_path):
@@ -306,7 +303,7 @@ def test_sources_of_a_view_are_held_against_each_other(plane_capture):
     for name, job in jobs.items():
         assert [other.camera_name for other in job.checked_with] == sorted(set(jobs) - {name})
         assert all("cam01" not in other.partner_names for other in (job, *job.checked_with))
-    unchecked = plan_depth(plane_capture, [plane_capture.camera("cam01")], 3, replace(OPTIONS, consistency=None))["cam01"]
+    unchecked = plan_depth(plane_capture, [plane_capture.camera("cam01")], 3, replace(OPTIONS, consistency=False))["cam01"]
     assert unchecked == {name: job.unchecked for name, job in jobs.items()}
 
 
@@ -335,8 +332,8 @@ def test_what_is_no_depth_is_filled(odd, guess):
     result = finish(raw, DepthOptions(filler_share=0.1))
 
     assert result.depth[20, 25] == pytest.approx(guess or 2.0, rel=1e-5)
-    assert result.confidence[20, 25] == pytest.approx(DepthOptions().filled_confidence)
-    colours = fill_by_colour(raw, np.full((40, 50, 3), 99, np.uint8), ColourFillOptions())
+    assert result.confidence[20, 25] == pytest.approx(FILLED_CONFIDENCE)
+    colours = fill_by_colour(raw, np.full((40, 50, 3), 99, np.uint8))
     assert is_known(colours.depth).all()
     assert colours.confidence[20, 25] < 1
 

@@ -9,7 +9,7 @@ import pytest
 from ggvs_eval import kernels
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_depth
@@ -228,7 +228,7 @@ def test_prepared_depth_is_right(tmp_path):
 
 def test_windows_of_a_stream():
     """Where only a part of the picture changes, only its window is swept again; its depth is right."""
-    reuse = DepthOptions(matcher=PlaneSweep(), time=TimeOptions(keyframe_every=4, reuse=True))
+    reuse = DepthOptions(matcher=PlaneSweep(), keyframe_every=4)
     camera, partners = CAMERA.resized(600, 450), [partner.resized(600, 450) for partner in PARTNERS[:2]]
     stream = DepthStream(camera, partners, reuse)
     images = [see_plane(each) for each in (camera, *partners)]

@@ -12,7 +12,7 @@ from ggvs_eval import kernels
 from ggvs_eval.contrib.training.stereo_pairs import stereo_sample
 from ggvs_eval.contrib.training.stereo_task import VALIDATION_SEED
 from ggvs_eval.files.images import quantise
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator
+from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, DepthEstimator
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, find_matcher
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
     RaftMatcher,
@@ -165,7 +165,7 @@ def test_the_shipped_network_fills_a_rig(tmp_path):
     picture = see_plane(camera)
     picture[60:90, 60:100] = 255 - picture[60:90, 60:100]
     found = DepthEstimator(camera, others, options).estimate(picture, [see_plane(each) for each in others])
-    guessed = found.confidence == np.float32(options.filled_confidence)
+    guessed = found.confidence == np.float32(FILLED_CONFIDENCE)
     assert guessed[70:80, 70:90].any()
     assert np.array_equal(found.depth[guessed], found.guess[guessed])
     assert (found.guess > 0).all()

@@ -18,7 +18,6 @@ from ggvs_eval.compute_device import rendering_on
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.files.images import quantise
-from ggvs_eval.pipelines.commands import runs
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
@@ -28,6 +27,7 @@ from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_di
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, load_network, shipped_weights, weights_digest
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.play import playback
+from ggvs_eval.pipelines.run import work_left
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.view import viewer
@@ -210,7 +210,7 @@ def test_the_command_line_takes_depth_to_the_device(five_cameras, tmp_path, monk
         options.append(depth)
         raise DeviceError("far enough")
 
-    monkeypatch.setattr(runs, "print_plan", lambda planned, *_: plans.extend(planned))
+    monkeypatch.setattr(work_left, "print_plan", lambda planned, *_: plans.extend(planned))
     monkeypatch.setattr(playback, "playback_of_capture", end)
     monkeypatch.setattr(viewer, "require_viser", lambda: None)
     words = ("--matcher", "raft", "--device", "cpu:0")

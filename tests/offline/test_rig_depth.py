@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth, finish
+from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthEstimator, DepthOptions, check_depth, finish
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.rig_depth import DeviceDepth, RigDepth
 from ggvs_eval.pipelines.offline.stereo.live import RigEstimator
@@ -54,7 +54,7 @@ def test_shared_pairs_give_the_bits_of_a_run(rig):
     options = DepthRunOptions("live").options()
     finder = RigDepth(rig[0], options)
     matched = [(name, *finder.partners(name)) for name in NAMES]
-    raw = RigEstimator(rig[0], matched, options.matcher, options.error_px).estimate(rig[1])
+    raw = RigEstimator(rig[0], matched, options.matcher, ERROR_PX).estimate(rig[1])
     maps = {name: finish(each, options) for name, each in zip(NAMES, raw, strict=True)}
     found, expected = finder.estimate(NAMES, rig[1]), one_by_one(rig, options, finder, maps)
     for name in NAMES:

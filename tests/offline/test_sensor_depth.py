@@ -3,17 +3,17 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.depth_frames import DepthFrames
+from ggvs_eval.datasets.rgbd import DepthFrames
 from ggvs_eval.depth_store import DepthStore, describe_depth
 from ggvs_eval.errors import DepthError
+from ggvs_eval.pipelines.offline.sensor import sensor_depth
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import (
     SensorDepthEstimator,
-    SensorDepthOptions,
     drop_mixed_pixels,
     drop_speckles,
     filter_sensor_depth,
@@ -27,8 +27,13 @@ from helpers.refusals import refused
 HOLOLENS = SHARED / "data" / "hololens_rgbd"
 WIDTH, HEIGHT, FOCAL = 80, 60, 150.0
 NEAR_Z, FAR_Z = 2.0, 4.0
-RAW = SensorDepthOptions(smooth=0)
 STEP = 0.03
+
+
+@pytest.fixture
+def unsmoothed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The filter without its last step, so that depth comes back with its own bits."""
+    monkeypatch.setattr(sensor_depth, "smooth_surfaces", lambda depth, *_: depth)
 
 
 def make_camera(width: int = WIDTH, height: int = HEIGHT) -> Camera:
@@ -58,6 +63,7 @@ def repeat(depth: np.ndarray, times: int) -> np.ndarray:
     return np.repeat(np.repeat(depth, times, axis=0), times, axis=1)
 
 
+@pytest.mark.usefixtures("unsmoothed")
 def test_mixed_pixels_become_strip_or_wall():
     """A column of depths between strip and wall on each edge is gone; each of its pixels has the depth that its colour says."""
     camera = make_camera()
@@ -66,17 +72,18 @@ def test_mixed_pixels_become_strip_or_wall():
     random = np.random.default_rng(0)
     for column in (30, 50):  # one on the strip's side of its edge, one on the wall's
         measured[:, column] = random.uniform(2.3, 3.6, camera.height)
-    result = filter_sensor_depth(measured, image, camera, RAW)
+    result = filter_sensor_depth(measured, image, camera)
     assert np.array_equal(result.depth, truth)
 
 
+@pytest.mark.usefixtures("unsmoothed")
 def test_mixed_pixels_do_not_take_slopes():
     """A plane that rays meet up to 78 degrees off its normal has no mixed pixels, at this and at a quarter of the resolution."""
     for width, height in ((WIDTH, HEIGHT), (WIDTH // 4, HEIGHT // 4)):
         camera = make_camera(width, height)
         steep = plane(camera, 2.0, 0, 2.0)
         steep = np.where((steep > camera.near) & (steep < camera.far), steep, np.float32(0))
-        result = filter_sensor_depth(steep, grey(camera), camera, SensorDepthOptions(smooth=0, speckle_px=0, hole_px=0))
+        result = filter_sensor_depth(steep, grey(camera), camera)
         assert np.count_nonzero(result.depth) > 0.97 * np.count_nonzero(steep)
 
 
@@ -109,13 +116,14 @@ def test_speckles_go():
     assert not drop_speckles(np.zeros((4, 5), np.float32), 20, STEP).any()
 
 
+@pytest.mark.usefixtures("unsmoothed")
 def test_only_the_cameras_range_counts():
     """Depth before near, behind far, infinite or not a number is unknown."""
     camera = make_camera()
     depth = plane(camera)
     for column, value in zip((10, 25, 40, 55, 70), (0.4, 8.1, np.inf, np.nan, -1.0), strict=True):
         depth[20:40, column : column + 8] = value
-    result = filter_sensor_depth(depth, grey(camera), camera, RAW)
+    result = filter_sensor_depth(depth, grey(camera), camera)
     unknown = ~((depth >= camera.near) & (depth <= camera.far))
     assert not result.depth[unknown].any()
     assert not result.confidence[unknown].any()
@@ -164,7 +172,7 @@ def test_repeated_pixels_are_seen_through(times):
     assert grid.reduce(large)[12, -40 + 17 + 0] == small[12, 17]
     assert np.array_equal(drop_flying_pixels(large, STEP), large)  # a block of equal pixels supports itself
     camera = make_camera(40 * times, 30 * times)
-    result = filter_sensor_depth(large, grey(camera), camera, RAW)
+    result = filter_sensor_depth(large, grey(camera), camera)
     around = result.depth[10 * times : 15 * times, 15 * times : 20 * times]
     assert np.abs(around / plane(camera)[10 * times : 15 * times, 15 * times : 20 * times] - 1).max() < 0.02
 
@@ -173,7 +181,7 @@ def test_wide_gaps_of_a_coarse_sensor_stay():
     """A band of 20 columns that the sensor does not know stays, though all its columns are equal; one of 4 is closed."""
     small = (plane(make_camera(40, 30)) * np.random.default_rng(7).normal(1, 1e-4, (30, 40))).astype(np.float32)
     small[:, 10:20] = small[:, 30:32] = 0
-    result = filter_sensor_depth(repeat(small, 2), grey(make_camera()), make_camera(), RAW)
+    result = filter_sensor_depth(repeat(small, 2), grey(make_camera()), make_camera())
     assert np.array_equal((result.depth == 0).all(axis=0), (np.arange(80) >= 20) & (np.arange(80) < 40))
 
 
@@ -181,7 +189,7 @@ def test_confidence_of_a_coarse_sensor_reaches_as_far():
     """Of a sensor with half the resolution, confidence grows over twice as many of the camera's pixels."""
     small, _ = strip(make_camera(40, 30), 15, 25)
     small *= np.random.default_rng(8).normal(1, 1e-4, small.shape).astype(np.float32)
-    profile = filter_sensor_depth(repeat(small, 2), grey(make_camera()), make_camera(), RAW).confidence[20]
+    profile = filter_sensor_depth(repeat(small, 2), grey(make_camera()), make_camera()).confidence[20]
     assert profile[36] > 1.1 * profile[34] > 1.1 * profile[32]  # the edge is at column 30
 
 
@@ -240,7 +248,7 @@ def test_enlarging_does_not_fill():
 def test_smaller_cameras():
     """A camera of half the size of the map gets the plane within the smoothing's 0.2 %."""
     camera = make_camera(WIDTH // 2, HEIGHT // 2)
-    result = filter_sensor_depth(plane(make_camera()), grey(camera), camera, SensorDepthOptions())
+    result = filter_sensor_depth(plane(make_camera()), grey(camera), camera)
     assert np.abs(result.depth / plane(camera) - 1)[3:-3, 3:-3].max() < 0.002
 
 
@@ -248,7 +256,7 @@ def test_noise_shrinks():
     """Noise of 0.5 % shrinks to less than half within a surface."""
     camera = make_camera()
     noisy = plane(camera) * np.random.default_rng(3).normal(1, 0.005, (HEIGHT, WIDTH)).astype(np.float32)
-    result = filter_sensor_depth(noisy, grey(camera), camera, SensorDepthOptions())
+    result = filter_sensor_depth(noisy, grey(camera), camera)
     before, after = (np.abs(depth / plane(camera) - 1).mean() for depth in (noisy, result.depth))
     assert after < 0.5 * before
 
@@ -286,11 +294,12 @@ def test_filled_pixels_are_less_sure():
     camera = make_camera()
     whole, holed = plane(camera), plane(camera)
     holed[30, 40:42] = 0
-    sure, filled = (filter_sensor_depth(depth, grey(camera), camera, RAW).confidence for depth in (whole, holed))
+    sure, filled = (filter_sensor_depth(depth, grey(camera), camera).confidence for depth in (whole, holed))
     assert filled[30, 40:42] == pytest.approx(0.2 * sure[30, 40:42], rel=1e-3)
 
 
-@settings(max_examples=10, deadline=None)
+@pytest.mark.usefixtures("unsmoothed")
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(exponent=st.integers(-8, 8), seed=st.integers(0, 100))
 def test_units_do_not_matter(exponent, seed):
     """In a world of other units depth is scaled and confidence as it was."""
@@ -300,8 +309,8 @@ def test_units_do_not_matter(exponent, seed):
     large = Camera("camera", camera.K, np.eye(4), WIDTH, HEIGHT, camera.near * float(scale), camera.far * float(scale))
     depth = np.where(random.random((HEIGHT, WIDTH)) < 0.9, plane(camera), 6).astype(np.float32)
     image = random.integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)
-    plain = filter_sensor_depth(depth, image, camera, RAW)
-    scaled = filter_sensor_depth(depth * scale, image, large, RAW)
+    plain = filter_sensor_depth(depth, image, camera)
+    scaled = filter_sensor_depth(depth * scale, image, large)
     assert np.array_equal(plain.depth > 0, scaled.depth > 0)
     assert np.allclose(scaled.depth, plain.depth * scale, rtol=1e-6)
     assert np.allclose(scaled.confidence, plain.confidence, atol=1e-5)
@@ -310,7 +319,7 @@ def test_units_do_not_matter(exponent, seed):
 def test_nothing_known_is_nothing():
     """A map without depth gives one without depth."""
     camera = make_camera()
-    result = filter_sensor_depth(np.zeros((HEIGHT, WIDTH), np.float32), grey(camera), camera, SensorDepthOptions())
+    result = filter_sensor_depth(np.zeros((HEIGHT, WIDTH), np.float32), grey(camera), camera)
     assert not result.depth.any()
     assert not result.confidence.any()
 
@@ -325,11 +334,12 @@ class Measured:
         yield from self.maps[start:stop]
 
 
+@pytest.mark.usefixtures("unsmoothed")
 def test_estimator_reads_its_frame():
     """Depth of a frame is that frame's, filtered."""
     camera = make_camera()
     source = Measured(plane(camera), plane(camera, distance=4.0))
-    estimator = SensorDepthEstimator(camera, source, RAW)
+    estimator = SensorDepthEstimator(camera, source)
     for frame in (1, 0):
         assert np.array_equal(estimator.at(frame, grey(camera)).depth, source.maps[frame])
 
@@ -337,33 +347,29 @@ def test_estimator_reads_its_frame():
 def test_estimator_names_what_is_missing():
     """A frame that the sensor has not measured raises DepthError naming the camera and what there is."""
     camera = make_camera()
-    estimator = SensorDepthEstimator(camera, Measured(plane(camera)), RAW)
+    estimator = SensorDepthEstimator(camera, Measured(plane(camera)))
     with refused(DepthError, "camera camera", "frame 1", "1 frames"):
         estimator.at(1, grey(camera))
 
 
-def test_key_depends_on_everything():
-    """Other options and another content of the sensor's files give other keys of the depth store."""
+def test_key_depends_on_the_measurements():
+    """Another content of the sensor's files gives another key of the depth store."""
     camera = make_camera()
 
-    def key(options, digest="abc"):
-        described = SensorDepthEstimator(camera, Measured(digest=digest), options).describe()
+    def key(digest):
+        described = SensorDepthEstimator(camera, Measured(digest=digest)).describe()
         return DepthStore.key(describe_depth(camera, [], {"camera": "frames"}, described))
 
-    tell_of_themselves = ("registration", "fill")
-    filtering = {name: value for name, value in vars(SensorDepthOptions()).items() if name not in tell_of_themselves}
-    changed = [SensorDepthOptions(**{name: value + 1}) for name, value in filtering.items()]
-    keys = {key(options) for options in (SensorDepthOptions(), *changed)} | {key(SensorDepthOptions(), "abd")}
-    assert len(keys) == len(changed) + 2
+    assert key("abc") == key("abc") != key("abd")
 
 
 def test_wrong_inputs_are_refused():
     """Steps of the sensor instead of depth, and an image of another size, raise DepthError that says what was wanted."""
     camera = make_camera()
     with refused(DepthError, "camera camera", "uint16 (60, 80)", "scale"):
-        filter_sensor_depth(np.ones((HEIGHT, WIDTH), np.uint16), grey(camera), camera, RAW)
+        filter_sensor_depth(np.ones((HEIGHT, WIDTH), np.uint16), grey(camera), camera)
     with refused(DepthError, "camera camera", "(60, 80, 3)", "uint8 (30, 80, 3)"):
-        filter_sensor_depth(plane(camera), grey(camera)[:30], camera, RAW)
+        filter_sensor_depth(plane(camera), grey(camera)[:30], camera)
 
 
 def agreement(first, first_depth, second, second_depth):
@@ -386,9 +392,7 @@ def test_real_frames_agree_better():
         for camera in (capture.cameras[first], capture.cameras[second]):
             source = capture.extras_of(camera.name).depth
             raw[camera] = next(source.depths(0, 1))
-            filtered[camera] = (
-                SensorDepthEstimator(camera, source, SensorDepthOptions()).at(0, capture.frame(camera.name, 0)).depth
-            )
+            filtered[camera] = SensorDepthEstimator(camera, source).at(0, capture.frame(camera.name, 0)).depth
             assert (filtered[camera] > 0).mean() > 1.05 * (raw[camera] > 0).mean()
         for maps, results in ((raw, raw_agreement), (filtered, filtered_agreement)):
             (one, one_depth), (other, other_depth) = maps.items()

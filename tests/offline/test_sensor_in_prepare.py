@@ -7,8 +7,8 @@ import pytest
 
 from ggvs_eval.capture import Extras
 from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from helpers.stereo_scenes import PLANE, plane_depth, write_capture
@@ -75,9 +75,10 @@ def test_measured_depth_reaches_the_store(sensed_plane, tmp_path):
     assert job.spec["options"]["algorithm"].startswith("sensor-filter")
 
 
-def test_holes_of_measured_depth_are_filled_by_colour(sensed_plane, tmp_path):
+def test_holes_of_measured_depth_are_filled_by_colour(sensed_plane, tmp_path, monkeypatch):
     """Held against another source, a sensor's hole is filled, under a key that knows how; stereo's key does not."""
-    store, options = DepthStore(tmp_path), DepthOptions(consistency=ConsistencyOptions(fill_support=0))
+    monkeypatch.setattr(consistency, "FILL_SUPPORT", 0)
+    store, options = DepthStore(tmp_path), DepthOptions()
     extras = tuple(replace(each, depth=each.depth and HoledSensor(each.depth.camera)) for each in sensed_plane.extras)
     holed = replace(sensed_plane, extras=extras)
     jobs = plan_depth(holed, [sensed_plane.camera("cam02")], 4, options)["cam02"]

@@ -8,7 +8,7 @@ import pytest
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth import fill_store
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, TimeOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.stereo.pairwise import PairwiseEstimator
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
@@ -80,8 +80,7 @@ def test_instants_that_depend_on_each_other_share_nothing(planned):
     """Matches that start from the instant before are their estimator's own."""
     capture, jobs = planned
     unchecked = list({job.unchecked for job in jobs})
-    for time in (TimeOptions(keyframe_every=4), TimeOptions(warm=True)):
-        assert all(len(group) == 1 for group in fill_store._by_camera(unchecked, replace(OPTIONS, time=time), 1))
+    assert all(len(group) == 1 for group in fill_store._by_camera(unchecked, replace(OPTIONS, keyframe_every=4), 1))
     assert max(map(len, fill_store._by_camera(unchecked, OPTIONS, 1))) > 1
     assert max(map(len, fill_store._by_camera(unchecked, OPTIONS, 64))) == 1
     with refused(DepthError, "warm is set"):

@@ -5,8 +5,8 @@ import pytest
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Instant, Rendering
-from ggvs_eval.pipelines.methods.at_scale import AtScale
 from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.pipelines.methods.spec import AtScale
 from helpers.scenes import camera_at
 from helpers.scenes import instant as make_instant
 

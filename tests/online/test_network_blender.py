@@ -10,7 +10,7 @@ from ggvs_eval.contrib.training.loop import pour_weights, write_weights
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.pipelines.online.blend_network import (
     BlendNetwork,
-    BlendNetworkOptions,
+    BlendNetworkShape,
     BlendOutputs,
     compose_tensors,
     load_blend_network,
@@ -27,7 +27,7 @@ from helpers.scenes import camera_at, instant
 
 TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.3)]
-CONFIG = BlendNetworkOptions(views=2, guidance="channels", width=4, scale=1, features=3)
+CONFIG = BlendNetworkShape(views=2, guidance="channels", width=4, scale=1, features=3)
 
 
 @pytest.fixture(autouse=True)
@@ -175,7 +175,7 @@ def test_another_number_of_views_is_refused(weights):
 
 @pytest.mark.parametrize(
     "config",
-    [CONFIG, BlendNetworkOptions(3, "none", 6), BlendNetworkOptions(1, "channels", 4), BlendNetworkOptions(6, "registered", 4)],
+    [CONFIG, BlendNetworkShape(3, "none", 6), BlendNetworkShape(1, "channels", 4), BlendNetworkShape(6, "registered", 4)],
 )
 def test_the_configuration_is_known_from_the_tensors(config, tmp_path):
     """Views, guidance and width come back from the file, and so do the weights, in half precision."""
@@ -229,7 +229,7 @@ def test_weights_that_do_not_ship_are_named(monkeypatch, tmp_path):
         shipped_blend_weights("none")
 
 
-@pytest.mark.parametrize("config", [CONFIG, BlendNetworkOptions(3, "registered", 4, scale=2)])
+@pytest.mark.parametrize("config", [CONFIG, BlendNetworkShape(3, "registered", 4, scale=2)])
 def test_an_image_of_a_batch_is_the_blenders_image(config):
     """Training composes by the twin what the blender composes by numpy: the same image within rounding, absent views too."""
     torch.manual_seed(1)
@@ -255,6 +255,6 @@ def test_an_image_of_a_batch_is_the_blenders_image(config):
 def test_an_untrained_network_is_the_geometric_blender():
     """Before the first step the registered views are blended by distance: the geometric blender's image, but for the faint."""
     inputs = inputs_of(instant(0, TARGET, SOURCES))
-    network = BlendNetwork(BlendNetworkOptions(2, "registered", 4)).eval()
+    network = BlendNetwork(BlendNetworkShape(2, "registered", 4)).eval()
     image, geometric = blend_by(network, blend_maps(inputs, "registered")).image, GeometricBlender().blend(inputs).image
     assert np.abs(image - geometric).mean() < 0.01

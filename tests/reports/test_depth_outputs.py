@@ -31,7 +31,7 @@ def prepared(tmp_path_factory) -> RunPlan:
 
 def test_page_shows_every_source_at_the_instants_that_it_has(prepared):
     """First, middle and last frame of the cameras that views are made of; those of the path alone at its instant."""
-    page = write_prepared_page(prepared, 0.02)
+    page = write_prepared_page(prepared)
     assert page == prepared.run.root / "depth_page" / "index.html"
     told = json.loads((page.parent / "index.json").read_text())
     shown = {camera["name"]: [each["frame"] for each in camera["pictures"]["instants"]] for camera in told["cameras"]}

@@ -21,6 +21,7 @@ from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.jobs.machine import pace
 from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.methods.registry import usual_methods
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.pipelines.sweep import demo_runs
 from ggvs_eval.pipelines.sweep.demo_runs import capture_beside, demo_plans, demo_root, evaluate_demos
@@ -200,7 +201,7 @@ def test_a_dry_run_leaves_nothing(tmp_path, capsys):
 
 def test_the_outlook_follows_the_machine(tmp_path):
     """A machine that is three times slower is told three times as long; once the page is there nothing is told."""
-    labels = demo_runs.room_labels(("ours",), ("ours",))
+    labels = demo_runs.room_labels(usual_methods())
     slow, slower = (demo_runs.describe_outlook(tmp_path, labels, 2, partial(float, factor)) for factor in (2, 6))
     minutes = [[int(number) for number in re.findall(r"about (\d+) min", text)] for text in (slow, slower)]
     assert minutes[0]

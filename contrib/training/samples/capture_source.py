@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -15,7 +15,9 @@ from ggvs_eval.contrib.worlds.domains import FIRST_TRAINING_SEED, VALIDATION_SEE
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.digest import digest_values
+from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 
 GRID = 8  # rays across and down, and depths
 
@@ -72,7 +74,10 @@ def draw_views(capture: Capture, plan: CapturePlan, name: str, number: int) -> t
     target = targets[np.random.default_rng([seed, 95, turn]).permutation(len(targets))[place]]
     rng = np.random.default_rng([seed, 96, number])
     if is_sequence(capture):
-        pool = _overlapping(within_rule(capture, target, plan), target, plan)
+        candidates = within_rule(capture, target, plan)
+        shares = {camera.name: overlap(target, camera) for camera in candidates}
+        enough = [camera for camera in candidates if shares[camera.name] >= plan.overlap]
+        pool = enough if len(enough) >= plan.views else sorted(candidates, key=lambda each: -shares[each.name])[: plan.views]
     else:
         wide = rng.random() < plan.wide_share
         pool = nearest_cameras(target, capture.cameras, min(2 * plan.views, len(capture.cameras) - 1) if wide else plan.views)
@@ -98,13 +103,6 @@ def overlap(target: Camera, source: Camera) -> float:
     uv = np.broadcast_to(np.stack([across, down], axis=-1), (GRID - 2, GRID, GRID, 2))
     seen_at, depth = source.project(target.unproject(uv, np.broadcast_to(depths, uv.shape[:-1])))
     return float(np.mean((depth > 0) & ((seen_at > 0) & (seen_at < source.size)).all(axis=-1)))
-
-
-def _overlapping(candidates: Sequence[Camera], target: Camera, plan: CapturePlan) -> list[Camera]:
-    """Cameras that see enough of the target's view, or the K that see most of it."""
-    shares = {camera.name: overlap(target, camera) for camera in candidates}
-    enough = [camera for camera in candidates if shares[camera.name] >= plan.overlap]
-    return enough if len(enough) >= plan.views else sorted(candidates, key=lambda each: -shares[each.name])[: plan.views]
 
 
 def possible_targets(capture: Capture, plan: CapturePlan) -> list[Camera]:
@@ -193,8 +191,8 @@ class CaptureSource:
         return {
             "plan": {name: value for name, value in asdict(self.plan).items() if name != "targets"},
             "depth": options.describe() if depth else None,
-            "sensor": options.sensor.describe() if depth and options.sensor else None,
-            "consistency": options.consistency.describe() if depth and options.consistency else None,
+            "sensor": describe_filter() if depth and options.sensor else None,
+            "consistency": describe_check() if depth and options.consistency else None,
         }
 
     def file_name(self, number: int) -> str:

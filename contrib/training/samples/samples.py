@@ -52,9 +52,8 @@ class SampleMaker:
         partners = [] if sensor else self._options.choose_partners(source, self.capture.cameras, {target.name})
         key = (source.name, *(partner.name for partner in partners))
         if key not in self._depths:
-            if sensor is not None and self._options.sensor is not None:
-                measured = SensorDepthEstimator(source, sensor, self._options.sensor)
-                self._depths[key] = measured.at(self._frame, self.image(source))
+            if sensor is not None:
+                self._depths[key] = SensorDepthEstimator(source, sensor).at(self._frame, self.image(source))
             else:
                 estimator = DepthEstimator(source, partners, self._options)
                 self._depths[key] = estimator.estimate(self.image(source), [self.image(partner) for partner in partners])

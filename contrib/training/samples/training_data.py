@@ -9,7 +9,7 @@ import numpy as np
 
 from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.capture import Capture
-from ggvs_eval.contrib.training.request import DataOptions
+from ggvs_eval.contrib.training.request import TrainingOptions
 from ggvs_eval.contrib.training.samples.capture_source import (
     CapturePlan,
     capture_sources,
@@ -23,7 +23,9 @@ from ggvs_eval.contrib.worlds.domains import DOMAINS, FIRST_TRAINING_SEED, PLAIN
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
+from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 
 FIRST_TRAINING_ROOM = FIRST_TRAINING_SEED
 WINDOW = (480, 360)  # of large images, pixels
@@ -111,7 +113,7 @@ class RoomPlan:
             "size": [self.width, self.height],
             "wide_share": self.wide_share,
             "depth": options.describe() if depth else None,
-            "consistency": options.consistency.describe() if depth and options.consistency else None,
+            "consistency": describe_check() if depth and options.consistency else None,
             **({} if self.domain == PLAIN else _describe_domain(self.domain)),
             **({"window": self.window} if self.window else {}),
         }
@@ -232,8 +234,7 @@ def _describe_domain(name: str) -> dict[str, Any]:
     domain = find_domain(name)
     described: dict[str, Any] = {"domain": name, "options": dict(domain.options), "strengths": dict(domain.strengths)}
     if domain.hand_held:
-        sensor = DepthRunOptions().options().sensor
-        described |= {"frames": [domain.gap, domain.span], "sensor": sensor.describe() if sensor else None}
+        described |= {"frames": [domain.gap, domain.span], "sensor": describe_filter()}
     return described
 
 
@@ -243,7 +244,7 @@ CAPTURE_TARGETS = 72  # per capture that is learned from
 HELD_BACK = CapturePlan(targets=6, gap=0, span=4)  # of a sequence that is held back: sources as an evaluation would have them
 
 
-def sample_pools(cache: Path, data: DataOptions, kind: SampleKind[Sample]) -> tuple[SamplePool[Sample], SamplePool[Sample]]:
+def sample_pools(cache: Path, data: TrainingOptions, kind: SampleKind[Sample]) -> tuple[SamplePool[Sample], SamplePool[Sample]]:
     """Samples to learn from, and those to be validated by; `prepare_samples` makes them."""
     views, domains, halves = min(USUAL_VIEWS, data.views), data.domains or tuple(DOMAINS), list(_halves(data))
     learned = capture_sources([half for half, _ in halves], CapturePlan(targets=CAPTURE_TARGETS, views=views))
@@ -260,14 +261,14 @@ def prepare_samples(training: SamplePool[Sample], validation: SamplePool[Sample]
     (validation + training).prepare(workers)
 
 
-def _training_rooms(data: DataOptions, views: int, domains: tuple[str, ...]) -> list[RoomPlan]:
+def _training_rooms(data: TrainingOptions, views: int, domains: tuple[str, ...]) -> list[RoomPlan]:
     """A plan per domain, some of its samples with another K."""
     others = tuple(count for count in range(2, data.views + 1) if count != views)
     shared = {"views": views, "other_views": others, "other_share": 0.4 if others else 0.0}
     return domain_plans(domains, data.rooms, data.targets, **shared) if data.rooms else []
 
 
-def _halves(data: DataOptions) -> Iterator[tuple[Capture, Capture | None]]:
+def _halves(data: TrainingOptions) -> Iterator[tuple[Capture, Capture | None]]:
     """Yield the part of each capture that is learned from, and the part that is held back."""
     for path in data.captures:
         capture = open_capture(path)

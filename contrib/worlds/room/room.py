@@ -217,15 +217,12 @@ class _Layout:
         self.movers: list[Mover] = []
 
     def room(self) -> Room:
-        self.static += walls(self.rng, self.half_width, self.back, self._one_of(WOODS))
+        self.static += walls(self.rng, self.half_width, self.back, WOODS[int(self.rng.integers(len(WOODS)))])
         self.static += skirting(self.half_width, self.back)
         for place in (self._window, self._table, self._seats, self._bookshelf, self._media, self._decoration, self._lamps):
             place()
         self.movers.append(random_figure(self.rng, (float(self.rng.uniform(-0.15, 0.15)), 1.85)).surfaces)
         return Room(self.static, self.lights, self.movers)
-
-    def _one_of(self, palette: tuple[Colour, ...]) -> Colour:
-        return palette[int(self.rng.integers(len(palette)))]
 
     def _add(self, parts: list[Surface], x: float, y: float, z: float = 0.0, turn_rad: float = 0.0) -> None:
         self.static += moved(parts, product(translation(x, y, z), rotation(turn_rad, (0, 0, 1))))

@@ -13,13 +13,13 @@ from ggvs_eval.depth_store import DepthMap, is_known
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.jobs.code_identity import code_identity
-from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
+from ggvs_eval.pipelines.offline.depth.consistency import check_consistency
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners, pairs_of
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.colour_fill import fill_by_colour
-from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.live import LiveEstimator, LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
@@ -27,6 +27,10 @@ from ggvs_eval.pipelines.offline.stereo.pairwise import PairwiseEstimator, Share
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
 STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews what has changed by what stands here
+ERROR_PX = 0.5  # of pairs: estimates of two partners agree when disparity errors of this size explain their difference
+FLYING = 0.03  # a pixel flies when fewer than three neighbours lie within this share of its depth
+SMOOTH, SMOOTH_RADIUS_PX = 0.03, 4  # depth is averaged over near neighbours that differ by about this share
+FILLED_CONFIDENCE = 0.02  # of pixels that are filled
 ESTIMATORS = {  # the module of each matcher's, and of any other's that of pairs
     PlaneSweep: PlaneSweepEstimator.__module__,
     LiveMatcher: LiveEstimator.__module__,
@@ -35,32 +39,8 @@ ESTIMATORS = {  # the module of each matcher's, and of any other's that of pairs
 
 
 @dataclass(frozen=True)
-class TimeOptions:
-    """Temporal options of depth: how that of an instant depends on the instants before. By default it does not.
-
-    Attributes:
-        keyframe_every: instants from one that is computed from nothing to the next; what lies between may use the frame before.
-            1 computes every instant from nothing, so that any can be computed alone.
-        warm: matchers start from the disparity of the frame before.
-        reuse: depth is computed again only where the picture has changed since it was.
-        changed: a pixel has changed when its blurred difference exceeds this share of the value range.
-        grow_px: what lies this near to a changed pixel is computed again too.
-    """
-
-    keyframe_every: int = 1
-    warm: bool = False
-    reuse: bool = False
-    changed: float = 0.02
-    grow_px: int = 8
-
-    def first_needed(self, frame: int) -> int:
-        """The keyframe that `frame` goes back to: depth of an instant depends on the instants from there on."""
-        return frame - frame % self.keyframe_every
-
-
-@dataclass(frozen=True)
 class DepthOptions:
-    """Options of depth estimation.
+    """Options of depth estimation; `DepthRunOptions` makes them of what users choose.
 
     Attributes:
         matcher: the stereo algorithm: of pairs, or of all partners at once.
@@ -69,28 +49,24 @@ class DepthOptions:
         filler_share: ... in maps of which at least this share is unknown: the few gaps of narrow rigs are shadows of nearer
             surfaces, where the background is right. It is not asked where less than half of it is unknown before the check.
         partners: how many cameras each one is matched with at most.
-        error_px: of pairs: estimates of two partners agree when disparity errors of this size explain their difference.
-        flying: a pixel flies when fewer than three neighbours lie within this share of its depth.
-        smooth: depth is averaged over neighbours that differ by about this share of it.
-        smooth_radius_px: over neighbours this far away.
-        filled_confidence: confidence of pixels that are filled; 0 leaves them invalid.
-        time: how instants depend on each other.
-        consistency: how depth is held against that of the other sources of a view; None leaves it as it is.
-        sensor: how measured depth is filtered, which takes the place of stereo where the capture has it; None ignores it.
+        keyframe_every: instants from one that is computed from nothing to the next. 1 computes each from nothing, so that
+            any can be computed alone; otherwise those between start from the disparity of the one before and are computed again
+            only where the picture changed.
+        consistency: depth is checked against that of the other sources of a view.
+        sensor: registration of measured depth, which takes the place of stereo where the capture has it; None ignores it.
     """
 
     matcher: StereoMatcher | PlaneSweep | IterMvs = field(default_factory=SgbmMatcher)
     filler: IterMvs | StereoMatcher | None = None
     filler_share: float = 0.2
     partners: int = 4
-    error_px: float = 0.5
-    flying: float = 0.03
-    smooth: float = 0.03
-    smooth_radius_px: int = 4
-    filled_confidence: float = 0.02
-    time: TimeOptions = field(default_factory=TimeOptions)
-    consistency: ConsistencyOptions | None = field(default_factory=ConsistencyOptions)
-    sensor: SensorDepthOptions | None = field(default_factory=SensorDepthOptions)
+    keyframe_every: int = 1
+    consistency: bool = True
+    sensor: RegistrationName | None = "given"
+
+    def first_needed(self, frame: int) -> int:
+        """The keyframe that `frame` goes back to: depth of an instant depends on the instants from there on."""
+        return frame - frame % self.keyframe_every
 
     def describe(self) -> dict[str, object]:
         """All that stereo depends on, as values that JSON knows, its code included; part of the key."""
@@ -102,6 +78,7 @@ class DepthOptions:
             "algorithm": "match-fuse-finish",
             "code": self._code(),
             "matcher_name": self.matcher.name,
+            "filled_confidence": FILLED_CONFIDENCE,
             **asdict(self),
             "matcher": matcher,
             "filler": filler,
@@ -185,7 +162,7 @@ class DepthEstimator:
         if self._guess is not None and (~is_known(raw.depth)).mean() >= self.options.filler_share / 2:
             asked, estimator = self._guess
             found = estimator.estimate(image, [seen[each.name] for each in asked]).clean()
-            raw = replace(raw, guess=fill_background(found.depth, found.confidence, self.options.filled_confidence)[0])
+            raw = replace(raw, guess=fill_background(found.depth, found.confidence, FILLED_CONFIDENCE)[0])
         return finish(raw, self.options)
 
     def forget(self) -> None:
@@ -215,14 +192,14 @@ def _estimator(
     if isinstance(matcher, PlaneSweep):
         return PlaneSweepEstimator(camera, partners, matcher)
     if isinstance(matcher, LiveMatcher):
-        return LiveEstimator(camera, partners, matcher, options.error_px)
-    return PairwiseEstimator(camera, partners, matcher, options.error_px, options.time.warm, shared)
+        return LiveEstimator(camera, partners, matcher, ERROR_PX)
+    return PairwiseEstimator(camera, partners, matcher, ERROR_PX, options.keyframe_every > 1, shared)
 
 
 def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
     """Post-process any matcher's depth: drop flying pixels, smooth surfaces, fill gaps by its guess or from the background."""
     raw = raw.clean()
-    depth = smooth_surfaces(drop_flying_pixels(raw.depth, options.flying), options.smooth, options.smooth_radius_px)
+    depth = smooth_surfaces(drop_flying_pixels(raw.depth, FLYING), SMOOTH, SMOOTH_RADIUS_PX)
     confidence = np.where(depth > 0, raw.confidence, np.float32(0))
     return _filled(DepthMap(depth, confidence, raw.guess), options)
 
@@ -231,8 +208,8 @@ def _filled(known: DepthMap, options: DepthOptions) -> DepthMap:
     """Fill what is unknown by the guess, where there is one, else from the background."""
     unknown = ~is_known(known.depth)
     if known.guess is None or unknown.mean() < options.filler_share:
-        return DepthMap(*fill_background(known.depth, known.confidence, options.filled_confidence), known.guess)
-    confidence = np.where(unknown, np.float32(options.filled_confidence), known.confidence)
+        return DepthMap(*fill_background(known.depth, known.confidence, FILLED_CONFIDENCE), known.guess)
+    confidence = np.where(unknown, np.float32(FILLED_CONFIDENCE), known.confidence)
     return DepthMap(np.where(unknown, known.guess, known.depth), confidence, known.guess)
 
 
@@ -247,9 +224,9 @@ def check_depth(
     Returns:
         Depth and confidence, (H, W); those that were given where `options` want no consistency.
     """
-    if options.consistency is None:
+    if not options.consistency:
         return depth_map
-    checked = check_consistency(camera, depth_map, others, options.consistency)
+    checked = check_consistency(camera, depth_map, others)
     return replace(_filled(replace(checked, guess=depth_map.guess), options), guess=None)
 
 
@@ -264,7 +241,7 @@ def check_measured_depth(
         image: what it saw, RGB, (H, W, 3).
         depth_map: filtered depth and confidence, (H, W).
     """
-    if options.consistency is None or options.sensor is None:
+    if not options.consistency or options.sensor is None:
         return depth_map
-    checked = check_consistency(camera, depth_map, others, options.consistency)
-    return fill_by_colour(checked, image, options.sensor.fill)
+    checked = check_consistency(camera, depth_map, others)
+    return fill_by_colour(checked, image)

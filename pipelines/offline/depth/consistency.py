@@ -1,7 +1,7 @@
 """Depth of one camera held against that of others: contradicted depth is removed, confirmed depth averaged or filled in."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,40 +19,22 @@ FILL, CALLER = "ggvs_eval.pipelines.offline.stereo.fusion", "ggvs_eval.pipelines
 CHUNK = 1 << 14  # points handled at a time: what they need stays in the processor's cache
 LEAST_SLOPE = np.float32(0.3)  # of depth along the other's rays: where they cross more steeply its error is a larger one here
 UNCHECKED = np.float32(0.5)  # confidence of what no other camera sees, over what it was
+# Two depths of a point agree when their reprojections into each other's image differ by no more than ERROR_PX, or the depths
+# themselves by no more than WIDE_SHARE (at 30 degrees a surface that is 1 % off misses by several pixels), and never by more than
+# ERROR_SHARE.
+ERROR_PX, WIDE_SHARE, ERROR_SHARE = 1.5, 0.02, 0.05
+LEAST_CONFIDENCE = 0.025  # depth that is less sure than this counts as unknown: guesses neither vote nor stay
+MIN_SUPPORT = 1  # others that must agree for a depth to stay, or all that see it where there are fewer
+FILL_SUPPORT = 2  # others that must agree for a pixel without depth to get theirs, or all if they are fewer; 0 fills nothing
 Indices = NDArray[np.int32]
 
 
-@dataclass(frozen=True)
-class ConsistencyOptions:
-    """Agreement of depth maps, and its consequences.
-
-    Attributes:
-        error_px: two depths of a point agree when their reprojections into each other's image differ by no more than this, ...
-        wide_share: ... or the depths themselves by no more than this share:
-            at 30 degrees a surface that is 1 % off misses by several pixels,
-        error_share: ... and never by more than this share.
-        least_confidence: depth that is less sure than this counts as unknown: guesses neither vote nor stay.
-        min_support: others that must agree for a depth to stay, or all that see it where there are fewer.
-        average: take the mean with those that agree, weighted by confidence, and see the surface much as the camera does.
-        fill_support: others that must agree for a pixel without depth to get theirs, or all if they are fewer; 0 fills nothing.
-    """
-
-    error_px: float = 1.5
-    wide_share: float = 0.02
-    error_share: float = 0.05
-    least_confidence: float = 0.025
-    min_support: int = 1
-    average: bool = True
-    fill_support: int = 2
-
-    def describe(self) -> dict[str, object]:
-        """All of it as values that JSON knows, its code included; part of a depth map's key."""
-        return {"algorithm": "consistency", "code": code_identity(__name__, FILL, CALLER, unfollowed=(CALLER,)), **asdict(self)}
+def describe_check() -> dict[str, object]:
+    """The check as values that JSON knows, its code included; part of a depth map's key."""
+    return {"algorithm": "consistency", "code": code_identity(__name__, FILL, CALLER, unfollowed=(CALLER,))}
 
 
-def check_consistency(
-    camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]], options: ConsistencyOptions
-) -> DepthMap:
+def check_consistency(camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> DepthMap:
     """Keep what other cameras' depth confirms or cannot contradict, average it with theirs, and fill in what they agree on.
 
     Each point is looked up in each other depth map. The other supports it where both depths are of one surface, contradicts it
@@ -70,18 +52,18 @@ def check_consistency(
         101-103, 480 x 360, K = 4, semi-global matching, three instants of three views) rendered by the online method gain
         0.21 dB (31.14 to 31.35 dB), depth within 2 % of the truth grows from 83.9 to 86.2 % of the pixels and the median error
         falls from 0.43 to 0.33 %. At the first instants 0.20 dB, without the average 0.13 dB, without filling 0.18 dB; with K = 2
-        0.16 dB. One room at 1344 x 1008 gains 0.32 dB; there an `error_px` of 0.5 loses 0.14 dB, and 1 to 2 are alike.
+        0.16 dB. One room at 1344 x 1008 gains 0.32 dB; there an `ERROR_PX` of 0.5 loses 0.14 dB, and 1 to 2 are alike.
     """
-    depth = _known_depth(camera, depth_map, options).ravel()
-    views = [_OtherView(camera, *other, options) for other in others]
+    depth = _known_depth(camera, depth_map).ravel()
+    views = [_OtherView(camera, *other) for other in others]
     at = np.flatnonzero(depth).astype(np.int32)
-    verdict = _evaluate(camera, views, at, depth[at], depth_map.confidence.ravel()[at], options)
-    agreed = np.minimum(options.min_support, verdict.support + verdict.conflict)
+    verdict = _evaluate(camera, views, at, depth[at], depth_map.confidence.ravel()[at])
+    agreed = np.minimum(MIN_SUPPORT, verdict.support + verdict.conflict)
     kept = (verdict.support >= agreed) & (verdict.conflict <= verdict.support)
     result, confidence = np.zeros_like(depth), np.zeros_like(depth)
     result[at[kept]], confidence[at[kept]] = verdict.depth[kept], verdict.confidence[kept]
-    if options.fill_support > 0:
-        _fill(camera, views, result, confidence, options)
+    if FILL_SUPPORT > 0:
+        _fill(camera, views, result, confidence)
     shape = camera.height, camera.width
     return DepthMap(result.reshape(shape), confidence.reshape(shape))
 
@@ -103,9 +85,7 @@ class _Verdict:
     confidence: Map
 
 
-def _evaluate(
-    camera: Camera, views: Sequence["_OtherView"], at: Indices, depth: Map, confidence: Map, options: ConsistencyOptions
-) -> _Verdict:
+def _evaluate(camera: Camera, views: Sequence["_OtherView"], at: Indices, depth: Map, confidence: Map) -> _Verdict:
     """Ask all views about the depth (P,) and confidence (P,) of the pixels numbered `at` (P,)."""
     verdict = _Verdict(np.zeros(at.shape, np.int32), np.zeros(at.shape, np.int32), depth.copy(), np.zeros_like(depth))
     for start in range(0, len(at), CHUNK):
@@ -122,22 +102,21 @@ def _evaluate(
             trust = np.where(theirs > 0, trust, np.float32(0))
             mass += trust
             weighted += trust * theirs
-        if options.average:
-            np.divide(weighted, mass, out=verdict.depth[part], where=(verdict.support[part] > 0) & (mass > 0))
+        np.divide(weighted, mass, out=verdict.depth[part], where=(verdict.support[part] > 0) & (mass > 0))
         evaluates = verdict.support[part] + verdict.conflict[part]
         mean = total / (1 + evaluates).astype(np.float32)
         verdict.confidence[part] = np.where(evaluates > 0, mean, UNCHECKED * confidence[part])
     return verdict
 
 
-def _fill(camera: Camera, views: Sequence["_OtherView"], depth: Map, confidence: Map, options: ConsistencyOptions) -> None:
+def _fill(camera: Camera, views: Sequence["_OtherView"], depth: Map, confidence: Map) -> None:
     """Give unknown pixels, in place, the nearest depth that enough of the views see there and none sees through."""
     nearest = np.full(depth.shape, np.inf, np.float32)
-    unknown, needed = depth == 0, min(options.fill_support, len(views))
+    unknown, needed = depth == 0, min(FILL_SUPPORT, len(views))
     for view in views:
         layer = view.project(unknown)
         at = np.flatnonzero(np.isfinite(layer)).astype(np.int32)
-        verdict = _evaluate(camera, views, at, layer[at], np.zeros(at.shape, np.float32), options)  # the view itself supports
+        verdict = _evaluate(camera, views, at, layer[at], np.zeros(at.shape, np.float32))  # the view itself supports
         better = (verdict.support >= needed) & (verdict.conflict == 0) & (verdict.depth < nearest[at])
         nearest[at[better]], confidence[at[better]] = verdict.depth[better], verdict.confidence[better]
     filled = np.isfinite(nearest)
@@ -147,9 +126,9 @@ def _fill(camera: Camera, views: Sequence["_OtherView"], depth: Map, confidence:
 class _OtherView:
     """Another camera's depth map, as the camera meets it whose depth is checked."""
 
-    def __init__(self, camera: Camera, other: Camera, depth_map: DepthMap, options: ConsistencyOptions) -> None:
-        self._camera, self._other, self._options = camera, other, options
-        self._depth = _known_depth(other, depth_map, options).ravel()
+    def __init__(self, camera: Camera, other: Camera, depth_map: DepthMap) -> None:
+        self._camera, self._other = camera, other
+        self._depth = _known_depth(other, depth_map).ravel()
         self._confidence = as_image(depth_map.confidence, other, "confidence", DepthError).ravel()
         self._there, self._back = _Projection(camera, other), _Projection(other, camera)
 
@@ -160,7 +139,6 @@ class _OtherView:
             Whether it supports each, whether it contradicts it, the depth it would give the point, 0 where that is less sure than
             the point's, and its own confidence, (P,).
         """
-        options = self._options
         there_u, there_v, expected = self._there.move(u, v, depth)
         inside = _inside(self._other, there_u, there_v, expected)
         there_u, there_v = np.where(inside, there_u, np.float32(0)), np.where(inside, there_v, np.float32(0))
@@ -168,13 +146,13 @@ class _OtherView:
         evaluated = inside & (map_depth > 0)
         back_u, back_v, _ = self._back.move(there_u, there_v, map_depth)
         gap = np.abs(map_depth - expected)
-        near = np.square(back_u - u) + np.square(back_v - v) <= np.float32(options.error_px**2)
-        near |= gap <= np.float32(options.wide_share) * expected
-        supports = evaluated & near & (gap <= np.float32(options.error_share) * expected)
+        near = np.square(back_u - u) + np.square(back_v - v) <= np.float32(ERROR_PX**2)
+        near |= gap <= np.float32(WIDE_SHARE) * expected
+        supports = evaluated & near & (gap <= np.float32(ERROR_SHARE) * expected)
         conflicts = evaluated & ~supports & (map_depth > expected)
         slope = self._there.depth_slope(u, v)
         step = (map_depth - expected) / np.maximum(slope, LEAST_SLOPE)
-        counts = (slope > LEAST_SLOPE) & (np.abs(step) <= np.float32(options.error_share) * depth)
+        counts = (slope > LEAST_SLOPE) & (np.abs(step) <= np.float32(ERROR_SHARE) * depth)
         theirs = np.where(counts, depth + step, np.float32(0))
         pixel = there_v.astype(np.int32) * np.int32(self._other.width) + there_u.astype(np.int32)
         return supports, conflicts, theirs, self._confidence[pixel]
@@ -204,7 +182,7 @@ class _OtherView:
         taps = [self._depth[first + offset] for offset in (0, step_right, step_down, step_right + step_down)]
         upper, lower = taps[0] + x * (taps[1] - taps[0]), taps[2] + x * (taps[3] - taps[2])
         low, high = np.minimum.reduce(taps), np.maximum.reduce(taps)
-        split = np.flatnonzero(high - low > np.float32(self._options.error_share) * expected)
+        split = np.flatnonzero(high - low > np.float32(ERROR_SHARE) * expected)
         depth: Map = upper + y * (lower - upper)
         candidates = np.stack([tap[split] for tap in taps])  # (4, S)
         closest = np.abs(candidates - expected[split]).argmin(axis=0)
@@ -234,10 +212,10 @@ class _Projection:
         return slope
 
 
-def _known_depth(camera: Camera, depth_map: DepthMap, options: ConsistencyOptions) -> Map:
+def _known_depth(camera: Camera, depth_map: DepthMap) -> Map:
     depth = as_image(depth_map.depth, camera, "depth", DepthError)
     confidence = as_image(depth_map.confidence, camera, "confidence", DepthError)
-    return np.where((confidence >= options.least_confidence) & is_known(depth), depth, np.float32(0))
+    return np.where((confidence >= LEAST_CONFIDENCE) & is_known(depth), depth, np.float32(0))
 
 
 def _inside(camera: Camera, u: Map, v: Map, depth: Map) -> Mask:

@@ -9,10 +9,10 @@ from typing import Any, cast
 
 from ggvs_eval import built_in
 from ggvs_eval.errors import DepthError, did_you_mean
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, TimeOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs, cached_weights
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
-from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName, SensorDepthOptions
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.plugins import Registry
@@ -95,9 +95,9 @@ class DepthRunOptions:
         if fillers and isinstance(matcher, LiveMatcher | IterMvs):
             raise DepthError(f"matcher {self.matcher}: wanted sgbm, sweep or raft before the +, got {name}; take one of them")
         filler = cast(IterMvs | StereoMatcher, find_matcher(fillers[0], device, dense=True)) if fillers else None
-        time = TimeOptions(KEYFRAME_EVERY, warm=True, reuse=True) if self.reuse_static else TimeOptions()
-        sensor = SensorDepthOptions(registration=self.registration) if self.sensor else None
-        return DepthOptions(matcher=matcher, filler=filler, time=time, sensor=sensor)
+        keyframe_every = KEYFRAME_EVERY if self.reuse_static else 1
+        sensor = self.registration if self.sensor else None
+        return DepthOptions(matcher, filler, keyframe_every=keyframe_every, sensor=sensor)
 
     def record(self, device: str = "cpu") -> dict[str, Any]:
         """As values that JSON knows; the device of a network is named where it is not the CPU."""

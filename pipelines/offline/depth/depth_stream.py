@@ -18,6 +18,8 @@ from ggvs_eval.pipelines.offline.stereo.pairwise import SharedMatches
 CONTEXT_PX = 48  # what a matcher sees around the window that it computes again
 GRID_PX = 64  # windows start and end on multiples of it, so that their estimators can be kept
 MOST_CHANGED = 0.6  # of the image; beyond, a window saves nothing
+CHANGED = 0.02  # a pixel has changed when its blurred difference exceeds this share of the value range
+GROW_PX = 8  # what lies this near to a changed pixel is computed again too
 BLUR_SIGMA_PX = 1.5  # averages sensor noise away before pictures are compared
 
 
@@ -51,10 +53,10 @@ class DepthStream:
         Args:
             frame: its number; consecutive from call to call.
         """
-        if frame == self.options.time.first_needed(frame):
+        if frame == self.options.first_needed(frame):
             self._whole.forget()
             self._reference = None
-        if not self.options.time.reuse:
+        if self.options.keyframe_every == 1:
             return self._whole.estimate(image, partner_images)
         blurred = cv2.GaussianBlur(image, (0, 0), BLUR_SIGMA_PX).astype(np.float32)
         if self._reference is None:
@@ -96,9 +98,8 @@ class DepthStream:
         return renewed[0], DepthMap(*renewed[1:])
 
     def _changed(self, reference: NDArray[np.float32], blurred: NDArray[np.float32]) -> Mask:
-        options = self.options.time
-        different = np.abs(reference - blurred).max(axis=-1) > 255 * options.changed
-        grown = cv2.dilate(different.astype(np.uint8), np.ones((2 * options.grow_px + 1,) * 2, np.uint8))
+        different = np.abs(reference - blurred).max(axis=-1) > 255 * CHANGED
+        grown = cv2.dilate(different.astype(np.uint8), np.ones((2 * GROW_PX + 1,) * 2, np.uint8))
         return np.asarray(grown, bool)
 
     def _window_estimator(self, window: tuple[int, int, int, int]) -> DepthEstimator:

@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.consistency import LEAST_SLOPE, UNCHECKED, ConsistencyOptions
+from ggvs_eval.pipelines.offline.depth import consistency
+from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, FLYING, SMOOTH, SMOOTH_RADIUS_PX, DepthOptions
+from ggvs_eval.pipelines.offline.depth.consistency import LEAST_SLOPE, UNCHECKED
 from ggvs_eval.pipelines.offline.itermvs.estimator import Finish
 from ggvs_eval.plugins import DEVICE_PARTS
 
@@ -38,12 +39,12 @@ def finish_maps(depth: Tensor, confidence: Tensor, between: Tensor, *, options: 
         depth: as found, (K, H, W).
         between: see `projections_between`.
     """
-    depth = smooth_surfaces(drop_flying_pixels(depth, options.flying), options.smooth, options.smooth_radius_px)
+    depth = smooth_surfaces(drop_flying_pixels(depth, FLYING), SMOOTH, SMOOTH_RADIUS_PX)
     confidence = torch.where(depth > 0, confidence, 0.0)
-    depth, confidence = fill_background(depth, confidence, options.filled_confidence)
-    if options.consistency is None or len(depth) == 1:
+    depth, confidence = fill_background(depth, confidence, FILLED_CONFIDENCE)
+    if not options.consistency or len(depth) == 1:
         return depth, confidence
-    return fill_background(*check_consistency(depth, confidence, between, options.consistency), options.filled_confidence)
+    return fill_background(*check_consistency(depth, confidence, between), FILLED_CONFIDENCE)
 
 
 def drop_flying_pixels(depth: Tensor, share: float) -> Tensor:
@@ -95,22 +96,22 @@ def _farther_neighbour(depth: Tensor) -> Tensor:
     return torch.maximum(depth.gather(2, left), depth.gather(2, right))
 
 
-def check_consistency(depth: Tensor, confidence: Tensor, between: Tensor, options: ConsistencyOptions) -> Maps:
+def check_consistency(depth: Tensor, confidence: Tensor, between: Tensor) -> Maps:
     """Check each map of a stack against all others, see `consistency.check_consistency`."""
-    depth = torch.where(confidence >= options.least_confidence, depth, 0.0)
-    others = [_Others(depth, confidence, between, shift, options) for shift in range(1, len(depth))]
-    verdict = _evaluate(others, depth, confidence, options)
-    agreed = (verdict.support + verdict.conflict).clamp(max=options.min_support)
+    depth = torch.where(confidence >= consistency.LEAST_CONFIDENCE, depth, 0.0)
+    others = [_Others(depth, confidence, between, shift) for shift in range(1, len(depth))]
+    verdict = _evaluate(others, depth, confidence)
+    agreed = (verdict.support + verdict.conflict).clamp(max=consistency.MIN_SUPPORT)
     kept = (depth > 0) & (verdict.support >= agreed) & (verdict.conflict <= verdict.support)
     result, sure = torch.where(kept, verdict.depth, 0.0), torch.where(kept, verdict.confidence, 0.0)
-    if options.fill_support <= 0:
+    if consistency.FILL_SUPPORT <= 0:
         return result, sure
     nearest, unknown = torch.full_like(depth, torch.inf), result == 0
     for each in others:
         layer = torch.where(unknown, each.project(), torch.inf)
         seen = layer.isfinite()
-        verdict = _evaluate(others, torch.where(seen, layer, 0.0), torch.zeros_like(depth), options)
-        better = seen & (verdict.support >= min(options.fill_support, len(others))) & (verdict.conflict == 0)
+        verdict = _evaluate(others, torch.where(seen, layer, 0.0), torch.zeros_like(depth))
+        better = seen & (verdict.support >= min(consistency.FILL_SUPPORT, len(others))) & (verdict.conflict == 0)
         better &= verdict.depth < nearest
         nearest, sure = torch.where(better, verdict.depth, nearest), torch.where(better, verdict.confidence, sure)
     return torch.where(nearest.isfinite(), nearest, result), sure
@@ -126,7 +127,7 @@ class _Verdict:
     confidence: Tensor
 
 
-def _evaluate(others: Sequence["_Others"], depth: Tensor, confidence: Tensor, options: ConsistencyOptions) -> _Verdict:
+def _evaluate(others: Sequence["_Others"], depth: Tensor, confidence: Tensor) -> _Verdict:
     """Ask the others about points at this depth, where it is known."""
     support, conflict = (torch.zeros_like(depth) for _ in range(2))
     total, mass, weighted = confidence, confidence, confidence * depth
@@ -136,7 +137,7 @@ def _evaluate(others: Sequence["_Others"], depth: Tensor, confidence: Tensor, op
         trust = torch.where(supports, trust, 0.0)
         total, counted = total + trust, torch.where(theirs > 0, trust, 0.0)
         mass, weighted = mass + counted, weighted + counted * theirs
-    averaged = (support > 0) & (mass > 0) & options.average
+    averaged = (support > 0) & (mass > 0)
     mean = torch.where(averaged, weighted / torch.where(averaged, mass, 1.0), depth)
     evaluated = support + conflict
     sure = torch.where(evaluated > 0, total / (1 + evaluated), float(UNCHECKED) * confidence)
@@ -146,8 +147,8 @@ def _evaluate(others: Sequence["_Others"], depth: Tensor, confidence: Tensor, op
 class _Others:
     """Of each camera another one's map: that which comes `shift` later in the stack."""
 
-    def __init__(self, depth: Tensor, confidence: Tensor, between: Tensor, shift: int, options: ConsistencyOptions) -> None:
-        self._options, (self._height, self._width) = options, depth.shape[1:]
+    def __init__(self, depth: Tensor, confidence: Tensor, between: Tensor, shift: int) -> None:
+        self._height, self._width = depth.shape[1:]
         self._depth, self._confidence = depth.roll(-shift, 0), confidence.roll(-shift, 0)
         # Of camera k: from its pixels to those of the other, and back; views of the same numbers.
         self._there = between.roll(-shift, 1).diagonal().T
@@ -158,7 +159,6 @@ class _Others:
 
     def ask(self, depth: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """See `consistency._OtherView.ask`; nothing is supported or contradicted where depth is unknown."""
-        options = self._options
         u, v, expected = _move(self._there, self._rays, depth)
         inside = (depth > 0) & self._inside(u, v, expected)
         u, v = torch.where(inside, u, 0.0), torch.where(inside, v, 0.0)
@@ -166,13 +166,13 @@ class _Others:
         evaluated = inside & (found > 0)
         back_u, back_v, _ = _move(self._back, _rays(self._back, u, v), found)
         gap = (found - expected).abs()
-        near = (back_u - self._u).square() + (back_v - self._v).square() <= options.error_px**2
-        near |= gap <= options.wide_share * expected
-        supports = evaluated & near & (gap <= options.error_share * expected)
+        near = (back_u - self._u).square() + (back_v - self._v).square() <= consistency.ERROR_PX**2
+        near |= gap <= consistency.WIDE_SHARE * expected
+        supports = evaluated & near & (gap <= consistency.ERROR_SHARE * expected)
         conflicts = evaluated & ~supports & (found > expected)
         slope = self._rays[2]
         step = (found - expected) / slope.clamp(min=float(LEAST_SLOPE))
-        counts = supports & (slope > float(LEAST_SLOPE)) & (step.abs() <= options.error_share * depth)
+        counts = supports & (slope > float(LEAST_SLOPE)) & (step.abs() <= consistency.ERROR_SHARE * depth)
         return supports, conflicts, torch.where(counts, depth + step, 0.0), self._at(self._confidence, u.long(), v.long())
 
     def project(self) -> Tensor:
@@ -207,7 +207,7 @@ class _Others:
         low, high = torch.minimum(taps[0], taps[1]), torch.maximum(taps[0], taps[1])
         for tap in taps[2:]:
             low, high = torch.minimum(low, tap), torch.maximum(high, tap)
-        return torch.where(high - low > self._options.error_share * expected, closest, upper + y * (lower - upper))
+        return torch.where(high - low > consistency.ERROR_SHARE * expected, closest, upper + y * (lower - upper))
 
 
 def _rays(numbers: Tensor, u: Tensor, v: Tensor) -> list[Tensor]:

@@ -14,8 +14,10 @@ from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, describe_depth
 from ggvs_eval.errors import CameraError, DepthError
 from ggvs_eval.geometry.source_views import ChosenSource, SourceChoice, choose_sources
 from ggvs_eval.jobs.engine import Workers, as_engine, run_all
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, check_depth, check_measured_depth, finish
+from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthOptions, check_depth, check_measured_depth, finish
+from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
+from ggvs_eval.pipelines.offline.sensor.colour_fill import describe_fill
 from ggvs_eval.pipelines.offline.sensor.registered_capture import registered
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
@@ -137,11 +139,11 @@ def without_unmatched(capture: Capture, options: DepthOptions) -> Capture:
 def _checked(job: DepthJob, jobs_by_source: Mapping[str, DepthJob], options: DepthOptions) -> DepthJob:
     """A source's depth held against that of the view's other sources; in the order of names, so that near targets share it."""
     others = tuple(jobs_by_source[name] for name in sorted(jobs_by_source) if name != job.camera_name)
-    if options.consistency is None or not others:
+    if not options.consistency or not others:
         return job
-    described = options.consistency.describe()
+    described = describe_check()
     if options.sensor is not None and not job.partner_names:
-        described |= {"fill": options.sensor.fill.describe()}
+        described |= {"fill": describe_fill()}
     return job.checked_against(others, described)
 
 
@@ -150,9 +152,7 @@ def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEs
     if options.sensor is None or capture.extras_of(name).depth is None:
         return None
     source = registered(capture, options.sensor).extras_of(name).depth
-    return (
-        None if source is None or options.sensor is None else SensorDepthEstimator(capture.camera(name), source, options.sensor)
-    )
+    return None if source is None else SensorDepthEstimator(capture.camera(name), source)
 
 
 def depth_job(capture: Capture, camera_name: str, partner_names: Sequence[str], options: DepthOptions) -> DepthJob:
@@ -183,11 +183,11 @@ def prepare_depth(
     """
     if options.sensor is not None:  # estimated once, here, for all workers
         capture = registered(capture, options.sensor)
-        options = replace(options, sensor=replace(options.sensor, registration="given"))
+        options = replace(options, sensor="given")
     missing = [job for job in dict.fromkeys(jobs) if _missing(store, job.key, frames)]
     checked = [job for job in missing if job.checked_with]
     unchecked = [each for job in missing for each in (job.unchecked, *job.checked_with)]
-    if isinstance(options.matcher, LiveMatcher) and options.time.keyframe_every == 1:
+    if isinstance(options.matcher, LiveMatcher) and options.keyframe_every == 1:
         _share_pairs(capture, unchecked, frames, store, options, workers)
     lacking = [job for job in dict.fromkeys(unchecked) if _missing(store, job.key, frames)]
     groups = _by_camera(lacking, options, as_engine(workers).jobs)
@@ -204,8 +204,7 @@ def _by_camera(jobs: Sequence[DepthJob], options: DepthOptions, processes: int) 
     groups: dict[str, list[DepthJob]] = {}
     for job in jobs:
         groups.setdefault(job.camera_name if job.partner_names else job.key, []).append(job)
-    shares = options.time.keyframe_every == 1 and not options.time.warm
-    return list(groups.values()) if shares and len(groups) >= processes else [[job] for job in jobs]
+    return list(groups.values()) if options.keyframe_every == 1 and len(groups) >= processes else [[job] for job in jobs]
 
 
 def _share_pairs(
@@ -238,7 +237,7 @@ def _run_together(
         return
     matched = [(job.camera_name, *job.partner_names) for job in jobs]
     names = list(dict.fromkeys(name for each in matched for name in each))
-    rig = RigEstimator([capture.camera(name) for name in names], matched, options.matcher, options.error_px)
+    rig = RigEstimator([capture.camera(name) for name in names], matched, options.matcher, ERROR_PX)
     start, stop = min(instants), max(instants) + 1
     decoded = [capture.frames(name, start, stop) for name in names]
     for frame, images in zip(range(start, stop), zip(*decoded, strict=True), strict=True):
@@ -280,14 +279,14 @@ def _run(capture: Capture, frames: Sequence[int], store: DepthStore, options: De
     shared: SharedMatches | None = {} if len(jobs) > 1 else None
     streams = {job: DepthStream(camera, [capture.camera(name) for name in job.partner_names], options, shared) for job in jobs}
     names = list(dict.fromkeys([camera.name, *(name for job in jobs for name in job.partner_names)]))
-    start, stop = options.time.first_needed(min(wanted)), max(wanted) + 1
+    start, stop = options.first_needed(min(wanted)), max(wanted) + 1
     decoded = [capture.frames(name, start, stop) for name in names]
     for frame, pictures in zip(range(start, stop), zip(*decoded, strict=True), strict=True):
         images = dict(zip(names, pictures, strict=True))
         if shared is not None:
             shared.clear()
         for job, stream in streams.items():
-            if options.time.keyframe_every > 1 or frame in missing[job]:
+            if options.keyframe_every > 1 or frame in missing[job]:
                 depth_map = stream.step(frame, images[camera.name], [images[name] for name in job.partner_names])
                 if frame in missing[job]:
                     store.write(job.key, frame, depth_map)

@@ -10,7 +10,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth, finish
+from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthEstimator, DepthOptions, check_depth, finish
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
 
@@ -106,7 +106,7 @@ class RigDepth:
             found = self._batch.estimate([self._cameras[name] for name in needed], matched, list(pictures.values()))
             return {name: DeviceDepth(*each) for name, each in zip(names, found, strict=True)}
         maps = dict(zip(names, self._found_here(names, pictures), strict=True))
-        return maps if self.options.consistency is None or len(names) == 1 else {name: self._checked(name, maps) for name in maps}
+        return maps if not self.options.consistency or len(names) == 1 else {name: self._checked(name, maps) for name in maps}
 
     def _found_here(self, names: Sequence[str], pictures: Mapping[str, Image8]) -> list[DepthMap]:
         """Maps as the CPU's matchers find them, finished."""
@@ -114,7 +114,7 @@ class RigDepth:
             if self._pairs is None or self._pairs[0] != names:
                 matched = [(name, *self.partners(name)) for name in names]
                 cameras = [self._cameras[name] for name in self.needed(names)]
-                self._pairs = names, RigEstimator(cameras, matched, self.options.matcher, self.options.error_px)
+                self._pairs = names, RigEstimator(cameras, matched, self.options.matcher, ERROR_PX)
             return [finish(each, self.options) for each in self._pairs[1].estimate(pictures)]
         for name in names:
             if name not in self._estimators:

@@ -12,7 +12,6 @@ Maps are ``width&height&channels&`` in ASCII, then float32, one channel after th
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +25,10 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_folder, write_bytes
 from ggvs_eval.files.images import write_image
 from ggvs_eval.geometry.pinhole import as_image, as_image8
-from ggvs_eval.pipelines.offline.export.surfaces import surface_normals
+from ggvs_eval.pipelines.offline.export.surfaces import LEAST_CONFIDENCE, surface_normals
 
 HEADER = re.compile(rb"(\d{1,9})&(\d{1,9})&(\d{1,9})&")
+POINTS_PER_CAMERA = 1000
 AGREES = 0.01  # a camera sees a point where its own depth differs by no larger share
 # COLMAP reads names up to a blank in images.txt, up to a comma in patch-match.cfg, and a stroke as a folder.
 TELLING = re.compile(r"[\s,/\\]")
@@ -66,26 +66,13 @@ def read_array(path: Path) -> NDArray[np.float32]:
     return np.ascontiguousarray(planes[0] if channels == 1 else np.moveaxis(planes, 0, -1), np.float32)
 
 
-@dataclass(frozen=True)
-class WorkspaceOptions:
-    """Options of the exported workspace.
-
-    Attributes:
-        least_confidence: pixels below are exported as unknown: filled ones, and with four partners what one alone believes in.
-        points_per_camera: sparse points taken from each depth map; COLMAP learns from them which images overlap.
-    """
-
-    least_confidence: float = 0.3
-    points_per_camera: int = 1000
-
-
 def write_dense_workspace(
     cameras: Sequence[Camera],
     images: Sequence[Image8],
     depth_maps: Sequence[DepthMap],
     partners: Mapping[str, Sequence[str]],
     folder: Path,
-    options: WorkspaceOptions | None = None,
+    points_per_camera: int = POINTS_PER_CAMERA,
 ) -> Path:
     """Write the workspace whole or not at all.
 
@@ -94,7 +81,7 @@ def write_dense_workspace(
         depth_maps: theirs; every number that is kept is written as it is.
         partners: camera -> the cameras its depth was matched with, for ``patch-match.cfg``; those not exported are passed over.
         folder: where to; absent or empty.
-        options: by default as they stand.
+        points_per_camera: sparse points taken from each depth map; COLMAP learns from them which images overlap.
 
     Raises:
         DepthError: the folder holds something, sizes do not fit, or a name that COLMAP's text files cannot hold.
@@ -104,12 +91,11 @@ def write_dense_workspace(
         by that name, the one that `stereo_fusion` asks for. The sparse points are points of the depth maps, each with every
         camera whose own depth agrees; their normals and the normal maps come from planes fitted to the depth.
     """
-    options = options or WorkspaceOptions()
     _check(cameras, images, depth_maps, folder)
-    depths = [np.where(each.confidence >= options.least_confidence, each.depth, np.float32(0)) for each in depth_maps]
+    depths = [np.where(each.confidence >= LEAST_CONFIDENCE, each.depth, np.float32(0)) for each in depth_maps]
     with atomic_folder(folder) as unfinished:
         _write_maps(cameras, images, depths, unfinished)
-        points = _surface_points(cameras, depths, options.points_per_camera)
+        points = _surface_points(cameras, depths, points_per_camera)
         write_model(unfinished / "sparse", cameras, *_shared(cameras, images, depths, points))
         _write_lists(cameras, partners, unfinished / "stereo")
     return folder

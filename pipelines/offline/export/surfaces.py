@@ -22,6 +22,9 @@ SAME_SURFACE = 0.03  # neighbours whose depth differs by a larger share belong t
 FEWEST = 8  # neighbours that decide on a plane
 FOOTPRINTS = 2.0  # a voxel by default, in median pixels on the surface
 MOST_VOXELS = 512  # along the diagonal of the scene by default; more would be gigabytes
+TRUNCATION = 5.0  # voxels before and behind the surface over which it is averaged
+LEAST_CONFIDENCE = 0.3  # filled pixels have less, and with four partners those that one alone believes in
+FEWEST_TRIANGLES = 50  # of a connected part of the mesh; with fewer it is debris
 SAMPLES = 20_000  # points of a camera that tell how large the scene is
 
 
@@ -148,23 +151,6 @@ def _solve(
 
 
 @dataclass(frozen=True)
-class FuseOptions:
-    """Options of the fusion.
-
-    Attributes:
-        voxel: edge of a voxel, world units, of the mesh and of the point cloud; 0 chooses one that suits the pixels.
-        truncation: the surface is averaged this many voxels before and behind itself.
-        least_confidence: pixels below are left out. Filled pixels are, and with four partners what one alone believes in.
-        fewest_triangles: connected parts of the mesh with fewer are debris and left out.
-    """
-
-    voxel: float = 0.0
-    truncation: float = 5.0
-    least_confidence: float = 0.3
-    fewest_triangles: int = 50
-
-
-@dataclass(frozen=True)
 class FusedFiles:
     """Files that the fusion wrote.
 
@@ -208,7 +194,8 @@ def fuse_instant(
     images: Sequence[Image8],
     depth_maps: Sequence[DepthMap],
     folder: Path,
-    options: FuseOptions | None = None,
+    voxel: float = 0.0,
+    fewest_triangles: int = FEWEST_TRIANGLES,
 ) -> FusedFiles:
     """Fuse the depth maps of one instant and write ``points.ply`` and ``mesh.ply``; files that are there are replaced.
 
@@ -217,7 +204,8 @@ def fuse_instant(
     Args:
         images: of one instant, RGB uint8 (H, W, 3), in the order of the cameras.
         folder: where to; made.
-        options: by default as they stand.
+        voxel: edge of a voxel, world units, of the mesh and of the point cloud; 0 chooses one that suits the pixels.
+        fewest_triangles: of a connected part of the mesh; smaller ones are debris and left out.
 
     Raises:
         DepthError: sizes that do not fit, no pixel that can be trusted, no surface, or files that cannot be written.
@@ -226,18 +214,18 @@ def fuse_instant(
         The mesh is Curless and Levoy's: averaged signed distances in sparse voxels, zero crossing by marching cubes. All pixels
         weigh alike; confidence decides only which take part.
     """
-    options = options or FuseOptions()
-    _check_options(options)
+    if not 0 <= voxel < np.inf:
+        raise DepthError(f"fuse: wanted a voxel of 0 or more units, got {voxel:g}")
     _check_sizes(cameras, images, depth_maps)
-    views = [_trusted(*each, options.least_confidence) for each in zip(cameras, images, depth_maps, strict=True)]
+    views = [_trusted(*each) for each in zip(cameras, images, depth_maps, strict=True)]
     if not any(view.depth.any() for view in views):
         raise DepthError(
-            f"{folder}: wanted pixels with a confidence of {options.least_confidence:g} or more, {len(cameras)} depth maps have "
-            "none; look at the depth page of `ggvs-eval prepare`, or lower least_confidence"
+            f"{folder}: wanted pixels with a confidence of {LEAST_CONFIDENCE:g} or more, {len(cameras)} depth maps have "
+            "none; look at the depth page of `ggvs-eval prepare`, and use another --matcher"
         )
     sample = np.concatenate([_sample(view) for view in views])
-    voxel = options.voxel or _fitting_voxel(views, sample)
-    cloud, mesh = _point_cloud(views, voxel), _mesh(views, sample.mean(axis=0), voxel, options)
+    voxel = voxel or _fitting_voxel(views, sample)
+    cloud, mesh = _point_cloud(views, voxel), _mesh(views, sample.mean(axis=0), voxel, fewest_triangles)
     if not len(mesh.triangles):
         raise DepthError(f"{folder}: {len(cloud.points)} points make no surface with voxels of {voxel:g} units; choose others")
     import open3d
@@ -249,20 +237,14 @@ def fuse_instant(
     return FusedFiles(folder / "points.ply", folder / "mesh.ply", *counts, voxel)
 
 
-def _check_options(options: FuseOptions) -> None:
-    if not (0 <= options.voxel < np.inf and options.truncation > 1):
-        values = f"{options.voxel:g} and {options.truncation:g}"
-        raise DepthError(f"fuse: wanted a voxel of 0 or more units and a truncation of more than 1 voxel, got {values}")
-
-
 def _check_sizes(cameras: Sequence[Camera], images: Sequence[Image8], depth_maps: Sequence[DepthMap]) -> None:
     for camera, image, depth_map in zip(cameras, images, depth_maps, strict=True):
         as_image8(image, camera, DepthError)
         as_image(depth_map.depth, camera, "depth", DepthError)
 
 
-def _trusted(camera: Camera, image: Image8, depth_map: DepthMap, least_confidence: float) -> _View:
-    mask = (depth_map.depth > 0) & (depth_map.confidence >= least_confidence)
+def _trusted(camera: Camera, image: Image8, depth_map: DepthMap) -> _View:
+    mask = (depth_map.depth > 0) & (depth_map.confidence >= LEAST_CONFIDENCE)
     depth = np.where(mask, depth_map.depth, np.float32(0))
     normals = surface_normals(camera, depth)
     lies_on_surface = normals.any(axis=-1)
@@ -296,18 +278,18 @@ def _point_cloud(views: Sequence[_View], voxel: float) -> Any:
     return cloud.voxel_down_sample(voxel).normalize_normals()
 
 
-def _mesh(views: Sequence[_View], middle: Array, voxel: float, options: FuseOptions) -> Any:
+def _mesh(views: Sequence[_View], middle: Array, voxel: float, fewest_triangles: int) -> Any:
     """The mesh without debris, an `open3d.geometry.TriangleMesh`."""
     import open3d
 
     origin = np.rint(middle / voxel) * voxel
     cameras, images, depths = ([getattr(view, part) for view in views] for part in ("camera", "image", "depth"))
-    surface = mesh_of(cameras, images, depths, voxel, options.truncation, origin)
+    surface = mesh_of(cameras, images, depths, voxel, TRUNCATION, origin)
     utility = open3d.utility
     mesh = open3d.geometry.TriangleMesh(utility.Vector3dVector(surface.vertices), utility.Vector3iVector(surface.triangles))
     mesh.vertex_colors = utility.Vector3dVector(surface.colours)
     part, n_triangles, _ = (np.asarray(each) for each in mesh.cluster_connected_triangles())
-    mesh.remove_triangles_by_mask(n_triangles[part] < options.fewest_triangles if len(part) else [])
+    mesh.remove_triangles_by_mask(n_triangles[part] < fewest_triangles if len(part) else [])
     mesh.remove_unreferenced_vertices()
     mesh.compute_vertex_normals()
     return mesh

@@ -1,7 +1,5 @@
 """Unmeasured depth, filled along the edges of the colours: the Fast Global Smoother (Min et al., IEEE TIP 2014)."""
 
-from dataclasses import asdict, dataclass
-
 import cv2
 import numpy as np
 from scipy.linalg import solve_banded
@@ -11,39 +9,20 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.jobs.code_identity import code_identity
 
 LEAST_WEIGHT = 1e-12  # of depth that reaches a pixel; below, none does
+STRENGTH = 900.0  # lambda, weight of smoothness next to that of measured depth; its root is about the reach in pixels
+LEVELS = 4.0  # difference of colours, of 255, across which smoothness counts for 1 / e
+ROUNDS = 3  # passes along rows and columns
+JUMP = 0.05  # neighbours whose depths differ by more than this share of the nearer one are an edge of depth ...
+EDGE_PX = 2  # ... and what lies this near to it is filled anew: sensors see edges a little beside those of colours
+CONFIDENCE = 0.02  # of filled pixels
 
 
-@dataclass(frozen=True)
-class ColourFillOptions:
-    """Options of the fill.
-
-    Attributes:
-        strength: lambda, weight of smoothness beside that of measured depth; its root is about the reach in pixels.
-        levels: difference of colours, of 255, across which smoothness counts for 1 / e.
-        rounds: passes along rows and columns.
-        jump: neighbours whose depths differ by more than this share of the nearer one are an edge of depth ...
-        edge_px: ... and what lies this near to it is filled anew: sensors see edges a little beside those of colours. 0 keeps it.
-        confidence: of filled pixels; 0 fills nothing.
-
-    Reading:
-        The paper takes depth without holes and names no fill. Chosen on validation data: nine views each of hand-held rooms (demo
-        seeds 101-103) with blurred pictures and with misplaced depth, three of the rest of a real sequence; benchmarks/RESULTS.md
-        has the gains. Of them 0.04 dB are due to `edge_px`; a strength of 400 or 2000 loses 0.02 and 0.04 dB, 3 levels lose 0.03.
-    """
-
-    strength: float = 900.0
-    levels: float = 4.0
-    rounds: int = 3
-    jump: float = 0.05
-    edge_px: int = 2
-    confidence: float = 0.02
-
-    def describe(self) -> dict[str, object]:
-        """All of it as values that JSON knows, its code included; part of a depth map's key."""
-        return {"algorithm": "fill-by-colour", "code": code_identity(__name__), **asdict(self)}
+def describe_fill() -> dict[str, object]:
+    """The fill as values that JSON knows, its code included; part of a depth map's key."""
+    return {"algorithm": "fill-by-colour", "code": code_identity(__name__)}
 
 
-def fill_by_colour(depth_map: DepthMap, image: Image8, options: ColourFillOptions) -> DepthMap:
+def fill_by_colour(depth_map: DepthMap, image: Image8) -> DepthMap:
     """Fill invalid pixels, and edges of depth, with the smooth inverse depth of what has their colour.
 
     Measured pixels count by their confidence.
@@ -53,32 +32,35 @@ def fill_by_colour(depth_map: DepthMap, image: Image8, options: ColourFillOption
 
     Returns:
         Depth and confidence, (H, W); depth is unknown only where no pixel was known.
+
+    Reading:
+        The paper takes depth without holes and names no fill. Chosen on validation data: nine views each of hand-held rooms (demo
+        seeds 101-103) with blurred pictures and with misplaced depth, three of the rest of a real sequence; benchmarks/RESULTS.md
+        has the gains. Of them 0.04 dB are due to `EDGE_PX`; a `STRENGTH` of 400 or 2000 loses 0.02 and 0.04 dB, 3 `LEVELS` 0.03.
     """
     depth_map = depth_map.clean()
     depth, confidence = depth_map.depth, depth_map.confidence
-    unknown = (depth == 0) | beside_jumps(depth, options)
-    if options.confidence <= 0 or not unknown.any() or unknown.all():
+    unknown = (depth == 0) | beside_jumps(depth)
+    if not unknown.any() or unknown.all():
         return depth_map
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=~unknown)
-    weight = np.where(unknown, np.float32(0), np.maximum(confidence, np.float32(options.confidence)))
-    total, sure = np.moveaxis(smooth_by_colour(np.stack([weight * inverse, weight], axis=-1), image, options), -1, 0)
+    weight = np.where(unknown, np.float32(0), np.maximum(confidence, np.float32(CONFIDENCE)))
+    total, sure = np.moveaxis(smooth_by_colour(np.stack([weight * inverse, weight], axis=-1), image), -1, 0)
     filled = unknown & (sure > LEAST_WEIGHT) & (total > 0)
     result = np.where(filled, np.divide(sure, total, out=np.zeros_like(depth), where=filled), depth)
-    return DepthMap(result, np.where(filled, np.float32(options.confidence), confidence))
+    return DepthMap(result, np.where(filled, np.float32(CONFIDENCE), confidence))
 
 
-def beside_jumps(depth: Map, options: ColourFillOptions) -> Mask:
+def beside_jumps(depth: Map) -> Mask:
     """Mask what lies near to an edge between known depths, (H, W)."""
-    if options.edge_px <= 0:
-        return np.zeros(depth.shape, np.bool_)
-    neighbours, reach = np.ones((3, 3), np.uint8), 2 * options.edge_px + 1
+    neighbours, reach = np.ones((3, 3), np.uint8), 2 * EDGE_PX + 1
     farthest = cv2.dilate(depth, neighbours)
     nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), neighbours)
-    jumps = farthest * np.float32(1 / (1 + options.jump)) > nearest
+    jumps = farthest * np.float32(1 / (1 + JUMP)) > nearest
     return cv2.dilate(jumps.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))) > 0
 
 
-def smooth_by_colour(maps: Map, image: Image8, options: ColourFillOptions) -> Map:
+def smooth_by_colour(maps: Map, image: Image8, strength: float = STRENGTH, levels: float = LEVELS, rounds: int = ROUNDS) -> Map:
     """Smooth maps within the edges of an image: weighted least squares along all rows, then along all columns, in some rounds.
 
     Each line minimises the sum of (u - f)^2 + lambda exp(-|difference of colours| / levels) (difference of u)^2; later rounds
@@ -91,9 +73,9 @@ def smooth_by_colour(maps: Map, image: Image8, options: ColourFillOptions) -> Ma
     Returns:
         u, (H, W, C).
     """
-    guide, strength = image.astype(np.float32), options.strength
-    along_rows, along_columns = _likeness(guide, options.levels), _likeness(guide.swapaxes(0, 1), options.levels)
-    for _ in range(options.rounds):
+    guide = image.astype(np.float32)
+    along_rows, along_columns = _likeness(guide, levels), _likeness(guide.swapaxes(0, 1), levels)
+    for _ in range(rounds):
         maps = _smooth_lines(maps, strength * along_rows)
         maps = _smooth_lines(maps.swapaxes(0, 1), strength * along_columns).swapaxes(0, 1)
         strength /= 4

@@ -7,7 +7,7 @@ from functools import lru_cache
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.offline.sensor.registration import with_registration
 from ggvs_eval.pipelines.offline.sensor.registration_estimate import Displacement, measure_registration
-from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName
 
 SEQUENCE_LAYOUT = "rgbd"  # frames of one camera and one sensor; of a rig every camera has a sensor of its own
 
@@ -25,13 +25,13 @@ def is_sequence(capture: Capture) -> bool:
     return capture.layout == SEQUENCE_LAYOUT
 
 
-def registered(capture: Capture, options: SensorDepthOptions | None) -> Capture:
+def registered(capture: Capture, registration: RegistrationName | None) -> Capture:
     """The capture with its sensor depth registered, where that is asked for and found to be of use.
 
     Args:
-        options: how sensor depth is treated; None where it is not.
+        registration: of sensor depth; None where that is not used.
     """
-    if options is None or options.registration == "given" or not is_sequence(capture):
+    if registration != "estimated" or not is_sequence(capture):
         return capture
     measured = displacement(capture)
     return capture if measured is None else with_registration(capture, measured.applied)

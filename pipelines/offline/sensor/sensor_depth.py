@@ -1,6 +1,6 @@
 """Depth that a sensor measured beside the images, made fit for rendering: outliers removed, small holes closed."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from typing import Literal
 
 import cv2
@@ -13,62 +13,31 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.jobs.code_identity import code_identity
-from ggvs_eval.pipelines.offline.sensor.colour_fill import ColourFillOptions
 from ggvs_eval.pipelines.offline.sensor.registration import RegisteredDepth
 from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid, close_edges, close_holes
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, smooth_surfaces
 
 STEPS = 1000  # of the logarithm of depth in which OpenCV looks for speckles; one is a thousandth of the depth
-RegistrationName = Literal["given", "estimated"]
+RegistrationName = Literal[
+    "given", "estimated"
+]  # of sensor depth: as it is, or from a sequence's images where that is significant
+# The filter; pixels are the sensor's.
+STEP = 0.03  # neighbours whose depths differ by more than this share of them lie on two surfaces, ...
+STEEPEST_RAD = 1.4  # ... unless a surface whose normal is this far off the ray explains the difference
+SPECKLE_PX = 20  # surfaces of fewer pixels than this are dropped
+HOLE_PX = 3  # holes up to this wide are filled, along the row or the column
+SMOOTH, SMOOTH_RADIUS_PX = 0.015, 4  # depth is averaged over near neighbours that differ by about this share of it
+EDGE_PX = 3.0  # confidence falls nearer than this to edges and holes
+FILLED_CONFIDENCE = 0.2  # of filled pixels, over that of measured ones
 OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))  # rows down and columns right to one of two opposite neighbours
-
-
-@dataclass(frozen=True)
-class SensorDepthOptions:
-    """Options of the filter of a sensor's depth; pixels are the sensor's.
-
-    Attributes:
-        step: neighbours whose depths differ by more than this share of them lie on two surfaces, ...
-        steepest_rad: ... unless a surface whose normal is this far off the ray explains the difference.
-        speckle_px: surfaces of fewer pixels than this are dropped.
-        hole_px: holes up to this wide are filled, along the row or the column; 0 fills nothing.
-        smooth: depth is averaged over neighbours that differ by about this share of it; 0 leaves it.
-        smooth_radius_px: over neighbours this far away.
-        edge_px: confidence falls nearer than this to edges and holes.
-        filled_confidence: confidence of filled pixels, over that of measured ones.
-        fill: how what is unknown once depth has been held against that of other cameras is filled.
-        registration: "estimated" from the images of a sequence, where that is significant, or as "given".
-
-    Reading:
-        Chosen on a HoloLens sequence, by how far depth warped between near frames agrees, and on validation rooms (demo seeds
-        101-103) seen by a simulated sensor of a half and a third of the resolution with 0.5 % noise.
-    """
-
-    step: float = 0.03
-    steepest_rad: float = 1.4
-    speckle_px: int = 20
-    hole_px: int = 3
-    smooth: float = 0.015
-    smooth_radius_px: int = 4
-    edge_px: float = 3.0
-    filled_confidence: float = 0.2
-    fill: ColourFillOptions = field(default_factory=ColourFillOptions)
-    registration: RegistrationName = "given"
-
-    def describe(self) -> dict[str, object]:
-        """The filter as values that JSON knows, its code included; fill and registration tell of themselves where they are."""
-        described = {"algorithm": "sensor-filter", "code": code_identity(__name__), **asdict(self)}
-        del described["registration"], described["fill"]
-        return described
 
 
 class SensorDepthEstimator:
     """Depth of one camera from the sensor beside it, frame by frame, as `DepthEstimator` for stereo."""
 
-    def __init__(self, camera: Camera, source: DepthSource, options: SensorDepthOptions) -> None:
+    def __init__(self, camera: Camera, source: DepthSource) -> None:
         self.camera = camera
         self.source = source
-        self.options = options
 
     def at(self, frame: int, image: Image8) -> DepthMap:
         """Filtered depth of one instant, see `filter_sensor_depth`.
@@ -84,17 +53,22 @@ class SensorDepthEstimator:
                 f"camera {self.camera.name}: wanted sensor depth of frame {frame}, the capture has depth of "
                 f"{self.source.n_frames} frames; choose other frames or compute depth by stereo"
             )
-        return filter_sensor_depth(next(iter(self.source.depths(frame, frame + 1))), image, self.camera, self.options)
+        return filter_sensor_depth(next(iter(self.source.depths(frame, frame + 1))), image, self.camera)
 
     def describe(self) -> dict[str, object]:
         """Describe what the depth depends on beside camera and images: the options of `describe_depth`."""
-        described = self.options.describe() | {"sensor": self.source.digest}
+        described = {**describe_filter(), "sensor": self.source.digest}
         if isinstance(self.source, RegisteredDepth):
             described["registration"] = asdict(self.source.registration)
         return described
 
 
-def filter_sensor_depth(depth: Map, image: Image8, camera: Camera, options: SensorDepthOptions) -> DepthMap:
+def describe_filter() -> dict[str, object]:
+    """The filter as values that JSON knows, its code included."""
+    return {"algorithm": "sensor-filter", "code": code_identity(__name__)}
+
+
+def filter_sensor_depth(depth: Map, image: Image8, camera: Camera) -> DepthMap:
     """Remove mixed pixels and speckles from the depth that a sensor measured, and bring it to the camera's size.
 
     Args:
@@ -110,21 +84,23 @@ def filter_sensor_depth(depth: Map, image: Image8, camera: Camera, options: Sens
     Reading:
         The paper takes RGB-D input and names no filter. Sensors fail at edges, where a pixel sees two surfaces and reports a
         depth between, and where little light comes back. Confidence is ours, a product: it falls towards edges and holes, with
-        the cosine between ray and surface normal, and by half from the camera to `far`.
+        the cosine between ray and surface normal, and by half from the camera to `far`. Its constants were chosen on a HoloLens
+        sequence, by how far depth warped between near frames agrees, and on validation rooms (demo seeds 101-103) seen by a
+        simulated sensor of a half and a third of the resolution with 0.5 % noise.
     """
     _check(depth, image, camera)
     with np.errstate(invalid="ignore"):
         depth_in_range = np.where((depth >= camera.near) & (depth <= camera.far), depth, 0).astype(np.float32)
     grid = SensorGrid.find(depth_in_range)
     pitch = grid.columns.pitch * camera.width / depth.shape[1]  # of the sensor's pixels, in the camera's
-    step = max(options.step, float(np.tan(options.steepest_rad)) * pitch / camera.focal_px)
+    step = max(STEP, float(np.tan(STEEPEST_RAD)) * pitch / camera.focal_px)
     measured = drop_mixed_pixels(grid.reduce(depth_in_range), step)
-    closed = drop_speckles(close_holes(measured, options.hole_px, step), options.speckle_px, step)
-    smooth = smooth_surfaces(closed, options.smooth, options.smooth_radius_px) if options.smooth > 0 else closed
-    result = close_edges(grid.enlarge(smooth, image, step), image, round(options.hole_px * pitch))
+    closed = drop_speckles(close_holes(measured, HOLE_PX, step), SPECKLE_PX, step)
+    smooth = smooth_surfaces(closed, SMOOTH, SMOOTH_RADIUS_PX)
+    result = close_edges(grid.enlarge(smooth, image, step), image, round(HOLE_PX * pitch))
     filled = grid.repeat(measured, *camera.size) == 0
-    trust = np.where(filled, np.float32(options.filled_confidence), np.float32(1))
-    return DepthMap(result, trust * surface_confidence(result, camera, options.edge_px * pitch, step))
+    trust = np.where(filled, np.float32(FILLED_CONFIDENCE), np.float32(1))
+    return DepthMap(result, trust * surface_confidence(result, camera, EDGE_PX * pitch, step))
 
 
 def drop_mixed_pixels(depth: Map, step: float) -> Map:

@@ -149,7 +149,7 @@ def close_edges(depth: Map, image: Image8, hole_px: int) -> Map:
         Depth, (H, W).
 
     Reading:
-        Colour finds the edge: in the rooms of `SensorDepthOptions` 3.0 % of the pixels were wrong by more than 3 %, with the
+        Colour finds the edge: in the rooms of `filter_sensor_depth` 3.0 % of the pixels were wrong by more than 3 %, with the
         farther end always 3.9 %. Of ends of equal colour the farther one is taken.
     """
     rows, columns = np.nonzero(depth == 0)

@@ -32,7 +32,7 @@ from ggvs_eval.files.weights_file import load_strict, read_tensors
 from ggvs_eval.pipelines.offline.stereo.matcher import LARGEST_STEP_PX, NOISE_SLOPE
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import SIZE_MULTIPLE, RaftStereo
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
-from ggvs_eval.raft_config import COMPACT, PUBLISHED, RaftOptions
+from ggvs_eval.raft_config import COMPACT, PUBLISHED, RaftShape
 from ggvs_eval.raft_update import upsample_convex
 
 HALF = SgbmMatcher(levels=2, refine_iterations=0, speckle_px=40)
@@ -137,7 +137,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> RaftStereo:
     return network.eval().to(device)
 
 
-def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftOptions:
+def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftShape:
     """The configuration whose parameters these are, by names and shapes."""
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     nearest, fewest = "", len(shapes) + 1

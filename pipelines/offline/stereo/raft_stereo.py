@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
-from ggvs_eval.raft_config import Norm, RaftOptions
+from ggvs_eval.raft_config import Norm, RaftShape
 from ggvs_eval.raft_update import VOLUME_BYTES, UpdateBlock, upsample_convex, walk
 from ggvs_eval.residual_block import ResidualBlock
 
@@ -18,7 +18,7 @@ SIZE_MULTIPLE = 32  # images are padded to it
 class Trunk(nn.Module):
     """The three stages that both encoders begin with."""
 
-    def __init__(self, config: RaftOptions, norm: Norm) -> None:
+    def __init__(self, config: RaftShape, norm: Norm) -> None:
         super().__init__()
         first, second, third = config.strides
         narrow, middle, wide = config.trunk_widths
@@ -40,7 +40,7 @@ class Trunk(nn.Module):
 class FeatureEncoder(Trunk):
     """Features of one image, to be correlated with the other's ('fnet')."""
 
-    def __init__(self, config: RaftOptions) -> None:
+    def __init__(self, config: RaftShape) -> None:
         super().__init__(config, "instance")
         self.conv2 = nn.Conv2d(config.trunk_widths[-1], config.feature_width, 1)
 
@@ -56,7 +56,7 @@ class ContextEncoder(Trunk):
     All three levels exist whatever the configuration, as in the checkpoints; what is not used is not computed.
     """
 
-    def __init__(self, config: RaftOptions) -> None:
+    def __init__(self, config: RaftShape) -> None:
         super().__init__(config, config.context_norm)
         norm, wide, width = config.context_norm, config.trunk_widths[-1], config.hidden_width
         self.n_levels = config.n_gru_layers
@@ -102,7 +102,7 @@ class RaftStereo(nn.Module):
         volume_bytes: memory for the correlation volume, see `Correlation`.
     """
 
-    def __init__(self, config: RaftOptions, volume_bytes: int = VOLUME_BYTES) -> None:
+    def __init__(self, config: RaftShape, volume_bytes: int = VOLUME_BYTES) -> None:
         super().__init__()
         self.config = config
         self.volume_bytes = volume_bytes

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera, translated_path
-from ggvs_eval.contrib.more_metrics.local_poses import WINDOWS
-from ggvs_eval.contrib.more_metrics.spatial_consistency import NAMES, spatial_consistency
+from ggvs_eval.contrib.more_metrics.spatial_consistency import NAMES, WINDOWS, spatial_consistency
 from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.contrib.worlds.film.shots import path_shots

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from ggvs_eval.contrib.study import measure
-from ggvs_eval.contrib.study.study import StudyOptions, run_study
-from ggvs_eval.contrib.study.takes import TakeOptions
+from ggvs_eval.contrib.study.study import run_study
+from ggvs_eval.contrib.study.takes import StudyOptions
 from ggvs_eval.errors import CaptureError, MetricError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import write_video
@@ -19,7 +19,7 @@ from helpers.command_line import refusal
 from helpers.noise_scenes import clean_video
 
 INTERRUPTED_AFTER = 5  # jobs: two takes and three of ten series
-SMALL = TakeOptions(frames=6, size=48)
+SMALL = {"frames": 6, "size": 48}
 DEAF = ViewMetric(
     name="Deaf",
     kind="frame",
@@ -43,7 +43,7 @@ def videos(tmp_path_factory):
 def studied(videos, tmp_path, monkeypatch):
     """A study of them with a metric that ignores its input."""
     monkeypatch.setitem(registry.METRICS.shipped, DEAF.name, DEAF)
-    options = StudyOptions(("PSNR", "SDV", "Flicker", "reprojection", DEAF.name), ("noise", "frozen", "switch"), takes=SMALL)
+    options = StudyOptions(("PSNR", "SDV", "Flicker", "reprojection", DEAF.name), ("noise", "frozen", "switch"), **SMALL)
     return run_study(tmp_path / "study", [videos], options), options, tmp_path / "study"
 
 
@@ -92,13 +92,13 @@ def test_what_is_measured_stays(studied, videos, monkeypatch):
 
     assert run_study(folder, [videos], options) == study
     assert not measured
-    more = run_study(folder, [videos], StudyOptions((*options.metrics, "L1"), options.ladders, takes=SMALL))
+    more = run_study(folder, [videos], StudyOptions((*options.metrics, "L1"), options.ladders, **SMALL))
     assert set(measured) == {("L1",)}
     assert more["answers"]["noise"]["PSNR"] == study["answers"]["noise"]["PSNR"]
     assert more["answers"]["noise"]["L1"]["correlation"] == 1.0
     measured.clear()
     assert run_study(folder, [videos], options) == study  # and L1 stays where it is
-    run_study(folder, [videos], StudyOptions(("L1",), options.ladders, takes=SMALL))
+    run_study(folder, [videos], StudyOptions(("L1",), options.ladders, **SMALL))
     assert not measured
 
 
@@ -119,7 +119,7 @@ def test_pictures_in_a_folder_are_one_view(tmp_path):
     """Frames without calibration, one folder: a study of one view, which no metric of several views can have."""
     for index, frame in enumerate(clean_video(6)):
         write_image(tmp_path / "frames" / f"{index:03d}.png", frame)
-    study = run_study(tmp_path / "study", [tmp_path / "frames"], StudyOptions(("L1", "SDV"), ("blur",), takes=SMALL))
+    study = run_study(tmp_path / "study", [tmp_path / "frames"], StudyOptions(("L1", "SDV"), ("blur",), **SMALL))
 
     assert study["answers"]["blur"]["L1"]["verdict"] == "unclear"  # of one clip nobody knows the spread
     assert study["not_computed"]["blur"]["SDV"] == "1 view; needs 2"
@@ -137,7 +137,7 @@ def test_what_is_refused(videos, tmp_path):
     with pytest.raises(MetricError, match="at least 1 seed"):
         StudyOptions(seeds=0)
     with pytest.raises(CaptureError, match="truth or rendering"):
-        TakeOptions(on="dream")  # type: ignore[arg-type]
+        StudyOptions(on="dream")  # type: ignore[arg-type]
 
 
 def test_an_interval_holds_what_clips_say():

@@ -10,7 +10,7 @@ from ggvs_eval.compute_device import one_thread
 from ggvs_eval.contrib.training.instant_samples import read_instant
 from ggvs_eval.contrib.training.loop import train, write_card
 from ggvs_eval.contrib.training.recipes.recipe import RECIPES, TRAINED_BASELINES
-from ggvs_eval.contrib.training.request import DataOptions, TrainingOptions
+from ggvs_eval.contrib.training.request import TrainingOptions
 from ggvs_eval.contrib.training.samples.sample_kinds import InstantKind
 from ggvs_eval.contrib.training.samples.samples import SampleMaker, SamplePool
 from ggvs_eval.contrib.training.samples.training_data import RoomPlan, choose_views, domain_validation_plan
@@ -253,7 +253,7 @@ def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
 
 def test_crops_are_as_large_as_is_asked(tmp_path):
     """Those of the recipe where nothing is; larger ones than the samples are refused."""
-    rooms = DataOptions(rooms=1, targets=1, domains=(PLAIN,))
+    rooms = TrainingOptions(rooms=1, targets=1, domains=(PLAIN,))
     usual = baseline_task("fwd", tmp_path, rooms).recipe
     assert (usual.crop_width, usual.crop_height) == (192, 160)
     assert baseline_task("fwd", tmp_path, rooms, crop=(384, 288)).step_pixels == 384 * 288
@@ -275,7 +275,7 @@ def test_the_least_crop_teaches_every_baseline(what, cache):
 def test_a_configuration_that_is_not_taught_is_refused(cache):
     """The full GPS-Gaussian finds depth itself, which nothing here would teach it."""
     with refused(TrainingError, "stereo network"):
-        baseline_task("gps-gaussian", cache, DataOptions(rooms=1), "full")
+        baseline_task("gps-gaussian", cache, TrainingOptions(rooms=1), "full")
 
 
 def test_retrained_methods_are_labelled(tmp_path, monkeypatch):

@@ -29,7 +29,7 @@ from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.online.blend_network import (
     WIDTHS,
     BlendNetwork,
-    BlendNetworkOptions,
+    BlendNetworkShape,
     BlendOutputs,
     load_blend_network,
     shipped_blend_weights,
@@ -43,7 +43,7 @@ pytestmark = pytest.mark.slow
 
 PLAN = RoomPlan(rooms=1, targets=2, views=2, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = domain_validation_plan(PLAIN, views=2, targets=1, size=(WIDTH, HEIGHT))
-CONFIG = BlendNetworkOptions(views=3, width=4)  # one more than the samples have
+CONFIG = BlendNetworkShape(views=3, width=4)  # one more than the samples have
 WINDOW = (20, 30, 64, 48)
 
 
@@ -302,17 +302,17 @@ def test_a_real_training_learns(task, tmp_path):
 def test_named_sizes():
     """The standard one is what ships and fits 10 MB in half precision; the others are smaller and larger."""
     megabytes = {
-        size: 2 * sum(values.numel() for values in BlendNetwork(BlendNetworkOptions(width=width)).parameters()) / 2**20
+        size: 2 * sum(values.numel() for values in BlendNetwork(BlendNetworkShape(width=width)).parameters()) / 2**20
         for size, width in WIDTHS.items()
     }
     assert megabytes["small"] < megabytes["standard"] < 10 < megabytes["large"]
-    assert load_blend_network(shipped_blend_weights()).config == BlendNetworkOptions(width=WIDTHS["standard"])
+    assert load_blend_network(shipped_blend_weights()).config == BlendNetworkShape(width=WIDTHS["standard"])
 
 
 def test_what_does_not_fit_is_refused(task):
     """Another number of views than the samples have, and crops larger than they are, are errors before the first step."""
     with refused(TrainingError, "1 views", "2 views"):
-        replace(task, config=BlendNetworkOptions(views=1))
+        replace(task, config=BlendNetworkShape(views=1))
     with refused(TrainingError, "512 x 48", "200 x 150"):
         replace(task, crop_width=512)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.contrib.training.recipes.recipe import TRAINED_BASELINES
-from ggvs_eval.contrib.training.request import DataOptions, TrainingRequest
+from ggvs_eval.contrib.training.request import TrainingOptions
 from ggvs_eval.contrib.training.samples import training_data
 from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
 from ggvs_eval.contrib.training.samples.training_data import sample_pools
@@ -22,7 +22,7 @@ from helpers.stereo_scenes import write_capture
 
 pytestmark = pytest.mark.slow
 
-REQUEST = TrainingRequest(
+REQUEST = TrainingOptions(
     steps=2, views=2, size="small", rooms=1, targets=1, domains=("plain", "narrow"), device="cpu", workers=0
 )
 KINDS = BlendKind(), InstantKind(), InstantKind(depth=False)
@@ -49,7 +49,7 @@ def cache(tmp_path_factory, plane_capture):
 def test_every_network_learns_from_the_same_views(plane_capture, tmp_path, monkeypatch):
     """Rooms of all domains and captures, for the blending network and for baselines, with depth or without: equal plans."""
     monkeypatch.setattr(training_data, "open_capture", lambda path: replace(plane_capture.resized(480, 360, "area"), path=path))
-    data = DataOptions(captures=(tmp_path / "rig",))
+    data = TrainingOptions(captures=(tmp_path / "rig",))
     pools = [sample_pools(tmp_path, data, kind) for kind in KINDS]
     for training, validation in pools:
         assert repr(training) == repr(pools[0][0])
@@ -58,9 +58,9 @@ def test_every_network_learns_from_the_same_views(plane_capture, tmp_path, monke
         assert [plan.domain for plan in validation.sources] == list(DOMAINS)
         assert f"{training_data.CAPTURE_TARGETS} views of the captures {plane_capture.scene}" in training.data
     with pytest.raises(TrainingError, match="wanted each once"):
-        sample_pools(tmp_path, DataOptions(captures=(tmp_path / "rig", tmp_path / "rig")), InstantKind())
+        sample_pools(tmp_path, TrainingOptions(captures=(tmp_path / "rig", tmp_path / "rig")), InstantKind())
     with refused(TrainingError, "rooms or captures", "neither", "--rooms"):
-        sample_pools(tmp_path, DataOptions(rooms=0), InstantKind())
+        sample_pools(tmp_path, TrainingOptions(rooms=0), InstantKind())
 
 
 @pytest.mark.parametrize("what", ["blend", "enerf"])

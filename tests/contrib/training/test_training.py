@@ -11,7 +11,7 @@ from torch import nn
 
 from ggvs_eval.baselines.fitted.training_log import TrainingLog, draw_curves
 from ggvs_eval.contrib.training.loop import train, write_card
-from ggvs_eval.contrib.training.request import TrainingOptions, TrainingRequest
+from ggvs_eval.contrib.training.request import TrainingOptions
 from ggvs_eval.contrib.training.stereo_task import StereoTask, matching_loss, sequence_loss
 from ggvs_eval.contrib.training.task import Schedule, freeze_statistics, recompute_statistics
 from ggvs_eval.contrib.training.train_one import planned_task
@@ -257,7 +257,7 @@ def test_stereo_batches_depend_on_the_step_alone():
 def test_weights_that_have_learned_are_moved_more_gently(tmp_path):
     """A stereo training that starts from weights has a lower rate than one from nothing; its card says so."""
     fresh, tuned = (
-        planned_task("stereo", tmp_path, TrainingRequest(start_from=start_from)) for start_from in (None, tmp_path / "shipped")
+        planned_task("stereo", tmp_path, TrainingOptions(start_from=start_from)) for start_from in (None, tmp_path / "shipped")
     )
     assert tuned.schedule.rate(300, 1000) < 0.5 * fresh.schedule.rate(300, 1000)
     assert fresh.batch_size == tuned.batch_size

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from ggvs_eval.pipelines.offline.depth import device_maps
+from ggvs_eval.pipelines.offline.depth import consistency, device_maps
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions
 from ggvs_eval.pipelines.offline.itermvs.estimator import projections_between
 from helpers.stereo_scenes import look_from, plane_depth
 
@@ -43,17 +42,15 @@ def scene():
 
 
 @pytest.mark.parametrize(
-    "options",
-    [
-        CHECKED,
-        replace(CHECKED, consistency=None),
-        replace(CHECKED, consistency=ConsistencyOptions(fill_support=0, average=False, min_support=2)),
-    ],
+    ("options", "rules"),
+    [(CHECKED, {}), (replace(CHECKED, consistency=False), {}), (CHECKED, {"FILL_SUPPORT": 0, "MIN_SUPPORT": 2})],
     ids=["checked", "unchecked", "other rules"],
 )
 @pytest.mark.parametrize("views", [1, 2, 4])
-def test_maps_are_those_of_torch(scene, options, views):
+def test_maps_are_those_of_torch(scene, options, rules, views, monkeypatch):
     """Depth and confidence of all but single pixels, where a comparison decides, within 1e-5; known in the same places."""
+    for name, value in rules.items():
+        monkeypatch.setattr(consistency, name, value)
     depth, confidence, between = scene
     given = depth[:views], confidence[:views], between[:views, :views]
     here, there = (module.finish_maps(*given, options=options) for module in (device_maps, kernels))

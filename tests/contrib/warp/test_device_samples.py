@@ -10,12 +10,12 @@ from ggvs_eval.compute_device import one_thread
 from ggvs_eval.contrib.training import train_all, train_one
 from ggvs_eval.contrib.training.blend_task import BlendTask
 from ggvs_eval.contrib.training.loop import train
-from ggvs_eval.contrib.training.request import TrainingOptions, TrainingRequest
+from ggvs_eval.contrib.training.request import TrainingOptions
 from ggvs_eval.contrib.training.samples.sample_kinds import OF_VIEWS, BlendKind, InstantKind, rendered_views
 from ggvs_eval.contrib.training.samples.samples import SamplePool
 from ggvs_eval.contrib.training.samples.training_data import RoomPlan, domain_validation_plan
 from ggvs_eval.contrib.worlds.domains import PLAIN
-from ggvs_eval.pipelines.online.blend_network import BlendNetworkOptions
+from ggvs_eval.pipelines.online.blend_network import BlendNetworkShape
 from helpers.device_scenes import room_instants
 from helpers.filled_pools import fill
 from helpers.stereo_scenes import HEIGHT, WIDTH, write_capture
@@ -82,7 +82,7 @@ def test_stored_samples_are_alike(pools):
 
 def test_a_network_learns_from_them(pools, tmp_path):
     """Two steps and a validation; the loss of a batch is that of the compiled path's samples to a thousandth."""
-    config = BlendNetworkOptions(views=3, width=4)
+    config = BlendNetworkShape(views=3, width=4)
     here, there = (BlendTask(*each, config, crop_width=64, crop_height=48, batch_size=2) for each in pools)
     with one_thread():
         assert train(there, tmp_path, TrainingOptions(steps=2, device="cpu", workers=0)).is_file()
@@ -105,7 +105,7 @@ def test_a_training_s_device_reaches_its_samples(tmp_path, monkeypatch):
     prepared = []
     for module in (train_one, train_all):
         monkeypatch.setattr(module, "prepare_samples", lambda *samples: prepared.append(samples[1] + samples[0]))
-    request = TrainingRequest(rooms=1, targets=1, domains=("plain",), views=2, device=DEVICE)
+    request = TrainingOptions(rooms=1, targets=1, domains=("plain",), views=2, device=DEVICE)
     planned = [request, replace(request, device="cpu")]
     for each in planned:
         train_one.planned_task("blend", tmp_path, each)

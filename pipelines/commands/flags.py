@@ -1,0 +1,99 @@
+"""Flags that several verbs of the command line share: what they read, what they render, where their jobs run."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ggvs_eval.capture import Capture, CaptureEdit
+from ggvs_eval.datasets import DATASETS, open_capture
+from ggvs_eval.datasets.capture_edit import perturb_capture
+from ggvs_eval.datasets.units import GivenUnits
+from ggvs_eval.errors import CaptureError, CommandError
+from ggvs_eval.jobs.engine import Engine
+from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
+from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER, DepthRunOptions
+
+NONE = "(none by default)"
+
+
+def _at_least_one(words: list[str]) -> int:
+    jobs = int(words[0])
+    if jobs < 1:
+        raise CommandError(f"--jobs {jobs}: wanted at least 1")
+    return jobs
+
+
+_COUNT = tyro.constructors.PrimitiveConstructorSpec(
+    nargs=1,
+    metavar="INT",
+    instance_from_str=_at_least_one,
+    is_instance=lambda value: isinstance(value, int),
+    str_from_instance=lambda value: [str(value)],
+)
+Jobs = Annotated[int, _COUNT]
+ONE_PER_CORE = default_workers()
+Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+CaptureFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
+Output = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
+Layout = Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(DATASETS)}}}")]
+Label = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
+Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)},splats:PATH}}")]
+USUAL_METHODS = usual_methods()
+Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE ...", help_behavior_hint=NONE)]
+Device = Annotated[str, tyro.conf.arg(metavar="{cpu,cuda,auto}")]
+NoiseLevel = Annotated[float, tyro.conf.arg(aliases=["--sensor-noise"])]
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """Options by which a capture is read and shown.
+
+    Attributes:
+        layout: on disk; detected by default.
+        units: world units per metre, or a TOML file with a known baseline or two marked points (docs/captures.md).
+        keep_unsynced: keep cameras that are known to be out of step (cam13 of coffee_martini).
+        hold_frames: hold one instant still for so many instants; 0 lets time go on.
+        hold_frame: the instant that is held still.
+        sensor_noise_255: add sensor noise of this standard deviation, of 255 levels, to every camera and instant, truth included.
+        noise_seed: of that noise.
+    """
+
+    layout: Layout = None
+    units: str | None = None
+    keep_unsynced: bool = False
+    hold_frames: int = CaptureEdit.hold_frames
+    hold_frame: int = CaptureEdit.hold_frame
+    sensor_noise_255: NoiseLevel = CaptureEdit.sensor_noise_255
+    noise_seed: int = CaptureEdit.noise_seed
+
+    def open(self, path: Path) -> Capture:
+        """Open a capture and report which cameras and frames were dropped or modified."""
+        capture = open_capture(path, self.layout, units=given_units(self.units), drop_unsynced=not self.keep_unsynced)
+        edit = CaptureEdit(self.hold_frames, self.hold_frame, self.sensor_noise_255, self.noise_seed)
+        capture = perturb_capture(capture, edit)
+        for note in capture.notes:
+            print(f"{path}: {note}", file=sys.stderr)
+        return capture
+
+
+def given_units(words: str | None) -> GivenUnits:
+    """The number or the file that ``--units`` gives."""
+    if words is None or words.endswith(".toml"):
+        return None if words is None else Path(words)
+    try:
+        return float(words)
+    except ValueError as error:
+        raise CaptureError(f"--units wants a number or a .toml file, got {words!r}") from error
+
+
+CaptureFlags = tyro.conf.OmitArgPrefixes[CaptureOptions]
+CAPTURE_DEFAULTS = CaptureOptions()
+DepthFlags = tyro.conf.OmitArgPrefixes[DepthRunOptions]
+DEPTH_DEFAULTS = DepthRunOptions()
+LIVE_DEPTH = DepthRunOptions(LIVE_MATCHER)  # what play and view wait for
+Running = tyro.conf.OmitArgPrefixes[Engine]
+HERE = Engine()

@@ -1,0 +1,77 @@
+"""A run folder of another version of the code opens, and says so once, by whichever command."""
+
+import json
+
+import pytest
+
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.run.work_left import describe_outdated
+from ggvs_eval.results import Results
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
+from helpers.small_runs import LABELS, small_protocol, write_small_capture
+
+pytestmark = pytest.mark.slow
+
+OTHER_CODE = "0" * 64
+
+
+@pytest.fixture
+def words(tmp_path) -> list[str]:
+    """Arguments of `ggvs-eval run` for the smallest run, which lies in `tmp_path / "run"` when it was called."""
+    (tmp_path / "small.toml").write_text(small_protocol(2, 0, ("PSNR", "SSIM")).to_toml())
+    capture = write_small_capture(tmp_path / "capture", 2).path
+    methods = ("--methods", *LABELS, "--matcher", "sgbm", "--jobs", "1")
+    return [str(tmp_path / "run"), "--capture", str(capture), "--protocol", str(tmp_path / "small.toml"), *methods]
+
+
+def make_old(run: RunFolder) -> None:
+    """Write into a run what one of another version of the code has: other hashes of code."""
+    for file in (*run.root.glob("renders/*/*/job.json"), *run.root.glob("scores/*/job.json")):
+        record = read_json(file)
+        identities = [record["identity"], *(each.get("identity", {}) for each in record.get("methods", {}).values())]
+        identities += [each for each in record["identity"].values() if isinstance(each, dict)]
+        for identity in identities:
+            identity |= {"code": OTHER_CODE} if "code" in identity else {}
+            for metric in identity.get("metrics", {}).values():
+                metric["code"] = OTHER_CODE
+        write_json(file, record | {"sha256": OTHER_CODE, "also": []})
+    for file in run.depth.glob("*/spec.json"):
+        spec = json.loads(file.read_text())
+        spec["options"]["code"] = OTHER_CODE
+        file.write_text(json.dumps(spec))
+        file.parent.rename(file.parent.with_name(f"old-{file.parent.name}"))
+
+
+def test_an_old_run_says_that_its_results_are_outdated_once(words, tmp_path, capsys):
+    """`status`, `report` and `run` name what other code has made; `run` makes it again, with equal numbers; then none does."""
+    run = RunFolder(tmp_path / "run")
+    run_command(["run", *words])
+    made = Results.read(run.root).summary()
+    assert "another version" not in "".join(capsys.readouterr())
+    assert describe_outdated([run]) == ""
+    make_old(run)
+    parts = "4 renders (no-blending, distance-based), the depth that renders are made from, 2 scored views"
+    outdated = f"{parts} are of another version of the code"
+
+    for command in ("status", "report"):
+        run_command([command, str(run.root)])
+        assert "".join(capsys.readouterr()).count(outdated) == 1
+    run_command(["run", *words])
+    assert capsys.readouterr().err.count(f"{outdated}; they are made again") == 1
+
+    assert Results.read(run.root).summary().equals(made)
+    assert all(read_json(file)["sha256"] != OTHER_CODE for file in run.root.glob("renders/*/*/job.json"))
+    for command in ("status", "report"):
+        run_command([command, str(run.root)])
+    run_command(["run", *words])
+    assert "another version" not in "".join(capsys.readouterr())
+
+
+def test_what_this_version_lacks_is_not_outdated(words, tmp_path):
+    """Nothing here would make again the renders of a method that is gone, nor anything that is no run."""
+    run = RunFolder(tmp_path / "run")
+    run_command(["run", *words])
+    file = run.renders(LABELS[0], "cam00") / JOB_FILE
+    write_json(file, read_json(file) | {"identity": {"method": "gone", "code": OTHER_CODE}})
+    run.renders(LABELS[0], "cam00").parent.rename(run.root / "renders" / "gone")
+    assert describe_outdated([run, RunFolder(tmp_path)]) == ""
