@@ -112,7 +112,7 @@ def measures(shown: Sequence[Image8], truths: Sequence[Image8], holes: Sequence[
 
 
 def corrected_psnr(shown: Image8, truth: Image8) -> float:
-    """PSNR but for the target's own colour, which no source tells."""
+    """PSNR except for the target's own colour, which no source tells."""
     return psnr(apply_colour_map(fit_colour_map(shown[None], truth[None]), shown), unit_range(truth))
 
 

@@ -1,6 +1,6 @@
 """Seconds and memory of one depth map at 1345 x 1008 from four partners on two cores: ``python -m benchmarks.bench_depth``.
 
-Each matcher runs in a process of its own, one after another, on the same pictures: a floor, a wall and a box before it, painted
+Each matcher runs in a separate process, one after another, on the same pictures: a floor, a wall and a box before it, painted
 with noise of two scales, seen by five cameras as far apart and as far from the scene as those of a real rig. With ``rig`` behind
 it, only what `play` and `view` wait for is measured: the depth of all five cameras, by two processes.
 """

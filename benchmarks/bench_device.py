@@ -115,7 +115,7 @@ def _line(figure: Figure) -> str:
 
 
 def scene(width: int, height: int) -> list[Instant]:
-    """Two instants of a wall that bends around the cameras, the same but for noise."""
+    """Two instants of a wall that bends around the cameras, the same except for noise."""
     cameras = [_camera(number, width, height) for number in range(K + 1)]
     target = cameras.pop(K // 2)
     pictures = [_look(camera) for camera in cameras]

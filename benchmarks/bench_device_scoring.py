@@ -56,7 +56,7 @@ def print_scoring(size: tuple[int, int], device: str) -> dict[str, Any]:
 
 
 def _frames(width: int, height: int, count: int) -> list[Pair]:
-    """A wall of waves, as rendered and as captured: the same but for noise."""
+    """A wall of waves, as rendered and as captured: the same except for noise."""
     image = scene(width, height)[0].sources[0].image.astype(np.int16)
     random = np.random.default_rng(0)
 
@@ -84,7 +84,7 @@ def _frame_ms(frames: list[Pair], metrics: tuple[str, ...], device: str) -> floa
 
 @contextmanager
 def _lpips_weights() -> Iterator[bool]:
-    """Within, LPIPS finds weights; tells whether they are the genuine ones."""
+    """Within, LPIPS finds weights; says whether they are the genuine ones."""
     if weights_path("vgg").is_file():
         yield True
         return

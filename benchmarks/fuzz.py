@@ -133,7 +133,7 @@ def listen(process: subprocess.Popen[bytes]) -> tuple[list[Outcome], str]:
 
 
 def work(kind: str, seed: int, numbers: range) -> None:
-    """Read inputs of one kind and tell of each in a line; runs in a process of its own."""
+    """Read inputs of one kind and tell of each in a line; runs in a separate process."""
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_BYTES, ADDRESS_BYTES))
     signal.signal(signal.SIGALRM, _too_long)
     group, _, name = kind.partition("/")

@@ -1,4 +1,4 @@
-"""Coverage of 95 % intervals of means of correlated clips, their width, and how often equal methods are told apart.
+"""Coverage of 95 % intervals of means of correlated clips, their width, and how often equal methods are distinguished.
 
     python -m benchmarks.interval_coverage [--repetitions 4000] [--package-repetitions 1000]
 
@@ -184,7 +184,7 @@ def compare_methods(repetitions: int) -> Iterator[str]:
 
 
 def scene(values: Array, pool: Pool, squares: bool = False) -> PooledScene:
-    """A number of (V, T) values; one view stands for the whole rig."""
+    """A number of (V, T) values; one view represents the whole rig."""
     views = tuple(f"cam{view}" for view in range(len(values))) if len(values) > 1 else (None,)
     return PooledScene("room", views, tuple(range(values.shape[1])), pool, squares=squares)
 

@@ -2,7 +2,7 @@
 
 Libraries choose their code by the instruction sets that they find. Their own variables make them believe in an older processor: a
 small demo is filmed, its depth found, rendered and scored under each setting, and everything is compared with what this processor
-makes by itself. A table is printed and written to out/same_bits.json.
+makes alone. A table is printed and written to out/same_bits.json.
 """
 
 import argparse

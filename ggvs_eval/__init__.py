@@ -13,7 +13,7 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
-# Module of each public name. As text, since these rooms lie above the package itself; __init__.pyi tells type checkers.
+# Module of each public name. As text, since these rooms are above the package itself; __init__.pyi tells type checkers.
 _PUBLIC = {
     "Camera": "camera",
     "Capture": "capture",
@@ -47,5 +47,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names beside what is loaded."""
+    """The public names, in addition to loaded attributes."""
     return sorted({*globals(), *_PUBLIC})

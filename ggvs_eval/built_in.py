@@ -1,6 +1,6 @@
-"""What ships, by kind and name: as text, in the form of outsiders' entry points, so that whoever names a thing does not load it.
+"""Built-in commands, metrics, methods and layouts, by kind and name: as text like entry points, so that a name loads no module.
 
-Parts of `contrib` stand here like everything else; one whose package is not there is left out.
+Parts of `contrib` are listed too; a part whose package is missing is omitted.
 """
 
 from typing import Any, NamedTuple
@@ -29,8 +29,8 @@ class Verb(NamedTuple):
         target: its function, or the table of its subcommands, as ``module:attribute``.
         about: the first line of its help.
         group: heading under which the overview lists it.
-        example: arguments of one call, which its help shows; NETWORK stands for the name of a subcommand.
-        wider: the verb that is called instead where an option is none of its own.
+        example: arguments of one call, which its help shows; NETWORK represents the name of a subcommand.
+        wider: the verb that is called instead for options that this verb lacks.
     """
 
     target: str
@@ -53,7 +53,7 @@ VERBS: dict[str, Verb] = {
     ),
     "film": Verb(
         "ggvs_eval.contrib.worlds.command:film",
-        "Film a demo capture: a procedural dynamic room or garden in the layout of a data set, with exact depth beside it.",
+        "Film a demo capture: a procedural dynamic room or garden in the layout of a data set, with exact depth.",
         CAPTURES,
         "room --layout dynerf --n-frames 8",
     ),
@@ -77,7 +77,7 @@ VERBS: dict[str, Verb] = {
     ),
     "undistort": Verb(
         f"{VERBS_ROOM}.captures:undistort",
-        "Write raw videos of known lenses as pinhole videos, with the new intrinsics beside them for `calibrate`.",
+        "Write raw videos of known lenses as pinhole videos, and the new intrinsics for `calibrate`.",
         CAPTURES,
         "raw_videos pinhole_videos --lenses rig.yml",
     ),
@@ -143,7 +143,7 @@ VERBS: dict[str, Verb] = {
     ),
     "figure": Verb(
         f"{VERBS_ROOM}.figures:figure",
-        "Draw a figure for a paper, labelled, every method beside the truth.",
+        "Draw a labelled figure for a paper: every method next to the reference.",
         RESULTS,
         "crops out/mine figures/crops",
     ),
@@ -197,7 +197,7 @@ VERBS: dict[str, Verb] = {
     ),
     "train": Verb(
         "ggvs_eval.contrib.training.command:TRAININGS",
-        "Train a network of this package; a second call goes on where the first one stopped.",
+        "Train a network of this package; a second call resumes.",
         LIVE,
         "out/NETWORK --steps 5000",
     ),
@@ -246,7 +246,7 @@ _OF_IMAGES = {
 }
 REGIONS = ("static", "moving", "disoccluded")
 IN_PARTS = (*_OF_IMAGES, "TCC")  # that have a form for a part of the image
-ON_SCREEN = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")  # that are measured of what stands on the screen too
+ON_SCREEN = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")  # that are also measured on the displayed frames
 VIEW_METRICS: dict[str, str | Derived] = {
     **_OF_IMAGES,
     **{
@@ -341,15 +341,15 @@ MATCHERS = {
 }
 NETWORK_MATCHERS = ("raft", "itermvs")
 
-# Where jobs run beside processes of this machine, and plans of sweeps for other schedulers.
+# Engines besides processes of this machine, and plans of sweeps for other schedulers.
 ENGINES = {"dask": "ggvs_eval.contrib.cluster.dask_engine:run_on_dask"}
 SWEEP_PLANS = {"commands": "ggvs_eval.contrib.cluster.plan:write_commands"}
 
-# Files of Gaussians by the endings of their names, beside .ply; and trackers of experiments that results are written for.
+# Files of Gaussians by suffix, besides .ply; and experiment trackers that results are written for.
 SPLAT_FILES = {".glb": "ggvs_eval.contrib.export.gltf_reading:GLB"}
 TRACKERS = {name: "ggvs_eval.contrib.export.tracking:track_results" for name in ("tensorboard", "mlflow", "wandb")}
 
-# Functions of metrics that `ggvs_eval.metrics` offers beside those of its own modules.
+# Functions of metrics that `ggvs_eval.metrics` offers besides those of its own modules.
 METRIC_FUNCTIONS = {
     "colmap_consistency": f"{_MORE}.colmap_consistency:colmap_consistency",
     "dists": f"{_MORE}.dists:dists",
@@ -358,7 +358,7 @@ METRIC_FUNCTIONS = {
     "psnr_ycbcr": f"{_MORE}.iv_psnr:psnr_ycbcr",
     "spatial_consistency": f"{_MORE}.spatial_consistency:spatial_consistency",
 }
-# What brings the weights of a metric's network onto this machine.
+# Functions that download the weights of a metric's network.
 FETCHED_WEIGHTS = {"LPIPS": f"{_IMAGE}.fetch_lpips:fetch_weights", "DISTS": f"{_MORE}.fetch_dists:fetch_dists_weights"}
 
 # Conventions under which the numbers of a family of metrics are recomputed (`explain`).

@@ -1,6 +1,6 @@
 """A calibrated pinhole camera.
 
-Conventions (docs/conventions.md): OpenCV axes, world_to_camera, the centre of pixel (i, j) lies at (u, v) = (i + 0.5, j + 0.5),
+Conventions (docs/conventions.md): OpenCV axes, world_to_camera, the centre of pixel (i, j) is at (u, v) = (i + 0.5, j + 0.5),
 depth is z in the camera's frame, in world units.
 """
 
@@ -100,7 +100,7 @@ class Camera:
         if deviation > LARGEST_DEVIATION:
             raise CameraError(
                 f"camera {self.name}: the rotation must be orthonormal, got entries {deviation:.2g} off the nearest rotation's, "
-                f"where {LARGEST_DEVIATION:g} can be mended; scaled or rounded? export the pose again"
+                f"where {LARGEST_DEVIATION:g} can be corrected; scaled or rounded? export the pose again"
             )
         world_to_camera = np.eye(4)
         world_to_camera[:3, :3] = rotation
@@ -110,7 +110,7 @@ class Camera:
         object.__setattr__(self, "deviation", deviation)
 
     def to_json(self) -> dict[str, Any]:
-        """All but the name as values for a JSON file; `from_json` gives back the same camera, bit by bit."""
+        """Return all except the name as values for a JSON file; `from_json` gives back the same camera, bit by bit."""
         return {
             "K": self.K.tolist(),
             "world_to_camera": self.world_to_camera.tolist(),
@@ -217,7 +217,7 @@ class Camera:
         return np.stack(np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), axis=-1)
 
     def shows_the_same_rays(self, other: "Camera") -> bool:
-        """Tell whether two cameras show the same rays at the same pixels, whatever their names."""
+        """Return whether two cameras have the same rays at the same pixels, regardless of their names."""
         same_pose = np.array_equal(self.world_to_camera, other.world_to_camera)
         return same_pose and np.array_equal(self.K, other.K) and self.size == other.size
 
@@ -263,7 +263,7 @@ def nearest_rotation(matrix: Array) -> tuple[Array, float]:
 
 
 def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> list[Camera]:
-    """The `count` cameras whose centres lie nearest to the target's, nearest first, the target itself left out.
+    """The `count` cameras whose centres are nearest to the target's, nearest first, without the target.
 
     Ties are broken by name, so that equal inputs give equal lists.
 

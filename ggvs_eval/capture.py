@@ -1,4 +1,4 @@
-"""A multi-view video capture: cameras and lazily decoded frames, whatever lies on disk."""
+"""A multi-view video capture: cameras and lazily decoded frames, in one form for every layout."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from ggvs_eval.files.images import ResizeFilter, resize
 
 
 class FrameSource(Protocol):
-    """The frames of one camera as they lie on disk: a video file, a folder of images, a single image."""
+    """Stored frames of one camera: a video file, a folder of images, a single image."""
 
     @property
     def n_frames(self) -> int:
@@ -38,7 +38,7 @@ def source_chain(source: FrameSource) -> Iterator[FrameSource]:
 
 
 class DepthSource(Protocol):
-    """Depth that a sensor measured beside the frames of one camera."""
+    """Sensor depth that belongs to the frames of one camera."""
 
     @property
     def n_frames(self) -> int:
@@ -54,7 +54,7 @@ class DepthSource(Protocol):
 
 @dataclass(frozen=True)
 class Extras:
-    """Data that some captures hold of a camera beside its frames; each None where there is none.
+    """Data that some captures hold of a camera besides its frames; None where absent.
 
     Attributes:
         background: the scene without what moves, one frame.
@@ -72,7 +72,7 @@ class CaptureEdit:
     """Changes to a capture as it is read; `ggvs_eval.datasets.capture_edit.perturb_capture` makes them.
 
     Attributes:
-        hold_frames: number of instants for which one is held still; 0 lets time go on as it did.
+        hold_frames: number of instants for which one is held still; 0 lets time continue as it did.
         hold_frame: which one is held still.
         sensor_noise_255: standard deviation of noise on every camera and instant, truth included, of 255 levels.
     """
@@ -157,7 +157,7 @@ class Capture:
         return next(self.frames(name, index, index + 1))
 
     def extras_of(self, name: str) -> Extras:
-        """Background, masks and sensor depth of one camera, as they lie on disk: at their own size, whatever the camera's."""
+        """Background, masks and sensor depth of one camera as stored, at their own sizes."""
         index = self._index(name)
         return self.extras[index] if self.extras else Extras()
 
@@ -174,7 +174,7 @@ class Capture:
         return resize(next(source.frames(0, 1)), *self.camera(name).size, self.resize_filter)
 
     def source(self, name: str) -> FrameSource:
-        """The frames of one camera as they lie on disk."""
+        """Stored frames of one camera."""
         return self.sources[self._index(name)]
 
     def digest(self, name: str) -> str:

@@ -1,4 +1,4 @@
-"""Depth, confidence and differences as colours that the colour-blind tell apart, with their scales.
+"""Depth, confidence and differences as colours that the colour-blind can distinguish, with their scales.
 
 What has no value is drawn as a pattern, since any flat colour could be taken for one: light checks where nothing is known, dark
 and orange stripes where a value was filled in.

@@ -57,7 +57,7 @@ def rendering_on(device: torch.device) -> Iterator[None]:
     """`computing_on` for a picture: no gradients, one thread on the CPU, whole single precision on a GPU.
 
     Reading:
-        cuDNN rounds the factors of convolutions to ten bits unless told otherwise, which moves pixels of a render by levels.
+        cuDNN rounds the factors of convolutions to ten bits by default, which moves pixels of a render by levels.
     """
     rounds = torch.backends.cudnn.allow_tf32
     torch.backends.cudnn.allow_tf32 = False
@@ -74,7 +74,7 @@ def out_of_memory(device: torch.device | str, mend: str) -> Iterator[None]:
     try:
         yield
     except torch.OutOfMemoryError as error:
-        raise DeviceError(f"device {device}: its memory is out; {mend}, or fewer jobs at once (--jobs)") from error
+        raise DeviceError(f"device {device}: wanted more memory than is free; {mend}, or fewer jobs at once (--jobs)") from error
 
 
 def clock_s(device: torch.device) -> float:

@@ -18,7 +18,7 @@ class Coverage:
     Attributes:
         numbers: frame numbers of the protocol, which every method has but the partial ones.
         partial: label of a partial method -> view -> its frames, rising.
-        marks: label of a partial method -> what its row stands on.
+        marks: label of a partial method -> what its row is based on.
         imported: label of a method that others rendered -> where it came from.
         refused: label of a method -> view that it cannot show -> why not.
     """
@@ -64,7 +64,7 @@ class Coverage:
                     require_frames({f"{label} in {view}": run.renders(label, view)}, stretch)
 
     def identity(self, label: str, view: str) -> dict[str, str]:
-        """Return what a score depends on beside the pixels: which frames they are, where these are not the protocol's."""
+        """Return what a score depends on besides the pixels: the frames, if they are not the protocol's."""
         return {"frames": as_ranges(list(self.frames(label, view)))} if label in self.partial else {}
 
 

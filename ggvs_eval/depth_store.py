@@ -1,6 +1,6 @@
 """Depth maps on disk, keyed by everything they were computed from.
 
-A store holds one folder per key and in it one file per instant and `spec.json`, which says in words what the key stands for.
+A store holds one folder per key and in it one file per instant and `spec.json`, which says in words what the key represents.
 Files are written under a temporary name and renamed, so that a killed process leaves either the whole file or none. At
 1345 x 1008 a map takes some 3.9 MB (files/packed_maps.py), plain 6.8 MB, which earlier versions wrote and which is read as well.
 """
@@ -23,7 +23,7 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_file, sweep_files, write_text
 from ggvs_eval.files.packed_maps import unpack, write_packed
 
-CHECK_ENTRIES = ("checked_with", "check")  # what a spec says beside that of depth as it was found
+CHECK_ENTRIES = ("checked_with", "check")  # entries that the spec of checked depth adds to that of raw depth
 CONFIDENCE_STEPS = 255  # confidence is kept in 8 bit
 
 
@@ -75,7 +75,7 @@ class DepthJob:
     Attributes:
         camera_name: the camera whose depth is wanted.
         partner_names: the cameras it is matched with, in order; none where a sensor measured its depth.
-        checked_with: depth of other cameras that its own is held against; none for depth as it was found.
+        checked_with: depth of other cameras that it is checked against; none for raw depth.
         spec: all that the depth depends on, as JSON values; written once, when the job is planned.
     """
 
@@ -95,7 +95,7 @@ class DepthJob:
         return replace(self, checked_with=(), spec={name: self.spec[name] for name in self.spec if name not in CHECK_ENTRIES})
 
     def checked_against(self, others: tuple["DepthJob", ...], check: Mapping[str, object]) -> "DepthJob":
-        """Depth as it was found, held against that of other cameras."""
+        """Depth, checked against that of other cameras."""
         spec = dict(self.spec) | dict(zip(CHECK_ENTRIES, ([other.key for other in others], check), strict=True))
         return replace(self, checked_with=others, spec=spec)
 
@@ -124,7 +124,7 @@ class DepthStore:
         return self.folder(key) / f"{frame:06d}.npz"
 
     def has(self, key: str, frame: int) -> bool:
-        """Tell whether that instant is stored."""
+        """Return whether that instant is stored."""
         return self.path(key, frame).is_file()
 
     def write_spec(self, spec: Mapping[str, object]) -> str:

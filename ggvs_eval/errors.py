@@ -1,4 +1,4 @@
-"""Errors that a user can mend: one family, each with a one-line message that says how; and accidents of the machine.
+"""Errors that a user can fix, each with a one-line message that says how, and accidents of the machine.
 
 The command line prints these in one line and exits with 1. Anything else is our bug and keeps its traceback.
 """
@@ -22,10 +22,10 @@ GO_ON = "finished work is kept; run the same command to resume"
 
 
 class GgvsError(Exception):
-    """Base of every error that the user can mend."""
+    """Base of every error that the user can fix."""
 
     def __str__(self) -> str:
-        """The message in one line of printable text, whatever names a damaged file has put into it."""
+        """Return the message as one line of printable text, also if a damaged file supplied names."""
         return one_line(super().__str__())
 
 
@@ -74,7 +74,7 @@ class DeviceError(GgvsError):
 
 
 class TrainingError(GgvsError):
-    """A training cannot start or go on."""
+    """A training cannot start or continue."""
 
 
 class PluginError(GgvsError):
@@ -104,7 +104,7 @@ def one_line(text: str) -> str:
 
 
 def mendable(error: BaseException) -> str | None:
-    """The one line by which a user can mend an error; None where it is our bug.
+    """Return the line by which a user can fix an error; None for a bug of the package.
 
     Args:
         error: one of ours, or what the operating system refused: a full disk, a folder that cannot be written, ...

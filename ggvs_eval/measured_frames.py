@@ -13,7 +13,7 @@ from ggvs_eval.files.images import resize
 from ggvs_eval.metric_choices import SsimName
 from ggvs_eval.protocol import Measurement, WayName
 
-BORDER = 10  # one part in so many is cut off at each side, rounded down
+BORDER = 10  # 1 / BORDER of the size is cut off at each side, rounded down
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from ggvs_eval.results import COLUMNS, Absence, Results, label_of
 
 OF_ONE_SCENE = ("renders", "devices")  # records whose names do not say of which scene they are
 BETWEEN = " and "  # versions of a package under which values were made
-DIGITS = 6  # of the digest that tells scenes of one name apart
+DIGITS = 6  # of the digest that distinguishes scenes of one name
 
 
 def merge_results(parts: Sequence[Results]) -> Results:
     """Put results of several methods, scenes or machines into one.
 
-    A method that was not measured on every scene is marked as partial there: its means stand on other scenes.
+    A method that was not measured on every scene is marked as partial there: its means are of other scenes.
 
     Raises:
         ResultsError: they were measured under different protocols (the message names both hashes), or a value is in two of
@@ -52,7 +52,7 @@ def merge_results(parts: Sequence[Results]) -> Results:
 
 
 def tell_scenes_apart(parts: Sequence[Results]) -> list[Results]:
-    """The same results with one name for each scene that was captured, whatever its folders are called.
+    """The same results with one name for each scene that was captured, regardless of its folders' names.
 
     Scenes of one name whose captured frames differ have a digest of these behind it; of equal frames the first name counts.
     """
@@ -99,7 +99,7 @@ def _require_measured_once(parts: Sequence[Results]) -> None:
     label = label_of(first["method"], first["variant"])
     places = [parts[at].place or f"part {at + 1}" for at in dict.fromkeys(same["place"])]
     if len(places) > 1:
-        raise ResultsError(f"{label} on {first['scene']} is measured in {' and '.join(places)}; leave out all but one")
+        raise ResultsError(f"{label} on {first['scene']} is measured in {' and '.join(places)}; keep one of them")
     raise ResultsError(
         f"{places[0]}: {first['metric']} of {label} on {first['scene']} has two values for one view and frame; "
         "run `ggvs-eval score` again"

@@ -1,4 +1,4 @@
-"""Plug-ins: metrics, methods and layouts of other packages and of single files, known by name beside those that ship.
+"""Plug-ins: metrics, methods and layouts of other packages and single files, known by name like the built-in ones.
 
 A package names its objects as entry points of the groups ``ggvs_eval.metrics``, ``ggvs_eval.methods`` and
 ``ggvs_eval.datasets``; a file has tables of the same names, ``METRICS = {"P99": ...}``. An object is what the registry of its
@@ -54,10 +54,10 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     Args:
         kind: of the objects; one of `Kind` has plug-ins too.
-        shipped: ``module:attribute`` of each that ships, or from what it is derived; see `ggvs_eval.built_in`. An object stands
+        shipped: ``module:attribute`` of each that ships, or from what it is derived; see `ggvs_eval.built_in`. An object is
             for itself.
         check: makes an object of what a plug-in offers; raises `TypeError` where that is of another kind.
-        absent: makes of a name and the reason what stands in for one that is not installed; without, that is an error.
+        absent: makes a substitute of the name and the reason for one that is not installed; without, that is an error.
         needs: the module of another project that what ships here imports.
     """
 
@@ -79,7 +79,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     @property
     def plugins(self) -> dict[str, Plugin]:
-        """Entries under names of their own; a name that is taken is reported once."""
+        """Return entries under unused names; a name that is taken is reported once."""
         return _offered(self._kind, frozenset(self.shipped)) if self._kind in get_args(Kind) else {}
 
     def __getitem__(self, name: str) -> Entry:
@@ -170,7 +170,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
 @contextmanager
 def foreign(what: str, kind: type[GgvsError] = PluginError) -> Iterator[None]:
-    """Turn whatever code of a plug-in raises in the block, be it that it exits, into an error of ours.
+    """Turn any exception of a plug-in's code in the block, its exit included, into an error of this package.
 
     Args:
         what: the plug-in, and what of it, for the message.
@@ -181,7 +181,7 @@ def foreign(what: str, kind: type[GgvsError] = PluginError) -> Iterator[None]:
     except (Exception, SystemExit) as error:
         if isinstance(error, MemoryError | kind) or (isinstance(error, GgvsError) and kind is not ViewRefusedError):
             raise
-        raise kind(f"plug-in {what} ({_reason(error)}); mend or remove it") from error
+        raise kind(f"plug-in {what} ({_reason(error)}); fix or uninstall it") from error
 
 
 def use_file(path: Path) -> None:
@@ -225,14 +225,14 @@ def imported(reference: str) -> Any:
         sys.path.append(here)
     try:
         return pkgutil.resolve_name(f"{module}:{name}")
-    except (Exception, SystemExit) as error:  # whatever a foreign module raises while it is imported
+    except (Exception, SystemExit) as error:  # a foreign module can raise anything while it is imported
         raise PluginError(
             f"{reference}: wanted a module and what it defines, as my_method:Mine ({_reason(error)}); correct it"
         ) from error
 
 
 def plugin_digest(module: str) -> str:
-    """SHA-256 of the code of a module that is not ours: of all sources of the package that it lies in, or of its file."""
+    """Return the SHA-256 of a foreign module's code: of all sources of its package, or of its file."""
     top = module.partition(".")[0]
     spec = importlib.util.find_spec(top)
     if spec is None or not spec.origin:

@@ -16,7 +16,7 @@ def track(items: Iterable[Item], description: str, total: int | None = None) -> 
 
     Args:
         items: what is worked on; consumed lazily.
-        total: number of items where `len(items)` does not tell.
+        total: number of items where `len(items)` is not available.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn

@@ -1,4 +1,4 @@
-"""The protocol: everything that a number depends on beside the frames themselves, in one hashed TOML file."""
+"""The protocol: everything that a number depends on besides the frames, in one hashed TOML file."""
 
 import dataclasses
 import hashlib
@@ -17,7 +17,7 @@ from ggvs_eval.metric_choices import LATER, MetricChoices
 
 WayName = Literal["as-is", "mvsnerf", "enerf"]
 STREAMED = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")  # the usual metrics, and those that there are of the screen
-ON_SCREEN = "_stream"  # behind the name of a metric: of what stands on the screen, see `Stream`
+ON_SCREEN = "_stream"  # suffix of a metric's name: measured on the displayed frames, see `Stream`
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class Protocol:
-    """One evaluation protocol; equal protocols have equal hashes, whatever file they came from.
+    """One evaluation protocol; equal protocols have equal hashes, regardless of their files.
 
     Attributes:
         name: name of the protocol.
@@ -205,18 +205,18 @@ class Protocol:
         return dataclasses.replace(self, views=dataclasses.replace(self.views, folds=folds))
 
     def agrees_with(self, other: "Protocol") -> bool:
-        """Tell whether one run folder can serve both: they are equal, or one of them leaves its folds open."""
+        """Return whether one run folder can serve both: they are equal, or one of them leaves its folds open."""
         same = self.with_folds(()) == other.with_folds(())
         return same and (not self.views.folds or not other.views.folds or self.views.folds == other.views.folds)
 
     def over(self, n_frames: int) -> "Protocol":
-        """The protocol over a clip of so many instants: all of them from its first one on, where it does not say how many."""
+        """Return the protocol over a clip of N instants: all from its first one, if it sets no number."""
         if self.frames.count:
             return self
         return dataclasses.replace(self, frames=dataclasses.replace(self.frames, count=max(n_frames - self.frames.start, 1)))
 
     def shortened(self, frames: int | None, path_poses: int | None) -> "Protocol":
-        """The protocol over the first so many of its instants, and with a camera path of so many poses; None keeps either.
+        """Return the protocol over its first N instants and with a camera path of N poses; None keeps either.
 
         Raises:
             ProtocolError: no instant, or a negative number of poses.
@@ -319,7 +319,7 @@ def packaged_protocols() -> list[str]:
 
 
 def checked_protocol(protocol: Protocol, file: str) -> Protocol:
-    """Refuse values of the right type that make no sense, naming the rule and the file where they stand."""
+    """Refuse values of the right type that make no sense, naming the rule and the file."""
     synthesis, measurement, stream = protocol.synthesis, protocol.measurement, protocol.stream
     streamed = [name for name in measurement.metrics if name.endswith(ON_SCREEN)]
     times_ms = [] if stream is None else [stream.depth_ms or 0.0, *(ms for each in stream.stated for ms in each.ms)]

@@ -164,7 +164,7 @@ class UpdateBlock(nn.Module):
         )
 
     def coarse(self, hidden: list[Tensor], context: list[Context], finest: int = 1) -> list[Tensor]:
-        """Update the levels from the coarsest down to `finest` (1 = all but the finest one)."""
+        """Update the levels from the coarsest down to `finest` (1 = all except the finest one)."""
         hidden = list(hidden)
         if self.n_levels > 2:
             hidden[2] = self.gru32(hidden[2], context[2], _halve(hidden[1]))

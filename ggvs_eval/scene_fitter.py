@@ -128,7 +128,7 @@ class SceneFitter(ABC):
 
         Args:
             footage: what it may see.
-            folder: exists. A fit that was killed is called again with what it has left there, and goes on from it. When this
+            folder: exists. A fit that was killed is called again with what it has left there, and continues from it. When this
                 returns the scene is whole: the caller notes that, no marker is needed.
             progress: to be called now and then with (steps done, steps in all), counted from the fit's very beginning.
         """

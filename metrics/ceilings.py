@@ -153,7 +153,7 @@ def _beside(
 
 
 def _is_coarse_in_colour(noise: NoiseModel) -> bool:
-    """Tell whether noise of colour lacks the grain of single pixels, though there is noise: colours came at half size."""
+    """Return whether noise of colour lacks the grain of single pixels, though there is noise: colours came at half size."""
     colour = noise.octave_variance[:, np.abs(noise.axes.sum(axis=0)).argsort()[:2]].sum(axis=1)
     return bool(colour.sum() > LEAST_VARIANCE and colour[0] < FINEST_GRAIN * colour.sum())
 

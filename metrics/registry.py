@@ -94,7 +94,7 @@ def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
 
     Reading:
         What is steady without truth is told from the rendering's own change from one image to the next, and blur lowers that:
-        mTV, mTV2, E_warp, reprojection, and the change of depth maps. Their sharpness is added even if nobody asks for it. TCC,
+        mTV, mTV2, E_warp, reprojection, and the change of depth maps. Their sharpness is added even if no one asks for it. TCC,
         STED, Flicker, SDT and SDV compare with captured frames; EPI_coherence has its own, EPI_line_texture; switch_ratio is a
         ratio of changes, from which blur cancels; COLMAP and SGC find fewer matches in blurred images.
     """

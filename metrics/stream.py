@@ -17,7 +17,7 @@ class ViewScores:
     """Scores of a view, and the reasons for those that could not be computed.
 
     Attributes:
-        values: (metric, frame, value); the frame counts from 0, None stands for the whole view. The value of a pair of frames
+        values: (metric, frame, value); the frame counts from 0, None represents the whole view. The value of a pair of frames
             stands at its first frame. ``STED`` comes with its parts per pair, ``STED_spatial`` and ``STED_temporal``, whose
             means over any set of pairs multiply to the score of that set; so it is for ``STED_ssn``.
         not_computed: metric -> reason.

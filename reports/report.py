@@ -25,7 +25,7 @@ from ggvs_eval.run_folder import RunFolder
 def write_tables(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction], out: Path, columns: Sequence[str] = ()) -> None:
     """Write all tables of the page, and every value that the paper publishes beside ours.
 
-    Of several groups each file holds all: ``tables.csv`` tells them apart by its columns of the protocol, the others by titles.
+    Of several groups each file holds all: ``tables.csv`` distinguishes them by its columns of the protocol, the others by titles.
 
     Args:
         columns: metrics of the tables in Markdown, LaTeX and Excel, which are one per data set then; all of them by default.
@@ -85,7 +85,7 @@ def write_report(
     on the same page and in the same files.
 
     Args:
-        runs: run folders, rendered and scored, of one protocol or of several; the folder of a sweep stands for its runs, and its
+        runs: run folders, rendered and scored, of one protocol or of several; the folder of a sweep represents its runs, and its
             table and curves over K come first.
         out: folder to write to; None takes ``report`` in the first of them.
         tables_of: folders of sweeps that are shown by their tables and curves alone, without their runs.

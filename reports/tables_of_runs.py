@@ -59,7 +59,7 @@ def _in_short(table: Table, terms: str, metrics: Sequence[str]) -> Table:
 
 
 def _over_scenes(runs: Sequence[MeasuredRun], results: Results, metric: str) -> Table:
-    """A metric with a column per scene and one of their mean, each judged by itself."""
+    """A metric with a column per scene and one of their mean, each judged alone."""
     parts = {run.scene: main_tables([run], run.results, [metric])[0] for run in runs}
     parts[MEAN] = main_tables(runs, results, [metric])[0]
     unit = parts[MEAN].columns[0].unit

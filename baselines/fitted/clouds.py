@@ -27,7 +27,7 @@ class FittedClouds:
         self.instants = list(range(self._whole.first, self._whole.last + 1)) if self._whole else numbers
         self._streamed = StreamedScene(folder, "cpu")
         if not self.instants or not (folder / JOB_FILE).is_file():
-            raise RenderError(f"{folder}: wanted a finished fit, RUN/fits/LABEL/FOLD; 'ggvs-eval run' goes on with it")
+            raise RenderError(f"{folder}: wanted a finished fit, RUN/fits/LABEL/FOLD; 'ggvs-eval run' continues with it")
 
     def cloud(self, index: int) -> GaussianCloud:
         """The Gaussians of an instant."""

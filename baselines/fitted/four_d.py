@@ -42,7 +42,7 @@ class FourD(GaussianFitter):
 
     Reading:
         Not as published: first points from estimated depth; spherical harmonics of degree 1 from the first step on; a smaller
-        field without a head for sizes; Adam goes on through both stages; black background; one image per step;
+        field without a head for sizes; Adam continues through both stages; black background; one image per step;
         loss 0.8 L1 + 0.2 (1 - SSIM); explicit motions keep three colours, without the network of Spacetime Gaussians' full form.
     """
 

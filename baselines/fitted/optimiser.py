@@ -123,7 +123,7 @@ class DensitySchedule:
     most: int = 60_000
 
     def is_due(self, step: int) -> bool:
-        """Tell whether a round follows that many steps."""
+        """Return whether a round follows that many steps."""
         return self.first <= step <= self.last and step % self.every == 0
 
 
@@ -273,7 +273,7 @@ def optimise(state: FitState, shots: Shots, options: FitSchedule, journal: Journ
 
     Args:
         state: of the fit, changed in place.
-        checkpoint: file of the state, for going on after a kill; None where the fit is too short to be worth one.
+        checkpoint: file of the state, for continuing after a kill; None where the fit is too short to be worth one.
     """
     while state.step < options.steps:
         started = perf_counter()

@@ -141,7 +141,7 @@ class HexPlaneMotion(Motion):
 
 
 class ExplicitMotion(Motion):
-    """Each Gaussian by itself: a polynomial through its own time, and how long it is there.
+    """Each Gaussian alone: a polynomial through its own time, and how long it is there.
 
     dt is the time from the Gaussian's own; both count in clips.
 
@@ -203,7 +203,7 @@ class TransformationMotion(Motion):
 
     Reading:
         The authors' hash tables begin near zero, where their rate of 2e-3 soon makes neighbours differ. Planes begin at 0.1 to
-        0.5: at that rate 150 steps move them all alike, and whoever walks stays behind a little more in every frame. In a
+        0.5: at that rate 150 steps move them all alike, and anyone who walks stays behind a little more in every frame. In a
         validation room (demo seed 31, grid, a held-out camera) moving pixels of the third frame have 21.9 dB with 2e-3, 27.2 with
         0.02, 28.4 with 0.05, 28.7 with 0.1 and 28.8 with 0.2; without a field 19.1 in the first.
     """

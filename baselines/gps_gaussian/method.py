@@ -1,4 +1,4 @@
-"""GPS-Gaussian behind the `Method` interface: every instant by itself, from the nearest pair that makes a stereo pair.
+"""GPS-Gaussian behind the `Method` interface: every instant alone, from the nearest pair that makes a stereo pair.
 
 Its cameras are turned so that matching points lie on one row, each on its own canvas.
 """

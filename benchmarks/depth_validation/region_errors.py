@@ -86,7 +86,7 @@ def _table(
 
 
 def _figures(table: pd.DataFrame) -> Figures:
-    """Means over the validation rooms, and the demo capture by itself."""
+    """Means over the validation rooms, and the demo capture alone."""
     is_demo = table.index.get_level_values("room") == DEMO
     figures: Figures = {}
     for group, part in (("rooms", table[~is_demo]), (DEMO, table[is_demo])):

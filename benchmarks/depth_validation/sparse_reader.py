@@ -1,4 +1,4 @@
-"""Reads what each image of a COLMAP model saw of its points, in a process of its own: pycolmap breaks the writing of PNG files.
+"""Reads what each image of a COLMAP model saw of its points, in a separate process: pycolmap breaks the writing of PNG files.
 
 Command: ``python -m benchmarks.depth_validation.sparse_reader MODEL_DIR OUT.npz``
 """

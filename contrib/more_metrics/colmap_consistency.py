@@ -66,7 +66,7 @@ def colmap_consistency(images: Iterable[Image], cameras: Sequence[Camera] | None
         After the registration rate, tracks and matches of SysCON3D (2605.18754); what counts is ours. COLMAP registers shuffled
         views of one scene as gladly as ordered ones, so being registered is not enough. With known cameras a view counts where
         its solved centre lies within half a step of its own after the best similarity, nearer than its neighbours'; without
-        cameras where the solved path goes on from the view before to the view after and does not turn back, as two of three
+        cameras where the solved path continues from the view before to the view after and does not turn back, as two of three
         views of a shuffled line do. Known lenses are used; unknown ones are guessed and held. Of longer paths 60 evenly spaced
         views are taken.
     """
@@ -81,7 +81,7 @@ def solve_views(folder: Path, n_views: int, cameras: Sequence[Camera] | None) ->
     """Run COLMAP on the views that `rendered_path.write_view` has written into a folder.
 
     Args:
-        folder: work goes on in it, and what it leaves is left.
+        folder: work continues in it, and what it leaves is left.
         cameras: see `colmap_consistency`.
     """
     if n_views < LEAST_VIEWS:

@@ -1,4 +1,4 @@
-"""Runs COLMAP on the images of a path, in a process of its own: in the one that loads pycolmap, writing PNG files breaks.
+"""Runs COLMAP on the images of a path, in a separate process: in the one that loads pycolmap, writing PNG files breaks.
 
 Command: ``python -m ggvs_eval.contrib.more_metrics.colmap_worker FOLDER``. FOLDER holds ``images/``, ``job.json`` (``images``:
 their names in order; ``cameras``: fx, fy, cx, cy of each, or null; ``overlap``: how many views on each is matched with);

@@ -44,7 +44,7 @@ def colour_video_vdp(
 
     Reading:
         The package's own display ``standard_4k``, 30 inches, 200 cd/m^2, 250 lux, seen from two heights, and 30 frames per
-        second: pixels are as small as on that display, whatever the size of the frames.
+        second: pixels are as small as on that display, regardless of the size of the frames.
     """
     with SpooledFrames() as frames:
         for rendered, truth in pairs:

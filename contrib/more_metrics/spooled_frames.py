@@ -11,7 +11,7 @@ from ggvs_eval.errors import MetricError
 
 
 class SpooledFrames:
-    """Two videos of raw RGB, written frame by frame: memory is bounded, whatever the length; 8 MB a pair at 1352x1014.
+    """Two videos of raw RGB, written frame by frame: memory is bounded, regardless of the length; 8 MB a pair at 1352x1014.
 
     Example:
         >>> import numpy as np

@@ -30,7 +30,7 @@ def metric_study(
     Writes OUT/values.csv, study.json, study.md and study.png. What is measured already is not measured again.
 
     Args:
-        out: folder to write or to go on with.
+        out: folder to write or to continue with.
         capture: captures, folders of videos or of pictures, or videos.
         metrics: names, or all; parts of an image are measured where they are named.
         ladders: degradations: blur, noise, shift, colour, compression, flicker, drift, frozen, late, wobble, switch, jump,

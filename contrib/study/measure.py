@@ -33,7 +33,7 @@ COSTLY = frozenset(
     | {"SGC_rotation", "SGC_translation"}
 )
 EVERY = 6
-UNDEGRADED = "none"  # stands for all ladders of frames at strength 0
+UNDEGRADED = "none"  # represents all ladders of frames at strength 0
 ALL = "all"
 Numbers = dict[str, float]
 Reasons = dict[str, str]
@@ -101,7 +101,7 @@ def strengths_of(ladder: Ladder | None) -> tuple[float, ...]:
 
 
 def _code(metric: Metric) -> str:
-    """Hash of the code that measures a metric; of a path, one pass measures all that it has, and each counts by itself."""
+    """Hash of the code that measures a metric; of a path, one pass measures all that it has, and each counts alone."""
     if isinstance(metric, PathMetric):
         return code_identity(PATH_SCORES, RenderedPath.__module__, *metric.modules, unfollowed=(PATH_SCORES,))
     return metric_code(metric)

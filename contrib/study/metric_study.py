@@ -1,4 +1,4 @@
-"""A metric study as it lies on disk, for its tables and its figure."""
+"""A metric study as it is on disk, for its tables and its figure."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

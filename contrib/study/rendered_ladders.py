@@ -54,7 +54,7 @@ def switch_sources(clip: Clip, switches: float, seed: int = 0) -> Image8:
 def switch_brightness(clip: Clip, percent: float, seed: int = 0) -> Image8:
     """Rendering along a camera path with `EXCHANGES` exchanges, between one pair of cameras and one that is `percent` brighter.
 
-    Nothing brings the cameras to one colour, as the online method would by itself.
+    Nothing brings the cameras to one colour, as the online method would alone.
     """
     clip = require_sources(clip, SWITCHED)
     brighter = (clip.sources[1].camera.name, clip.sources[2].camera.name)

@@ -255,7 +255,7 @@ class BlendTask:
         validation: samples that are never learned from.
         seed: of the weights and the crops.
         crop_width: of the crops, pixels.
-        augmentation: of the crops; None leaves them as they are but for mirroring and the order of colours.
+        augmentation: of the crops; None leaves them as they are except for mirroring and the order of colours.
         schedule: see `Schedule`; the weight decay is the paper's.
 
     Reading:

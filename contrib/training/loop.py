@@ -1,4 +1,4 @@
-"""The training loop of every network here: AdamW, averaged weights, checkpoints, a log; a killed run goes on where it was."""
+"""The training loop of every network here: AdamW, averaged weights, checkpoints, a log; a killed run continues where it was."""
 
 import csv
 import hashlib
@@ -175,10 +175,10 @@ def _table(rows: list[dict[str, str]]) -> list[str]:
 
 
 def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
-    """Train a network, or go on training it.
+    """Train a network, or continue training it.
 
     Args:
-        folder: gets ``state.pt`` (to go on from), ``log.csv``, ``validation.csv``, both drawn in ``<task>.png``, and
+        folder: gets ``state.pt`` (to continue from), ``log.csv``, ``validation.csv``, both drawn in ``<task>.png``, and
             ``<task>.safetensors``.
     """
     device = compute_device(options.device)
@@ -258,7 +258,7 @@ def _step(
 
 
 def uses_bfloat16(precision: Precision, device: torch.device) -> bool:
-    """Tell whether convolutions run in bfloat16; ``auto`` asks for hardware that multiplies it in tiles."""
+    """Return whether convolutions run in bfloat16; ``auto`` asks for hardware that multiplies it in tiles."""
     if precision != "auto":
         return precision == "bfloat16"
     if device.type == "cuda":

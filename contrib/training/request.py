@@ -11,7 +11,7 @@ Precision = Literal["auto", "float32", "bfloat16"]
 Size = Literal["small", "standard", "large"]
 Guidance = Literal["registered", "channels", "none", "naive"]
 Configuration = Literal["compact", "full"]
-BASELINES = "baselines"  # stands for each of them where a field says which trainings use it
+BASELINES = "baselines"  # represents each of them where a field says which trainings use it
 STEREO, BLEND, ALL = "stereo", "blend", "all"
 EVERY, OF_VIEWS = (STEREO, BLEND, BASELINES, ALL), (BLEND, BASELINES, ALL)
 USED_BY, DECIDES = "used by", "decides what is learned"
@@ -48,7 +48,7 @@ class TrainingOptions:
         workers: processes that make batches.
         compile_network: let torch compile it first: some minutes once, a fifth less per step.
         save_every: steps between checkpoints; the command line does not show it.
-        validate_every: steps between validations; likewise.
+        validate_every: steps between validations.
     """
 
     steps: int = field(default=20000, metadata=_of(*EVERY))

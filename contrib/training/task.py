@@ -35,7 +35,7 @@ class Schedule:
 
 
 class Task(Protocol):
-    """A network that is to learn something; batches depend on the step alone, so that a killed training goes on unchanged."""
+    """A network that is to learn something; batches depend on the step alone, so that a killed training continues unchanged."""
 
     @property
     def name(self) -> str:

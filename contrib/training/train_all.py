@@ -248,7 +248,7 @@ def train_all(
         print(*failures.values(), sep="\n", file=sys.stderr)
         raise TrainingError(
             f"train all: wanted {len(trainings)} trained networks, {', '.join(failures)} failed, the others are trained; mend "
-            "what their logs say and call again to go on"
+            "what their logs say and call again to continue"
         )
     return [training.folder / f"{training.name}{end}" for training in trainings for end in (".safetensors", ".md")]
 

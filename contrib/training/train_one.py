@@ -172,7 +172,7 @@ class BaselineTask:
         raise TrainingError(f"{self.name}: wanted views to learn from, got none that it can render: {reason}; give others")
 
     def _crop(self, sample: InstantSample, place: Sequence[float]) -> InstantSample:
-        """The window at a place of a sample, whatever the sample's size."""
+        """The window at a place of a sample, regardless of the sample's size."""
         width, height = sample.instant.target.size
         across, down = self.recipe.crop_width, self.recipe.crop_height
         left, top = int(place[0] * (width - across + 1)), int(place[1] * (height - down + 1))
@@ -221,7 +221,7 @@ WORKER_BYTES = 2**30  # of a GPU, for a worker that makes samples: its context, 
 
 
 def train_one(what: str, folder: Path, request: TrainingOptions) -> tuple[Path, Path]:
-    """Train a network, or go on training it.
+    """Train a network, or continue training it.
 
     Args:
         what: stereo, blend, or one of `TRAINED_BASELINES`.

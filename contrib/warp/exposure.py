@@ -58,7 +58,7 @@ class Exposure:
 
 @wp.func
 def is_linear(c: wp.vec3f) -> wp.bool:
-    """Tell whether a sensor is linear at these levels."""
+    """Return whether a sensor is linear at these levels."""
     return wp.min(wp.min(c[0], c[1]), c[2]) >= _DARK and wp.max(wp.max(c[0], c[1]), c[2]) <= _BRIGHT
 
 

@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 wp.set_module_options(MODULE_OPTIONS)
 
 REACH = wp.constant(3)  # of the 7 x 7 window of Eq. 12
-FAR_AWAY = wp.constant(wp.float32(1e18))  # stands for an invalid depth: any difference to it exceeds tau
+FAR_AWAY = wp.constant(wp.float32(1e18))  # represents an invalid depth: any difference to it exceeds tau
 _COVERED = wp.constant(wp.float32(COVERED_ALPHA))
 
 

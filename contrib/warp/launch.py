@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-wp.config.log_level = wp.LOG_WARNING  # otherwise it lists its devices in whatever a command prints
+wp.config.log_level = wp.LOG_WARNING  # otherwise it lists its devices in the output of every command
 wp.init()
 
 # No gradients pass, and products are rounded before they are added, as the compiled kernels do: ties are then decided alike.

@@ -1,7 +1,7 @@
 """The blending network and its refiner on a device: one kernel gathers each layer's input, convolutions are cuDNN's.
 
 Activations lie (row, column, channel), as tensor cores want them. A convolution's output is kept as it comes; its mean and
-deviation are summed by two launches, and whoever reads it normalises: pooling, enlarging, joining and padding cost no pass of
+deviation are summed by two launches, and anyone who reads it normalises: pooling, enlarging, joining and padding cost no pass of
 their own.
 """
 
@@ -462,7 +462,7 @@ class DeviceNetwork:
         return torch.empty((height + 2, width + 2, channels), dtype=self.dtype, device=self._device)
 
     def _block(self, padded: Tensor, layers: Any) -> Layer:
-        """Two convolutions, each normalised by whoever reads it."""
+        """Two convolutions, each normalised by anyone who reads it."""
         filters, gains = next(layers)
         raw = self._convolved(padded, filters)
         inner = self._padded(*raw.shape)
@@ -473,7 +473,7 @@ class DeviceNetwork:
 
     @staticmethod
     def _convolved(padded: Tensor, filters: Tensor) -> Tensor:
-        """(H + 2, W + 2, C) to (H, W, C'); whoever reads it adds the bias."""
+        """(H + 2, W + 2, C) to (H, W, C'); anyone who reads it adds the bias."""
         return functional.conv2d(padded.permute(2, 0, 1)[None], filters)[0].permute(1, 2, 0).contiguous()
 
     def _moments(self, raw: Tensor, gains: Tensor) -> Tensor:

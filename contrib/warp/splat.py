@@ -298,7 +298,7 @@ def blend_tiles(
 
 
 def splat_views(images: Tensor, depths: Tensor, masks: Tensor, c: StepConstants, t: Tables, per_gaussian: float) -> DeviceSplats:
-    """Splat every view by itself, colours and mask, as `splat` of the compiled path does.
+    """Splat every view alone, colours and mask, as `splat` of the compiled path does.
 
     Args:
         images: (K, H, W, 3), uint8.
@@ -310,7 +310,7 @@ def splat_views(images: Tensor, depths: Tensor, masks: Tensor, c: StepConstants,
         Two stable sorts of 32 bits, by depth and then by tile, order the pairs as the compiled splat does, equal depths in
         reading order; sorting pairs at once by 64 bits would move twice the bytes. So many views are sorted together as have at
         most 2^16 tiles: the sort then takes two passes, not three. How many pairs there are is known on the device alone: room
-        is kept for a number of them, and whoever reads the picture sees whether it was enough.
+        is kept for a number of them, and anyone who reads the picture sees whether it was enough.
     """
     (width, height), device = t.sizes.whole, depths.device
     across, down = -(-width // TILE), -(-height // TILE)

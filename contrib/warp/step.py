@@ -130,7 +130,7 @@ class Program:
             self._depths = torch.zeros(self.depths.shape, **pinned)
 
     def upload(self, sources: Sequence[SourceView], after: int) -> None:
-        """Copy images and depths where the step reads them, each view on its way while the next is read; nobody waits."""
+        """Copy images and depths where the step reads them, each view on its way while the next is read; no one waits."""
         images, depths = self.states[after].images, self.depths
         if self._on_gpu:
             self._copies.wait_stream(torch.cuda.current_stream(self.device))  # of who made depth there
@@ -160,7 +160,7 @@ class Program:
             yield
 
     def is_recorded(self, after: int) -> bool:
-        """Tell whether the step that writes a state can be played."""
+        """Return whether the step that writes a state can be played."""
         return after in self._graphs
 
     def play(self, after: int, compute: Callable[[], None]) -> None:
@@ -216,7 +216,7 @@ class DeviceGuided:
         takes_device_depth: tells `OnlineSynthesizer` to leave estimated depth on the device.
 
     Reading:
-        Pictures are those of the compiled path but for rounding. Weights, march, contested depth and registration give the same
+        Pictures are those of the compiled path except for rounding. Weights, march, contested depth and registration give the same
         bits from the same inputs on a CPU; masks, splats, convolutions and sums differ in the last ones. Where a comparison
         decides, a last bit may move a pixel: of the depths near a zero crossing of the fused field, of the votes on contested
         depth, of what is remembered. Three instants of two views of the demo room at 480 x 360, K = 4: no pixel off by a level
@@ -257,7 +257,7 @@ class DeviceGuided:
 
     @staticmethod
     def covers(options: OnlineOptions | None, guidance: Guidance) -> bool:
-        """Tell whether the device computes the method with such options; readings that were tried and dropped it does not."""
+        """Return whether the device computes the method with such options; readings that were tried and dropped it does not."""
         usual = OnlineOptions()
         options = options or usual
         same = ("fused", "mask_views", "splatted_as", "signed_distance", "normalised_field")
@@ -354,7 +354,7 @@ class DeviceGuided:
         return state, 0
 
     def _room_sufficed(self, needed: float) -> bool:
-        """Tell whether all pairs found room, and make more of it where they did not: the step is made again then."""
+        """Return whether all pairs found room, and make more of it where they did not: the step is made again then."""
         if needed <= self._per_gaussian:
             return True
         self._per_gaussian = ROOM * needed

@@ -305,7 +305,7 @@ class Output:
 
 @wp.func
 def is_finite(picture: wp.array3d[wp.float32], y: wp.int32, x: wp.int32) -> wp.bool:
-    """Tell whether all channels of a pixel are numbers."""
+    """Return whether all channels of a pixel are numbers."""
     return wp.isfinite(picture[0, y, x]) and wp.isfinite(picture[1, y, x]) and wp.isfinite(picture[2, y, x])
 
 
@@ -392,7 +392,7 @@ def weigh_light(weighted: wp.array3d[wp.float32], light: wp.array3d[wp.float32],
 def mix_past(
     image: wp.array3d[wp.float32], past: wp.array3d[wp.float32], by: wp.array3d[wp.float32], out: wp.array3d[wp.float32]
 ):
-    """The past mixed in where it has weight, but for what changed over wide areas; one that is not finite has none."""
+    """The past mixed in where it has weight, except for what changed over wide areas; one that is not finite has none."""
     y, x = wp.tid()
     height = image.shape[1]
     width = image.shape[2]

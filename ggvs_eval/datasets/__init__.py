@@ -1,4 +1,4 @@
-"""Adapters: whatever layout a capture has on disk, `open_capture` makes a `Capture` of it."""
+"""Dataset adapters: `open_capture` returns a `Capture` from any supported layout."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -27,7 +27,7 @@ def _checked(name: str, spec: object) -> DatasetSpec:
 
 
 def _refused(name: str, refuse: Callable[[Path], str | None], path: Path) -> str | None:
-    """Why a path is not of a plug-in's layout, that it cannot tell included."""
+    """Return the reason why a path is not of a plug-in's layout, including that it cannot decide."""
     try:
         with foreign(f"layout {name}: failed"):
             refusal = refuse(path)
@@ -146,13 +146,13 @@ def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
     mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
     reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
     if mark is None:
-        return f"{path}: no capture that can be read; {mend} (looked for: {reasons})"
+        return f"{path}: wanted a capture in a known layout; {mend} (looked for: {reasons})"
     name, layouts = mark
     if not layouts:
-        form = "holds a calibration in a form that is not read; write it as transforms.json, OpenCV's YAML or capture.toml"
+        form = "holds a calibration of an unknown form; write it as transforms.json, OpenCV's YAML or capture.toml"
         return f"{path}: {name} {form}; {mend} (looked for: {reasons})"
     lacking = " or ".join(f"{layout}: {refusals.get(layout)}" for layout in layouts)
-    return f"{path}: {name} is there, but the capture is not whole, {lacking}; {mend} (looked for too: {reasons})"
+    return f"{path}: {name} exists, but the capture is incomplete, {lacking}; {mend} (also looked for: {reasons})"
 
 
 def _captures_within(path: Path) -> list[str]:

@@ -56,7 +56,7 @@ def assemble_capture(
     notes: Sequence[str] = (),
     test_views: Sequence[str] = (),
 ) -> Capture:
-    """Check that all cameras have the same instants and bring each camera to the size of its frames.
+    """Check that all cameras have the same instants and scale each camera to the size of its frames.
 
     Args:
         units: world units per metre.
@@ -170,7 +170,7 @@ def common_rate(path: Path, sources: Mapping[str, FrameSource]) -> float:
     """The frame rate of a rig whose cameras have equally many frames.
 
     Raises:
-        CaptureError: constant rates that differ; variable ones where frames of one number lie over half a step apart.
+        CaptureError: constant rates that differ; variable ones where frames of one number differ by over half a step.
 
     Reading:
         The average of a variable rate says little: phones that are started together keep step while their averages differ. So
@@ -199,16 +199,16 @@ def largest_lag_s(sources: Mapping[str, FrameSource]) -> float | None:
 
 
 def uneven_notes(sources: Mapping[str, FrameSource]) -> list[str]:
-    """A note about cameras of a variable frame rate, which says how far frames of one number lie apart."""
+    """Note cameras of a variable frame rate, and the time between their frames of one number."""
     steps = [f"{name} ({video.uneven})" for name, video in _videos(sources).items() if video and video.uneven]
     lag_s = largest_lag_s(sources) if steps else None
-    apart = f"; their times lie up to {1000 * lag_s:.1f} ms apart" if lag_s is not None else ""
-    taken = "frame t of each camera is taken as one instant, whatever its time"
+    apart = f"; their times differ by up to {1000 * lag_s:.1f} ms" if lag_s is not None else ""
+    taken = "frame t of each camera counts as one instant, regardless of its time"
     return [f"variable frame rate in {listed(steps)}: {taken}{apart}"] if steps else []
 
 
 def _videos(sources: Mapping[str, FrameSource]) -> dict[str, VideoFrames | None]:
-    """The video of each camera, which may lie behind an undistortion; None where its frames are images."""
+    """Return the video of each camera, also behind an undistortion; None where its frames are images."""
     return {
         name: next((each for each in source_chain(source) if isinstance(each, VideoFrames)), None)
         for name, source in sources.items()
@@ -285,7 +285,7 @@ class KnownTrap:
     Attributes:
         dataset: what people call the data set.
         reason: what is wrong, in words that follow the camera's or the scene's name.
-        scenes: folders of the scenes that it concerns, whatever the case of their letters; any when empty.
+        scenes: folders of the scenes that it concerns, regardless of the case of their letters; any when empty.
         layout: name of the layout that it concerns; any when empty.
         camera: the camera that it concerns; the whole scene when empty.
         leave_out: the camera is no good as a source and left out unless it is asked for.
@@ -302,7 +302,7 @@ class KnownTrap:
     more_frames_than: int = 0
 
     def concerns(self, capture: Capture) -> bool:
-        """Tell whether a capture is of the trap's scene and has its camera."""
+        """Return whether a capture is of the trap's scene and has its camera."""
         return (
             (not self.scenes or capture.scene.lower() in self.scenes)
             and self.layout in ("", capture.layout)

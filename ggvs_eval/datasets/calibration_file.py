@@ -1,4 +1,4 @@
-"""A calibration file of another tool beside the frames that it is of: such a folder is a capture as it stands."""
+"""Captures that are a calibration file of another tool next to its frames, read without conversion."""
 
 import re
 from collections.abc import Callable
@@ -24,11 +24,11 @@ from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import list_entries
 from ggvs_eval.files.plain import read_plain_text
 
-# What tells such files from others of their suffix, before they are parsed.
+# Marks of such files among others of their suffix, before they are parsed.
 ANIPOSE = re.compile(r"^[ \t]*matrix[ \t]*=", re.MULTILINE)
 MATRIX = "(camera_matrix|Camera_Matrix|M1|K1|cameraMatrix1?)"
 OPENCV = re.compile(rf"^{MATRIX}[ \t]*:|<{MATRIX}[ >]", re.MULTILINE)
-# What shows that a file holds cameras, in whatever form; our own files that are no calibration aside.
+# Marks of a file that holds cameras in any form, except files of this package that are no calibration.
 CAMERAS = re.compile(
     r"""[\s"<](camera_?matri\w*|intrinsic\w*|distortion\w*|dist_?coeff\w*|extrinsic\w*|k|w2c|c2w|rvec|tvec)["\s]*[:=>]""", re.I
 )
@@ -52,18 +52,18 @@ class Kind:
     read: Callable[[Path], list[FileCamera]]
 
     def fits(self, file: Path) -> bool:
-        """Tell whether a file is of this kind."""
+        """Return whether a file is of this kind."""
         if not file.name.lower().endswith(self.suffixes):
             return False
         return self.content is None or bool(self.content.search(_text(file)))
 
 
 KINDS = {
-    "qualisys": Kind("CALIBRATION.qca.txt (Qualisys) beside videos", (".qca.txt",), None, read_qualisys),
+    "qualisys": Kind("CALIBRATION.qca.txt (Qualisys) next to videos", (".qca.txt",), None, read_qualisys),
     "anipose": Kind(
-        "CALIBRATION.toml (anipose, freemocap, pose2sim, caliscope) beside videos", (".toml",), ANIPOSE, read_anipose
+        "CALIBRATION.toml (anipose, freemocap, pose2sim, caliscope) next to videos", (".toml",), ANIPOSE, read_anipose
     ),
-    "opencv": Kind("CAM.yml or STEREO.xml (cv2.FileStorage, ROS) beside videos", (".yml", ".yaml", ".xml"), OPENCV, read_opencv),
+    "opencv": Kind("CAM.yml or STEREO.xml (cv2.FileStorage, ROS) next to videos", (".yml", ".yaml", ".xml"), OPENCV, read_opencv),
 }
 
 
@@ -135,7 +135,7 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     if len(chosen) < 2:
         without = [camera.name for camera in filmed if camera.world_to_camera is None]
         mend = f"'ggvs-eval calibrate {folder} RIG --known-intrinsics {path}' finds them"
-        raise CaptureError(f"{path}: wanted poses, got intrinsics alone of {listed(without)}; {mend}")
+        raise CaptureError(f"{path}: wanted poses, got only intrinsics of {listed(without)}; {mend}")
     crop = given_crop(folder)
     poses = [camera.world_to_camera for camera in chosen if camera.world_to_camera is not None]
     try:

@@ -106,15 +106,15 @@ def read_anipose(path: Path) -> list[FileCamera]:
     """Read the cameras of a TOML file of anipose, freemocap, pose2sim or caliscope.
 
     Reading:
-        freemocap notes the size of its board in millimetres, so its poses become metres. What unit others have only the size of
-        their board tells, which they do not name. caliscope's cameras, a table of tables, are called as it calls their videos:
+        freemocap notes the size of its board in millimetres, so its poses become metres. The unit of others depends on the size of
+        their board, which they do not state. caliscope's cameras, a table of tables, are called as it calls their videos:
         ``cam_0``, or ``port_0`` before; those that it ignores are left out.
     """
     values = read_toml(path, CaptureError)
     metadata = values.get("metadata")
     is_freemocap = isinstance(metadata, dict) and FREEMOCAP_KEY in metadata
     tables = {key: table for key, table in values.items() if isinstance(table, dict) and "matrix" in table}
-    for group in values.values() if not tables else ():  # caliscope's cameras stand together in a table of their own
+    for group in values.values() if not tables else ():  # caliscope's cameras are together in one table
         inner = group if isinstance(group, dict) else {}
         tables |= {key: table for key, table in inner.items() if isinstance(table, dict) and "matrix" in table}
     cameras = []
@@ -136,7 +136,7 @@ def read_anipose(path: Path) -> list[FileCamera]:
 
 
 def _is_given(table: Mapping[str, Any], key: str) -> bool:
-    """Tell whether a key says something; caliscope writes "null" where nothing is known."""
+    """Return whether a key has a value; caliscope writes "null" for unknown values."""
     return table.get(key) not in (None, "null", [])
 
 
@@ -152,7 +152,7 @@ def read_opencv(path: Path) -> list[FileCamera]:
     One camera has ``camera_matrix`` and ``distortion_coefficients``, perhaps ``image_width``, ``image_height``,
     ``fisheye_model`` or ROS' ``distortion_model``, and its pose as ``R``, ``T`` or ``rvec``, ``tvec``; it is called
     ``camera_name`` or like the file. Two have ``M1 D1 M2 D2`` (or ``K1``, ``cameraMatrix1``, ...) with ``R`` and ``T`` in the
-    same file or in ``extrinsics.yml`` beside it; they are called by ``names``, or left and right, and the first is the world.
+    same file or in ``extrinsics.yml`` next to it; they are called by ``names``, or left and right, and the first is the world.
     """
     file = FileStorageYaml(path, is_plain=True)
     single = next((key for key in MATRIX_KEYS if file.has(key)), None)

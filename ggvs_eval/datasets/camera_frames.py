@@ -20,13 +20,13 @@ from ggvs_eval.files.listing import (
 from ggvs_eval.files.video import VideoFrames
 
 CameraFrames = VideoFrames | ImageFrames
-# Where the frames of a camera called CAM lie, the first that holds any; .mp4 stands for every video, .png for every picture.
+# Places of the frames of a camera called CAM; the first that holds any counts; .mp4 is any video, .png any picture.
 ARRANGEMENTS = (
     *("CAM.mp4", "videos/CAM.mp4", "images/CAM/", "frames/CAM/", "CAM/images/", "CAM/images_scaled_2/", "CAM/"),
     *("images/CAM.png", "CAM.png"),
 )
 IN_WORDS = f"{', '.join(ARRANGEMENTS[:-2])} or one image per camera, here or in images/"
-# Folders that captures hold beside those of their cameras.
+# Folders that captures hold besides those of their cameras.
 NO_CAMERAS = {"images", "frames", "videos", "background", "bkgd", "mask", "masks", "bgmtv2", "schp", "depth", "path", "sparse"}
 LISTED = 24
 # File systems take no longer ones.
@@ -35,7 +35,7 @@ JPEG = (".jpg", ".jpeg")
 
 
 class FoundFrames(NamedTuple):
-    """The frames of some cameras, and the names of others that lie beside them in the same arrangement."""
+    """The frames of some cameras, and the names of others in the same arrangement."""
 
     sources: dict[str, CameraFrames]
     beside: list[str]
@@ -86,7 +86,7 @@ def require_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
         kept = next(iter(found.sources.values())).path
         unread = _unread(path, missing)
         mend = f"but {unread}" if unread else "restore them or take them off the model"
-        raise CaptureError(f"{path}: no frames for {listed(missing)} beside {kept}; {mend}")
+        raise CaptureError(f"{path}: wanted frames of every camera, got none for {listed(missing)} beside {kept}; {mend}")
     return FoundFrames({name: found.sources[name] for name in image_names}, found.beside)
 
 
@@ -111,7 +111,7 @@ def find_rig_frames(path: Path) -> dict[str, CameraFrames]:
 
 
 def instead_of_frames(path: Path, names: Iterable[str] = ()) -> str:
-    """Describe what lies in a folder instead of the frames of some cameras, or of any, and where they belong."""
+    """Describe what a folder holds instead of the frames of some or all cameras, and where they belong."""
     unread = _unread(path, names)
     return f"none, but {unread}" if unread else f"none; put them in {IN_WORDS}"
 
@@ -146,7 +146,7 @@ def _one_each(path: Path, found: list[tuple[str, CameraFrames]]) -> dict[str, Ca
 
 
 def is_inside(relative: str) -> bool:
-    """Tell whether a name in a calibration can be a file's below the capture; a hostile model must not lead out of it."""
+    """Return whether a name in a calibration can be a file's below the capture; a hostile model must not lead out of it."""
     if not relative.isprintable() or len(relative) >= LONGEST_PATH:
         return False
     path = PurePosixPath(relative)

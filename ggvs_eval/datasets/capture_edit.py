@@ -1,6 +1,6 @@
 """Capture perturbations: one instant held still, and added sensor noise.
 
-With an instant held still nothing moves, so that whatever moves in a rendering of it is the method's own flicker.
+With an instant held still nothing moves, so that any motion in a rendering of it is the method's flicker.
 """
 
 import hashlib
@@ -18,13 +18,13 @@ from ggvs_eval.files.digest import digest_values
 
 @dataclass(frozen=True)
 class NoisyFrames:
-    """Frames of one camera with noise of their own at each instant, a `FrameSource`.
+    """Frames of one camera with new noise at each instant, a `FrameSource`.
 
     Attributes:
         source: the frames without.
         camera_name: whose they are; every camera has its own noise.
         sigma_255: standard deviation, of 255 levels.
-        seed: of the noise; with camera and frame number it decides every bit, in whatever order frames are asked for.
+        seed: of the noise; with camera and frame number it decides every bit, regardless of the order of requests.
     """
 
     source: FrameSource

@@ -1,4 +1,4 @@
-"""A rig of one's own: ``capture.toml`` says for every camera where its frames lie and how it is calibrated."""
+"""A rig of your own: ``capture.toml`` lists the frames and the calibration of every camera."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,7 +79,7 @@ class CaptureTable:
         camera: the rig, in this order.
         scene: what the scene is called; the folder's name by default.
         fps: frames per second where the frames are images.
-        pixel_centre: where the centre of the first pixel lies in the file's K: ``half`` (COLMAP) or ``whole`` (OpenCV).
+        pixel_centre: position of the centre of the first pixel in the file's K: ``half`` (COLMAP) or ``whole`` (OpenCV).
     """
 
     camera: tuple[CameraTable, ...]
@@ -195,4 +195,4 @@ def _extras(file: Path, table: CameraTable, lens: Lens, camera: Camera, frames: 
     return Extras(background=background, mask=mask)
 
 
-LAYOUT = DatasetSpec("capture.toml, a rig of one's own", refuse, load)
+LAYOUT = DatasetSpec("capture.toml, a rig of your own", refuse, load)

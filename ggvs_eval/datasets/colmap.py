@@ -1,4 +1,4 @@
-"""Captures calibrated by COLMAP: a sparse model and one image, image folder or video per camera, and two layouts of their own.
+"""Captures calibrated by COLMAP: a sparse model and one image, image folder or video per camera, and two layouts based on it.
 
 3DGStream has a folder per instant, ``frame000000/images/cam00.png``, and a model in the first; the "multipleview" layout of 4D
 Gaussian Splatting has ``camXX/frame_00001.jpg`` and a model in ``sparse_/``.
@@ -82,7 +82,7 @@ def load_frame_folders(path: Path, units: GivenUnits) -> Capture:
     """Open a capture; cameras are called as their images in the model, without suffix, in the order of names.
 
     Reading:
-        The model of the first instant counts: the cameras stand still, and 3DGStream copies it to the others.
+        The model of the first instant counts: the cameras do not move, and 3DGStream copies it to the others.
     """
     instants = numbered_folders(path, INSTANT)
     folder = find_model(next(iter(instants.values()))) or find_model(path) or path

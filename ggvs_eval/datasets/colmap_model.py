@@ -21,7 +21,7 @@ from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
 
 READER_TIMEOUT_S = 600
-# COLMAP's camera models: how many focal lengths, and where its further parameters stand among OpenCV's coefficients.
+# COLMAP's camera models: how many focal lengths, and the positions of its further parameters among OpenCV's coefficients.
 OPENCV_MODELS: dict[str, tuple[int, int, tuple[int, ...]]] = {
     "SIMPLE_PINHOLE": (1, 4, ()),
     "PINHOLE": (2, 4, ()),

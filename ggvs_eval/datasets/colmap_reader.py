@@ -1,4 +1,4 @@
-"""Reads a COLMAP model in a process of its own and prints it as JSON: pycolmap, once loaded, breaks the writing of PNG files.
+"""Read a COLMAP model in a separate process and print it as JSON: pycolmap, once loaded, breaks the writing of PNG files.
 
 Command: ``python -P ggvs_eval/datasets/colmap_reader.py MODEL_DIR``; it imports nothing of the package.
 """
@@ -32,7 +32,7 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
 
     Returns:
         Per image its ``name``, the camera's ``model``, ``width``, ``height`` and ``params``, ``world_to_camera`` (3 x 4) and
-        ``depth_percentiles`` (1, 50, 99) of the points seen, world units; an empty list where it sees too few to tell.
+        ``depth_percentiles`` (1, 50, 99) of the points seen, world units; an empty list where it sees too few.
 
     Raises:
         ValueError: a file is absent, ends early or contradicts another.
@@ -53,7 +53,7 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
         for file, find_end in zip(files[1:], (_images_end, _points_end), strict=False):
             _check_length(file, find_end)
     names = {} if suffix == ".bin" else _read_text_names(*files)
-    # These three say all; rigs and frames, which newer versions write beside them, would only be more that can be damaged.
+    # These three suffice; rigs and frames, which newer versions add, would only be more files that can be damaged.
     with tempfile.TemporaryDirectory() as alone:
         for file in files:
             _put(file, Path(alone) / file.name)

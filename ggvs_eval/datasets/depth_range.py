@@ -25,7 +25,7 @@ DEPTH_RANGE_FILE = "depth_range.toml"
 RANGE_MEND = (
     f"{DEPTH_RANGE_FILE} with near and far in the capture's folder says it, 'ggvs-eval calibrate --known-poses' measures it"
 )
-# The scene is assumed to lie between these multiples of the distance to the point that the rig looks at.
+# The scene is assumed to be between these multiples of the distance to the point that the rig looks at.
 NEAR_FACTOR, FAR_FACTOR = 0.25, 4.0
 # A rig that looks at no common point sees the scene from these many times the spacing of its cameras on.
 NEAR_SPACINGS, FAR_SPACINGS = 5.0, 500.0
@@ -35,7 +35,7 @@ LARGEST_CLOUD = 256 << 20  # bytes
 # Cameras around a scene are at most twice as far apart as the middle is far, and that if they are two that face each other.
 LEAST_DEPTH_SPACINGS = 0.4
 LARGEST_MISS = 0.5
-# A little nearer and farther than all but the outermost hundredth of what was measured.
+# A little nearer and farther than all except the outermost hundredth of what was measured.
 NEAR_MARGIN, FAR_MARGIN = 0.8, 1.2
 # Of more cameras, the neighbourhoods of some, all over the rig, are matched.
 MOST_CAMERAS, NEIGHBOURHOODS, NEIGHBOURS = 48, 12, 3
@@ -189,10 +189,10 @@ def read_points(path: Path) -> Array:
 
     try:
         check_plain(path, LARGEST_CLOUD)
-        # Without materials: a texture that the file names may lie anywhere.
+        # Without materials: a texture that the file names can be anywhere.
         cloud = trimesh.load(path, process=False, skip_materials=True)
         points = np.asarray(getattr(cloud, "vertices", ()), dtype=np.float64)
-    except Exception as error:  # the reader raises whatever a damaged file makes it stumble over
+    except Exception as error:  # the reader raises any exception on a damaged file
         raise CaptureError(
             f"{path}: wanted a PLY point cloud, got: {' '.join(str(error).split())[:120] or type(error).__name__}; restore it"
         ) from error

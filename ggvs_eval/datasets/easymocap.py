@@ -33,7 +33,7 @@ HULLS, BACKGROUND_POINTS = "vhull", "background.ply"
 OUTDOOR_FPS = 60.0
 # People move beyond the hulls of the frames that are there, and surfaces end beyond their points.
 MARGIN = 0.1
-# OpenCV calibrates with pixel centres at whole numbers, ours lie at halves.
+# OpenCV calibrates with pixel centres at whole numbers, those of this package are at halves.
 PIXEL_CENTRE = 0.5
 
 

@@ -53,7 +53,7 @@ class FileStorageYaml:
         return [_unquoted(item) for item in items]
 
     def has(self, key: str) -> bool:
-        """Tell whether there is such an entry."""
+        """Return whether there is such an entry."""
         return key in self._entries
 
     def text(self, key: str) -> str:
@@ -70,7 +70,7 @@ class FileStorageYaml:
         return value
 
     def matrix(self, key: str, shape: tuple[int, int] | None) -> Array:
-        """A matrix of finite numbers of this shape, or lying; of any shape where None."""
+        """Return a matrix of finite numbers of this shape or its transpose; of any shape if None."""
         if not self.has(key):
             raise self._refused(f"an entry {key}", "none")
         fields = self._fields(key)
@@ -100,7 +100,7 @@ class FileStorageYaml:
         return fields
 
     def _split(self, lines: list[str]) -> None:
-        """Cut the file at the lines that begin a key; what is indented, or goes on with a list, belongs to the key before."""
+        """Cut the file at the lines that begin a key; what is indented, or continues with a list, belongs to the key before."""
         bodies: dict[str, list[str]] = {}
         body: list[str] | None = None
         for line in lines:

@@ -33,7 +33,7 @@ class ImageFrames:
 
     Attributes:
         path: folder of images, or one image.
-        as_stored: whether the pixels are taken as they lie in the files; else they are turned as their EXIF tags say.
+        as_stored: use the pixels as stored; else turn them by their EXIF tags.
     """
 
     path: Path
@@ -176,7 +176,7 @@ def as_calibrated(frames: Source, width: int, height: int) -> Source:
 
 
 def has_shape(size: tuple[int, int], calibrated: tuple[float, float]) -> bool:
-    """Tell whether frames are those that a calibration was made for, up to one scale: the heights agree within a pixel."""
+    """Return whether frames are those that a calibration was made for, up to one scale: the heights agree within a pixel."""
     return abs(calibrated[1] * size[0] / calibrated[0] - size[1]) <= 1
 
 
@@ -188,7 +188,7 @@ def _read_header(file: Path) -> PictureHeader:
         return read_picture_header(file)
     except NotPlainError as error:
         raise CaptureError(f"{file}: wanted an image, got {error}; restore this frame") from error
-    except Exception as error:  # the parsers raise whatever a damaged header makes them stumble over
+    except Exception as error:  # the parsers raise any exception on a damaged header
         is_large = isinstance(error, DecompressionBombError)
         reason = "whose header claims more pixels than any camera has" if is_large else "that do not open"
         content = f"{file.stat().st_size} bytes {reason}" if file.is_file() else "no such file"

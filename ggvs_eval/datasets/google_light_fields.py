@@ -68,7 +68,7 @@ class CameraModel:
 
 
 def load_models(file: Path) -> Any:
-    """Read the file as it stands."""
+    """Read the file without changes."""
     try:
         return json.loads(read_plain_text(file))
     except (OSError, ValueError, RecursionError) as error:
@@ -181,7 +181,7 @@ def _read_spaces_view(path: Path, position: int, camera: int, model: Any) -> _Sp
 
 
 def _read_path(path: Path, model: dict[str, Any], usual: str, where: str) -> Path:
-    """The image of a camera, which must lie within the scene."""
+    """Return the image of a camera, which must be inside the scene's folder."""
     relative = model.get("relative_path", usual)
     parts = PurePosixPath(relative).parts if isinstance(relative, str) else ()
     if (

@@ -163,7 +163,7 @@ def _problem(stored: Any, part: str, path: Path) -> str | None:
     """Return the reason to refuse a dataset, by its header and index alone, or None if there is none."""
     shape, chunks = stored.shape, stored.chunks
     if stored.is_virtual or stored.external:
-        return "data that lie in another file"
+        return "data that are stored in another file"
     if stored.dtype != np.uint8 or shape is None or len(shape) != 4 + STORED[part].timed or shape[-1] != STORED[part].channels:
         return f"{stored.dtype} {shape}"
     if min(shape) < 1 or math.prod(shape[-3:]) > LARGEST_BLOCK_BYTES or math.prod(chunks or (1,)) > LARGEST_BLOCK_BYTES:

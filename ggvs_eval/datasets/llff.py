@@ -1,4 +1,4 @@
-"""LLFF pose files (``poses_bounds.npy``), N x 17 numbers in axes of their own, and captures that are calibrated by one.
+"""LLFF pose files (``poses_bounds.npy``), N x 17 numbers in LLFF's axes, and captures that are calibrated by one.
 
 DyNeRF / Neural 3D Video: ``camXX.mp4``, and the frame folders other code makes of them. MeetRoom (StreamRF, Li et al., NeurIPS
 2022): ``cam_<N>.mp4``, or a folder per instant.

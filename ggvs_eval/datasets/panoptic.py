@@ -19,7 +19,7 @@ from ggvs_eval.files.plain import read_plain_text
 
 IMAGES = "ims"
 METAS = ("train_meta.json", "test_meta.json")
-STILL = 1e-6  # that a pose or a focal length may change, of its size, for a camera that stands still
+STILL = 1e-6  # that a pose or a focal length may change, of its size, for a camera that does not move
 DAMAGE = (OSError, ValueError, TypeError, KeyError, IndexError, RecursionError, AttributeError)
 
 

@@ -106,7 +106,7 @@ def locate(path: Path) -> Path:
 def get_capture(name: str) -> Path:
     """Fetch a capture, unpack it and return its folder; nothing is done where it is there already.
 
-    The archive is removed once it is unpacked; size and SHA-256 of the first download stay beside it, and an archive that is
+    The archive is removed once it is unpacked; its size and SHA-256 stay next to it, and an archive that is
     fetched again must be the same.
 
     Args:

@@ -38,13 +38,13 @@ class DepthFrames:
         width: of the camera's frames, pixels.
         height: of the camera's frames, pixels.
         K: intrinsics of the camera's frames, (3, 3); None where both show the same field of view.
-        K_depth: intrinsics of the depth maps as they lie on disk, (3, 3); None in the same case.
+        K_depth: intrinsics of the depth maps as they are on disk, (3, 3); None in the same case.
         depth_to_colour: rigid transform of points in the depth camera's frame to the colour camera's, (4, 4), world units; None
             where the sensor shares the camera's centre and orientation. Needs both intrinsics.
 
     Reading:
-        Nearest value, never a mean: a mean of two depths lies where nothing is. Where sensor and camera are one, each pixel's
-        ray is followed through both intrinsics; rays that the sensor does not see are unknown. Where the sensor stands beside
+        Nearest value, never a mean: a mean of two depths is where no surface is. Where sensor and camera are one, each pixel's
+        ray is followed through both intrinsics; rays that the sensor does not see are unknown. Where the sensor is next to
         the camera, its pixels are drawn into the camera's grid (`reproject_depth`): the nearest surface is seen, and what is
         hidden from the sensor is unknown.
     """
@@ -98,9 +98,9 @@ class DepthFrames:
         return (depth * self.scale_to_units).astype(np.float32)
 
     def _reprojected(self, steps: NDArray[np.uint16], depth_to_colour: Array) -> NDArray[np.float32]:
-        """Reproject what a sensor beside the camera measured into the camera's image."""
+        """Reproject what a sensor next to the camera measured into the camera's image."""
         if self.K is None or self.K_depth is None:
-            raise CaptureError(f"{self.path}: a sensor beside its camera wants the intrinsics of both; export them again")
+            raise CaptureError(f"{self.path}: wanted the intrinsics of sensor and camera, got one of them; export them again")
         colour = Camera("colour", self.K, np.eye(4), self.width, self.height, *ANY_DEPTH)
         colour_to_depth = np.asarray(np.linalg.inv(depth_to_colour), np.float64)
         sensor = Camera("depth", self.K_depth, colour_to_depth, steps.shape[1], steps.shape[0], *ANY_DEPTH)
@@ -167,7 +167,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
         CaptureError: fewer than two frames with a pose, or a file that is missing or damaged.
 
     Reading:
-        Frames without a finite pose are left out, which the capture's notes say. Pixels are taken as they are stored, whatever an
+        Frames without a finite pose are left out, which the capture's notes say. Pixels are used as stored, regardless of any
         EXIF tag says, since depth maps and poses know of none. Intrinsics in files are taken with pixel centres at halves. All
         cameras have one depth range, 0.8 times the smallest 1st and 1.2 times the largest 99th percentile among 32 evenly spaced
         depth maps: long sequences have thousands.

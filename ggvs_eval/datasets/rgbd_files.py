@@ -21,7 +21,7 @@ HOLOLENS = ("images", "depth", "poses.txt", "K.txt")
 TUM = ("rgb", "depth", "groundtruth.txt")
 SEVEN_SCENES = "frame-*.pose.txt"
 MARKS = (SEVEN_SCENES, "groundtruth.txt", "poses.txt")
-INTRINSICS = "camera-intrinsics.txt"  # beside the frames of 7-Scenes or TUM, where they are another camera's
+INTRINSICS = "camera-intrinsics.txt"  # next to the frames of 7-Scenes or TUM, where they are another camera's
 # What the authors of both data sets give for all their sequences, with the first pixel's centre at (0, 0); TUM's depth is
 # registered to the colour camera with these.
 KINECT_SIZE = (640, 480)
@@ -61,7 +61,7 @@ class RgbdSequence:
 
 
 def is_sequence(path: Path) -> bool:
-    """Tell whether a folder holds a sequence in one of these forms."""
+    """Return whether a folder holds a sequence in one of these forms."""
     return any(_fits(path, names) for names in (SCANNET, HOLOLENS, TUM)) or any(path.glob(SEVEN_SCENES))
 
 
@@ -243,7 +243,7 @@ def _number(word: str) -> float:
 
 
 def _stated_K(path: Path, images: Iterable[Path], stated: Array, data_set: str) -> tuple[Array, Path]:
-    """Intrinsics in the file beside the frames, or those that the data set states, for pictures of its size."""
+    """Return the intrinsics in the file next to the frames, or those that the data set states, for pictures of its size."""
     if (path / INTRINSICS).is_file():
         return _read_K(path / INTRINSICS)
     size = next((read_picture_header(image).size for image in images), KINECT_SIZE)

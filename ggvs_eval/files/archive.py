@@ -50,7 +50,7 @@ class _RefusedError(Exception):
 
 
 def is_archive(path: Path) -> bool:
-    """Tell by a file's name whether it is an archive we unpack."""
+    """Return whether a file's name is that of a supported archive."""
     return path.is_file() and path.name.lower().endswith(SUFFIXES)
 
 
@@ -181,7 +181,7 @@ class _Bounded:
         return self._stream.read(size)
 
     def seek(self, position: int) -> int:
-        """Go to a place, through all that lies before it."""
+        """Seek to a position by reading everything before it."""
         if position > self._last:
             raise _too_much(self._limits)
         return self._stream.seek(position)

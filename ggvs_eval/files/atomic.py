@@ -1,6 +1,6 @@
-"""Write files and folders whole or not at all: under a temporary name beside the target, which is renamed when it is complete.
+"""Write files and folders atomically: under a temporary name next to the target, renamed when complete.
 
-A kill leaves the old file or the new one. What a killed process was filling stays beside the target until `remove_leftovers`
+A kill leaves the old file or the new one. What a killed process was filling stays next to the target until `remove_leftovers`
 or, in a folder of many files, `sweep_files`.
 """
 
@@ -19,7 +19,7 @@ from secrets import token_hex
 
 # .<name>.<host>.<pid>.tmp; of a file what libraries go by may follow.
 TEMPORARY = re.compile(r"\..*\.(?P<host>[^.]+)\.(?P<pid>\d+)\.tmp(\.\w+)?")
-FULL = re.compile(r"\d+ requested and \d+ written|No space left")  # how numpy and HDF5 tell of a full disk, without its number
+FULL = re.compile(r"\d+ requested and \d+ written|No space left")  # messages of numpy and HDF5 on a full disk, without its number
 KEPT_OF_NAME = 40  # signs, so that a temporary name is not too long where the name is not
 SILENT_S = 3600.0  # after that without a new file, what another machine began is taken for given up
 
@@ -77,10 +77,10 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def scratch_folder(beside: Path) -> Iterator[Path]:
-    """Give an empty folder beside a path; it goes when the block ends.
+    """Give an empty folder next to a path; it is removed when the block ends.
 
     Args:
-        beside: what the folder is for; its name tells others so.
+        beside: path that the folder is for; part of its name.
 
     Yields:
         ``.<name>.<host>.<pid>.tmp``: others can see that this process works on it, and sweep it when the process is dead.
@@ -112,7 +112,7 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 
 
 def is_in_hand(temporary: Path) -> bool:
-    """Tell whether the process that fills a scratch folder or a temporary file is still at work on it.
+    """Return whether the process that fills a scratch folder or a temporary file is still at work on it.
 
     Args:
         temporary: ``.<name>.<host>.<pid>.tmp``.
@@ -129,13 +129,13 @@ def is_in_hand(temporary: Path) -> bool:
 
 
 def scratch_folders(beside: Path) -> list[Path]:
-    """List the folders that `scratch_folder` made beside a path and that still exist, in hand or not."""
+    """List the existing folders that `scratch_folder` made next to a path, in use or not."""
     pattern = f".{glob.escape(beside.absolute().name)}.*.*.tmp"
     return [item for item in beside.absolute().parent.glob(pattern) if item.is_dir()]
 
 
 def remove_leftovers(beside: Path) -> None:
-    """Remove what killed processes left beside a path; not what another process is working on."""
+    """Remove what killed processes left next to a path, except what a live process uses."""
     for leftover in scratch_folders(beside):
         if not is_in_hand(leftover):
             shutil.rmtree(leftover, ignore_errors=True)
@@ -173,7 +173,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def is_running(pid: int) -> bool:
-    """Tell whether a process of this machine is running; an unreaped zombie is not."""
+    """Return whether a process of this machine is running; an unreaped zombie is not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:

@@ -97,7 +97,7 @@ def read_coding(path: Path, frames: range) -> Coding:
 
 def _settings(printed: str) -> str:
     values = dict(setting.split("=", 1) for setting in printed.split() if "=" in setting)
-    # Settings stand between colons, so that none may have one inside.
+    # Colons separate settings, so that none can contain one.
     settings = [f"{name}={values[key].replace(':', ',')}" for key, name in SETTINGS.items() if key in values]
     mode, _, strength = values.get("aq", "0").partition(":")
     return ":".join([*settings, f"aq-mode={mode}", *([f"aq-strength={strength}"] if strength else [])])

@@ -51,7 +51,7 @@ def download(url: str, file: Path, record: Path) -> Fetched:
     """Download a file, or take the one that is there, and verify that it has not changed since the first time.
 
     Args:
-        file: where it goes. A stopped download lies in ``FILE.part``, which the next call goes on from while the server still
+        file: target. A stopped download is in ``FILE.part``, which the next call continues from while the server still
             has the same file.
         record: JSON file that keeps size and SHA-256 of the first download, by which later ones are judged.
 

@@ -16,7 +16,7 @@ from ggvs_eval.files.plain import LARGEST_PICTURE, read_plain, why_unread
 
 ResizeFilter = Literal["area", "lanczos", "bicubic", "bilinear"]
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-# EXIF orientation -> what shows the stored pixels upright; the tag names where row 0 and column 0 lie in the scene.
+# EXIF orientation -> what shows the stored pixels upright; the tag names the place of row 0 and column 0 in the scene.
 TURNS: dict[int, Callable[[Image8], Image8]] = {
     2: lambda image: image[:, ::-1],
     3: lambda image: image[::-1, ::-1],
@@ -48,7 +48,7 @@ def read_image(path: Path, as_stored: bool = False) -> Image8:
     """Read an 8-bit RGB image, (H, W, 3), turned as its EXIF tag says.
 
     Args:
-        as_stored: take the pixels as they lie in the file, whatever the tag says.
+        as_stored: return the pixels as stored, regardless of the tag.
     """
     encoded = read_encoded(path)
     image = decode_image(encoded, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -82,7 +82,7 @@ def decode_image(encoded: NDArray[np.uint8], flags: int) -> NDArray[np.generic] 
 
 
 def _is_cut_png(content: bytes) -> bool:
-    """Tell whether a chunk of a PNG file goes on past its end: OpenCV allocates what is claimed, 4 GB for 200 bytes."""
+    """Return whether a chunk of a PNG file continues past its end: OpenCV allocates what is claimed, 4 GB for 200 bytes."""
     at, kind = len(PNG_SIGNATURE), b""
     while content.startswith(PNG_SIGNATURE) and at + 8 <= len(content) and kind != b"IEND":
         kind = content[at + 4 : at + 8]

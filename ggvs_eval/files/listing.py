@@ -16,7 +16,7 @@ LISTED = 3
 
 
 def is_junk(name: str) -> bool:
-    """Tell whether a name is hidden, or that of a file or folder an operating system makes by itself.
+    """Return whether a name is hidden, or that of a file or folder an operating system makes alone.
 
     Examples:
         >>> [is_junk(name) for name in ("._0000.png", "Thumbs.db", "__MACOSX", "cam00")]
@@ -36,7 +36,7 @@ def list_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """The images that lie in a folder, by name."""
+    """List the images in a folder, by name."""
     return list_files(folder, IMAGE_SUFFIXES)
 
 

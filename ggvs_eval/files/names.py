@@ -42,7 +42,7 @@ def numbers_in(stems: Sequence[str]) -> list[Number | None]:
 
 
 def is_stamp(number: Number) -> bool:
-    """Tell whether a number is a time, which was measured, instead of a count."""
+    """Return whether a number is a time, which was measured, instead of a count."""
     return number >= STAMP_FROM or number != int(number)
 
 

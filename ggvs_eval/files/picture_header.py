@@ -33,7 +33,7 @@ class PictureHeader(NamedTuple):
 
     @property
     def stored_size(self) -> tuple[int, int]:
-        """(width, height) in pixels, as they lie in the file."""
+        """(width, height) in pixels, as stored."""
         return (self.height, self.width) if self.orientation in LYING else (self.width, self.height)
 
     @property
@@ -65,7 +65,7 @@ def read_picture_header(path: Path) -> PictureHeader:
 
     Raises:
         OSError: no regular file, or larger than a picture is.
-        Exception: whatever a damaged header makes its parser stumble over.
+        Exception: any, on a damaged header.
     """
     from PIL import Image
 
@@ -107,6 +107,6 @@ def _orientation(exif: bytes) -> int:
 
 
 def _bits(path: Path) -> int:
-    """Bits per sample of a PNG, which Pillow tells of grey ones alone."""
+    """Return the bits per sample of a PNG, which Pillow reports for grey ones only."""
     with path.open("rb") as file:
         return file.read(PNG_DEPTH_AT + 1)[PNG_DEPTH_AT]

@@ -44,7 +44,7 @@ def check_plain(path: Path, most_bytes: int | None = None) -> int:
         raise _refused(path, f"{status.st_size / 1e6:.0f} MB, where {most_bytes / 1e6:.0f} MB are the most that makes sense")
     on_disk = status.st_blocks * BLOCK_BYTES
     if status.st_size > SPARSE_FROM and on_disk < SPARSE_SHARE * status.st_size:
-        raise _refused(path, f"{status.st_size / 1e6:.0f} MB, of which {on_disk / 1e6:.0f} MB lie on the disk: a file of holes")
+        raise _refused(path, f"{status.st_size / 1e6:.0f} MB, of which {on_disk / 1e6:.0f} MB are on the disk: a sparse file")
     return status.st_size
 
 

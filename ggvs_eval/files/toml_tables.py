@@ -1,4 +1,4 @@
-"""TOML tables as frozen dataclasses: every surprise is an error that names file, key and mend."""
+"""TOML tables as frozen dataclasses: every mismatch is an error that names file, key and fix."""
 
 import dataclasses
 import re
@@ -32,7 +32,7 @@ def load_toml(text: str) -> dict[str, Any]:
     """`tomllib.loads` for untrusted texts.
 
     Raises:
-        ValueError: not TOML, or keys of so many parts that the parser, quadratic in them, would take hours.
+        ValueError: not TOML, or keys of more parts than the parser, quadratic in them, can read in seconds.
         RecursionError: nested too deep.
     """
     if LONG_KEY.search(text):
@@ -77,7 +77,7 @@ def build_table(kind: type[Table], values: dict[str, Any], file: str, section: s
 
 
 def key_of(name: str) -> str:
-    """The key of a field in a file: its name, without the underscore that tells it from a word of Python (``as_``)."""
+    """The key of a field in a file: its name, without the underscore that distinguishes it from a Python keyword (``as_``)."""
     return name.removesuffix("_")
 
 

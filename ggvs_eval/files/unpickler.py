@@ -39,7 +39,7 @@ def unpickle_plain(content: bytes) -> Any:
     """Unpickle plain data, and nothing else.
 
     Args:
-        content: of the file. Memory and time grow with its length, whatever it claims: up to some 100 bytes a byte.
+        content: of the file. Memory and time grow with its length, regardless of what it claims: up to about 100 bytes per byte.
 
     Returns:
         Lists (tuples among them), dicts, numbers, texts, bytes and arrays.
@@ -87,7 +87,7 @@ class _Array:
     values: NDArray[np.generic] | None = None
 
     def __init__(self, *_: Any) -> None:
-        """Whatever class and shape it is to be made with: both come again with the content."""
+        """Ignore class and shape: both come again with the content."""
 
     def fill(self, state: Any) -> None:
         """Take shape, type and content."""
@@ -195,7 +195,7 @@ def _numbers(content: Any, kind: Any, shape: Any, order: Literal["C", "F"]) -> N
 
 
 def _finished(value: Any, budget: Iterator[int], depth: int = 0) -> Any:
-    """The value with its arrays in place; lists may share their items, so that few of them can stand for very many."""
+    """The value with its arrays in place; lists may share their items, so that few of them can represent very many."""
     if next(budget, None) is None:
         raise ValueError(f"more than {MOST_VALUES} values")
     if isinstance(value, _Array) and value.values is not None:

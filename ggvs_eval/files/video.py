@@ -236,7 +236,7 @@ class VideoFrames:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             stream.codec_context.options = {"err_detect": "explode"}
-            # By decoding time: the presentation time of `start` may lie past the decoding time of the next key frame.
+            # By decoding time: the presentation time of `start` can be past the decoding time of the next key frame.
             container.seek(first.decoded, stream=stream)
             for packet in container.demux(stream):
                 # Frames shown before an open group's key frame refer to the group before it and cannot be decoded from here.
@@ -269,7 +269,7 @@ class VideoFrames:
 
     @cached_property
     def _header(self) -> tuple[int, tuple[int, int], float]:
-        """Frame count, size and rate; the frame data are not read, but must lie within the file."""
+        """Frame count, size and rate; the frame data are not read, but must be inside the file."""
         n_bytes = self.path.stat().st_size if self.path.is_file() else 0
         with self._open() as container:
             stream = container.streams.video[0]

@@ -19,7 +19,7 @@ def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Ten
     """The tensors of a weights file by name.
 
     Args:
-        keys: where in a checkpoint the state dict lies: ``("net",)`` for ``checkpoint["net"]``. Safetensors of ours hold them
+        keys: path of the state dict in a checkpoint: ``("net",)`` for ``checkpoint["net"]``. Safetensors of this package hold them
             under names that begin with the keys, ``net.``.
 
     Returns:
@@ -77,7 +77,7 @@ def require_shapes(tensors: Mapping[str, Tensor], network: nn.Module, path: Path
 
     Args:
         tensors: what `read_tensors` found.
-        network: what they must fit; may lie on the device ``meta``, which costs no memory.
+        network: network that they must fit; may be on the device ``meta``, which costs no memory.
     """
     own_shapes = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
@@ -114,7 +114,7 @@ def _unreadable(path: Path, of: str, error: OSError) -> WeightsError:
 
 
 def _state_dict(values: Any, keys: tuple[str, ...], path: Path) -> dict[str, Tensor]:
-    """Return the state dict that lies under the keys; refuse anything else."""
+    """Return the state dict under the keys; refuse anything else."""
     for key in keys:
         if not isinstance(values, Mapping) or key not in values:
             content = ", ".join(map(str, values)) if isinstance(values, Mapping) else type(values).__name__

@@ -178,7 +178,7 @@ def turned_harmonics(sh: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
 
 
 def _spread(device: torch.device) -> torch.Tensor:
-    """Unit vectors in directions enough to tell all harmonics apart, (100, 3): a spiral of golden angles."""
+    """Unit vectors, enough to distinguish all harmonics, (100, 3): a spiral of golden angles."""
     number = torch.arange(100, dtype=torch.float64, device=device)
     z = 1 - (2 * number + 1) / len(number)
     angle, radius = number * pi * (3 - sqrt(5)), (1 - z * z).sqrt()

@@ -27,7 +27,7 @@ PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 CHUNK = tuple(
     f"{end}_{axis}" for kind in ("", "scale_") for end in ("min", "max") for axis in (f"{kind}x", f"{kind}y", f"{kind}z")
 )
-SH_RANGE = 8.0  # coefficients lie within half of it on both sides of zero
+SH_RANGE = 8.0  # coefficients are within half of it on both sides of zero
 LEAST_OPACITY = 1e-6  # the logit of 0 and 1 is infinite
 
 
@@ -172,7 +172,7 @@ def write_ply(path: Path, cloud: GaussianCloud) -> None:
 
 
 class _Element(NamedTuple):
-    """One kind of rows of a file: its name, how many, and how a row lies in the file."""
+    """One kind of rows of a file: its name, how many, and the layout of a row in the file."""
 
     name: str
     n_rows: int
@@ -215,7 +215,7 @@ def _read_element(lines: list[list[str]], order: str, path: Path) -> _Element:
         fields.append((words[2], order + NUMBERS[words[1]]))
     names = [name for name, _ in fields]
     if len(set(names)) < len(names):
-        raise RenderError(f"{path}: a property stands twice in its header; {MEND}")
+        raise RenderError(f"{path}: wanted each property once in the header, got one twice; {MEND}")
     return _Element(head[1], int(head[2]), np.dtype(fields))
 
 
@@ -224,7 +224,7 @@ def _header_lines(file: IO[bytes], path: Path) -> list[list[str]]:
     lines: list[list[str]] = []
     for line in iter(lambda: file.readline(LONGEST_HEADER), b""):
         if not lines and line.strip() != b"ply":
-            raise RenderError(f"{path}: wanted a .ply file, its first line is none of such a file; {MEND}")
+            raise RenderError(f"{path}: wanted a .ply file, got another first line; {MEND}")
         if file.tell() > LONGEST_HEADER:
             break
         words = line.decode("latin-1").split()

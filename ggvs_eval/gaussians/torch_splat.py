@@ -2,7 +2,7 @@
 
 It is readable, the reference of the compiled kernel, and the path on a GPU.
 
-Autograd differentiates it. Any float, so that its gradients can be held against finite differences in double precision.
+Autograd differentiates it. Any float, so that its gradients can be compared with finite differences in double precision.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ LEAST_ALPHA = 1 / 255  # what covers less of a pixel does not touch it
 SLOPE_MARGIN = 0.3  # of half the image's extent: by how far outside the slopes of the Jacobian are held
 TILE = 16  # pixels, across and down
 MOST_ALPHA = 0.99
-LEAST_TRANSMITTANCE = 1e-4  # a pixel stops before the Gaussian that would bring it below
+LEAST_TRANSMITTANCE = 1e-4  # a pixel stops before the Gaussian that would reduce it below this
 MOST_AT_ONCE = 8_000_000  # pairs of pixel and Gaussian, which bounds the memory
 
 
@@ -66,7 +66,7 @@ def project(cloud: GaussianCloud, camera: Camera, near: float) -> Ellipses:
     )
     x, y, z = (cloud.means @ rotation.T + shift).unbind(-1)
     in_front = z > near
-    z = torch.where(in_front, z, 1)  # what is left out may lie at 0
+    z = torch.where(in_front, z, 1)  # what is left out can be at 0
     fx, fy, cx, cy = (float(camera.K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     centres = torch.stack([fx * x / z + (cx - 0.5), fy * y / z + (cy - 0.5)], -1)  # pixel centres at integers
 
@@ -129,7 +129,7 @@ def splat(
         screen_offsets: added to the centres in the image, pixels, (N, 2); or None.
 
     Returns:
-        Sums of colour (H, W, 3) weighted by what each Gaussian covers, transmittance (H, W) to what lies behind all, sums of
+        Sums of colour (H, W, 3) weighted by what each Gaussian covers, transmittance (H, W) to what is behind all, sums of
         depth (H, W), weighted in the same way, and radii in pixels, (N,) int32.
 
     Reading:

@@ -37,7 +37,7 @@ def align_similarity(source: Array, target: Array) -> Similarity:
     singular values (eq. 42), translation from the means (eq. 41).
 
     Args:
-        source: (N, 3), at least 3 points that do not lie on a line.
+        source: (N, 3), at least 3 points not all on one line.
         target: (N, 3), the point that each should meet.
 
     Raises:

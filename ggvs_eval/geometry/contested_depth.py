@@ -14,7 +14,7 @@ from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import SourceView
 
 LEAST_ALPHA = 0.3  # coverage from which a splat has a say
-LEAST_SHARE = 0.5  # of the weights of the views that have one: with so many on its side a fused depth is not contested
+LEAST_SHARE = 0.5  # of the weights of the views that have one: with this share a fused depth is not contested
 RATIO = 0.05  # of the variance of the colours: by so much better must a depth be than the fused one
 
 
@@ -35,7 +35,7 @@ def settle_depth(
         sources: the source views, brought to one colour.
         splats: the same views splatted into the target view.
         tolerance: depths that differ by less are the same surface, world units.
-        ratio: of the variance of the views' colours at the fused depth, below which the one at another depth must lie.
+        ratio: of the variance of the views' colours at the fused depth, below which the one at another depth must be.
         least_share: of the views' weights, with which the fused depth is not contested.
 
     Returns:
@@ -47,8 +47,8 @@ def settle_depth(
 
     Reading:
         Not in the paper, whose fusion votes by depth alone. A surface whose depth each view has in another place is voted away,
-        and what stands behind it is looked up instead. The opposite case, depth that has grown over an edge in every view, is
-        rightly voted away; colours tell them apart: of the depths that splats propose, the one is taken at which all views agree
+        and what is behind it is looked up instead. The opposite case, depth that has grown over an edge in every view, is
+        rightly voted away; colours distinguishes them: of the depths that splats propose, the one is taken at which all views agree
         best (a plane sweep over at most K planes), and the fused one stays unless that is far better.
     """
     from ggvs_eval.kernels import _core
@@ -74,5 +74,5 @@ def settle_depth(
 
 
 def comparable(cameras: Sequence[Camera]) -> bool:
-    """Tell whether colours can be interpolated in the images of all cameras: they have two pixels along each side."""
+    """Return whether colours can be interpolated in the images of all cameras: they have two pixels along each side."""
     return all(min(camera.size) > 1 for camera in cameras)

@@ -1,4 +1,4 @@
-"""Epipolar geometry of two cameras: features that their images share, how well these agree with it, and where they lie."""
+"""Epipolar geometry of two cameras: features that their images share, how well these agree with it, and their depths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ RATIO = 0.8
 CONTRAST = 0.02
 # Smoothing before a colour is read, so that a shift of a pixel does not change it.
 COLOUR_SIGMA = 2.0
-# Matches of one rigid scene agree with some epipolar geometry, whatever the calibration; fewer could agree by chance (it has
+# Matches of one rigid scene agree with some epipolar geometry, regardless of the calibration; fewer could agree by chance (it has
 # seven degrees of freedom and is chosen among thousands).
 FEWEST_MATCHES = 25
 SMALLEST_SHARE = 0.35
 # Localisation of SIFT, pixels of the image it was found in.
 CONSISTENT_PX = 1.5
-# Median error of a pair. Sound calibrations lie at 0.2 - 0.5 pixels where features are found at full size (320 x 240), and at
+# Median error of a pair. Sound calibrations have 0.2 - 0.5 pixels where features are found at full size (320 x 240), and at
 # 0.4 - 1.1 pixels of 2690, where they are found at a smaller one; a focal length 5 % off gives 1.3 - 4.4 pixels of 320.
 WARN_PX, BAD_PX = 0.8, 1.5
 WARN_SHARE, BAD_SHARE = 0.0005, 0.001  # of the longer side, where that is more
@@ -51,7 +51,7 @@ class Features:
 
 
 def find_features(image: Image8) -> Features:
-    """SIFT features of an RGB image, (H, W, 3); their descriptors are square-rooted, which makes distances more telling."""
+    """SIFT features of an RGB image, (H, W, 3); their descriptors are square-rooted, which makes distances more discriminative."""
     scale = min(1.0, LONGEST_SIDE_PX / max(image.shape[:2]))
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else image
     sift = cv2.SIFT_create(nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST)  # type: ignore[attr-defined, unused-ignore]
@@ -85,7 +85,7 @@ def _root(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, eq=False)
 class MatchedPair:
-    """Points that two cameras both see, free of mismatches as far as their own geometry tells.
+    """Points that two cameras both see, without the mismatches that their own geometry reveals.
 
     Attributes:
         first: index of a camera.
@@ -196,7 +196,7 @@ def tolerances(camera: Camera) -> tuple[float, float]:
 
 
 def sound_matches(one: Camera, other: Camera, pair: MatchedPair) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Mask of matches with a depth under a calibration: near their epipolar lines, in front of both cameras, at a telling angle.
+    """Mask of matches with a depth under a calibration: near their epipolar lines, in front of both cameras, at a sufficient angle.
 
     Returns:
         (M,), and the depth of all matches in the first camera and in the other, world units, (M,) each.
@@ -209,7 +209,7 @@ def sound_matches(one: Camera, other: Camera, pair: MatchedPair) -> tuple[NDArra
 def neighbour_pairs(cameras: Sequence[Camera], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
     """Pair every camera with its `count` nearest, each pair once, smaller index first.
 
-    Near means near in place and in viewing direction: cameras back to back stand close and share nothing.
+    Near means near in place and in viewing direction: cameras back to back are close and share nothing.
     """
     pairs = set()
     for index, camera in enumerate(cameras):

@@ -29,7 +29,7 @@ def view_weights(target: Camera, cameras: Sequence[Camera], shares: Sequence[flo
         >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
         >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
         >>> rig = translated_path(camera, span=1.0, count=3)
-        >>> view_weights(rig[0], rig[1:]).round(2)  # the second stands twice as far away
+        >>> view_weights(rig[0], rig[1:]).round(2)  # the second is twice as far away
         array([1.  , 0.36], dtype=float32)
 
     Reading:
@@ -112,7 +112,7 @@ def largest_feature(features: Sequence[Map], alphas: Sequence[Map], *, channel: 
 
 
 def evenly_spaced(image: Map) -> Map:
-    """The image itself if its pixels lie evenly, as the first channels of a larger image do; else a copy."""
+    """Return the image itself if its pixels are evenly spaced, as the first channels of a larger image do; else a copy."""
     image = np.asarray(image, np.float32)
     if (
         image.ndim == 3

@@ -77,5 +77,5 @@ def _mend(image: NDArray, shape: tuple[int, int, int]) -> str:
     if image.shape != shape:
         return "resize all images of the rig, or build it of `camera.resized`"
     if np.issubdtype(image.dtype, np.floating):
-        return "bring colours to 0..255 and round them, of [0, 1] by np.rint(255 * image).astype(np.uint8)"
-    return "bring colours to 0..255, of 16 bits by (image // 257).astype(np.uint8)"
+        return "scale colours to 0..255 and round them, from [0, 1] by np.rint(255 * image).astype(np.uint8)"
+    return "scale colours to 0..255, from 16 bits by (image // 257).astype(np.uint8)"

@@ -1,4 +1,4 @@
-"""Rectify a calibrated pair so that matching points lie on one row, and bring disparity back as depth.
+"""Rectify a calibrated pair so that matching points are on one row, and convert disparity to depth.
 
 One rule serves horizontal, vertical and oblique pairs in either order: the canvas's x axis points from the reference camera to
 its partner, so that the reference always plays the left image. A partner on the left turns the canvas upside down, one above or
@@ -29,11 +29,11 @@ class RectifiedPair:
     """Everything about a pair that does not depend on its images.
 
     Attributes:
-        left_map: where each canvas pixel lies in the reference image, (Hc, Wc, 2), array indices (pixel centres at integers).
+        left_map: position of each canvas pixel in the reference image, (Hc, Wc, 2), array indices (pixel centres at integers).
         right_map: the same for the partner, (Hc, Wc, 2).
         left_inside: canvas pixels that the reference sees, (Hc, Wc).
         right_inside: canvas pixels that the partner sees, (Hc, Wc).
-        canvas_map: where each pixel of the reference lies on the canvas, (H, W, 2), array indices.
+        canvas_map: position of each pixel of the reference on the canvas, (H, W, 2), array indices.
         depth_scale: depth of a reference pixel = depth_scale / disparity, (H, W), world units x pixels.
         rotation: reference camera to rectified camera, (3, 3).
         projection: intrinsics of the rectified cameras, (3, 3).
@@ -84,7 +84,7 @@ def rectify(reference: Camera, partner: Camera) -> RectifiedPair:
         DepthError: the cameras share a centre, look apart so far that no plane holds both images, or see nothing together.
 
     Reading:
-        The nearest surfaces may move by more than the images overlap: what lies farther away is matched all the same. With
+        The nearest surfaces may move by more than the images overlap: what is farther away is matched anyway. With
         cameras 26 degrees apart and people 1 m in front of them 12 of 58 pairs are such; they are worth 0.5 dB (docs/depth.md).
     """
     world_to_rectified, baseline = _rectifying_rotation(reference, partner)
@@ -139,7 +139,7 @@ def nearest_disparity(reference: Camera, partner: Camera) -> float:
 
 
 def can_rectify(reference: Camera, partner: Camera, nearest: float = np.inf) -> bool:
-    """Tell whether `rectify` takes a pair, and its `nearest_disparity` is below `nearest`."""
+    """Return whether `rectify` takes a pair, and its `nearest_disparity` is below `nearest`."""
     try:
         return nearest_disparity(reference, partner) < nearest
     except DepthError:
@@ -155,7 +155,7 @@ def exchange_roles(pair: RectifiedPair, reference: Camera, partner: Camera) -> R
         partner: the one that plays it here.
 
     Returns:
-        The pair with the roles exchanged; what one image shows in (column, row) of the canvas lies in (width - 1 - column,
+        Return the pair with the roles exchanged; what one image shows at (column, row) of the canvas is at (width - 1 - column,
         height - 1 - row) of this one.
     """
     half_turn = np.diag([-1.0, -1.0, 1.0])
@@ -179,7 +179,7 @@ def exchange_roles(pair: RectifiedPair, reference: Camera, partner: Camera) -> R
 
 
 def depth_from_disparity(pair: RectifiedPair, disparity: Map, confidence: Map) -> tuple[Map, Map, Map]:
-    """Bring a disparity map on the canvas back to the pixels of the reference.
+    """Map a disparity map on the canvas to the pixels of the reference.
 
     Disparity is interpolated where its neighbourhood is one surface and taken from the nearest canvas pixel elsewhere, so that no
     depth appears between two surfaces.
@@ -207,7 +207,7 @@ def at_matches(right: Values, disparity: Map) -> Values:
         disparity: of the left image, (H, W), pixels.
 
     Returns:
-        Values, (H, W), 0 where the match lies outside.
+        Values, (H, W), 0 where the match is outside.
     """
     columns = np.rint(np.arange(disparity.shape[1], dtype=np.float32) - disparity)
     rows = np.broadcast_to(np.arange(len(disparity), dtype=np.float32)[:, None], disparity.shape)
@@ -260,7 +260,7 @@ def _canvas(
     low, high = _bounds(rays, focal_px)
     low_partner, high_partner = _bounds(rays_partner, focal_px)
     d_min = int(np.floor(depth_scale.min() / reference.far))
-    d_max = int(np.ceil(min(depth_scale.max() / reference.near, high[0] - low_partner[0])))  # no match lies farther away
+    d_max = int(np.ceil(min(depth_scale.max() / reference.near, high[0] - low_partner[0])))  # no match is farther away
     left, right = max(low[0], low_partner[0] + d_min), min(high[0], high_partner[0] + d_max)
     top, bottom = max(low[1], low_partner[1]), min(high[1], high_partner[1])
     origin = np.floor([left - 0.5 - d_max, top - 0.5])
@@ -277,7 +277,7 @@ def _bounds(rays: Array, focal_px: float) -> tuple[Array, Array]:
 
 
 def _canvas_to_image(camera: Camera, rotation: Array, projection: Array, size: tuple[int, int]) -> tuple[Map, Mask]:
-    """Map canvas pixels into the image (array indices), and mark those that lie inside it."""
+    """Map canvas pixels into the image (array indices), and mark those inside it."""
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV has pixel centres at integers
     u, v = cv2.initUndistortRectifyMap(camera.K - half, None, rotation, projection - half, size, cv2.CV_32FC1)
     inside = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
@@ -289,5 +289,5 @@ def _warp(image: Image8, positions: Map) -> Image8:
 
 
 def _sample(values: Map, positions: Map, interpolation: int) -> Map:
-    """Values at positions of the canvas; 0 beside it."""
+    """Return values at positions of the canvas; 0 outside it."""
     return cv2.remap(values, positions, None, interpolation, borderValue=0)

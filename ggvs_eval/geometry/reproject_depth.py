@@ -9,7 +9,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.pinhole import as_image, rigid_between
 from ggvs_eval.kernels.portable import transformed
 
-# Neighbours whose depths differ by more than this share lie on two surfaces, unless the surface is as steep as this.
+# Neighbours whose depths differ by more than this share are on two surfaces, unless the surface is as steep as this.
 STEP, STEEPEST_SLOPE = 0.02, 6.0
 # A pixel is drawn over this many pixels of the other camera along a side at most: a denser sensor is sold everywhere.
 LARGEST_FOOTPRINT_PX = 24
@@ -38,9 +38,9 @@ def reproject_depth(source: Camera, depth: NDArray[np.floating], target: Camera)
         ((3, 4), 2.0)
 
     Reading:
-        A pixel of the sensor stands for the piece of plane that it covers: its inverse depth goes on as that of its neighbours
+        A pixel of the sensor represents the piece of plane that it covers: its inverse depth continues as that of its neighbours
         on the same surface does, so that planes stay planes and no gaps open where the target has more pixels. The target's
-        pixel takes a piece when its centre lies in the rectangle around the four projected corners; of several the nearest.
+        pixel takes a piece when its centre is in the rectangle around the four projected corners; of several the nearest.
     """
     inverse, rows, columns, slopes = _pieces(source, depth)
     rays = np.stack([(columns + 0.5 - source.K[0, 2]) / source.K[0, 0], (rows + 0.5 - source.K[1, 2]) / source.K[1, 1]])  # (2, N)

@@ -20,12 +20,12 @@ from ggvs_eval.errors import CameraError
 
 NEED = 3  # cameras of a triangle
 PRIOR = 0.01  # how much the middle of what the cameras see counts against their axes, which parallel cameras have alone
-OPPOSITE = np.cos(np.deg2rad(150.0))  # cameras that look at the target's back lie beyond every triangle around it
-FLAT = 0.02  # height of the rig over its length, below which its cameras stand in a row
+OPPOSITE = np.cos(np.deg2rad(150.0))  # cameras that look at the target's back are beyond every triangle around it
+FLAT = 0.02  # height of the rig over its length, below which its cameras form a row
 
 
 def find_triplet(target: Camera, cameras: Sequence[Camera]) -> dict[int, float]:
-    """The cameras of the triangle that a view lies in, and its barycentric coordinates there.
+    """The cameras of the triangle that contains a view, and its barycentric coordinates there.
 
     Directions from a point that the rig looks at are triangulated on the sphere, so that cameras on a plane, an arc or a dome
     all have neighbours. A view outside of them all belongs to the nearest edge.
@@ -51,10 +51,10 @@ def find_triplet(target: Camera, cameras: Sequence[Camera]) -> dict[int, float]:
     places, kept = _project(directions, _unit(target.centre - pivot))
     if len(kept) < NEED or _is_a_row(places):
         raise CameraError(
-            f"camera {target.name}: wanted three cameras around it that form a triangle, the {len(cameras)} others stand in a "
+            f"camera {target.name}: wanted three cameras around it that form a triangle, the {len(cameras)} others form a "
             'row or are too few; set synthesis.sources = "nearest"'
         )
-    from scipy.spatial import Delaunay, QhullError  # protocols name the choice, and whoever reads one does not want scipy
+    from scipy.spatial import Delaunay, QhullError  # protocols name the choice, and anyone who reads one does not want scipy
 
     try:
         triangles = Delaunay(places).simplices
@@ -90,7 +90,7 @@ def _is_a_row(places: Array) -> bool:
 
 
 def _closest(corners: Array) -> Array:
-    """Barycentric coordinates of the point of a triangle, (3, 2), that lies nearest to 0, (3,)."""
+    """Barycentric coordinates of the point of a triangle, (3, 2), nearest to 0, (3,)."""
     inside = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [0.0, 0.0, 1.0]) if _area(corners) > 0 else np.full(3, -1.0)
     if inside.min() >= 0:
         return np.asarray(inside)
@@ -117,7 +117,7 @@ SourceChoice = Literal["nearest", "coverage", "triplet"]
 CHOSEN_AS: dict[SourceChoice, str] = {
     "nearest": "the nearest",
     "coverage": "chosen for what they see of the target",
-    "triplet": "the corners of the triangle of cameras that the target lies in",
+    "triplet": "the corners of the triangle of cameras around the target",
 }  # in words
 
 GRID = (12, 9)  # rays across and down
@@ -130,7 +130,7 @@ POOL_FADE = 0.1  # of what a camera sees
 FULL_TURN_RAD, MOST_TURN_RAD = np.deg2rad(60.0), np.deg2rad(75.0)  # between two axes: a camera counts whole up to the first,
 # and is turned away from the second on
 HALF_ANGLE_RAD = np.deg2rad(7.0)  # between two rays to a point, at which seeing it is worth half
-BORDER = 0.03  # of the image's width, over which what lies at its edge comes into view
+BORDER = 0.03  # of the image's width, over which content at its edge comes into view
 TRUST = 0.95  # how likely the best view of a point shows it; the rest may be hidden from it
 LEAST_GAIN = 1e-3  # of the view, that one more camera is taken to add at least
 MOST_SETS = 1000  # sets of cameras that are compared
@@ -155,9 +155,9 @@ def choose_sources(target: Camera, cameras: Sequence[Camera], k: int, how: Sourc
     Args:
         target: camera to synthesise, of the rig or a virtual one.
         k: number of sources; ``coverage`` gives fewer where fewer cameras look the target's way, ``triplet`` wants three.
-        how: ``nearest``, the cameras whose centres lie nearest, whatever they see; ``coverage``, those that together see most
+        how: ``nearest``, the cameras whose centres are nearest, regardless of what they see; ``coverage``, those that together see most
             of the target's view between its near and its far depth, from directions like its own; or ``triplet``, the corners of
-            the triangle of cameras that the target lies in, see `find_triplet`.
+            the triangle of cameras around the target, see `find_triplet`.
 
     Raises:
         CameraError: no such choice, or fewer than `k` other cameras; for ``coverage``, none that looks the target's way and sees
@@ -307,7 +307,7 @@ def share_of_view(camera: Camera, seen: NDArray[np.bool_], depths: int = DEPTHS)
 
     Args:
         camera: whose view.
-        seen: of points that lie `depths` by `depths` on the same ray, (P,).
+        seen: of points at `depths` on the same ray, (P,).
         depths: number of points on a ray.
     """
     if camera.range_origin != "guessed":
@@ -316,12 +316,12 @@ def share_of_view(camera: Camera, seen: NDArray[np.bool_], depths: int = DEPTHS)
 
 
 def sees(camera: Camera, points: Array) -> NDArray[np.bool_]:
-    """Mask of the points that lie in a camera's image, (P,); nothing occludes."""
+    """Return the mask of the points in a camera's image, (P,); nothing occludes."""
     return _inside(camera, points, 0.0) > 0
 
 
 def _inside(camera: Camera, points: Array, border: float) -> Array:
-    """Measure how far each point lies inside the image, in [0, 1], (P,): 0 outside, 1 from `border` of its width inwards."""
+    """Measure how far each point is inside the image, in [0, 1], (P,): 0 outside, 1 from `border` of its width inwards."""
     uv, depth = camera.project(points)
     margin = np.minimum(uv, np.array(camera.size) - uv).min(axis=-1)  # (P,) pixels
     ramp = np.clip(margin / max(border * camera.width, 1e-9), 0.0, 1.0)

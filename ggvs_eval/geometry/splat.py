@@ -51,7 +51,7 @@ def splat(
         sources: views whose images have the same number of channels; sizes may differ. Levels of an 8-bit image count as shares
             of 255; other features, (H, W, C) float32 with C from 1 to 4, are blended as they are.
         near: Gaussians at or before this depth in the target camera are left out, world units.
-        extras: of each source one more feature beside its 8-bit image, (H, W) float32, e.g. a difference mask; or none.
+        extras: of each source one more feature besides its 8-bit image, (H, W) float32, e.g. a difference mask; or none.
         scale: standard deviation of a Gaussian in source pixels.
         normalised: divide features and depth by alpha where alpha > 1/255, set them to 0 elsewhere; False keeps the plain sums.
 
@@ -75,7 +75,7 @@ def splat(
         The paper says that a Gaussian covers a pixel, not how large it is: 0.5 pixels standard deviation is sharp and still
         closes the gaps of a 1.6-fold magnification. The forward pass is 3D Gaussian splatting's (0.3 px^2 added to the variance,
         alpha at most 0.99 and at least 1/255, stop before transmittance falls below 1e-4), with two differences: a Gaussian ends
-        where its alpha reaches 1/255 and not also at the border of a 16-pixel tile, and the principal point may lie anywhere.
+        where its alpha reaches 1/255 and not also at the border of a 16-pixel tile, and the principal point can be anywhere.
         Results are normalised, since Eqs. 4 and 6 multiply by alpha again. Equal depths keep the order of sources and pixels.
     """
     from ggvs_eval.kernels import _core
@@ -113,7 +113,7 @@ def splat_depth(camera: Camera, depth: Map, target: Camera, *, near: float) -> S
 
 
 def _features(source: SourceView, extra: Map | None) -> tuple[Array32 | Image8, Map | None]:
-    """Features and the extra one as the kernel takes them, without a copy where they lie as it wants them."""
+    """Return the features and the extra one in the kernel's layout, without a copy if they have it already."""
     if source.image.dtype != np.uint8:
         return as_image(source.image, source.camera, "features", RenderError), None
     if source.image.shape[:2] != (source.camera.height, source.camera.width):
@@ -150,7 +150,7 @@ def splat_points(source: SourceView, target: Camera, *, near: float, extra: Map 
     Args:
         source: the view, its image as in `splat`.
         near: points at or before this depth in the target camera are left out, world units.
-        extra: one more feature beside the image, (H, W) float32.
+        extra: one more feature besides the image, (H, W) float32.
 
     Raises:
         RenderError: features that do not fit the camera, or a near that is not positive.
@@ -175,7 +175,7 @@ def splat_points(source: SourceView, target: Camera, *, near: float, extra: Map 
 
 
 def float_features(image: Array32 | Image8, extra: Map | None = None) -> Array32:
-    """An image, levels of 8 bit as shares of 255, and one more feature beside it, (H, W, C); a copy unless it is that already."""
+    """An image, levels of 8 bit as shares of 255, and one more feature, (H, W, C); a copy unless it is that already."""
     shares = image.astype(np.float32) / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32, copy=False)
     return shares if extra is None else np.concatenate([shares, extra[..., None]], axis=-1, dtype=np.float32)
 

@@ -7,7 +7,7 @@ Reading:
     * "Advance by 0.8 s" alone approaches a surface and never crosses it: a step is at least 0.1 tau.
     * A sample no view knows is passed by 0.8 tau and forgotten; a crossing counts only between two known samples. A surface
       entered from behind is not a hit.
-    * The surface is where the straight line through the distances on both sides of the crossing is zero, and its weight lies on
+    * The surface is where the straight line through the distances on both sides of the crossing is zero, and its weight is on
       the line through their weights. Halving the interval in between costs a third of the march and is less exact.
     * D_k[u, v] is bilinear where the four neighbours are valid and differ by less than tau, else the nearest pixel's, so that no
       surface appears between foreground and background; weights are the nearest pixel's.
@@ -117,7 +117,7 @@ def ray_march(
 
     Reading:
         A surface is found between two samples: one within the smallest step of the far depth, or at it, is not. Nor is one beyond
-        `march_end`, however far the far depth lies.
+        `march_end`, regardless of the far depth.
 
     Examples:
         >>> from ggvs_eval.camera import translated_path
@@ -153,13 +153,13 @@ def march_end(target: Camera, tau: float, min_step: float, depths: Iterable[Any]
     Args:
         tau: truncation distance, world units.
         min_step: smallest step, in tau.
-        depths: of the views, arrays or tensors, world units; a warning says so, once, where they lie beyond the end.
+        depths: of the views, arrays or tensors, world units; warns once if they are beyond the end.
 
     Returns:
-        World units; 2 km by the paper's constants, beside which a far depth that is but a loose bound does not matter.
+        World units; 2 km by the paper's constants, compared with which a loose far depth does not matter.
 
     Raises:
-        DepthError: steps that vanish beside the near depth.
+        DepthError: steps that vanish next to the near depth.
 
     Examples:
         >>> camera = Camera("cam00", np.diag([8.0, 8, 1]), np.eye(4), width=8, height=6, near=1.0, far=1e6)
@@ -169,7 +169,7 @@ def march_end(target: Camera, tau: float, min_step: float, depths: Iterable[Any]
     end = min(target.far, 1e6 * tau * min_step)
     if end <= target.near:
         step = f"{min_step:g} tau = {tau * min_step:g}"
-        raise DepthError(f"ray march: steps of {step} vanish beside the near depth {target.near:g}; raise tau")
+        raise DepthError(f"ray march: wanted steps above rounding at the near depth {target.near:g}, got {step}; raise tau")
     if end < target.far and any(float(each.max()) > end for each in depths):
         text = f"known depth beyond {end:g} world units is not found by steps of {tau * min_step:g}; are units_per_metre right?"
         warnings.warn(text, GgvsWarning, stacklevel=2)

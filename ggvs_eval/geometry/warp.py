@@ -135,7 +135,7 @@ def look_up(
     Args:
         target_depth: its depth, (H, W) float32, world units, 0 = unknown.
         sources: the source views, at least one; sizes may differ.
-        weights: how far each view counts beside the others that see the surface, positive.
+        weights: weight of each view among the others that see the surface, positive.
         background: (H, W, 3) float32.
         tolerance: as in `warp`, world units.
 
@@ -211,7 +211,7 @@ def register_views(
 def registration_arguments(
     target: Camera, target_depth: NDArray[np.float32], sources: Sequence[SourceView], splats: Sequence[Splat], tolerance: float
 ) -> tuple[Pinhole, Map, list[tuple[Any, ...]], float]:
-    """Check and pack what `register_views` is given, but for `faint`, for the kernels."""
+    """Check and pack what `register_views` is given, except for `faint`, for the kernels."""
     if not len(sources) == len(splats) > 0:
         raise RenderError(f"registration: wanted a splat per view, got {len(sources)} views and {len(splats)} splats")
     if not 0 < tolerance < np.inf:

@@ -1,12 +1,12 @@
 """Identity of code: a hash of everything that a module imports of this package, so that changed code means changed jobs.
 
-Comments, docstrings, empty lines and the modules of errors and progress do not count: a message that became clearer costs nobody
+Comments, docstrings, empty lines and the modules of errors and progress do not count: a message that became clearer costs no one
 a night of rendering.
 
 The closure is found by reading source files, at their heads and inside functions; nothing is imported. A package counts where
-something is taken from it, not where it only lies on the way to a module: no ``__init__.py`` does more than define names. Of an
+something is taken from it, not where it is only on the way to a module: no ``__init__.py`` does more than define names. Of an
 extension module, the sources that it was built from count, which setup.py hashes into it: equal code has equal hashes on every
-machine, whatever compiled it.
+machine, regardless of the compiler.
 """
 
 import ast
@@ -33,7 +33,7 @@ ROOMS_APART = (
     "metrics",
     "pipelines",
     "reports",
-)  # beside it in a checkout, see setup.cfg
+)  # next to it in a checkout, see setup.cfg
 BUILT_FROM = re.compile(rb"ggvs-eval sources ([0-9a-f]{64})")  # ggvs_eval/kernels/sources.hpp
 
 # Where and when work is done moves no result, nor does what is said meanwhile; nor do threads and instruction set, so that asking
@@ -46,10 +46,10 @@ LAYOUT = frozenset({tokenize.NL, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDM
 
 @dataclass(frozen=True)
 class CodeTree:
-    """The modules of the package, wherever its folders lie; taken not to change while the process runs.
+    """The modules of the package, wherever its folders are; assumed not to change while the process runs.
 
     Attributes:
-        apart: names of rooms that lie elsewhere, with their folders.
+        apart: names of rooms that are elsewhere, with their folders.
     """
 
     folder: Path
@@ -90,7 +90,7 @@ class CodeTree:
         return tuple(sorted(modules))
 
     def digest(self, modules: Collection[str]) -> str:
-        """SHA-256 of the names and the code of some modules, in whatever order."""
+        """SHA-256 of the names and the code of some modules, in any order."""
         lines = [f"{module} {_code_of(self, module).sha256}" for module in sorted(modules)]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
@@ -132,7 +132,7 @@ class _Code:
 
 @cache
 def _code_of(tree: CodeTree, module: str) -> _Code:
-    """Read a module: of a source what runs, whatever ends its lines; of an extension module what it was built from."""
+    """Read a module: of a source what runs, regardless of its line ends; of an extension module what it was built from."""
     file = tree.file(module)
     if file is None:
         raise ModuleNotFoundError(f"{module}: wanted its code for the identity of a job, found none in {tree.folder}")
@@ -168,7 +168,7 @@ def what_runs(source: str) -> str:
 
 
 def _imports(tree: CodeTree, package: str, source: ast.AST) -> Iterator[str]:
-    """Modules of the package that a source of `package` imports anywhere but for the type checker."""
+    """Modules of the package that a source of `package` imports anywhere except for the type checker."""
     for node in ast.iter_child_nodes(source):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             node = ast.Module(node.orelse, [])

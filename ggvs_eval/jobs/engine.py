@@ -86,7 +86,7 @@ Workers = int | Engine  # a number means that many processes of this machine
 
 
 def as_engine(workers: Workers) -> Engine:
-    """The engine of so many processes, or the engine itself."""
+    """The engine of N processes, or the engine itself."""
     return Engine(workers) if isinstance(workers, int) else workers
 
 
@@ -134,22 +134,22 @@ def _run_pool(
         for future in ended:
             yield running.pop(future)[0], future.result()
     except (Exception, GeneratorExit):
-        wait(running)  # kept processes would go on with it beside whatever comes next
+        wait(running)  # kept processes would continue with it during the next task
         raise
     return list(running.values())
 
 
 def _fits(running: int) -> bool:
-    """Tell whether another job fits into memory; the first may always run."""
+    """Return whether another job fits into memory; the first may always run."""
     return running == 0 or has_room(running, [child.pid for child in active_children() if child.pid])
 
 
 def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
-    """Try an item in a process of its own, which no other item can end; its errors are printed when it has ended.
+    """Try an item in a separate process, which no other item can end; its errors are printed when it has ended.
 
     Raises:
-        RenderError: the process died of an exception of its own, as every other one would: before the work began, since what the
-            work raises comes back by itself.
+        RenderError: the process died of an exception that every other process would raise too: before the work began, since what the
+            work raises comes back alone.
     """
     exit_code = None
     for _ in range(TRIES_ALONE):
@@ -171,7 +171,7 @@ def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
                 raise RenderError(f"worker processes cannot start: {reason}; {start_remedy()}")
     if exit_code and exit_code > 0:
         last = "".join(text.strip().splitlines()[-1:]) or "it printed nothing"
-        return LostJob(f"its process ended by itself {TRIES_ALONE + 1} times, at last with status {exit_code} ({last})")
+        return LostJob(f"its process ended, run alone, {TRIES_ALONE + 1} times, at last with status {exit_code} ({last})")
     return LostJob(f"its process was killed {TRIES_ALONE + 1} times, at last alone on the machine; it may need more memory")
 
 

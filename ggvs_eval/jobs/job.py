@@ -1,8 +1,8 @@
 """Jobs: a folder of results that exists whole or not at all, and is made once.
 
 A job's identity is everything its result depends on. Its folder carries a ``job.json`` with that identity, so what exists is not
-run again and what was killed is: results are written under a temporary name beside the folder and renamed when complete. Work
-that takes hours goes on where it was killed: what it has left is kept beside the folder for the same job.
+run again and what was killed is: results are written under a temporary name next to the folder and renamed when complete. Work
+that takes hours continues where it was killed: what it has left is kept next to the folder for the same job.
 """
 
 import glob
@@ -38,9 +38,9 @@ class Job:
     Attributes:
         name: for people, e.g. ``ours-geometric in cam00``.
         identity: everything the result depends on, as JSON values.
-        work: called with a temporary folder to fill; returns what job.json shall say beside the identity. It travels to another
+        work: called with a temporary folder to fill; returns what job.json records besides the identity. It travels to another
             process, so it is a module-level function or a `functools.partial` of one.
-        resumes: the work goes on from what it has left in its folder when it was killed; it must tell by that how far it was.
+        resumes: the work continues from what it has left in its folder when it was killed; from which it must determine its progress.
         renews: the work keeps a part of the result that is there, so that one process at a time does it. Where all that another
             job had made is kept, the record's ``also`` names that job's hash.
     """
@@ -59,11 +59,11 @@ class Job:
 
     @property
     def entry(self) -> Entry:
-        """The job's entry in a ledger."""
+        """The job's entry in a job log."""
         return Entry(self.name, self.folder, self.sha256)
 
     def is_done(self) -> bool:
-        """Tell whether the folder holds the result of exactly this job."""
+        """Return whether the folder holds the result of exactly this job."""
         return self.entry.is_done()
 
     def run(self) -> None:
@@ -140,7 +140,7 @@ def run_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger: Le
         workers: where they run; 1 runs them in this process.
 
     Raises:
-        RenderError: jobs failed for a reason that the user can mend; the message lists each.
+        RenderError: jobs failed for a reason that the user can fix; the message lists each.
         BrokenJobError: jobs met a bug of ours; raised when all others are done.
     """
     attempt = attempt_jobs(jobs, workers, description, ledger)

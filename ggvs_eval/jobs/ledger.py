@@ -1,4 +1,4 @@
-"""The ledger of a run or a sweep, beside its results, and its progress: jobs done, in hand, failed and missing.
+"""Job log of a run or a sweep, stored with its results, and its progress: jobs finished, running, failed and missing.
 
 ::
 
@@ -26,7 +26,7 @@ MEBIBYTE = 1 << 20
 
 @dataclass(frozen=True)
 class Entry:
-    """A job as a ledger knows it.
+    """A job as a job log knows it.
 
     Attributes:
         sha256: of everything the result depends on.
@@ -37,7 +37,7 @@ class Entry:
     sha256: str
 
     def is_done(self) -> bool:
-        """Tell whether the folder holds the result of exactly this job, and each of its files at its size."""
+        """Return whether the folder holds the result of exactly this job, and each of its files at its size."""
         try:
             record = read_json(self.folder / JOB_FILE)
             made = self.sha256 in (record["sha256"], *record.get("also", ()))
@@ -51,7 +51,7 @@ class Failure:
     """Reason why something was not done.
 
     Attributes:
-        traceback: of our own bugs; empty where the user can mend it.
+        traceback: of bugs of the package; empty where the user can fix it.
     """
 
     name: str
@@ -85,7 +85,7 @@ class Ledger:
     """The jobs of one stage of a run or sweep.
 
     Attributes:
-        root: folder of the run or sweep; the folders of jobs lie in it, or beside it where runs share them.
+        root: folder of the run or sweep; the folders of jobs are in it, or next to it where runs share them.
         stage: one of `STAGES`.
     """
 
@@ -188,7 +188,7 @@ def describe_status(root: Path) -> str:
 
 
 def _ledgers(root: Path) -> list[Ledger]:
-    """Read the folder's ledgers, else those of its sweep."""
+    """Read the folder's job logs, else those of its sweep."""
     ledgers = []
     for stage in STAGES:
         near = [Ledger(folder, stage) for folder in (root, *root.resolve().parents[:2])]
@@ -222,7 +222,7 @@ def _left_s(begun_s: float, done: list[Entry], left: int) -> float | None:
 
 
 def _size(folder: Path) -> int:
-    """Bytes of the files below a folder; what is shared by a link counts where it lies."""
+    """Bytes of the files below a folder; linked files count where they are stored."""
     total = 0
     for where, _, files in os.walk(folder):
         for name in files:

@@ -19,7 +19,7 @@ SIZE, PRODUCTS, MATCHES = 768, 60, 10
 
 
 def available_bytes(meminfo: Path = MEMINFO, cgroup: Path = CGROUP) -> float:
-    """Memory that can be taken without swapping; infinite where the system does not tell.
+    """Return the memory available without swapping; infinite where the system does not report it.
 
     Args:
         cgroup: the account of the container (control groups, version 2); its limit may be lower than the machine's.
@@ -34,7 +34,7 @@ def available_bytes(meminfo: Path = MEMINFO, cgroup: Path = CGROUP) -> float:
 
 
 def resident_bytes(pids: Iterable[int]) -> tuple[float, float]:
-    """Sum the resident memory of processes, and find the highest peak of any one; 0 where the system does not tell."""
+    """Sum the resident memory of processes, and find the highest peak of any one; 0 where the system does not report it."""
     now, most = 0.0, 0.0
     for pid in pids:
         status = Path(f"/proc/{pid}/status")
@@ -51,7 +51,7 @@ class PeakMemory:
     earlier jobs have needed.
 
     Attributes:
-        bytes: the peak; None where the system does not tell.
+        bytes: the peak; None where the system does not report it.
     """
 
     def __init__(self, process: Path = SELF) -> None:
@@ -82,7 +82,7 @@ class PeakMemory:
 
 
 def has_room(running: int, pids: Iterable[int]) -> bool:
-    """Tell whether one more job fits beside those that run, if each needs as much as the largest has needed so far.
+    """Return whether one more job fits next to those that run, if each needs as much as the largest has needed so far.
 
     Args:
         running: jobs that are being worked on; what they have not taken yet is kept for them.

@@ -56,7 +56,7 @@ def kept_workers() -> Iterator[None]:
 
 @contextmanager
 def borrowed_pool(workers: int, most: int) -> Iterator[Executor]:
-    """A pool of so many processes: the one that is kept, if any, or one of its own that ends with the block."""
+    """Give a pool of N processes: the one that is kept, if any, or a new one that ends with the block."""
     if _keeper is None:
         with worker_pool(workers) as pool:
             yield pool
@@ -118,8 +118,8 @@ class _WorkerPool(ProcessPoolExecutor):
 def _without_interrupts() -> Iterator[None]:
     """Put Ctrl-C and SIGTERM off until the end; a process that is started meanwhile never gets Ctrl-C.
 
-    The mask alone is not enough: another thread may take the signal, and Python would handle it here all the same, between the
-    start of a process and what it is told, of whose absence it would complain.
+    The mask alone is not enough: another thread may take the signal, and Python would handle it here anyway, between the
+    start of a process and sending its input.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -155,7 +155,7 @@ def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str)
 
 
 def share_cpus(threads: int) -> None:
-    """Give this process its share of the CPUs, before any library starts threads of its own."""
+    """Give this process its share of the CPUs, before any library starts its own threads."""
     for name in ("OMP_NUM_THREADS", "GGVS_EVAL_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ[name] = str(threads)
     import cv2

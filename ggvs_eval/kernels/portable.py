@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 # The cubic of OpenCV's and most others' filters; a sharper one rings.
 CUBIC = -0.75
-# Beyond so many standard deviations a Gaussian is cut off.
+# A Gaussian is cut off beyond N standard deviations.
 GAUSSIAN_REACH = 4
 
 
@@ -158,7 +158,7 @@ def _interpolated(lines: Array32, count: int) -> Array32:
 
 
 def _column(weights: Array, axes: int) -> Array32:
-    """Weights (count, taps) of lines with so many axes, one array for each tap."""
+    """Weights (count, taps) of lines with this many axes, one array for each tap."""
     return weights.T.astype(np.float32).reshape(weights.shape[::-1] + (1,) * (axes - 1))
 
 

@@ -224,7 +224,7 @@ def _has_truth(pair: _Pair) -> bool:
 
 
 def _by_key(folder: Path) -> dict[int | str, Path]:
-    """The pictures below a folder by what tells them apart: in a flat list their numbers, else their relative names; in order."""
+    """The pictures below a folder by what distinguishes them: in a flat list their numbers, else their relative names; in order."""
     found = list_files_below(folder)
     numbers = frame_numbers(folder, [file.stem for file in found])
     if all(file.parent == folder for file in found) and None not in numbers and len(set(numbers)) == len(found):

@@ -12,7 +12,7 @@ from ggvs_eval.renders.view_folders import instead_of_all
 
 @dataclass(frozen=True)
 class Kind:
-    """One way in which renders lie on disk.
+    """One way in which renders are on disk.
 
     Attributes:
         describe: what messages and records call it.

@@ -114,7 +114,7 @@ def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item
 
 
 def _means_nothing(number: int | None, request: FrameRequest) -> bool:
-    """Tell whether the number of a picture that is the only one of its view says nothing."""
+    """Return whether the number of a picture that is the only one of its view says nothing."""
     return number is None or (request.n_frames == 1 and request.first_frame is None)
 
 
@@ -157,7 +157,7 @@ def _first_number(used: Sequence[int], request: FrameRequest) -> int:
 
 
 def _fits(used: Sequence[int], first: int, request: FrameRequest) -> bool:
-    """Tell whether numbers are frames of the protocol alone, or the whole capture, if its first instant bears `first`."""
+    """Return whether numbers are frames of the protocol alone, or the whole capture, if its first instant bears `first`."""
     shifted = _shifted(used, first)
     return shifted.issubset(request.frames) or shifted == set(range(request.n_frames))
 
@@ -199,7 +199,7 @@ def _refuse_unlike(numbers: Mapping[str, Numbers], request: FrameRequest) -> Non
 
 
 def _is_run(used: Sequence[int], count: int) -> bool:
-    """Tell whether these are so many numbers in a row."""
+    """Return whether these are so many numbers in a row."""
     return len(used) == count and used[-1] - used[0] == count - 1
 
 

@@ -193,7 +193,7 @@ def respelled(view: str, names: Mapping[str, str], request: FrameRequest) -> str
     others = {name: shown for name, shown in names.items() if name not in request.cameras}
     for name, shown in others.items():
         if name.casefold() == view.casefold():
-            return f"there is {shown}: upper and lower case are told apart, write {view}"
+            return f"there is {shown}: upper and lower case are distinguished, write {view}"
     number = _only_number(view)
     alike = [shown for name, shown in others.items() if number is not None and _only_number(name) == number]
     return f"there is {alike[0]}: if this is {view}, call it so" if len(alike) == 1 else ""

@@ -68,7 +68,7 @@ class ArrayStack:
         return {}
 
     def frames(self, start: int, stop: int) -> Iterator[NDArray[np.generic]]:
-        """Frames start <= t < stop one by one, RGB (H, W, 3), uint8 or float64 in [0, 1] but for a little overshoot.
+        """Frames start <= t < stop one by one, RGB (H, W, 3), uint8 or float64 in [0, 1] except for a little overshoot.
 
         Raises:
             RenderError: a file that ends early, NaN, or values that are not in [0, 1].

@@ -231,5 +231,5 @@ def total_tail(parts: Sequence[ErrorOfMean], size: float) -> float:
 
 
 def _even(correlations: Array) -> Array:
-    """Weights that make points evenly spaced in artanh stand for an even spread."""
+    """Weights that make points evenly spaced in artanh represent an even spread."""
     return (1.0 - correlations**2) / (1.0 - correlations**2).sum()

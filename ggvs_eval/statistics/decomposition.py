@@ -72,13 +72,13 @@ class TwoWay:
         return {name: square / total if total else 0.0 for name, square in squares.items()}
 
     def variance_over_time(self, ddof: int = 1) -> float:
-        """Mean over the views of the variance over time: the square of SDT but for the spread of SDT over the views."""
+        """Mean over the views of the variance over time: the square of SDT except for the spread of SDT over the views."""
         views, frames = self.rest.shape
         _check_count(frames, ddof, "frames")
         return (self.ss_time + self.ss_rest) / (views * (frames - ddof))
 
     def variance_over_views(self, ddof: int = 1) -> float:
-        """Mean over the frames of the variance over views: the square of SDV but for the spread of SDV over the frames."""
+        """Mean over the frames of the variance over views: the square of SDV except for the spread of SDV over the frames."""
         views, frames = self.rest.shape
         _check_count(views, ddof, "views")
         return (self.ss_view + self.ss_rest) / (frames * (views - ddof))

@@ -80,7 +80,7 @@ class Spread:
         return total_half_width(self.parts, 1.0 - level)
 
     def is_clear(self, level: float = LEVEL) -> bool:
-        """Tell whether the number is other than 0 even in a clip that is too short for its own correlation.
+        """Return whether the number is other than 0 even in a clip that is too short for its own correlation.
 
         Reading:
             A clip that seems to be worth fewer than 8 independent frames may as well be worth 2, and then intervals cover 85 % or
@@ -153,7 +153,7 @@ def _errors_of_scene(scene: PooledScene, scenes: int) -> list[ErrorOfMean]:
     (Cameron, Gelbach & Miller 2011).
 
     Reading:
-        A number that is no mean is to first order the mean of what each frame moves (its influence), and likewise over views.
+        A number that is no mean is to first order the mean of what each frame moves (its influence), and also over views.
         Its interval is of the number that such clips have on average, at this length: SDT of a longer clip is larger.
     """
     by_view, by_time = _samples_views(scene), len(scene.frames) > 1
@@ -169,7 +169,7 @@ def _errors_of_scene(scene: PooledScene, scenes: int) -> list[ErrorOfMean]:
 
 
 def _samples_views(scene: PooledScene) -> bool:
-    """Tell whether its views are a sample that stands for others."""
+    """Return whether its views are a sample that represents others."""
     return len(scene.views) >= FEWEST and not scene.views_given
 
 

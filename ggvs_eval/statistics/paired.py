@@ -30,7 +30,7 @@ class Comparison:
         high: upper bound; None where `low` is.
         p_value: two-sided p value of no difference; None where `low` is.
         note: what is taken as given (``given this scene, these 3 views``), or why there is no interval.
-        short: why the clip is too short to call it, whatever the p value; empty where it is not.
+        short: why the clip is too short to call it, regardless of the p value; empty where it is not.
         is_clear: whether even too short a clip would be long enough to call it.
         corrected: p value after Holm's correction for the comparisons that it was made with.
         outcome: of the first method; ``untested`` before it was decided, see `decide`.
@@ -81,7 +81,7 @@ class Judgement:
 
     @property
     def undecided(self) -> str:
-        """Why no winner can be named though no rival is as good: too short a clip, no test, nobody to compare with."""
+        """Why no winner can be named though no rival is as good: too short a clip, no test, no one to compare with."""
         if not self.rivals:
             return "the others are not ranked" if self.unranked else ""
         short, untested = self.having("too short"), self.having("untested")
@@ -181,7 +181,7 @@ def judge(
     Args:
         results: of all methods; those that are set aside, partial or faulty, are not ranked.
         captured: what the captured images themselves score, of a metric without truth; None where unknown.
-        own: labels of one method and its variants. A method does not compete with its own ablations: the plainest stands for
+        own: labels of one method and its variants. A method does not compete with its own ablations: the plainest represents
             all, unless these alone were measured.
         incomparable: label -> why else its number is not ranked, as it follows the name.
 
@@ -214,7 +214,7 @@ def judge(
 
 
 def _variants(ranked: Sequence[str], own: Collection[str]) -> tuple[str, list[str]]:
-    """The plainest of one method's labels, and the others that it stands for where there are others to compete with."""
+    """The plainest of one method's labels, and the others that it represents where there are others to compete with."""
     mine = [label for label in ranked if label in own]
     plainest = min(mine, key=lambda label: ("+" in label, len(label)), default="")
     return plainest, [] if len(mine) == len(ranked) else [label for label in mine if label != plainest]

@@ -55,7 +55,7 @@ def answer(strengths: Sequence[float], worse: Mapping[str, Sequence[Sequence[flo
         (1.0, 'sees', 1)
 
     Reading:
-        Clips are drawn, with all their seeds, since the seeds of a clip are not independent. What a metric tells apart is larger
+        Clips are drawn, with all their seeds, since the seeds of a clip are not independent. What a metric distinguishes is larger
         than the standard deviation over clips and seeds, of the undegraded or of the degraded ones, whichever is larger.
     """
     of_clips = np.array([np.mean([rank_correlation(strengths, row) for row in rows]) for rows in worse.values()])
@@ -68,7 +68,7 @@ def answer(strengths: Sequence[float], worse: Mapping[str, Sequence[Sequence[flo
 
 
 def rank_correlation(strengths: Sequence[float], worse: Sequence[float]) -> float:
-    """Spearman's rank correlation; 0 where the values are all the same."""
+    """Spearman's rank correlation; 0 if all values are equal."""
     from scipy.stats import spearmanr
 
     if np.ptp(worse) == 0:

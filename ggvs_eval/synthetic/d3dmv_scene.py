@@ -1,6 +1,6 @@
 """The file of Deep 3D Mask Volume's layout, compressed as it is distributed: all frames of all cameras in HDF5, lossless.
 
-The bytes of its LZF chunks depend on their content alone. The encoder in h5py begins with whatever its hash table holds from
+The bytes of its LZF chunks depend on their content alone. The encoder in h5py begins with leftovers in its hash table from
 earlier calls, so that equal images give different, equally valid bytes. This one looks for nothing but repeated bytes, which is
 what cut-outs before a black ground consist of.
 """

@@ -70,7 +70,7 @@ def packed_room(name: str) -> Path:
 
 
 def is_written(folder: Path, description: str, files: Sequence[str]) -> bool:
-    """Tell whether a folder holds this very demo; False where it is absent or empty.
+    """Return whether a folder holds this very demo; False where it is absent or empty.
 
     Args:
         description: the text of its ``demo.json``.

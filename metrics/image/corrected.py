@@ -151,7 +151,7 @@ class ColourMoments:
     """Sums over the pixels of a frame, or of all frames of a view, from which the best colour map follows; no frame is kept.
 
     Reading:
-        Not in the paper. gsplat fits its ``cc_`` map to every image by itself, which also removes flicker. One map per view (all
+        Not in the paper. gsplat fits its ``cc_`` map to every image alone, which also removes flicker. One map per view (all
         frames added to one `ColourMoments`) removes what is constant and leaves flicker visible. The fit is linear least squares
         in sRGB; it also lowers the contrast of what does not agree with the truth, so that noise on a flat frame costs less after
         it: read corrected scores beside the plain ones, never instead of them.

@@ -68,7 +68,7 @@ DSSIM1, DSSIM2 = (
         group=FURTHER,
         decimals=4,
         describe=f"(1 - SSIM) / 2, uniform window of 7 x 7, data range {data_range}.0",
-        reference="scikit-image; D-SSIM 1 and 2 as told apart by Li et al. 2024 (Spacetime Gaussians)",
+        reference="scikit-image; D-SSIM 1 and 2 as distinguished by Li et al. 2024 (Spacetime Gaussians)",
         inside=inside,
         inside_note=" in windows wholly inside it",
     )

@@ -179,7 +179,7 @@ _remembered = _Remembered(REMEMBERED_BYTES)
 
 
 def is_looked_at(index: int, options: MetricOptions) -> bool:
-    """Tell whether LPIPS is computed for the frame at this index: it costs as much as all other metrics on many frames."""
+    """Return whether LPIPS is computed for the frame at this index: it costs as much as all other metrics on many frames."""
     return (options.first_frame + index) % options.lpips_every == 0
 
 

@@ -77,7 +77,7 @@ def _torch_weights(path: Path, net: LpipsNet, device: str) -> "dict[str, torch.T
     import torch
 
     dtype = torch.bfloat16 if net == "vgg-bf16" else torch.float32
-    with torch.inference_mode(False):  # whoever asks first, a training may learn by them later
+    with torch.inference_mode(False):  # anyone who asks first, a training may learn by them later
         return {
             name: _kernel(torch.tensor(array, dtype=torch.float32 if name.startswith("head") else dtype, device=device))
             for name, array in _read_arrays(path, net).items()

@@ -275,7 +275,7 @@ class Recorder:
         """Standard deviation of the noise before the codec, grey levels of 255.
 
         Reading:
-            What a codec leaves of weak noise changes from frame to frame no more than what the codec does by itself, but every
+            What a codec leaves of weak noise changes from frame to frame no more than what the codec does alone, but every
             noisy block costs bits: of two recordings with the same settings, the one with more noise is longer. The clean
             frames are filmed with noise of several strengths until the film is as long as the capture.
         """

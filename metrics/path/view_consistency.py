@@ -214,7 +214,7 @@ def switch_score(step_errors_255: Sequence[float | None], sources: Sequence[Coll
 
 def _measure_switches(path: RenderedPath) -> list[Value]:
     if not any(path.sources):
-        raise MetricError("switch score: nobody says which cameras the images are made of; name the sources of each pose")
+        raise MetricError("switch score: no one says which cameras the images are made of; name the sources of each pose")
     measured = switch_score([step.error_255 for step in path.steps], path.sources)
     path.n_switches = measured.n_switches
     return whole_path(SWITCH_NAMES, measured.ratio, measured.excess_255)

@@ -39,7 +39,7 @@ class FittedMethod(SceneMethod):
 
     @property
     def learned_from(self) -> str:
-        """The capture, but for what is rendered."""
+        """The capture, except for what is rendered."""
         return "this capture, without the fold of the test view"
 
     def make_fitter(self) -> SceneFitter:
@@ -100,7 +100,7 @@ def fitted_method(title: str, describe: str, fitter: str, online: bool = False, 
 FITTED: dict[str, FittedMethod] = {
     "4dgs": fitted_method(
         "4DGS (compact)",
-        "a cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each by itself, fit to the whole clip",
+        "a cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each alone, fit to the whole clip",
         "ggvs_eval.baselines.fitted.four_d:FourD",
         departs="starts from estimated depth; harmonics of degree 1; a smaller field; one image a step; black background",
     ),

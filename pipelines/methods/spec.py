@@ -248,7 +248,7 @@ class OnlineMethod(MethodSpec):
             raise RenderError(f"method {label}: {self.title} has no option but scale, got {', '.join(values)}")
         if values:
             given["options"] = build_table(OnlineOptions, values, f"method {label}", "", RenderError)
-            departs = f"{departs}, but for {', '.join(values)}" if departs else ""
+            departs = f"{departs}, except for {', '.join(values)}" if departs else ""
         title = f"{self.title}, {variant.replace('+', ', ')}"
         return replace(self, title=title, usual=False, given=given, modules=modules, departs=departs)
 

@@ -148,7 +148,7 @@ def read_outputs(raw: Tensor, start: Mapping[str, Tensor], most_views: int) -> B
     Reading:
         The paper names no activations: a softmax over the views, whose ratios alone matter, a sigmoid for the background's
         weight. Outputs are changes to geometric weights and to a filled picture, so that an untrained network is the
-        geometric blender and training goes on from there.
+        geometric blender and training starts there.
     """
     views, small = start["weights"].shape[1], small_outputs(raw, start["weights"], most_views)
     height, width = start["unseen"].shape[1:]

@@ -82,7 +82,7 @@ class ExposureCompensation:
         return fallen_off(image, target, self.slope, self._corner)
 
     def gains(self, instant: Instant, tolerance: float) -> Map:
-        """Factors that turn the colours of each source into those of the target, (K, 3), but for the fall-off of lenses.
+        """Factors that turn the colours of each source into those of the target, (K, 3), except for the fall-off of lenses.
 
         Args:
             instant: source views, target camera.
@@ -304,7 +304,7 @@ class LensFallOff:
 
 
 def fit_slope(ratios: Map, spans: Map, corner: float) -> tuple[float, float]:
-    """Slope of log ratios over differences of squared tangents, whatever their offset, and its weight: robust least squares."""
+    """Slope of log ratios over differences of squared tangents, regardless of their offset, and its weight: robust least squares."""
     x, y = spans.astype(np.float64) / corner, ratios.astype(np.float64)
     y = y - np.median(y)
     weights, slope, evidence = np.ones(len(x)), 0.0, 0.0

@@ -42,7 +42,7 @@ SAME_SURFACE_TAU = 2.0  # truncation distances within which a view's depth and t
 
 
 def diagnostics_maps(depth: Map | None, splats: Sequence[Splat], still: Map) -> dict[str, Map]:
-    """The maps of `Rendering.diagnostics` but for the shares of the views, at a quarter of the size, see `cells`.
+    """The maps of `Rendering.diagnostics` except for the shares of the views, at a quarter of the size, see `cells`.
 
     Args:
         depth: fused depth, (H, W), world units, 0 where unknown; None without fusion.

@@ -244,7 +244,7 @@ def view_shares(small: Map, reduced: BlendMaps) -> Map:
 
 
 def blend_on(network: BlendNetwork, maps: BlendMaps, device: torch.device) -> Blended:
-    """Blend the views by a network on a device, as `blend_by` does but for rounding.
+    """Blend the views by a network on a device, as `blend_by` does except for rounding.
 
     What the network looks at, and the background, come from the compiled kernels on the CPU: they pass over the views once.
 
@@ -285,7 +285,7 @@ class NetworkBlender:
 
     Attributes:
         weights: file of the weights; those that ship unless given.
-        guidance: which of those that ship, see `BlendNetworkShape`. A given file knows by itself.
+        guidance: which of those that ship, see `BlendNetworkShape`. A given file states it.
         device: where the network computes, see `compute_device`.
     """
 
@@ -331,7 +331,7 @@ def without_blind(inputs: BlendingInputs) -> BlendingInputs:
 
 
 def blend_by(network: BlendNetwork, maps: BlendMaps, summary: Overview | None = None) -> Blended:
-    """Blend the views by a network; equal bits whatever the number of threads.
+    """Blend the views by a network; equal bits regardless of the number of threads.
 
     Compiled kernels compute it, `unet_outputs` at the network's own size and those of this module at full size.
 

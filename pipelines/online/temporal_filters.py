@@ -182,7 +182,7 @@ def _finite(past: Map, last: Map, new: Map) -> tuple[Map, Map, Map, Mask]:
 
 
 def agreement(new: Map, mean: Map, last: Map, count: Map) -> Map:
-    """Rate how well a mean of past images agrees with the new one, (h, w): 1 if noise alone tells them apart, 0 if it drags.
+    """Rate how well a mean of past images agrees with the new one, (h, w): 1 if noise alone distinguishes them, 0 if it drags.
 
     Args:
         new: image, (h, w, 3), one pixel of each cell.
@@ -207,7 +207,7 @@ def agreement(new: Map, mean: Map, last: Map, count: Map) -> Map:
 
 
 def mixed(image: Map, past: Map, weight: Map, change: Map) -> Map:
-    """The past mixed into an image where it has weight and is finite, but for what changed over wide areas.
+    """The past mixed into an image where it has weight and is finite, except for what changed over wide areas.
 
     Args:
         image: (H, W, 3), float32.
@@ -245,7 +245,7 @@ def stillness(
 
     Reading:
         Noise is new in every camera, motion is one and the same in all: the mean product of two views' changes at a surface that
-        both see is the energy of motion whatever the noise is, and what it falls short of the energy of each is the noise,
+        both see is the energy of motion regardless of the noise, and what it falls short of the energy of each is the noise,
         whatever moves. No threshold is set for a sensor or for a contrast, and a picture that moves as a whole is seen to. Both
         are asked of single pixels, which know the finest texture, and of mean colours of cells, in which noise is an eighth.
         What no two views agree about, uncovered or at a wrong depth, is held against the noise itself.

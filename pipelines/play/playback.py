@@ -145,7 +145,7 @@ def playback_of_capture(
 ) -> Playback:
     """Play a capture: decode the frames and compute the depth that its targets need, into a cache.
 
-    Depth by IterMVS on a GPU is not computed here, but for each picture as it is shown.
+    Depth by IterMVS on a GPU is not computed here, except for each picture as it is shown.
 
     Args:
         capture: what is played; of one instant, the camera moves while time stands still.

@@ -83,7 +83,7 @@ class MadeFiles:
         return [frames[name] for name in self.missing(frames)]
 
     def are_whole(self) -> bool:
-        """Tell whether files have been noted, and each of them is as it was."""
+        """Return whether files have been noted, and each of them is as it was."""
         noted = self._noted()
         return bool(noted) and not self.missing(noted)
 

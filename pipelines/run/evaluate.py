@@ -137,8 +137,8 @@ class Stages:
     """Place where the stages of some runs are worked through.
 
     Attributes:
-        root: folder of the run, or of the sweep; its ledgers know all jobs.
-        goes_on: note what fails and go on with the rest; otherwise the first stage with a failure raises it.
+        root: folder of the run, or of the sweep; its job logs know all jobs.
+        goes_on: note what fails and continue with the rest; otherwise the first stage with a failure raises it.
     """
 
     root: Path
@@ -243,7 +243,7 @@ def _left_unfinished(plan: RunPlan) -> set[str]:
     rendered_here = {*others}.difference(coverage.partial, coverage.imported)
     lacking |= {label for label in rendered_here if lacks_path(run, label)}
     for label in sorted(lacking):
-        words = f"its frames are incomplete, --methods {label} goes on with them"
+        words = f"its frames are incomplete, --methods {label} continues with them"
         print(f"{run.root}: {label} left out, an earlier call did not finish it: {words}", file=sys.stderr)
     return lacking
 

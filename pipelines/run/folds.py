@@ -78,7 +78,7 @@ def choose_folds(cameras: Sequence[Camera]) -> Folds:
 
     Reading:
         The literature fits once per test camera (4DGS, 4K4D: K = 17 of 18) or holds all out at once. Three folds cost three fits
-        whatever the number of test cameras. Cameras are dealt one by one to the fold whose nearest member is farthest away, among
+        regardless of the number of test cameras. Cameras are dealt one by one to the fold whose nearest member is farthest away, among
         those that are not full; then pairs change places while that brings the nearest two cameras of a fold farther apart.
 
     Examples:

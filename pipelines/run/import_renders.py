@@ -175,7 +175,7 @@ def plain_label(name: str) -> str:
 
 
 def _is_taken(label: str) -> bool:
-    """Tell whether a name means something else in a run, or is what tables call one of our methods."""
+    """Return whether a name means something else in a run, or is what tables call one of our methods."""
     return label in METHODS or label == "truth" or label.lower() in {spec.title.lower() for spec in METHODS.values()}
 
 

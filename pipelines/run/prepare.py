@@ -96,7 +96,7 @@ def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Wor
     """Write protocol, capture record and truth frames of the test views into a run folder, as scoring alone needs.
 
     Args:
-        root: the run folder; made if absent. `prepare` can go on with it.
+        root: the run folder; made if absent. `prepare` can continue with it.
     """
     protocol = protocol.over(capture.n_frames)
     capture, run = fit_capture(capture, protocol), RunFolder(root)

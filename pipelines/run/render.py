@@ -1,6 +1,6 @@
 """Render: every test view, and a camera path, by every method; one job per method and unit. Before it, fits.
 
-A fit is one scene per fold by a method that is fitted, one job per (method, seed, fold), which goes on where it was killed.
+A fit is one scene per fold by a method that is fitted, one job per (method, seed, fold), which continues where it was killed.
 Diagnostics are a method's intermediate maps, as pictures beside its frames that the page shows.
 """
 
@@ -182,7 +182,7 @@ def _identity(capture: Capture, fit: FitPlan, spec: FittedMethod) -> dict[str, A
 
 
 def _fit(name: str, method: FittedMethod, footage: Footage, folder: Path) -> dict[str, Any]:
-    """Fit, or go on; returns the record for the tables, or why a plug-in left no scene."""
+    """Fit, or continue; returns the record for the tables, or why a plug-in left no scene."""
     fitter, clock = method.make_fitter(), FitClock(name, folder)
     try:
         with PeakMemory() as memory, method.guard(f"failed to fit {name}"):

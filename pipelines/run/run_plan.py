@@ -64,13 +64,13 @@ def _chosen_poses(poses: Sequence[PathCamera], view: Camera) -> tuple[Camera, ..
 
 
 def _shows_its_instant(capture: Capture, path: CameraPath) -> bool:
-    """Tell whether the capture's own path was rendered at an instant that can be seen: not where another one is held still."""
+    """Return whether the capture's own path was rendered at an instant that can be seen: not where another one is held still."""
     edit = capture.edit
     return edit is None or not edit.hold_frames or round(path.time_s * capture.fps) == edit.hold_frame
 
 
 # What a refusal for want of depth adds.
-WITHOUT_DEPTH = "methods that look at no depth, such as enerf and ibrnet, run all the same"
+WITHOUT_DEPTH = "methods that look at no depth, such as enerf and ibrnet, run anyway"
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class RunPlan:
     Attributes:
         request: what it was made of.
         depth_device: where a network computes that finds it; ``cpu`` where none does.
-        original: the capture at synthesis size, its frames as they lie on disk.
+        original: the capture at synthesis size, its frames as they are on disk.
         plans: test view -> how it is synthesised.
         path: poses of the camera path, each with its plan.
         path_frame: the instant at which the camera moves along the path.

@@ -64,7 +64,7 @@ def _method_of(label: str) -> MethodSpec | None:
 
 
 def _has_given_weights(run: RunFolder, protocol: Protocol, label: str, spec: OnlineMethod) -> bool:
-    """Tell whether renders are of a file that the user gave, and not of the weights that ship."""
+    """Return whether renders are of a file that the user gave, and not of the weights that ship."""
     files = (run.renders(label, view) / JOB_FILE for view in protocol.views.test)
     identities = [read_json(file).get("identity", {}) for file in files if file.is_file()]
     shipped = [digest_weights(file) for file in spec.weights if file.is_file()]

@@ -59,7 +59,7 @@ def path_poses(run: RunFolder) -> range:
 
 
 def lacks_path(run: RunFolder, label: str) -> bool:
-    """Tell whether a method was rendered along the path and some of it is lost; one that refused the path has no picture."""
+    """Return whether a method was rendered along the path and some of it is lost; one that refused the path has no picture."""
     record = run.path(label) / JOB_FILE
     return record.is_file() and REFUSED not in read_json(record) and bool(missing_frames(run.path(label), path_poses(run)))
 

@@ -80,7 +80,7 @@ def _clock(run: RunFolder, stream: Stream, views: Sequence[str], label: str) -> 
 
 
 def _nature(label: str) -> tuple[bool, bool]:
-    """Tell whether a method looks at depth, and whether it sees nothing of the future; both are assumed of an unknown one."""
+    """Return whether a method looks at depth, and whether it sees nothing of the future; both are assumed of an unknown one."""
     try:
         spec = find_method(label)
     except RenderError:

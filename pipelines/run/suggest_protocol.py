@@ -32,7 +32,7 @@ class Proposal:
 
 
 def suggest_protocol(capture: Capture) -> Protocol:
-    """The packaged protocol that fits a capture, or one by rule for a rig of one's own; see `propose_protocol`."""
+    """The packaged protocol that fits a capture, or one by rule for a rig of your own; see `propose_protocol`."""
     return propose_protocol(capture).protocol
 
 
@@ -190,7 +190,7 @@ def _measured_like(base: Protocol, capture: Capture) -> Measurement:
 
 
 def _fits(capture: Capture, protocol: Protocol) -> bool:
-    """Tell whether a packaged protocol was made for this capture; the demos' are for demo captures alone."""
+    """Return whether a packaged protocol was made for this capture; the demos' are for demo captures alone."""
     if protocol.name.startswith(DEMO) != (capture.units_origin == DEMO_NOTES):
         return False
     enough = protocol.frames.numbers.stop <= capture.n_frames

@@ -123,7 +123,7 @@ class Workload:
         return shutil.disk_usage(_existing(self.folder)).free
 
     def is_nothing(self) -> bool:
-        """Tell whether everything is done."""
+        """Return whether everything is done."""
         return not self.pieces
 
     def describe(self) -> str:
@@ -252,7 +252,7 @@ def describe_outdated(runs: Iterable[RunFolder]) -> str:
 
 
 def _is_outdated(label: str, identity: Mapping[str, Any]) -> bool:
-    """Tell whether a render was made by other code than the method's of this version."""
+    """Return whether a render was made by other code than the method's of this version."""
     try:
         method = find_method(label, NetworkOptions(device="cuda" if "device" in identity else "cpu"))
     except GgvsError:
@@ -261,7 +261,7 @@ def _is_outdated(label: str, identity: Mapping[str, Any]) -> bool:
 
 
 def _has_old_depth(run: RunFolder) -> bool:
-    """Tell whether all depth of a run was found by other code."""
+    """Return whether all depth of a run was found by other code."""
     found = {read_json(file)["options"].get("code") for file in run.depth.glob("*/spec.json")}
     try:
         options = DepthRunOptions.from_record(read_json(run.depth_record)).options()
@@ -357,7 +357,7 @@ def _count(store: DepthStore, key: str, frames: Sequence[int], counts: dict[Path
 
 
 def _is_scored(run: RunFolder, view: str, labels: Sequence[str]) -> bool:
-    """Tell whether a view has values of these methods; whether they are still of the same frames, scoring itself finds out."""
+    """Return whether a view has values of these methods; whether they are still of the same frames, scoring itself finds out."""
     try:
         return set(labels) <= set(read_json(run.scores(view) / JOB_FILE)["methods"])
     except (ResultsError, KeyError, TypeError):

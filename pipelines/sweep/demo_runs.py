@@ -104,7 +104,7 @@ def evaluate_demos(
 
     Args:
         planned: see `demo_plans`; each is made when the one before is done.
-        show: is called with the page whenever it has grown, but for the last time.
+        show: is called with the page whenever it has grown, except for the last time.
 
     Returns:
         The page of all rooms, in the main room's run folder.

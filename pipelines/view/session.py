@@ -196,7 +196,7 @@ class Session:
         return True
 
     def rests(self) -> bool:
-        """Tell whether nothing has changed for a while, and the whole picture has not been made yet."""
+        """Return whether nothing has changed for a while, and the whole picture has not been made yet."""
         with self._lock:
             rested = monotonic() - self._changed_at >= REST_SECONDS
             return rested and self._shown_version == self._version != self._refined_version

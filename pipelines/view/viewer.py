@@ -93,7 +93,7 @@ class Listener:
         return ""
 
     def _is_own(self, host: str) -> bool:
-        """Tell whether the Host of a request is a name of ours or a bare address, which no name server can point elsewhere."""
+        """Return whether the Host of a request is a name of ours or a bare address, which no name server can point elsewhere."""
         with suppress(ValueError):
             name = urlsplit(f"//{host}").hostname or ""
             return name in self._names or ipaddress.ip_address(name) is not None
@@ -261,7 +261,7 @@ class Viewer:
 
 
 def _attempt(session: Session, work: Callable[[], bool | None]) -> bool:
-    """Work for one window; what goes wrong is said in it and on the terminal, and the other windows go on."""
+    """Work for one window; what goes wrong is said in it and on the terminal, and the other windows continue."""
     try:
         return bool(work())
     except Exception as error:

@@ -105,7 +105,7 @@ def _identity(capture: Capture, stored: Sequence[StoredDepth], filled_confidence
 
 
 def _is_written(folder: Path, identity: str) -> bool:
-    """Tell whether the folder holds this very page with all its pictures."""
+    """Return whether the folder holds this very page with all its pictures."""
     try:
         record = read_json(folder / "index.json")
     except ResultsError:

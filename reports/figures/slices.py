@@ -120,7 +120,7 @@ def most_different_row(folders: Mapping[str, Path], indices: range) -> int | Non
     """The row in which the methods' weighted absolute errors lie farthest apart; None where fewer than two differ.
 
     Args:
-        folders: label -> frames, those of the truth as ``truth``; without it the mean of the methods stands for it.
+        folders: label -> frames, those of the truth as ``truth``; without it the mean of the methods represents it.
         indices: frames or poses, of which at most `INDICES_AT_MOST` are looked at, evenly spaced.
     """
     labels = [label for label in folders if label != "truth"]
@@ -206,7 +206,7 @@ def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
 def _choose_row(
     asked: int | None, folders: Mapping[str, Path], indices: range, otherwise: Callable[[], int], words: str
 ) -> tuple[int, str]:
-    """The row, and who chose it in words: whoever asked for one, the methods' differences, or else a rule on the pictures."""
+    """The row, and who chose it in words: anyone who asked for one, the methods' differences, or else a rule on the pictures."""
     if asked is not None:
         return asked, "asked for"
     if (row := most_different_row(folders, indices)) is not None:

@@ -205,7 +205,7 @@ class MeasuredRun:
 
     @property
     def is_demo(self) -> bool:
-        """True for a capture that ``ggvs-eval demo`` wrote, in whatever layout and under whatever name."""
+        """True for a capture that ``ggvs-eval demo`` wrote, in any layout and under whatever name."""
         return self.capture.get("units_origin") == DEMO_NOTES
 
     @property
@@ -338,7 +338,7 @@ def find_replicas(labels: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def distinct_names(roots: Sequence[Path]) -> list[str]:
-    """Names of folders by the ends of their paths, as long as it takes to tell all apart.
+    """Names of folders by the ends of their paths, as long as needed to distinguish all.
 
     Examples:
         >>> distinct_names([Path("a/run"), Path("b/run"), Path("b/other")])

@@ -155,7 +155,7 @@ def _no_bolder(comparison: Comparison, judgement: Judgement, labels: Sequence[st
 
 
 def _per_view(both: Results, dataset: str, note: MetricNote, set_aside: str) -> list[Difference]:
-    """The same in each test view by itself; nothing for what belongs to the whole rig or to the camera path."""
+    """The same in each test view alone; nothing for what belongs to the whole rig or to the camera path."""
     means = both.per_view(note.name)
     test_views = both.protocol_values.get("views", {}).get("test", means.columns)
     compared = {

@@ -303,7 +303,7 @@ def _winners(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db
 
     Reading:
         A method that needs no fit costs nothing here, as depth is left out for all. A dearer fit becomes the best only where it
-        is judged better than the best before it, among all that are dearer: what cannot be told apart, or is too short to call,
+        is judged better than the best before it, among all that are dearer: what cannot be distinguished, or is too short to call,
         is not worth the wait.
     """
     cost_s = {label: fit_seconds(fits[label]) if label in fits else 0.0 for label in psnr_db}

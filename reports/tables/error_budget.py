@@ -1,6 +1,6 @@
-"""Error of each method by itself: over views or over time; unseen, in colour, of wrong surfaces, misplaced, or in detail.
+"""Error of each method alone: over views or over time; unseen, in colour, of wrong surfaces, misplaced, or in detail.
 
-A method's number by itself has a ceiling, published values of the same data, what it was made from, and where its error lies.
+A method's number alone has a ceiling, published values of the same data, what it was made from, and where its error lies.
 """
 
 import math
@@ -275,7 +275,7 @@ class Condition(NamedTuple):
 def describe_absolute(
     name: str, cell: Cell, column: Column, table: Table, budgets: Sequence[Table], runs: Sequence[MeasuredRun] = ()
 ) -> str:
-    """A few sentences on a method's number by itself; empty where there is nothing to hold it against.
+    """A few sentences on a method's number alone; empty where there is nothing to hold it against.
 
     Args:
         table: the main table, whose grey rows have the ceilings of the capture and values published of the same data set.

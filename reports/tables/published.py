@@ -203,7 +203,7 @@ class PaperTerms:
 
     Attributes:
         scenes: names of the scenes; empty where it names none.
-        layouts: in which the data set lies on disk.
+        layouts: in which the data set is on disk.
         test_views: how many; it does not say which.
         size: width and height of the rendered images, pixels.
         metric_size: width and height at which is measured.

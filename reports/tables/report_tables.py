@@ -1,4 +1,4 @@
-"""The tables of a report: quality, consistency, each view by itself, time per stage.
+"""The tables of a report: quality, consistency, each view alone, time per stage.
 
 Captions of the main tables say the extent of each mean, its images, and values that do not compare.
 """
@@ -209,13 +209,13 @@ def _sources(runs: Sequence[MeasuredRun], names: Mapping[str, str]) -> str:
     if len(others) == len(names):
         return ""
     synthesis = runs[0].protocol.synthesis
-    exempt = f", but for {', '.join(others)}" if others else ""
+    exempt = f", except for {', '.join(others)}" if others else ""
     chosen = "" if synthesis.sources == "nearest" else f", {CHOSEN_AS[synthesis.sources]}"
     return f"K = {synthesis.k} source views{chosen}{exempt}"
 
 
 def may_interchange(protocol: Protocol) -> bool:
-    """Tell whether a test view can be a source of another one."""
+    """Return whether a test view can be a source of another one."""
     views = protocol.views
     return len(views.test) > 1 and (not views.sources or bool({*views.sources} & {*views.test}))
 

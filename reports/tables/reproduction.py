@@ -163,7 +163,7 @@ def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = Non
         digits: after the point, of our numbers; None for four significant ones.
 
     Reading:
-        A published value stands for all that round to it. It is reproduced where one of those lies in this run's interval,
+        A published value represents all that round to it. It is reproduced where one of those lies in this run's interval,
         which covers other frames (and views, from five on); without an interval, where the run rounds to the same digits.
     """
     if ours.value is None:
@@ -268,7 +268,7 @@ def reproduction_markdown(entries: Sequence[Reproduction]) -> str:
     """One table of the paper's values, those grouped that are not measured for one reason; what the words mean at the end."""
     head = f"# The paper's values and this run's\n\n{len(entries)} published values: {count_words(entries)}."
     rows = [_words(block.title, line) for block in blocks(entries) for line in block.lines]
-    notes = (MEANING, "Every value by itself: reproduction.csv", f"Published values: {SOURCE}", *CAVEATS)
+    notes = (MEANING, "Every value alone: reproduction.csv", f"Published values: {SOURCE}", *CAVEATS)
     closing = "\n".join(f"- {escape_markdown(note)}" for note in notes)
     return "\n\n".join([head, markdown_table(HEADS, rows, words=WORDS), closing]) + "\n"
 

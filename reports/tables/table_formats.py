@@ -216,7 +216,7 @@ def escape_markdown(text: str) -> str:
 
 
 def has_excel() -> bool:
-    """Tell whether the library that pandas writes workbooks with is installed."""
+    """Return whether the library that pandas writes workbooks with is installed."""
     return importlib.util.find_spec("openpyxl") is not None
 
 

@@ -255,7 +255,7 @@ def _words(
         rivals = rival.name if len(leader.ties) == 1 else f"{len(leader.ties)} others"
         return (
             f"{best.name} and {rivals} tie",
-            f"{by} between {best.name} and {second} is too little to tell them apart{interval}",
+            f"{by} between {best.name} and {second} is too little to distinguish them{interval}",
         )
     return f"{best.name} is best", f"{by} ahead of {second}, the next best{interval}"
 

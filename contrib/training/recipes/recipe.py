@@ -84,7 +84,7 @@ class TrainingRecipe(ABC, Generic[Network]):
         """
 
     def refusal(self, instant: Instant) -> str | None:
-        """Reason why the method cannot render an instant, whatever the network; None where it can."""
+        """Reason why the method cannot render an instant, regardless of the network; None where it can."""
         return None
 
     @abstractmethod

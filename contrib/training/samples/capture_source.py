@@ -86,7 +86,7 @@ def draw_views(capture: Capture, plan: CapturePlan, name: str, number: int) -> t
 
 
 def is_sequence(capture: Capture) -> bool:
-    """Tell whether the cameras of a capture are the frames of one moving camera, called by their numbers."""
+    """Return whether the cameras of a capture are the frames of one moving camera, called by their numbers."""
     return capture.layout == "rgbd"
 
 

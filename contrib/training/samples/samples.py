@@ -219,7 +219,7 @@ class SamplePool(Generic[Sample]):
         return jobs
 
     def prepare(self, workers: int) -> None:
-        """Make the samples that are not there yet; a killed preparation goes on where it stopped.
+        """Make the samples that are not there yet; a killed preparation continues where it stopped.
 
         Args:
             workers: processes that share the jobs.

@@ -1,4 +1,4 @@
-"""Filming: the frames of one shot, one after another, in a process of its own, and exact depth beside them."""
+"""Filming: the frames of one shot, one after another, in a separate process, and exact depth beside them."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -170,7 +170,7 @@ class DemoOptions:
 
     @property
     def camera_names(self) -> list[str]:
-        """Names of the cameras in these options, whatever the layout calls them."""
+        """Names of the cameras in these options, regardless of the names in the layout."""
         count = 1 if self.layout == "rgbd" else 2 * self.cameras_per_row
         return [f"cam{number:02d}" for number in range(count)]
 

@@ -309,7 +309,7 @@ def _chunks(count: int) -> list[slice]:
 
 
 def _crosses(bounds: tuple[Array32, Array32], origins: Array32, point: Array32) -> NDArray[np.bool_]:
-    """Tell whether the segment from each origin to a point meets a box, (N,)."""
+    """Return whether the segment from each origin to a point meets a box, (N,)."""
     enter, leave = np.zeros(len(origins), np.float32), np.ones(len(origins), np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
         for axis in range(3):

@@ -26,7 +26,7 @@ class Material:
         texture: albedo, sRGB uint8 (h, w, 3).
         tile_m: width and height that one copy of the texture covers, metres; it repeats beyond.
         specular: strength of the highlight, 0 for none.
-        emission: light sent out by itself, as a multiple of the texture.
+        emission: light sent out alone, as a multiple of the texture.
     """
 
     texture: Image8

@@ -106,7 +106,7 @@ def noise_sums(view: ViewFrames, index: int) -> NoiseSums:
 
 
 def has_far_frames(view: ViewFrames, index: int) -> bool:
-    """Tell whether a frame lies two instants away; without one what stands still would pass for noise, in honest renders too."""
+    """Return whether a frame lies two instants away; without one what stands still would pass for noise, in honest renders too."""
     return bool(_beside(view, index, 2))
 
 

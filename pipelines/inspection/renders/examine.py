@@ -142,7 +142,7 @@ def fine_energy(image: Image8) -> float:
 def _axis_peaks(plane: NDArray[np.float32]) -> dict[float, float]:
     """Peaks in the spectrum of the mean slope or curvature of each column, relative to the usual of that spectrum.
 
-    Curvature has the period of linear and cubic interpolation, but for a factor of 2, which only the slope shows.
+    Curvature has the period of linear and cubic interpolation, except for a factor of 2, which only the slope shows.
     """
     both = [_spectrum_peaks(np.abs(np.diff(plane, order, axis=1)).mean(axis=0)) for order in (1, 2)]
     return {period: max(peaks[period] for peaks in both) for period in PERIODS_PX}
@@ -253,7 +253,7 @@ def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
     if not has_size:
         height, width = view.truth(usable[0]).shape[:2]
         view = view.with_rendered(lambda image: resized(image, width, height))
-    # Traces in the pixels as they lie on disk. JPEG has a period of its own, and so has what was cropped and enlarged.
+    # Traces in the pixels as they are on disk. JPEG has a period of its own, and so has what was cropped and enlarged.
     jpeg = find_jpeg(name, view) if has_size else []
     enlarged = find_upscaling(name, view) if has_size and not jpeg else []
     picture = _examine_picture(name, view, cameras, count)

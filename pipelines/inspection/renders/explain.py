@@ -185,7 +185,7 @@ def _matching(metric: str, quoted: str, matching: Sequence[Convention], share: f
         return f"only chance matches for {metric} {quoted}: {names}; quote more digits"
     if len(matching) == 1:
         return f"{metric} {quoted} is {_full_name(matching[0])}{', as this tool measures' if is_ours else ''}"
-    return f"{metric} {quoted} is what {len(matching)} conventions give; more digits or other frames would tell them apart"
+    return f"{metric} {quoted} is what {len(matching)} conventions give; more digits or other frames would distinguish them"
 
 
 def _share_text(share: float) -> str:

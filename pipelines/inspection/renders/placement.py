@@ -1,6 +1,6 @@
 """Placement of the rendered picture as a whole: shifted, stretched or cropped against the true one.
 
-One picture is fitted onto the other by shift and scale, and how evenly the shift holds over the picture tells whether it is one.
+One picture is fitted onto the other by shift and scale, and how evenly the shift holds over the picture says whether it is one.
 """
 
 from collections.abc import Mapping

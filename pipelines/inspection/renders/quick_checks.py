@@ -76,7 +76,7 @@ def find_channel_order(name: str, view: ViewFrames, sample: Sample) -> tuple[lis
 
 
 SAMPLED_FRAMES = 12
-# Copies are looked for at full size, which costs most. With fewer frames noise cannot be told from what stands still.
+# Copies are looked for at full size, which costs most. With fewer frames noise is not distinguishable from what stands still.
 COPIED_FRAMES = 4
 
 
@@ -269,7 +269,7 @@ def change(before: Array32, after: Array32) -> Change:
 
 
 def resized(image: Image8, width: int, height: int) -> Image8:
-    """A frame of the wrong size at the right one, to go on with."""
+    """A frame of the wrong size at the right one, to continue with."""
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
@@ -293,7 +293,7 @@ def _blank(name: str, blank: list[int], count: int) -> list[Finding]:
 
 
 def _repeated(name: str, view: ViewFrames, candidates: list[int]) -> list[Finding]:
-    """Of the frames that hardly differ from the one before those in which the truth goes on moving."""
+    """Of the frames that hardly differ from the one before those in which the truth continues moving."""
     if not candidates:
         return []
     typical = _truth_change(view, list(view.frames)[1 :: max(len(view.frames) // 8, 1)])
@@ -315,5 +315,5 @@ def _truth_change(view: ViewFrames, indices: list[int]) -> Change:
 
 
 def _moves(now: Change, typical: Change) -> bool:
-    """Tell whether the truth changes as it usually does, and more than by noise, which all cells have alike."""
+    """Return whether the truth changes as it usually does, and more than by noise, which all cells have alike."""
     return now.largest > max(MOVING_SHARE * typical.largest, MOVING_OVER_NOISE * now.usual, MOVING_255)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.identity import Sample
 
-# Levels are compared where nothing misplaced can mix them: pixels around which both pictures are flat, but for noise.
+# Levels are compared where nothing misplaced can mix them: pixels around which both pictures are flat, except for noise.
 SMOOTH_PX, FLAT_PX, FLAT_255 = 0.7, 5, 12.0
 BIN_255, FEWEST_PIXELS, FEWEST_BINS = 8, 40, 8
 # What lies at the ends may have been cut off.
@@ -180,14 +180,14 @@ def _nearness(fits: list[ToneFit], slope: float, intercept_255: float) -> float:
 
 
 def _is_squeezed(sample: Sample) -> bool:
-    """Tell whether the rendering keeps between video black and white, to which the truth does not."""
+    """Return whether the rendering keeps between video black and white, to which the truth does not."""
     low, high = np.quantile(sample.rendered, [0.0005, 0.9995])
     true_low, true_high = np.quantile(sample.truth_now, [0.0005, 0.9995])
     return bool(low > FLOOR_255 and high < CEILING_255 and (true_low < FLOOR_255 - 2 or true_high > CEILING_255 + 2))
 
 
 def _is_stretched(sample: Sample) -> bool:
-    """Tell whether what is dark in the truth, but not black, is black in the rendering, and holes are not why."""
+    """Return whether what is dark in the truth, but not black, is black in the rendering, and holes are not why."""
     black = sample.rendered < 1.5
     dark, middle = ((low < sample.truth_now) & (sample.truth_now < high) for low, high in ((3, 13), (30, 80)))
     if np.count_nonzero(dark) < 50 or not middle.any():

@@ -106,7 +106,7 @@ class DepthRunOptions:
 
     @classmethod
     def from_record(cls, record: dict[str, Any]) -> "DepthRunOptions":
-        """Restore the options that `record` wrote, all but the device."""
+        """Restore the options that `record` wrote, all except the device."""
         weights = record.get("stereo_weights")
         values = record | {"stereo_weights": None if weights is None else Path(weights)}
         return cls(**{name: value for name, value in values.items() if name != DEVICE})

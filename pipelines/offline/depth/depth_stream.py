@@ -27,7 +27,7 @@ class DepthStream:
     """Depth of one camera, instant by instant; each call is the next instant.
 
     What it returns depends on the instants since the last keyframe alone, and keyframes lie where the frame number is a multiple
-    of `keyframe_every`: a killed run goes on from the keyframe before, with equal bits.
+    of `keyframe_every`: a killed run continues from the keyframe before, with equal bits.
 
     Args:
         shared: see `PairwiseEstimator`.

@@ -53,7 +53,7 @@ class DepthPartners:
         return self._found[key]
 
     def has_depth(self, source: Camera, target: Camera | None = None) -> bool:
-        """Tell whether a source has depth where the target is left out."""
+        """Return whether a source has depth where the target is left out."""
         return bool(self.of(source, target)) or _sensor(self._capture, source.name, self._options) is not None
 
     def sources(self, target: Camera, k: int, how: SourceChoice = "nearest") -> tuple[ChosenSource, ...]:
@@ -174,7 +174,7 @@ def prepare_depth(
 ) -> None:
     """Compute the depth of every job and frame that the store does not have.
 
-    Jobs run side by side, one process each, frames as a stream. A killed run goes on where it stopped; the result depends neither
+    Jobs run side by side, one process each, frames as a stream. A killed run continues where it stopped; the result depends neither
     on the number of workers nor on where they are.
 
     Args:
@@ -197,7 +197,7 @@ def prepare_depth(
 
 
 def _by_camera(jobs: Sequence[DepthJob], options: DepthOptions, processes: int) -> list[list[DepthJob]]:
-    """Jobs that match one camera together, so that they share its pairs; each by itself where instants depend on each other.
+    """Jobs that match one camera together, so that they share its pairs; each alone where instants depend on each other.
 
     So are they where there are more processes than cameras: they would wait.
     """

@@ -100,7 +100,7 @@ def _extend(
 
 
 def _can_be_matched(camera: Camera, other: Camera) -> bool:
-    """Tell whether a pair can be rectified and is worth its search, which is as wide as its nearest surfaces move."""
+    """Return whether a pair can be rectified and is worth its search, which is as wide as its nearest surfaces move."""
     return can_rectify(camera, other, nearest=np.inf if _angle_rad(camera, other) <= CLOSE_ANGLE_RAD else 1.0)
 
 

@@ -24,7 +24,7 @@ class DeviceDepth:
 
     Attributes:
         depth: see `DepthMap`, (H, W) float32, on the device.
-        confidence: likewise.
+        confidence: same shape.
     """
 
     depth: "torch.Tensor"

@@ -1,4 +1,4 @@
-"""A COLMAP dense workspace of one instant: its `stereo_fusion` and meshers, and whatever reads their files, go on from there.
+"""A COLMAP dense workspace of one instant: its `stereo_fusion` and meshers, and anything that reads their files continue from it.
 
 ::
 

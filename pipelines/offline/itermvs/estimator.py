@@ -259,7 +259,7 @@ def projections_between(cameras: Sequence[Camera]) -> Array:
 
 
 def _projection(first: Camera, second: Camera, first_matrix: Array, second_matrix: Array) -> Array:
-    """Matrix and offset from pixels of one camera to another's, by camera matrices in whatever pixels, (12,)."""
+    """Matrix and offset from pixels of one camera to another's, by camera matrices in any pixels, (12,)."""
     motion = rigid_between(first, second)
     matrix = second_matrix @ motion[:3, :3] @ np.linalg.inv(first_matrix)
     return np.concatenate([matrix.ravel(), second_matrix @ motion[:3, 3]])

@@ -5,7 +5,7 @@ the partners' at a few depths around the present one, at three sizes, and update
 those of the published checkpoints.
 
 K cameras are one batch: B is K, or K N where the N hypotheses of a pixel are computed as images of their own. A forward pass
-allocates and launches the same whatever the numbers are, and never waits for the device: it can be recorded in a CUDA graph.
+allocates and launches the same regardless of the values, and never waits for the device: it can be recorded in a CUDA graph.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from torch.nn import functional
 
 SIZE_MULTIPLE = 32  # both sides of every image
 WIDTHS = (8, 16, 32, 48)  # channels at the full size, its half, quarter and eighth
-GROUPS = 8  # of channels, correlated each by itself
+GROUPS = 8  # of channels, correlated each alone
 HIDDEN_WIDTH = 32
 FIRST_DEPTHS = 32  # hypotheses of the initialisation, at an eighth of the size
 BINS, BIN_RADIUS = 256, 4  # of the distribution over inverse depth; its mean is taken around its mode
@@ -134,7 +134,7 @@ class ViewWeight(nn.Module):
 
 
 class CorrelationNetwork(nn.Module):
-    """A small U-Net over each hypothesis by itself."""
+    """A small U-Net over each hypothesis alone."""
 
     def __init__(self) -> None:
         super().__init__()

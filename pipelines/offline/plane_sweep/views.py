@@ -74,7 +74,7 @@ class PartnerView:
         )
 
     def sees(self, places: "Projection") -> Mask:
-        """Tell whether whole windows around these places lie inside the partner's image, (H, W)."""
+        """Return whether whole windows around these places lie inside the partner's image, (H, W)."""
         nearest = np.clip(np.rint(places.row), 0, self.size[1] - 1).astype(np.intp)
         inside = (places.row >= 0) & (places.row <= self.size[1] - 1) & places.in_front
         return inside & (places.column >= self.first[nearest]) & (places.column <= self.last[nearest])

@@ -21,7 +21,7 @@ class _Sequence:
 
 
 def is_sequence(capture: Capture) -> bool:
-    """Tell whether the cameras of a capture are frames of one moving camera with one depth sensor."""
+    """Return whether the cameras of a capture are frames of one moving camera with one depth sensor."""
     return capture.layout == SEQUENCE_LAYOUT
 
 

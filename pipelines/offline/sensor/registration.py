@@ -137,7 +137,7 @@ def read_depth(capture: Capture, index: int) -> Map:
 def pose_after(cameras: tuple[Camera, ...], index: int, frames: float) -> Array:
     """World_to_camera of a moving camera some frames after one of them, (4, 4), by its motion at a constant speed until the next.
 
-    Past the ends of the sequence the last motion goes on.
+    Past the ends of the sequence the last motion continues.
     """
     if not frames or len(cameras) < 2:
         return cameras[index].world_to_camera

@@ -110,7 +110,7 @@ def _find_lines(depth: Map) -> SensorLines:
 
 
 def close_holes(depth: Map, hole_px: int, step: float) -> Map:
-    """Fill narrow holes within a surface, as a plane would go on; holes between two surfaces stay.
+    """Fill narrow holes within a surface, as a plane would continue; holes between two surfaces stay.
 
     Args:
         depth: (H, W), 0 = unknown.

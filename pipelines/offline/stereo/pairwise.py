@@ -1,4 +1,4 @@
-"""Depth of a camera by any stereo matcher: each partner's opinion by itself, then their consensus."""
+"""Depth of a camera by any stereo matcher: each partner's opinion alone, then their consensus."""
 
 from collections.abc import Sequence
 
@@ -23,7 +23,7 @@ class PairwiseEstimator:
         partners: those that cannot be rectified with the camera have no opinion.
         error_px: estimates of two partners agree when disparity errors of this size explain their difference.
         warm: tell the matcher of each pair what it found at the call before; the calls must then be consecutive instants.
-        shared: what was found of this instant and camera, by other estimators too; whoever fills it empties it for the next one.
+        shared: what was found of this instant and camera, by other estimators too; anyone who fills it empties it for the next one.
     """
 
     def __init__(

@@ -97,7 +97,7 @@ def _window_mean(values: Tensor, window: int) -> Tensor:
 
 
 def _at(image: Tensor, columns: Tensor) -> Tensor:
-    """The image, (H, W), between the columns of its rows, (H, W); its border goes on outside."""
+    """The image, (H, W), between the columns of its rows, (H, W); its border continues outside."""
     below, last = torch.floor(columns), image.shape[1] - 1
     values = [image.gather(1, (below + step).clamp(0, last).long()) for step in (0, 1)]
     return torch.lerp(values[0], values[1], columns - below)

@@ -53,7 +53,7 @@ class FeatureEncoder(Trunk):
 class ContextEncoder(Trunk):
     """Hidden state and context of up to three recurrent levels from the reference image ('cnet').
 
-    All three levels exist whatever the configuration, as in the checkpoints; what is not used is not computed.
+    All three levels exist regardless of the configuration, as in the checkpoints; what is not used is not computed.
     """
 
     def __init__(self, config: RaftShape) -> None:

@@ -63,7 +63,7 @@ def same_unit(one: Unit, other: Unit) -> str:
 
 
 def same_values(one: Any, other: Any) -> bool:
-    """Tell whether two records say the same, up to the rounding of their numbers."""
+    """Return whether two records say the same, up to the rounding of their numbers."""
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(same_values(one[key], other[key]) for key in one)
     if isinstance(one, Sequence) and isinstance(other, Sequence) and not isinstance(one, str):
@@ -95,7 +95,7 @@ def _files_below(folder: Path) -> Iterator[Path]:
 
 
 def _is_hidden(path: Path, root: Path) -> bool:
-    """Tell whether a folder is still being written, whose name is hidden until it is whole."""
+    """Return whether a folder is still being written, whose name is hidden until it is whole."""
     return any(part.startswith(".") for part in path.relative_to(root).parts)
 
 
@@ -149,7 +149,7 @@ def merge_runs(
 
 
 def _units(run: RunFolder) -> list[Unit]:
-    """Everything that a run is put together from, but for its scores."""
+    """Everything that a run is put together from, except for its scores."""
     plain = [unit for folder in PLAIN_FOLDERS for unit in plain_units(run.root, folder)]
     path = [Unit("path/path.json", run.path_record)] if run.path_record.is_file() else []
     return [*plain, *path, *(unit for folder in JOB_FOLDERS for unit in job_units(run.root, folder))]
