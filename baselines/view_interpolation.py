@@ -21,7 +21,7 @@ class ViewInterpolation:
     """The flow-warped mean of two neighbours, as frame interpolators see a row of cameras; nothing is remembered.
 
     Reading:
-        *Between*: the foot of the target's centre on the line through two sources' centres lies between these, and the centre is
+        *Between*: the foot of the target's centre on the line through two sources' centres is between these, and the centre is
         at most a fifth of their baseline away from it. Neighbours in a row are up to 0.12 away, on real rigs and on ours, and
         cameras of other rows 0.28 and more. Of several such pairs the nearest is taken, by the sum of distances to the target.
         A target between no two sources is refused.
@@ -36,7 +36,7 @@ class ViewInterpolation:
         """Synthesise one instant.
 
         Raises:
-            ViewRefusedError: the target lies between no two of the sources.
+            ViewRefusedError: the target is between no two of the sources.
         """
         started = perf_counter()
         first, second, share = choose_pair(instant.target, [source.camera for source in instant.sources])
@@ -55,7 +55,7 @@ class ViewInterpolation:
 
 
 def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, float]:
-    """The nearest two cameras that a target lies between.
+    """The nearest two cameras that a target is between.
 
     Returns:
         Their indices, nearest first, and how far the target is on its way from the first to the second, in [0, 1].
@@ -84,7 +84,7 @@ def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, fl
             distance = sum(float(np.linalg.norm(end - target.centre)) for end in (a, b))
             found.append((distance, first, second, min(max(share, 0.0), 1.0)))
     if not found:
-        raise ViewRefusedError("the target does not lie between two cameras")
+        raise ViewRefusedError("the target does not be between two cameras")
     _, first, second, share = min(found)
     return first, second, share
 
@@ -94,7 +94,7 @@ def turn_towards(target: Camera, source: SourceView) -> tuple[Image8, Map]:
 
     Outside the source's image the border is repeated, so that flow finds no edge of black.
     """
-    half = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])  # our pixel centres lie at halves, OpenCV's at whole numbers
+    half = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])  # our pixel centres are at halves, OpenCV's at whole numbers
     to_target = half @ target.K @ target.rotation @ source.camera.rotation.T @ np.linalg.inv(half @ source.camera.K)
     size = target.width, target.height
     turned = cv2.warpPerspective(source.image, to_target, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
@@ -103,7 +103,7 @@ def turn_towards(target: Camera, source: SourceView) -> tuple[Image8, Map]:
 
 
 def flow(here: Image8, there: Image8) -> Map:
-    """Where each pixel of an image lies in another, relative to itself, (H, W, 2).
+    """Where each pixel of an image is in another, relative to itself, (H, W, 2).
 
     Reading:
         OpenCV searches in stripes, one per thread, so that the number of threads would move bits: here it is one.

@@ -133,7 +133,7 @@ def _busy_and_gaps(events: Sequence[tuple[int, int, str]]) -> tuple[float, float
     end = None
     for start, duration, _ in events:
         if end is None or start > end:
-            if end is not None and start - end < 200_000:  # longer ones lie between steps
+            if end is not None and start - end < 200_000:  # longer ones are between steps
                 gaps += start - end
             busy += duration
             end = start + duration

@@ -71,7 +71,7 @@ def measure() -> dict[str, dict[str, Any]]:
 
 
 def measure_setting(setting: Setting) -> dict[str, dict[str, Any]]:
-    """The figures of one setting; geometry stands still, which costs the same, and colours are noisy."""
+    """The figures of one setting; geometry is static, which costs the same, and colours are noisy."""
     scene, method = _scene(setting), GeometryGuided(blender=NetworkBlender() if setting.learned else GeometricBlender())
     images = _images(scene)
     instants = [_instant(scene, images[index % 2], index, setting.views) for index in range(WARM_UP + setting.steps)]

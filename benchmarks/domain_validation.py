@@ -150,14 +150,14 @@ def _lpips(rendered: Image8, truth: object | None) -> float:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--methods", nargs="+", default=list(METHODS), help="labels; the first is held against the others")
+    parser.add_argument("--methods", nargs="+", default=list(METHODS), help="labels; the first is checked against the others")
     parser.add_argument("--domains", nargs="+", default=[*DOMAINS, REAL], choices=[*DOMAINS, REAL])
     parser.add_argument("--seeds", type=int, default=1, help="how many of the three validation seeds")
     parser.add_argument("--targets", type=int, default=3, help="target views per seed")
     parser.add_argument("--views", type=int, default=4, help="K")
     parser.add_argument("--frames", type=int, default=1, help="instants per view of fixed rigs; 2 or more give STED")
     parser.add_argument("--matcher", default="sgbm", help="whose depth rigs get")
-    parser.add_argument("--alone", action="store_true", help="depth as play and view have it, not held against other sources'")
+    parser.add_argument("--alone", action="store_true", help="depth as play and view have it, not checked against other sources'")
     parser.add_argument("--data", type=Path, default=None, help=f"folder with {REAL_CAPTURE}")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for validate_domains.json and what is kept")
     parser.add_argument("--jobs", type=int, default=default_workers(), help="processes that film and compute depth")

@@ -39,11 +39,11 @@ class ViewPlan:
     Attributes:
         targets: target views per seed.
         views: K.
-        frames: instants of each view where the domain's rig stands still; a hand-held camera has one.
+        frames: instants of each view where the domain's rig is static; a hand-held camera has one.
         seeds: how many of the validation seeds.
         matcher: whose depth rigs get; sensors' depth is taken where there is one.
         size: of the images, pixels; each domain's own by default.
-        alone: depth is not held against that of the other sources, as `play` and `view` have it.
+        alone: depth is not checked against that of the other sources, as `play` and `view` have it.
     """
 
     targets: int = 3

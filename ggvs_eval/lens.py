@@ -114,7 +114,7 @@ class Lens:
         return self.K * np.array([[zoom, 1, 1], [1, zoom, 1], [1, 1, 1]])
 
     def _covers(self, zoom: float) -> bool:
-        """Return whether the pinhole image at this zoom lies inside the distorted one, and no part of it twice."""
+        """Return whether the pinhole image at this zoom is inside the distorted one, and no part of it twice."""
         along = np.linspace(0.0, 1.0, BORDER_POINTS)
         ends = np.zeros(BORDER_POINTS), np.ones(BORDER_POINTS)
         border = np.concatenate([np.stack(side, axis=-1) for end in ends for side in ((along, end), (end, along))])

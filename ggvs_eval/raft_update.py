@@ -46,7 +46,7 @@ class Correlation:
         """Correlations around given columns of the right image.
 
         Args:
-            columns: where each left cell is thought to lie in the right image, in cells, (B, H, W).
+            columns: where each left cell is thought to be in the right image, in cells, (B, H, W).
 
         Returns:
             (B, levels * (2 * radius + 1), H, W), linear between cells, 0 outside the image.

@@ -70,11 +70,11 @@ def ceilings(
         coding: how the frames were coded; None where each pixel is as the sensor gave it.
 
     Raises:
-        MetricError: unknown metric, fewer than 2 frames, frames that differ in size, too little stands still, or frames that
+        MetricError: unknown metric, fewer than 2 frames, frames that differ in size, too little is static, or frames that
             were coded in an unknown way.
 
     Reading:
-        Frames that were never coded, with their real noise, are the truth. Where a pixel stands still, its average over time is
+        Frames that were never coded, with their real noise, are the truth. Where a pixel is static, its average over time is
         the noise-free rendering, and the average with drawn noise is the second recording. Where it moves, no clean value is
         known: the captured frame with drawn noise is taken instead, of the strength that makes its difference from the truth
         that of the noise (once for the noise-free rendering, twice the variance for the second recording).

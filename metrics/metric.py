@@ -203,7 +203,7 @@ class Series:
 
     Attributes:
         n_frames: how many of them it takes.
-        function: (these frames, in order, and where the scene stands still, (H, W), or None for everywhere) -> value.
+        function: (these frames, in order, and where the scene is static, (H, W), or None for everywhere) -> value.
     """
 
     n_frames: int

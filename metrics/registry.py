@@ -120,7 +120,7 @@ def scored_by_view(names: Iterable[str]) -> tuple[ViewMetric, ...]:
 
 
 def scored_on_screen(names: Iterable[str]) -> tuple[ScreenMetric, ...]:
-    """Select the metrics that are of what stands on the screen."""
+    """Select the metrics that are of the displayed frames."""
     return tuple(metric for metric in select_metrics(names) if isinstance(metric, ScreenMetric))
 
 

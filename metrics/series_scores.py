@@ -28,7 +28,7 @@ def score_frames(frames: Iterable[Image8], static: Mask | None = None) -> ViewSc
 
     Args:
         frames: in order, each (H, W, 3) uint8 in 0..255 or float in [0, 1]; consumed as a stream, three are in memory.
-        static: (H, W), where the scene stands still and the camera with it; None for the whole image.
+        static: (H, W), where the scene is static and the camera with it; None for the whole image.
 
     Returns:
         (metric, first frame of those it belongs to, value), and the reasons for what there is too little of.

@@ -27,7 +27,7 @@ class ENeRF:
     Reading:
         Depths are searched between the nearest and the farthest of the cameras of the instant. Lengths are scaled so that the
         nearest depth is that of the training, because the network's smallest deviations are lengths. Sides are padded to
-        multiples of 32 at the right and at the bottom, sources by repeating their border. The authors' pixel centres lie at whole
+        multiples of 32 at the right and at the bottom, sources by repeating their border. The authors' pixel centres are at whole
         numbers; principal points are moved by half a pixel.
     """
 

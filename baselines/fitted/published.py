@@ -26,7 +26,7 @@ class PublishedScene(FittedScene):
 
     Reading:
         The time of the i-th of n instants is i / n, as their loaders give it. Every Gaussian is moved; which ones are is a table
-        beside the files that their program fills with yes.
+        next to the files that their program fills with yes.
     """
 
     def __init__(self, folder: Path, instants: range, near: float, device: str = "cpu") -> None:

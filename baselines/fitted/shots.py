@@ -36,7 +36,7 @@ class Shot:
 class Shots:
     """Images of all training cameras at some instants, each once before any comes again, in a seeded order.
 
-    Frames of videos lie behind one another; they are decoded once, into a file beside the fit, which is read in any order.
+    Frames of videos are behind one another; they are decoded once, into a file beside the fit, which is read in any order.
 
     Args:
         salt: makes the order of this fit another than that of the folder's other fits.
@@ -92,7 +92,7 @@ class Shots:
         return self._folder / f"{view}.frames.npy"
 
     def _stored(self, view: str) -> Image8:
-        """All frames of a camera, (T, H, W, 3), as they lie in a file."""
+        """All frames of a camera, (T, H, W, 3), as they are in a file."""
         if view not in self._frames:
             path, indices = self._path(view), self.footage.indices
             if not path.is_file():

@@ -1,6 +1,6 @@
 """GPS-Gaussian behind the `Method` interface: every instant alone, from the nearest pair that makes a stereo pair.
 
-Its cameras are turned so that matching points lie on one row, each on its own canvas.
+Its cameras are turned so that matching points are on one row, each on its own canvas.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from ggvs_eval.method import Instant, Rendering, SourceView
 
 MIN_PARALLAX_SINE = 0.5  # between the line through both centres and the viewing direction
 MAX_TURN_RAD = np.pi / 3  # between the two viewing directions
-MIN_RAY_Z = 0.1  # of a rectified ray; smaller ones lie so far out that the image is stretched beyond use
+MIN_RAY_Z = 0.1  # of a rectified ray; smaller ones are so far out that the image is stretched beyond use
 MOST_PIXELS = 6.0  # of a whole canvas per pixel of the larger image
 
 
@@ -36,7 +36,7 @@ class RectifiedView:
 
     Attributes:
         camera: the source camera turned; its size is that of the canvas.
-        positions: where each canvas pixel lies in the source image, (Hc, Wc, 2), array indices (pixel centres at integers).
+        positions: where each canvas pixel is in the source image, (Hc, Wc, 2), array indices (pixel centres at integers).
         inside: canvas pixels that the source sees, (Hc, Wc).
         depth_ratio: depth in the source camera per depth in the rectified one, (Hc, Wc).
     """

@@ -25,7 +25,7 @@ class IBRNet:
 
     Reading:
         Depths are searched from 0.9 times the nearest to 1.6 times the farthest of the cameras of the instant, the margins of
-        the authors' loader of real scenes, evenly in inverse depth, as their evaluation does. The authors' pixel centres lie at
+        the authors' loader of real scenes, evenly in inverse depth, as their evaluation does. The authors' pixel centres are at
         whole numbers; principal points are moved by half a pixel.
     """
 

@@ -191,7 +191,7 @@ class RayNetwork(nn.Module):
         Args:
             view_features: RGB in [0, 1] and 32 features of each view, (R, S, K, 35), samples in the order of the ray.
             directions: unit difference of the target's and the view's ray, and their dot product, (R, S, K, 4).
-            visible: whether the sample lies in the view's image, (R, S, K, 1), bool.
+            visible: whether the sample is in the view's image, (R, S, K, 1), bool.
 
         Returns:
             RGB, (R, S, 3), and density per sample, not per length, (R, S).

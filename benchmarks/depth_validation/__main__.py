@@ -10,7 +10,7 @@ from ggvs_eval.errors import GgvsError
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Parse the command line and evaluate; what the user can mend is one line."""
+    """Parse the command line and evaluate; what the user can correct is one line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder with the real pair and the real rig")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder of rooms, tables and figures")

@@ -1,6 +1,6 @@
 """Depth of a real rig against the sparse points it was calibrated by: of every camera, at the pixels where it saw them.
 
-Sparse points lie where there is texture. Depth that is good there can be garbage on walls and blinds, so this check must not
+Sparse points are where there is texture. Depth that is good there can be garbage on walls and blinds, so this check must not
 stand alone: the room's regions and the rendering of left-out views stand beside it.
 """
 

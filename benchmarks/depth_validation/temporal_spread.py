@@ -92,7 +92,7 @@ def measure_spread(views: Sequence[SourceView], static: Mask) -> dict[str, float
 
     Args:
         views: one camera at consecutive instants.
-        static: pixels that stand still, (H, W).
+        static: pixels that are static, (H, W).
     """
     temporal_filter = TemporalDepthFilter()
     filtered = [temporal_filter.step(index, view)[0].depth for index, view in enumerate(views)]

@@ -45,7 +45,7 @@ def dists(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
 
     Reading:
         The frame enters at its own size, as the authors' module takes it; their script shrinks photographs to 256 pixels first,
-        which gives other values. In a part, a place of a layer counts by the share of its pixels that lie inside.
+        which gives other values. In a part, a place of a layer counts by the share of its pixels that are inside.
     """
     check_pair(rendered, truth)
     return dists_between(dists_features(rendered), dists_features(truth), mask)
@@ -134,7 +134,7 @@ def dists_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", m
 
 
 def _mean_over(stage: "torch.Tensor", mask: Mask | None) -> "partial[torch.Tensor]":
-    """The mean over the places of a stage, (1, C, 1, 1), or over the shares of them that lie inside a mask."""
+    """The mean over the places of a stage, (1, C, 1, 1), or over the shares of them that are inside a mask."""
     import torch
 
     if mask is None:
@@ -209,7 +209,7 @@ DISTS = ViewMetric(
     reference="Ding et al. 2020",
     scorer=DistsScorer,
     inside=lambda pair, mask: _to_truth(pair.rendered, pair.truth, pair.options.device, mask),
-    inside_note=", by the features whose pixels lie in it",
+    inside_note=", by the features whose pixels are in it",
     weights=_weights_file,
     on_device=True,
 )

@@ -108,7 +108,7 @@ IV_PSNR = ViewMetric(
     group=FURTHER,
     decimals=2,
     describe=(
-        "PSNR of YCbCr that forgives 2 pixels of misregistration and a global colour offset of 3 levels; what it lies above "
+        "PSNR of YCbCr that forgives 2 pixels of misregistration and a global colour offset of 3 levels; what it is above "
         "PSNR_YCbCr is error of these two kinds, and noise, part of which the search matches"
     ),
     reference="Dziembowski et al. 2022; ISO/IEC MPEG immersive video",

@@ -130,7 +130,7 @@ def bends_px(points_3d: Array, found: NDArray[np.float32], start: NDArray[np.flo
 
 NAMES = ("SGC_rotation", "SGC_translation", "SGC_measured")
 LEAST_SHIFT_PX = 4.0  # of the poses compared: matches are good to about 0.1 px
-STILL = 0.25  # of the shift that the poses ask for: images that move less stand still
+STILL = 0.25  # of the shift that the poses ask for: images that move less are static
 Look = Callable[[int], tuple[Image, NDArray[np.float32] | None]]
 
 
@@ -171,7 +171,7 @@ def spatial_consistency(poses: Sequence[Pose]) -> SpatialConsistency:
             order. Where the scene itself moves, set the depth to 0: SGC is of static regions, and it has no vote.
 
     Raises:
-        MetricError: fewer than two poses, no depth, cameras that do not move the picture, images that stand still though the
+        MetricError: fewer than two poses, no depth, cameras that do not move the picture, images that are static though the
             cameras move, or no step with two regions that have matches: there is nothing to compare, which is not consistency.
 
     Example:
@@ -261,7 +261,7 @@ def _step(cameras: Sequence[Camera], look: Look, points: NDArray[np.float32], fi
     motion = rigid_between(before, after)
     asked = np.median(np.linalg.norm(project(after.K, transformed(motion, points_3d)) - start, axis=1))
     if np.median(np.linalg.norm(found - start, axis=1)) < STILL * asked:
-        return f"the images stand still while the cameras move them by {asked:.1f} px"
+        return f"the images are static while the cameras move them by {asked:.1f} px"
     layers = depth_layers(later_depth[row, column])
     poses = [
         pose

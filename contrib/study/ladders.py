@@ -21,7 +21,7 @@ class Ladder:
         strengths: at least five, rising; 0, which is the undegraded clip, comes before them.
         plant: (clip, strength, seed) -> frames.
         describe: what is done, in a few words.
-        module: that its code lies in.
+        module: that its code is in.
         wants_path: planted along a camera path alone.
         is_rendered: the undegraded clip is what the method renders of undisturbed inputs, whatever else is planted in.
     """
@@ -44,7 +44,7 @@ class Ladder:
     def refuses(self, clip: Clip) -> str:
         """Reason why a clip cannot be degraded so; empty where it can."""
         if self.wants_path and not clip.moves:
-            return "the camera stands still"
+            return "the camera is static"
         if self.wants_path and clip.depths is None:
             return "the depth along the path is unknown"
         least = rendered_ladders.SWITCHED if self.wants_path else 1

@@ -194,7 +194,7 @@ def _measure_paths(
     names = [metric.name for metric in select_metrics(metrics) if isinstance(metric, PathMetric)]
     moving = [clip.moves for clip in clips]
     if not names or not any(moving):
-        return {}, dict.fromkeys(names, "the camera stands still")
+        return {}, dict.fromkeys(names, "the camera is static")
     values: list[Value] = []
     reasons: Reasons = {}
     for clip, frames, of_frames in compress(zip(clips, rendered, sources, strict=True), moving):

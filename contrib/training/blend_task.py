@@ -229,7 +229,7 @@ def displaced(views: RawViews, shifts_px: NDArray[np.float64]) -> RawViews:
 def _moved(image: Map, right: float, down: float) -> Map:
     matrix = np.array([[1, 0, right], [0, 1, down]], np.float64)
     size = image.shape[1::-1]
-    nearest = image.ndim == 2  # depth and coverage: what lies between two surfaces is neither
+    nearest = image.ndim == 2  # depth and coverage: what is between two surfaces is neither
     flags = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
     return np.asarray(cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float32)
 

@@ -80,7 +80,7 @@ class TrainingOptions:
         return self._options(_used_by(what), str)
 
     def card_words(self, what: str) -> list[str]:
-        """The options that decide what the network learns, without the folders that captures and weights lie in."""
+        """The options that decide what the network learns, without the folders that captures and weights are in."""
         return self._options([each for each in _used_by(what) if each.metadata[DECIDES]], _name)
 
     def _options(self, used: list[Field[Any]], text: Callable[[object], str]) -> list[str]:

@@ -22,7 +22,7 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels.portable import cos, exp, power, product, sin, transformed, unit
 
-FIRST_SEED = 2**20  # rooms of pairs have seeds from here on; those of demos, of validation and of views to train on lie below
+FIRST_SEED = 2**20  # rooms of pairs have seeds from here on; those of demos, of validation and of views to train on are below
 GARDENS = 0.35  # share of the scenes
 # Where things are strewn: lowest and highest corner, metres.
 STREWN_M = np.array([(-1.5, 0.1, 0.1), (1.5, 2.2, 2.0)])
@@ -154,13 +154,13 @@ EDGE = 0.02  # bend of inverse depth, as a share of it, from which a pixel is av
 
 @dataclass(frozen=True, eq=False)
 class StereoSample:
-    """A rectified pair and its truth; the point at column x on the left lies at x - disparity on the right.
+    """A rectified pair and its truth; the point at column x on the left is at x - disparity on the right.
 
     Attributes:
         left: RGB uint8 (H, W, 3).
         right: RGB uint8 (H, W, 3).
         disparity: of the left image's surfaces, also where the right eye does not see them; pixels, float32 (H, W), > 0.
-        visible: the match lies within the right image and nothing hides it, bool (H, W).
+        visible: the match is within the right image and nothing hides it, bool (H, W).
     """
 
     left: Image8
@@ -303,9 +303,9 @@ def _pose(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def find_visible(geometry: Geometry, rig: StereoRig, depth: Map) -> Mask:
-    """Mask of the points of the left picture that lie within the right one and are not hidden from its eye, (H, W).
+    """Mask of the points of the left picture that are within the right one and are not hidden from its eye, (H, W).
 
-    What lies within the last hundredth of the way to a point does not hide it, so that no surface hides itself.
+    What is within the last hundredth of the way to a point does not hide it, so that no surface hides itself.
     """
     x, y = rig.positions()
     towards = depth.reshape(-1, 1) * rig.rays(x, y).astype(np.float64) - rig.baseline_m * rig.axes[0]

@@ -250,7 +250,7 @@ def _projectors(back: Array, pinholes: Array, target: Camera, near: float, scale
 
 
 def _corner(cameras: Sequence[Camera]) -> float:
-    """`exposure_compensation.corner_of`, which lies in a corner."""
+    """`exposure_compensation.corner_of`, which is in a corner."""
     ends = [
         max(((at + 0.5 - camera.K[axis, 2]) / camera.K[axis, axis]) ** 2 for at in (0, size - 1))
         for camera in cameras

@@ -124,7 +124,7 @@ def mark_shells(
     target_height: wp.int32,
     marks: wp.array3d[wp.uint8],
 ):
-    """Mark where a sample may lie within the truncation of one block's pixels; conservative, so that no result depends on it."""
+    """Mark where a sample may be within the truncation of one block's pixels; conservative, so that no result depends on it."""
     k, block_y, block_x = wp.tid()
     if is_past and flags[PAST] == 0:
         return

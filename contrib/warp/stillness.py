@@ -248,7 +248,7 @@ def conclude(
     lambda_t: wp.float32,
     out: wp.array2d[wp.float32],
 ):
-    """The same held against the largest change that a source sees nearby; a noise below nothing, by rounding, is none."""
+    """The same checked against the largest change that a source sees nearby; a noise below nothing, by rounding, is none."""
     y, x = wp.tid()
     noise = wp.clamp(wp.sqrt(wp.max(median[0], 0.0)), _LEAST_NOISE, _MOST_NOISE)
     largest = wp.max(masks[y, x] - beta, 0.0) * lambda_t

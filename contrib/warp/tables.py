@@ -219,7 +219,7 @@ def corners_around(row: wp.float32, column: wp.float32, height: wp.int32, width:
 
 @wp.func
 def enlarged_place(pixel: wp.int32, step: wp.float32) -> wp.float32:
-    """Where a pixel of an enlarged image lies in the small one, whose pixels are `step` of those apart, as torch enlarges."""
+    """Where a pixel of an enlarged image is in the small one, whose pixels are `step` of those apart, as torch enlarges."""
     return wp.max((wp.float32(pixel) + 0.5) * step - 0.5, 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Renders beside copies of the truth: ``renders/00000.png`` beside ``gt/00000.png``, as programs write them; EasyVolcap's.
+"""Renders next to copies of the reference: ``renders/00000.png`` beside ``gt/00000.png``, as programs write them; EasyVolcap's.
 
 EasyVolcap writes ``RENDER/frame0000_camera0000.png``, and its copy of the truth as ``..._gt.png`` beside.
 
@@ -122,7 +122,7 @@ class _Pair(NamedTuple):
 
 
 def refuse_flat_set(path: Path, request: FrameRequest) -> str | None:
-    """Return the reason why these are not renders beside the truth, or None if they are."""
+    """Return the reason why these are not renders next to the reference, or None if they are."""
     del request  # its views may have no names here
     if not path.is_dir():
         return "not a folder"

@@ -33,7 +33,7 @@ KINDS = {
         "EasyVolcap output", beside_truth.refuse_easyvolcap, beside_truth.easyvolcap_files, beside_truth.find_easyvolcap
     ),
     "flat": Kind(
-        "renders beside copies of the truth",
+        "renders next to copies of the reference",
         beside_truth.refuse_flat_set,
         beside_truth.flat_set_files,
         beside_truth.find_flat_set,
@@ -43,7 +43,7 @@ KINDS = {
     "folders": Kind("<view>/<frame>.png", view_folders.refuse_folders, view_folders.folder_files, view_folders.find_folders),
     "names": Kind("<view>_<frame>.png", view_folders.refuse_flat, view_folders.flat_files, view_folders.find_flat),
 }
-WEAKEST = "names"  # pictures may lie beside what is meant
+WEAKEST = "names"  # pictures may be beside what is meant
 
 
 def detect(path: Path, request: FrameRequest) -> str:

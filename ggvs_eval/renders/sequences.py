@@ -75,7 +75,7 @@ def _numbered(folder: Path, suffixes: tuple[str, ...], noun: str) -> list[Path]:
     """Files of a folder in the order of the last numbers of their names."""
     files = [path for path in list_files(folder, suffixes) if path.is_file()]
     if not files:
-        raise RenderError(f"{folder}: wanted {noun} ({', '.join(suffixes)}), there are none; name the folder that they lie in")
+        raise RenderError(f"{folder}: wanted {noun} ({', '.join(suffixes)}), there are none; name the folder that they are in")
     try:
         numbers = numbers_in([file.stem for file in files])
     except ValueError as error:

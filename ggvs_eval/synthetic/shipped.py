@@ -65,7 +65,7 @@ def write_room(folder: Path, name: str = MAIN) -> Path:
 
 
 def packed_room(name: str) -> Path:
-    """Where a room that ships lies in the package."""
+    """Where a room that ships is in the package."""
     return FOLDER / f"shipped_{name}"
 
 

@@ -140,7 +140,7 @@ LPIPS_CC = ViewMetric(
     reference="as gsplat's cc_lpips",
     scorer=CorrectedScorer,
     inside=_lpips_inside,
-    inside_note=", by the features whose pixels lie in it",
+    inside_note=", by the features whose pixels are in it",
     weights=weights_file,
     on_device=True,
     corrects_colours=True,
@@ -154,7 +154,7 @@ class ColourMoments:
         Not in the paper. gsplat fits its ``cc_`` map to every image alone, which also removes flicker. One map per view (all
         frames added to one `ColourMoments`) removes what is constant and leaves flicker visible. The fit is linear least squares
         in sRGB; it also lowers the contrast of what does not agree with the truth, so that noise on a flat frame costs less after
-        it: read corrected scores beside the plain ones, never instead of them.
+        it: read corrected scores with the plain ones, never instead of them.
     """
 
     def __init__(self) -> None:

@@ -105,7 +105,7 @@ class LpipsDistance:
     maps: tuple[NDArray[np.float32], ...]
 
     def inside(self, mask: Mask) -> float:
-        """Distance of a part of the frame, (H, W) bool; a place of a layer counts by the share of its pixels that lie inside."""
+        """Distance of a part of the frame, (H, W) bool; a place of a layer counts by the share of its pixels that are inside."""
         count_inside(mask, mask.shape)
         weight = mask.astype(np.float32)
         total = 0.0
@@ -241,7 +241,7 @@ LPIPS = ViewMetric(
     reference="Zhang et al. 2018",
     scorer=LpipsScorer,
     inside=_inside,
-    inside_note=", by the features whose pixels lie in it",
+    inside_note=", by the features whose pixels are in it",
     weights=weights_file,
     on_device=True,
 )

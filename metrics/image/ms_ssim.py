@@ -39,8 +39,8 @@ def ms_ssim(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
 
     Reading:
         Gaussian window 11 x 11 at valid positions, data range 1, scales by the mean of 2 x 2 pixels, negative means cut off at 0.
-        Of a part count the windows whose centre lies in it: no window of 11 pixels of the coarsest scale, 176 of the frame, would
-        lie wholly inside of what usually moves.
+        Of a part count the windows whose centre is in it: no window of 11 pixels of the coarsest scale, 176 of the frame, would
+        are wholly inside of what usually moves.
     """
     check_pair(rendered, truth)
     if min(truth.shape[:2]) < SMALLEST_PX:
@@ -66,7 +66,7 @@ def _maps(x: Planes, y: Planes) -> tuple[Planes, Planes]:
 
 
 def _centred(values: Planes, mask: Mask, shape: tuple[int, ...]) -> Planes:
-    """Values of the windows of a scale whose centre lies mostly inside, (N, 3)."""
+    """Values of the windows of a scale whose centre is mostly inside, (N, 3)."""
     reach = WINDOW_PX // 2
     share = cv2.resize(mask.astype(np.float32), shape[1::-1], interpolation=cv2.INTER_AREA)
     chosen = values[share[reach:-reach, reach:-reach] >= 0.5]
@@ -98,5 +98,5 @@ MS_SSIM = ViewMetric(
     describe="structural similarity over five scales, RGB mean",
     reference="Wang, Simoncelli, Bovik 2003; as pytorch-msssim",
     inside=lambda pair, mask: ms_ssim(pair.rendered, pair.truth.image, mask),
-    inside_note=" by windows whose centre lies in it",
+    inside_note=" by windows whose centre is in it",
 )

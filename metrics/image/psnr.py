@@ -31,7 +31,7 @@ def psnr(rendered: Image, truth: Image) -> float:
 
     Reading:
         Identical frames would score infinity, and one of them would make every mean infinite. They score 100 dB, and so does what
-        lies above: with 8 bits that is less than one step in one value of 25 000. A view's score is the mean of its PSNRs.
+        is above: with 8 bits that is less than one step in one value of 25 000. A view's score is the mean of its PSNRs.
     """
     check_pair(rendered, truth)
     return decibels(_mean_squared_error(rendered, truth), white_level(truth))

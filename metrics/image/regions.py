@@ -15,7 +15,7 @@ from ggvs_eval.metrics.metric import REGION, ColourMap, FramePair, Inside, Metri
 
 Region = Literal["static", "moving", "disoccluded"]
 WORDS: dict[Region, str] = {
-    "static": "what stands still",
+    "static": "static content",
     "moving": "what moves",
     "disoccluded": "what no source camera sees",
 }

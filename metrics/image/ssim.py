@@ -73,7 +73,7 @@ class SsimVariant:
 
     Attributes:
         is_gaussian: Gaussian of sigma 1.5, or uniform.
-        pads_with_zeros: whether windows reach over the border into black, or lie inside the image.
+        pads_with_zeros: whether windows reach over the border into black, or are inside the image.
         data_range: what the formula takes for white, images being in [0, 1].
         unbiased: whether variances are divided by N - 1.
     """
@@ -164,7 +164,7 @@ def device_ssim(rendered: "torch.Tensor", truth: "torch.Tensor", name: SsimName 
 
 
 def masked_ssim(rendered: Image, truth: Image, mask: Mask, name: SsimName = "gaussian-valid") -> float:
-    """SSIM over the windows that lie wholly inside a mask.
+    """SSIM over the windows that are wholly inside a mask.
 
     Windows that reach outside would compare what is not asked about, and windows in a blackened outside score 1: at 5 % coverage
     that turns 0.87 into 0.99.
@@ -190,7 +190,7 @@ def masked_ssim(rendered: Image, truth: Image, mask: Mask, name: SsimName = "gau
 
 
 def windows_inside(rendered: Image, truth: Image, mask: Mask, name: SsimName = "gaussian-valid") -> NDArray[np.float32]:
-    """SSIM of each window that lies wholly inside a mask, (N, 3); arguments as of `masked_ssim`."""
+    """SSIM of each window that is wholly inside a mask, (N, 3); arguments as of `masked_ssim`."""
     check_pair(rendered, truth)
     check_mask(mask, truth.shape[:2])
     box = _bounding_box(mask)  # no window outside it counts
@@ -200,7 +200,7 @@ def windows_inside(rendered: Image, truth: Image, mask: Mask, name: SsimName = "
 
 
 def _chosen(values: Plane, mask: Mask, name: SsimName) -> Plane:
-    """Values of a map whose windows lie inside a mask, (N, 3)."""
+    """Values of a map whose windows are inside a mask, (N, 3)."""
     variant = SSIM_VARIANTS[name]
     check_mask(mask, tuple(size if variant.pads_with_zeros else size + variant.window_px - 1 for size in values.shape[:2]))
     window, radius = np.ones((variant.window_px, variant.window_px), np.uint8), variant.window_px // 2
@@ -213,7 +213,7 @@ def _chosen(values: Plane, mask: Mask, name: SsimName) -> Plane:
 
 def _no_window(name: SsimName) -> MetricError:
     side = SSIM_VARIANTS[name].window_px
-    return MetricError(f"no window of {side} x {side} pixels lies wholly inside the region")
+    return MetricError(f"no window of {side} x {side} pixels is wholly inside the region")
 
 
 def _bounding_box(mask: Mask) -> tuple[slice, slice]:

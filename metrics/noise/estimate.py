@@ -120,7 +120,7 @@ class NoiseEstimator:
     """Noise of a view from its frames, one at a time; three frames are held.
 
     Reading:
-        Static are blocks of 8 x 8 pixels whose mean squared change lies within the narrow peak that noise makes in the histogram
+        Static are blocks of 8 x 8 pixels whose mean squared change is within the narrow peak that noise makes in the histogram
         of such changes; each brightness has its own peak. The mean over the 192 values of a block scatters so little that the cut
         above the peak takes off nothing of the noise, as a cut through single pixels would. Changes over 1 and over 24 frames
         tell how much of the noise is held (H.264 copies blocks and their noise). Noise that never changes is not distinguishable from
@@ -159,7 +159,7 @@ class NoiseEstimator:
         limits = (self._long if self._long.n_blocks >= MIN_BLOCKS else self._short).limits()
         used, n_blocks = self._short.n_within(limits), self._short.n_blocks
         if used < max(MIN_BLOCKS, MIN_STATIC_SHARE * n_blocks):
-            requirement = f"wanted at least {MIN_STATIC_SHARE:.0%} of the blocks and {MIN_BLOCKS} of them to stand still"
+            requirement = f"wanted at least {MIN_STATIC_SHARE:.0%} of the blocks and {MIN_BLOCKS} of them to be static"
             raise MetricError(f"noise: {requirement}, got {used} of {n_blocks}; give more frames, or a view with static content")
         slow = self._long if self._long.n_within(limits) >= MIN_BLOCKS else self._short
         return self._model(slow, limits, used / n_blocks)

@@ -22,7 +22,7 @@ from ggvs_eval.metrics.noise.estimate import NoiseEstimator, NoiseModel, estimat
 
 MEMORY_FRAMES = 30  # over which a still pixel is averaged
 MIN_AGE_FRAMES = 3  # younger averages are no better than the frame
-AROUND_FRAMES = 6  # before and after, over which pixels are averaged that stand still for a moment
+AROUND_FRAMES = 6  # before and after, over which pixels are averaged that are static for a moment
 STEP_255 = 1.0  # an average shown in 8 bit follows by steps of at least this; rounding each would make it tremble
 SMOOTHING_PX = 7
 CONTRAST_FACTOR = 4.0  # contrast up to this multiple of the noise's variance is smoothed away
@@ -39,7 +39,7 @@ class CleanFrame(NamedTuple):
 
     Attributes:
         mean: the clean values, (H, W, 3), grey levels of 255, not rounded.
-        shown: the same as a rendering shows it: whole grey levels, still where it stands still.
+        shown: the same as a rendering shows it: whole grey levels, still where it is static.
         averaged: pixels whose value is an average over time, (H, W, 1).
         strength: local standard deviation of the noise over that of the model, (H, W, 1).
     """

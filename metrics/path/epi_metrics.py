@@ -99,7 +99,7 @@ def _filtered(epi: Image) -> tuple[Array32, Array32]:
 
 
 def _upright_lines(smooth: Array32, gradient: Array32, shear: int, limits: tuple[float, float], first_column: int) -> Lines:
-    """Lines whose slope lies within `limits`, half a pixel around `shear` at most."""
+    """Lines whose slope is within `limits`, half a pixel around `shear` at most."""
     xx, xv, vv = (_over_window(pairs, shear, first_column) for pairs in _pair_tensors(smooth, gradient, shear))
     moved = np.divide(xv, xx, out=np.zeros_like(xx), where=xx > 1e-6)  # how much less than `shear` a line moves per pose
     np.clip(moved, shear - limits[1], shear - limits[0], out=moved)
@@ -195,7 +195,7 @@ def horizontal_path(cameras: Sequence[Camera]) -> HorizontalPath:
         cameras: poses in order, at least 5.
 
     Raises:
-        MetricError: too few poses, poses that differ in size, intrinsics or orientation, a camera that stands still, or one
+        MetricError: too few poses, poses that differ in size, intrinsics or orientation, a camera that does not move, or one
             whose way would bend or speed up by more than the EPI's resolution: 0.5 px off the row and 0.1 px per step, both at
             the near end of the depth range.
 
@@ -241,7 +241,7 @@ class EpiCoherence:
 
     Attributes:
         coherence: 1 for straight lines, 0 where as much changes along the lines as across them, down to -1.
-        line_texture_255: root mean square of the gradient that lies on straight lines, that is of what remains of the energy
+        line_texture_255: root mean square of the gradient that is on straight lines, that is of what remains of the energy
             across the lines after the energy along them is taken off; grey levels of 255 per pixel. Blur removes noise and
             jitter and so can raise the coherence, but it lowers this number, and so do noise and jitter.
     """
@@ -347,7 +347,7 @@ def slope_agreement(
 
     Reading:
         Not in the paper. Slopes are searched 1 px beyond those of near and far, and from there to 0, so that an image that
-        stands still shows it. The first and last two poses and a margin of columns have no whole window and no vote.
+        is static shows it. The first and last two poses and a margin of columns have no whole window and no vote.
     """
     low, high = path.slope_range_px
     slope_range_px = min(low, 0.0) - WIDER_PX, max(high, 0.0) + WIDER_PX

@@ -40,7 +40,7 @@ def warping_error(poses: Iterable[Pose], depth_tolerance: float = DEPTH_TOLERANC
 
     Returns:
         Mean over the steps of the mean squared colour difference over co-visible pixels and channels, white is 1, times 1000. 0
-        for images that agree, and nearly so for blurred ones: read it beside `sharpness`.
+        for images that agree, and nearly so for blurred ones: read it with `sharpness`.
 
     Raises:
         MetricError: fewer than two poses, no surface in common at any step, or what `reprojection_step` refuses.

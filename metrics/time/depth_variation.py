@@ -17,11 +17,11 @@ def depth_mtv(later: Map, earlier: Map, static: Mask | None = None) -> float:
     Args:
         later: depth at t + 1, (H, W) float, any unit, 0 or not finite = unknown; inverse depth (disparity) gives the same value.
         earlier: depth at t.
-        static: (H, W), where the scene stands still; None for the whole image.
+        static: (H, W), where the scene is static; None for the whole image.
 
     Returns:
         Mean over the pixels known in both frames; to first order the change in per cent of the depth. 0 for steady depth, and
-        for a flat one: read it beside `depth_sharpness`.
+        for a flat one: read it with `depth_sharpness`.
 
     Raises:
         MetricError: frames or mask do not fit each other, negative depth, or fewer than 64 pixels known in both.

@@ -34,11 +34,11 @@ class Flicker:
             below 0 it is frozen, blurred or smoothed over time; 0 is ideal. The scene's change is the capture's without noise.
         error: root of the energy by which the rendering's change misses the scene's; 0 is ideal, both signs of `excess` raise it,
             and so does motion at the wrong time or place. No noise of the capture is in it.
-        on_static: the rendering's change where the scene stands still, 0 or more: flicker alone. None if nothing stands still.
+        on_static: the rendering's change where the scene is static, 0 or more: flicker alone. None if nothing is static.
         on_moving: `excess` where the scene moves alone. None if nothing moves.
         with_noise: signed as `excess`, but against the capture's whole change, noise included; 0 for a second recording.
-        noise: the capture's change where the scene stands still: its noise. None if nothing stands still.
-        static_share: share of the blocks that stand still.
+        noise: the capture's change where the scene is static: its noise. None if nothing is static.
+        static_share: share of the blocks that are static.
     """
 
     excess: float
@@ -55,11 +55,11 @@ class FlickerMeter:
     """Measures flicker from the frames of a view, one instant at a time; two instants are held.
 
     Reading:
-        Where the capture stands still, the scene's change is 0, so all change of the rendering is flicker, and the capture's is
+        Where the capture is static, the scene's change is 0, so all change of the rendering is flicker, and the capture's is
         its noise: no estimate is needed. Where it moves, the energy of the noise of still blocks
         as bright is taken off the capture's. Blocks of
-        8 x 8 pixels stand still if their change lies in the peak that noise makes in the histogram of changes (of all frames so
-        far) and no neighbour moves. Where nothing stands still, the noise is taken for 0. Pixels beyond the last whole block are
+        8 x 8 pixels are static if their change is in the peak that noise makes in the histogram of changes (of all frames so
+        far) and no neighbour moves. Where nothing is static, the noise is taken for 0. Pixels beyond the last whole block are
         not measured.
     """
 

@@ -24,7 +24,7 @@ TIE = 1e-6  # frames: what is ready that much after an instant was ready at it, 
 
 @dataclass(frozen=True)
 class Screen:
-    """What stands on the screen at each instant of a clip.
+    """the displayed frames at each instant of a clip.
 
     Attributes:
         shown: frame number, counted from the clip's first, of the picture at each instant; None while there is none yet.
@@ -60,7 +60,7 @@ class Screen:
 
 
 def on_screen(stages_s: Sequence[float], count: int, stream: Stream) -> Screen:
-    """What stands on the screen, from the time that each stage of a method takes.
+    """the displayed frames, from the time that each stage of a method takes.
 
     A method begins with the newest frame whenever it is free. It is busy with one for the sum of its stages, or for the longest
     of them where stages are pipelined; the picture is ready after their sum in either case.
@@ -105,7 +105,7 @@ def on_screen(stages_s: Sequence[float], count: int, stream: Stream) -> Screen:
 
 @dataclass(frozen=True, kw_only=True)
 class ScreenMetric(Metric):
-    """A metric of frames, of what stands on the screen at each instant.
+    """A metric of frames, of the displayed frames at each instant.
 
     Attributes:
         of: the metric.
@@ -120,7 +120,7 @@ class ScreenMetric(Metric):
 
 
 def metric_on_screen(metric: ViewMetric) -> ScreenMetric:
-    """The metric of what stands on the screen, ``PSNR_stream`` and so on."""
+    """The metric of the displayed frames, ``PSNR_stream`` and so on."""
     return ScreenMetric(
         name=f"{metric.name}{ON_SCREEN}",
         kind=metric.kind,

@@ -23,11 +23,11 @@ def mtv(later: Image, earlier: Image, static: Mask | None = None) -> float:
     Args:
         later: rendered frame at t + 1, (H, W, 3), uint8 in 0..255 or float in [0, 1].
         earlier: rendered frame at t.
-        static: (H, W), where the scene stands still; None for the whole image.
+        static: (H, W), where the scene is static; None for the whole image.
 
     Returns:
         Mean over pixels and channels, per cent of white: what the literature prints as mTV x 100. 0 for a steady rendering, and
-        for a frozen or a grey one: read it beside `sharpness`.
+        for a frozen or a grey one: read it with `sharpness`.
 
     Raises:
         MetricError: frames or mask do not fit each other, or fewer than 64 pixels inside.
@@ -50,11 +50,11 @@ def mtv2(frames: Sequence[Image], static: Mask | None = None) -> float:
 
     Args:
         frames: three rendered frames in order, each (H, W, 3), uint8 in 0..255 or float in [0, 1].
-        static: (H, W), where the scene stands still; None for the whole image.
+        static: (H, W), where the scene is static; None for the whole image.
 
     Returns:
         Mean over pixels and channels of ``|I(t + 1) - 2 I(t) + I(t - 1)|``, per cent of white; 0 for a steady rendering, and for
-        a frozen or a grey one: read it beside `sharpness`.
+        a frozen or a grey one: read it with `sharpness`.
 
     Raises:
         MetricError: not three frames, or as `mtv`.
@@ -96,7 +96,7 @@ def _differing(first: Image, second: Image, third: Image | None = None) -> tuple
 
 
 class VariationScorer:
-    """First or second difference of a view where its captured frames stand still; each value stands at its first frame."""
+    """First or second difference of a view where its captured frames are static; each value stands at its first frame."""
 
     def __init__(self, n_frames: int, names: Sequence[str], _options: MetricOptions, _colour_map: ColourMap | None) -> None:
         self.names = names
@@ -107,7 +107,7 @@ class VariationScorer:
         self._is_measured = False
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
-        """See `Scorer`; frames of which too little stands still have no value."""
+        """See `Scorer`; frames of which too little is static have no value."""
         self._frames.append(rendered)
         if (static := region_mask(truth, "static")) is not None:
             self._masks.append(static)
@@ -136,7 +136,7 @@ MTV = ViewMetric(
     higher_is_better=False,
     group=NO_REFERENCE,
     decimals=3,
-    describe="mean absolute change of the rendering where the scene stands still, x 100; blur lowers it",
+    describe="mean absolute change of the rendering where the scene is static, x 100; blur lowers it",
     reference="OR2, SIGGRAPH 2025, arXiv 2505.01235",
     scorer=partial(VariationScorer, 2),
     series=Series(2, _variation),
@@ -150,7 +150,7 @@ MTV2 = ViewMetric(
     higher_is_better=False,
     group=NO_REFERENCE,
     decimals=3,
-    describe="mean absolute second difference over time of the rendering where the scene stands still, x 100; blur lowers it",
+    describe="mean absolute second difference over time of the rendering where the scene is static, x 100; blur lowers it",
     reference="docs/metrics.md",
     scorer=partial(VariationScorer, 3),
     series=Series(3, _variation),

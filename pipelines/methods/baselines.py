@@ -37,7 +37,7 @@ FIXED_BASELINES: dict[str, OnlineMethod] = {
     ),
     "interpolation": OnlineMethod(
         "View Interpolation",
-        "two views warped towards each other by optical flow, where the target lies between them",
+        "two views warped towards each other by optical flow, where the target is between them",
         ("ggvs_eval.baselines.view_interpolation",),
         _interpolation,
         usual=False,

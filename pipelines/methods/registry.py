@@ -24,7 +24,7 @@ def _checked(name: str, offered: object) -> MethodSpec:
     return OnlineMethod(name, about or f"{name}, of a plug-in", (offered.__module__,), offered, usual=False, foreign=True)
 
 
-# Every method by its label, `method` or `method+variant`; its renders lie in a folder of that name.
+# Every method by its label, `method` or `method+variant`; its renders are in a folder of that name.
 METHODS: Registry[MethodSpec] = Registry("methods", built_in.METHODS, _checked)
 
 

@@ -81,7 +81,7 @@ class RenderUnit:
     def instants(self, method: Method) -> Iterator[Instant]:
         """Stream the sources; a method that looks ahead has seen those of a test view, last first, when this begins.
 
-        Along the path time stands still: a scene in which nothing moves.
+        Along the path time is static: a scene in which nothing moves.
         """
         if self.name == PATH:
             return self._along_path()

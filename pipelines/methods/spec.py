@@ -35,7 +35,7 @@ class AtScale:
         scale: of both sides, in (0, 1).
 
     Reading:
-        Sources are averaged over areas; their depth is that of the nearest pixel, since means of two surfaces lie on none. The
+        Sources are averaged over areas; their depth is that of the nearest pixel, since means of two surfaces are on none. The
         picture is enlarged by cubic interpolation, as screens do.
     """
 

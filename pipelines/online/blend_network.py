@@ -50,7 +50,7 @@ class BlendNetworkShape:
         guidance: what it sees of the fused depth: ``registered`` views, its ``channels`` as the paper prints them, or ``none``
             (ablation 'No TSDF Guidance'); ``naive``: no depth at all.
         width: channels of the U-Net's first level.
-        scale: the U-Net works on so many times fewer pixels per side; its weights are enlarged, what they weigh is not.
+        scale: the U-Net works on N times fewer pixels per side; its weights are enlarged, what they weigh is not.
         features: channels that the U-Net hands to a `Refiner` at full size; none, and no refiner, with 0.
 
     Reading:
@@ -82,7 +82,7 @@ class BlendNetwork(nn.Module):
     def __init__(self, config: BlendNetworkShape) -> None:
         super().__init__()
         self.config = config
-        self.register_buffer("scale", torch.tensor(config.scale))  # lies in the weights file: no shape tells it
+        self.register_buffer("scale", torch.tensor(config.scale))  # is in the weights file: no shape tells it
         self.unet = UNet(config.inputs, config.outputs, config.width)
         for parameter in self.unet.last.parameters():
             nn.init.zeros_(parameter)  # so it begins as geometric weights and learns what to change
@@ -348,7 +348,7 @@ def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
 
     Args:
         path: safetensors, or a torch checkpoint that is a state dict.
-        device: where the network shall lie.
+        device: where the network shall be.
 
     Raises:
         WeightsError: absent, damaged, or tensors of no blending network.
@@ -358,7 +358,7 @@ def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
     load_strict(tensors, network, path, NETWORK)
     if device.type != "cpu":
         return network.eval().to(device)
-    # Channels that lie side by side are convolved twice as fast.
+    # Channels that are side by side are convolved twice as fast.
     return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 

@@ -234,7 +234,7 @@ def _squared_tangents(points: Map) -> Map:
 
 
 def linear(colours: Map) -> NDArray[np.bool_]:
-    """Mask colours (..., 3) whose channels all lie in the range in which a sensor is taken to be linear."""
+    """Mask colours (..., 3) whose channels all are in the range in which a sensor is taken to be linear."""
     return np.asarray(np.logical_and.reduce((colours >= DARK) & (colours <= BRIGHT), axis=-1))
 
 

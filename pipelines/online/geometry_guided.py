@@ -31,7 +31,7 @@ from ggvs_eval.pipelines.online.temporal_filters import (
     stillness,
 )
 
-BEHIND = 0.98  # of the remembered depth: what lies so far back at least is the same surface, or one behind it
+BEHIND = 0.98  # of the remembered depth: what is so far back at least is the same surface, or one behind it
 FORGETTING = 0.99  # of the remembered depth from one instant to the next, so that a wrong one does not last
 RENEWAL = 0.15  # share of a new filling in the recursive mean of fillings
 SURE_STILL = 0.5  # stillness from which on a pixel is background
@@ -323,9 +323,9 @@ class _Memory:
 
 
 class RememberedBackground:
-    """Replaces the filling of holes by what the target showed there before, as long as it stands still.
+    """Replaces the filling of holes by what the target showed there before, as long as it is static.
 
-    A pixel that stands still is remembered with its depth unless something behind it is, and forgotten when it begins to move: a
+    A pixel that does not move is remembered with its depth unless something behind it is, and forgotten when it begins to move: a
     hole shows the wall that somebody hides from the sources, or has uncovered, and not the body that has left. Where nothing is
     remembered the recursive mean of the fillings is shown, which begins with the first one. State: one image and one depth map of
     the target.

@@ -94,7 +94,7 @@ def overview(maps: BlendMaps, scale: int) -> Overview:
 
 
 def registered(inputs: BlendingInputs, scale: int) -> tuple[BlendMaps, Overview]:
-    """`blend_maps` with registered views, and their `overview`, in one pass: while the views lie in the cache."""
+    """`blend_maps` with registered views, and their `overview`, in one pass: while the views are in the cache."""
     from ggvs_eval.kernels import _core
 
     target, (sources, splats) = inputs.instant.target, in_order(inputs)
@@ -148,7 +148,7 @@ def composed(maps: BlendMaps, unseen: Map, background: Map, small: Map, scale: i
         unseen: how little of what the target sees is shown, (H, W).
         background: the picture filled from its surroundings, (H, W, 3).
         small: `small_outputs` of the network, (K + 4 + F, h, w).
-        scale: so many times smaller they are per side.
+        scale: N times smaller they are per side.
     """
     from ggvs_eval.kernels import _core
 
@@ -249,7 +249,7 @@ def blend_on(network: BlendNetwork, maps: BlendMaps, device: torch.device) -> Bl
     What the network looks at, and the background, come from the compiled kernels on the CPU: they pass over the views once.
 
     Args:
-        network: lies on the device.
+        network: is on the device.
         maps: the K views.
         device: where network, composition and refiner compute.
 

@@ -55,7 +55,7 @@ class BlendMaps:
     shares: tuple[float, ...] | None = None
 
     def reduced(self, scale: int) -> "BlendMaps":
-        """The maps of a camera with so many times fewer pixels: averages, but of depths one pixel of each block.
+        """The maps of a camera with N times fewer pixels: averages, but of depths one pixel of each block.
 
         Sizes that `scale` does not divide are continued by their last row and column.
         """
@@ -221,7 +221,7 @@ def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None
     Reading:
         The paper names the first eight groups. Depth enters as unit / depth, distance as distance / unit, so that nothing depends
         on the scale of the world. Directions go from the surface to the cameras; where the surface is unknown, cosines to its
-        normal are 0 and the point lies on the far plane. Zeros for absent views let one network serve every K up to its own.
+        normal are 0 and the point is on the far plane. Zeros for absent views let one network serve every K up to its own.
     """
     guide = guide_depth(maps, guidance)
     unit = unit or reference_depth(guide, maps.target)

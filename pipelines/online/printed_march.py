@@ -148,7 +148,7 @@ def sample_depth(depth: NDArray[np.float32], u: Values, v: Values, tolerance: fl
 
     Args:
         depth: (H, W), 0 = unknown.
-        u: columns, (N,), 0 <= u < W; pixel centres lie at halves.
+        u: columns, (N,), 0 <= u < W; pixel centres are at halves.
         v: rows, (N,), 0 <= v < H.
         tolerance: neighbours are close when they differ by less than this, units of the depth.
 

@@ -35,7 +35,7 @@ class Refiner(nn.Module):
 
     Reading:
         Not in the paper. Blended views are a mean of sampled colours: silhouettes are as hard as the fused depth has them, and
-        views that lie a fraction of a pixel apart blur their mean. On validation rooms (demo seeds 101-103, nine views) this
+        views that are a fraction of a pixel apart blur their mean. On validation rooms (demo seeds 101-103, nine views) this
         raises geometric weights alone from 30.68 to 31.17 dB, linear filters fitted per class of edge and spread to 30.97 dB.
         Filters are predicted instead of colours (Bako et al., Kernel-predicting convolutional networks, 2017), which learns
         faster and from fewer rooms: colours went below 30.68 dB in as many steps.

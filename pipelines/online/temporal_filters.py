@@ -1,7 +1,7 @@
 """Filters over time: depth of the source cameras (Eq. 2), certainty that nothing moves, and the previous output.
 
 What changes in all source views alike is motion, what changes in one alone is noise; the previous output is one more witness
-of what stands still, so that noise and flicker average out over time.
+of static content, so that noise and flicker average out over time.
 """
 
 from collections.abc import Sequence
@@ -217,7 +217,7 @@ def mixed(image: Map, past: Map, weight: Map, change: Map) -> Map:
 
     Reading:
         Light that changes slowly is not seen as motion and would lag behind. The mean difference over about 32 pixels, of what
-        stands still, is therefore let through.
+        is static, is therefore let through.
     """
     from ggvs_eval.kernels import _core
 
@@ -248,7 +248,7 @@ def stillness(
         both see is the energy of motion regardless of the noise, and what it falls short of the energy of each is the noise,
         whatever moves. No threshold is set for a sensor or for a contrast, and a picture that moves as a whole is seen to. Both
         are asked of single pixels, which know the finest texture, and of mean colours of cells, in which noise is an eighth.
-        What no two views agree about, uncovered or at a wrong depth, is held against the noise itself.
+        What no two views agree about, uncovered or at a wrong depth, is checked against the noise itself.
     """
     small, surface = middle_rays(target), cells(depth)
     still = np.ones_like(surface)

@@ -148,12 +148,12 @@ def playback_of_capture(
     Depth by IterMVS on a GPU is not computed here, except for each picture as it is shown.
 
     Args:
-        capture: what is played; of one instant, the camera moves while time stands still.
+        capture: what is played; of one instant, the camera moves while time is static.
         cache: folder for frames and depth; what is there, and belongs to these frames, is kept.
         anywhere: make ready what any camera sees, for a target that may be anywhere, instead of one that goes round.
 
     Reading:
-        Sources change along the way. Depth of a camera is that of its own stereo, not held against the other sources of a view,
+        Sources change along the way. Depth of a camera is that of its own stereo, not checked against the other sources of a view,
         so that it does not change when they do.
     """
     capture = without_unmatched(capture, depth)

@@ -151,7 +151,7 @@ class OnlineSynthesizer:
             target: the virtual camera, of any size; it may stand elsewhere at each step.
 
         Raises:
-            CameraError: fewer than K cameras beside the target.
+            CameraError: fewer than K cameras next to the target.
             RenderError: an image that is missing or does not fit its camera.
             DepthError: depth that is missing, does not fit its camera, is negative or not finite.
         """
@@ -258,7 +258,7 @@ def _checked_depth(camera: Camera, depth: Map) -> Map:
 def seen_share(target: Camera, cameras: Sequence[Camera]) -> float:
     """Share of a view that some camera sees from nearly its own direction, by calibration alone.
 
-    Below `LEAST_SEEN` the view lies outside of what the rig sees, and most of its rim is guessed.
+    Below `LEAST_SEEN` the view is outside of what the rig sees, and most of its rim is guessed.
 
     Args:
         target: the view.

@@ -125,7 +125,7 @@ def _import(
 
 
 def _put(target: Path, renders: RenderSet, fitted: Fit, record: dict[str, Any], workers: int, link: bool) -> dict[str, Any]:
-    """Fill a folder beside the target, then let it take the target's place."""
+    """Fill a folder next to the target, then let it take the target's place."""
     with atomic_folder(target) as temporary:
         views = {view: (renders.views[view], frames) for view, frames in fitted.usable.items()}
         notes = _write(views, temporary, workers)

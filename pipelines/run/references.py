@@ -71,7 +71,7 @@ def find_seen_view(view: str, psnrs_db: Collection[float], perfect: Mapping[str,
 def find_seen_views(run: RunFolder, label: str) -> list[Finding]:
     """Ask the same of frames that need not have been scored, and of a protocol that wants no ceilings.
 
-    They are estimated only where renders are so good that they may lie above: noise of `LEAST_DB` would be seen by everybody.
+    They are estimated only where renders are so good that they may be above: noise of `LEAST_DB` would be seen by everybody.
     """
     protocol, findings = run.protocol(), []
     wanted = replace(protocol, measurement=replace(protocol.measurement, metrics=(COMPARED,), ceilings=True))

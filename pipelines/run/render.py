@@ -1,7 +1,7 @@
 """Render: every test view, and a camera path, by every method; one job per method and unit. Before it, fits.
 
 A fit is one scene per fold by a method that is fitted, one job per (method, seed, fold), which continues where it was killed.
-Diagnostics are a method's intermediate maps, as pictures beside its frames that the page shows.
+Diagnostics are a method's intermediate maps, as pictures next to its frames that the page shows.
 """
 
 import shutil

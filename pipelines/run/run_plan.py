@@ -203,7 +203,7 @@ class RunPlan:
 
     @property
     def path_frames(self) -> range:
-        """The instant of the path, which may lie outside the protocol's frames."""
+        """The instant of the path, which may be outside the protocol's frames."""
         return range(self.path_frame, self.path_frame + 1)
 
     def depth_work(self) -> list[tuple[list[DepthJob], Sequence[int]]]:
@@ -246,7 +246,7 @@ def plan_run(request: RunRequest) -> RunPlan:
         ProtocolError: the folder's depth is found otherwise, or it holds a run of another protocol or capture.
 
     Reading:
-        Shares are for targets that move. A test view stands still and its sources never change, so that all count whole: with the
+        Shares are for targets that move. A test view is static and its sources never change, so that all count whole: with the
         path's shares, nearest sources score up to 0.17 dB less and chosen ones 0.08 to 0.18 dB (validation rooms).
     """
     run, methods = RunFolder(request.root), {label: find_method(label, request.networks) for label in request.labels}

@@ -1,6 +1,6 @@
 """Score: the 8-bit frames on disk against the captured ones, wherever they were rendered.
 
-Each view is one job for all methods, because what the truth alone decides is then computed once; the values lie in
+Each view is one job for all methods, because what the truth alone decides is then computed once; the values are in
 ``RUN/scores/<view>/job.json``, and a method that is there already, with the same frames, is not measured again.
 """
 

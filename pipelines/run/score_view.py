@@ -69,7 +69,7 @@ def view_job(
 
 
 def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, Any]:
-    """Return what one metric depends on beside the frames and the measurement; the CPU is not named."""
+    """Return what one metric depends on next to the frames and the measurement; the CPU is not named."""
     weights = {} if metric.weights is None else {"weights": metric.weights(options).is_file()}
     elsewhere = {"device": options.device} if metric.on_device and options.device != "cpu" else {}
     return {"code": metric_code(metric)} | weights | elsewhere
@@ -221,7 +221,7 @@ def _score_screen(
     protocol: Protocol,
     options: MetricOptions,
 ) -> dict[str, Any]:
-    """Metrics of what stands on the screen, from the first instant on that is scored."""
+    """Metrics of the displayed frames, from the first instant on that is scored."""
     if isinstance(screen, str):
         return {"values": [], "not_computed": dict.fromkeys(metrics, screen)}
     start, folder = protocol.frames.start, run.renders(label, view)

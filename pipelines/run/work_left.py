@@ -50,7 +50,7 @@ class Piece:
     """A part of the remaining work: files that are missing in one folder, or a scene to fit.
 
     Attributes:
-        folder: where they will lie; runs that share it have the piece in common.
+        folder: where they will be; runs that share it have the piece in common.
         label: of the method that renders them.
         core_seconds: of all of them at `pace` 1; None where they are not known.
     """
@@ -338,7 +338,7 @@ def _poses_left(plan: RunPlan) -> int:
 
 
 def _depth_left(plan: RunPlan, store: DepthStore) -> dict[Kind, dict[Path, int]]:
-    """Missing depth maps by folder of the store: as found, and held against others."""
+    """Missing depth maps by folder of the store: as found, and checked against others."""
     unchecked: dict[Path, int] = {}
     checked: dict[Path, int] = {}
     for jobs, frames in plan.depth_work():

@@ -80,7 +80,7 @@ def demo_plans(
     """Plan the run of every demo room as soon as it is unpacked, and the main one's sweep over K.
 
     Args:
-        root: run folder of the main room; the others' lie beside it, and each capture beside its run.
+        root: run folder of the main room; the others' lie beside it, and each capture next to its run.
         labels: name of a room -> its methods, see `room_labels`.
         unpack: gives the capture of a folder and a room's name.
         rooms: by the names of their protocols.

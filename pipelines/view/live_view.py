@@ -71,7 +71,7 @@ class FrameStock:
         depth_map = self._playback.store.read(self._playback.depth_keys[name], instant)
         if size == depth_map.depth.shape[1::-1]:
             return image, depth_map
-        # Depths of two surfaces must not be mixed: a mean would lie on neither.
+        # Depths of two surfaces must not be mixed: a mean would be on neither.
         depth, confidence = (
             cv2.resize(each, size, interpolation=cv2.INTER_NEAREST_EXACT) for each in (depth_map.depth, depth_map.confidence)
         )
@@ -155,7 +155,7 @@ class _Running:
 class LiveView:
     """Pictures of one size for one viewer, each method with its history.
 
-    A method sees instants as they come: the same one again while time stands still, the next one while it plays. It begins anew
+    A method sees instants as they come: the same one again while time is static, the next one while it plays. It begins anew
     after any other jump in time, since it would take what it remembers for the instant before.
 
     Attributes:

@@ -2,7 +2,7 @@
 
 Its listening socket lets in who has the address with its token, from our own page.
 
-`viser` serves the page, draws the scene and tells where the camera is; the pictures lie behind its scene as a background.
+`viser` serves the page, draws the scene and tells where the camera is; the pictures are behind its scene as a background.
 """
 
 import contextlib

@@ -134,7 +134,7 @@ def pair_picture(
 ) -> PairPicture:
     """Put the two rectified images side by side, with lines along their common rows and dots on a few matched features.
 
-    The canvas of a partner on the left is upside down, that of one above or below lies on its side: pictures are turned back.
+    The canvas of a partner on the left is upside down, that of one above or below is on its side: pictures are turned back.
     Rows become columns where that takes a quarter turn, and the halves stand one above the other.
 
     Args:

@@ -1,6 +1,6 @@
 """The figures of a paper, each by its kind, as PNG and PDF; and the video that goes with it.
 
-Frames of every method stand beside the truth, with the squares that a rule has chosen enlarged below or beside them.
+Frames of every method stand next to the reference, with the squares that a rule has chosen enlarged below or beside them.
 """
 
 import math

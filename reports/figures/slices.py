@@ -79,7 +79,7 @@ def temporal_slice(folder: Path, frames: range, row: int) -> Image8:
     """One row of the frames of a fixed view, stacked over time.
 
     Returns:
-        (t, x, 3); what stands still is a vertical line, flicker is horizontal noise.
+        (t, x, 3); static content is a vertical line, flicker is horizontal noise.
     """
     return _stack_rows(folder, frames, row)
 

@@ -267,7 +267,7 @@ def read_run(root: Path) -> MeasuredRun:
     """Read everything that a report says about a run, except its frames, which are only checked to be there.
 
     Raises:
-        ResultsError: not a run folder, not scored, or scored under another protocol than the one that lies in it.
+        ResultsError: not a run folder, not scored, or scored under another protocol than the one that is in it.
         RenderError: frames are missing.
     """
     run = read_scores(root)
@@ -296,7 +296,7 @@ def read_scores(root: Path) -> MeasuredRun:
     """Read the numbers of a run: its methods are those in the results, and no frame is looked for.
 
     Raises:
-        ResultsError: not a run folder, not scored, or scored under another protocol than the one that lies in it.
+        ResultsError: not a run folder, not scored, or scored under another protocol than the one that is in it.
     """
     folder = RunFolder(Path(root))
     protocol, results = folder.protocol(), Results.read(folder.root)

@@ -103,7 +103,7 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
     """
     results = [Results.read(first), Results.read(second)]
     told = tell_scenes_apart(results)
-    results = told if told[0].scenes == told[1].scenes else results  # one scene may lie in folders of two names
+    results = told if told[0].scenes == told[1].scenes else results  # one scene may be in folders of two names
     _require_alike(first, second, *results)
     names = read_json(first / METHODS_FILE)["names"]
     labels = _labels(results[0]), _labels(results[1])

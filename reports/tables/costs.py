@@ -285,7 +285,7 @@ def _reached(outcome: Outcome, ahead_db: float) -> Outcome:
 def _crossing(points: Sequence[tuple[float, float, Outcome]]) -> Cell:
     """The first of some (seconds, dB, outcome against a target), rising in seconds, that is not worse than the target.
 
-    The cell is a bound, as the truth lies between two points.
+    The cell is a bound, as the truth is between two points.
     """
     at = next((at for at, (*_, outcome) in enumerate(points) if outcome != "worse"), None)
     if at is None:

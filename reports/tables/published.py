@@ -305,7 +305,7 @@ class NotComparable:
 
 
 def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> ComparableRuns | NotComparable:
-    """The runs that can be held against one of the paper's data sets.
+    """The runs that can be checked against one of the paper's data sets.
 
     Reading:
         Test views are not compared by name, for the paper gives their number alone. Where it names scenes, all of them are

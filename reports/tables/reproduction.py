@@ -33,7 +33,7 @@ TABLES = {"quality": "Quality", "consistency": "Consistency", "ablation": "Ablat
 NOT_MEASURED = Cell("not measured")
 RETRAINED = "(retrained"  # in the name of a method whose weights we trained, which are not the paper's
 MEANING = (
-    f"reproduced: the paper's value lies in the {100 * LEVEL:.0f} % interval of this run, or both print the same digits; "
+    f"reproduced: the paper's value is in the {100 * LEVEL:.0f} % interval of this run, or both print the same digits; "
     "differs: neither; data absent: no run on the paper's data and terms; weights absent: those of the method do not ship; "
     "not run: this run could hold it and does not. The views of these runs were chosen here; the paper does not name its own."
 )
@@ -163,7 +163,7 @@ def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = Non
         digits: after the point, of our numbers; None for four significant ones.
 
     Reading:
-        A published value represents all that round to it. It is reproduced where one of those lies in this run's interval,
+        A published value represents all that round to it. It is reproduced where one of those is in this run's interval,
         which covers other frames (and views, from five on); without an interval, where the run rounds to the same digits.
     """
     if ours.value is None:
@@ -176,7 +176,7 @@ def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = Non
         return "reproduced", "the same to the printed digits"
     has_interval = ours.low is not None and ours.high is not None
     if has_interval and ours.low - half_unit <= published <= ours.high + half_unit:  # type: ignore[operator]
-        return "reproduced", f"the paper's value lies in this run's {bounds}"
+        return "reproduced", f"the paper's value is in this run's {bounds}"
     better = "better" if (ours.value > published) == is_higher_better(metric) else "worse"
     by = f"{format_value(abs(ours.value - published), digits)}{' ' if metric in UNITS else ''}{UNITS.get(metric, '')}"
     return "differs", f"{better} by {by}; {bounds if has_interval else f'no interval{given}'}"

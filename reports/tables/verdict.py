@@ -137,7 +137,7 @@ class Verdict:
     Attributes:
         headline: who is best, or why none can be named, and which methods are set aside.
         margin: by how much, with its interval; or what to do, where nothing is ranked.
-        absolute: the first's number beside the capture's ceiling and published ones, and where its error lies; empty where
+        absolute: the first's number next to the capture's ceiling and published ones, and where its error lies; empty where
             there is nothing to hold it against.
         column: the metric that this is in; None where nothing is ranked.
         meaning: what it measures, in plain words.

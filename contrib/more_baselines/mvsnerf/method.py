@@ -36,7 +36,7 @@ class MvsNerf:
         times the nearest to 1.2 times the farthest of their cameras and the target's, the margins of the authors' loader of real
         scenes, at even steps of depth. A point finds its place in the volume by the reference's own intrinsics, as in their
         training; their rendering script takes the target's, which are the same in their data. Sides are padded to multiples of
-        32 at the right and at the bottom by repeating the border. The authors' pixel centres lie at whole numbers; principal
+        32 at the right and at the bottom by repeating the border. The authors' pixel centres are at whole numbers; principal
         points are moved by half a pixel.
     """
 

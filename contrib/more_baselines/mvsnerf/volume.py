@@ -17,9 +17,9 @@ PLANES = 128
 MARGIN_CELLS = 24  # on every side of the reference's frustum
 CELL_PX = 4  # pixels of the image per cell
 SIZE_MULTIPLE = 32  # sides are padded to it: the volume is at 1/4 and is halved three times
-PIXEL_CENTRE = 0.5  # ours lie at halves, the network was trained with centres at whole numbers
+PIXEL_CENTRE = 0.5  # ours are at halves, the network was trained with centres at whole numbers
 IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-SMALLEST_DEPTH_SHARE = 1e-6  # of the nearest depth; what lies behind a camera is far outside its image
+SMALLEST_DEPTH_SHARE = 1e-6  # of the nearest depth; what is behind a camera is far outside its image
 Matrix = NDArray[np.float64]
 
 
@@ -75,7 +75,7 @@ def _with_margin(share: Tensor, cells: int) -> Tensor:
 
 
 def _inside(grid: Tensor) -> Tensor:
-    """1 where both coordinates lie within (-1, 1), else 0."""
+    """1 where both coordinates are within (-1, 1), else 0."""
     return (grid.abs() < 1).all(dim=-1).float()
 
 

@@ -125,7 +125,7 @@ def _silent(width: int) -> nn.GroupNorm:
 OFFSET, SCALES, QUATERNION = 2, 3, 4  # channels of a Gaussian before those of its colour
 COST_LEVELS, REFINEMENT_LEVELS = 3, 5  # of the U-Nets
 COST_GROUPS, REFINEMENT_GROUPS = 8, 4  # of the normalisations before them
-SMALLEST_Z = 1e-3  # what lies nearer to another view, or behind it, is outside
+SMALLEST_Z = 1e-3  # what is nearer to another view, or behind it, is outside
 MOST_AT_ONCE = 2**23  # warped features, which bounds the memory
 
 
@@ -248,7 +248,7 @@ def _homography(views: Views, view: int, other: int) -> tuple[np.ndarray, np.nda
     """Cell (x, y, 1) of a view at depth z to z' (x', y', 1) in another: ``turn @ cell * z + shift``.
 
     Reading:
-        As the authors', cells lie at whole numbers of intrinsics whose pixel centres lie at halves; both views are off by the
+        As the authors', cells are at whole numbers of intrinsics whose pixel centres are at halves; both views are off by the
         same eighth of a cell.
     """
     K, other_K = (np.diag([1 / SCALE, 1 / SCALE, 1]) @ views.K[each] for each in (view, other))

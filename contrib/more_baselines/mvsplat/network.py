@@ -32,7 +32,7 @@ def begin_as_plane_sweep(backbone: Backbone, predictor: DepthPredictor) -> None:
     """Set random weights so that the network does something sensible before it has learned.
 
     Features of a view are random sums of its convolutions without their mean, attention is silent, the softmax sees costs
-    averaged over 5 x 5 cells, and a Gaussian is half a pixel large and lies at the depth that is expected.
+    averaged over 5 x 5 cells, and a Gaussian is half a pixel large and is at the depth that is expected.
 
     Reading:
         The authors begin with features and attention that others had trained to find depth. Nothing like it ships here, and the

@@ -49,7 +49,7 @@ def see_views(instant: Instant, multiple: int) -> Views:
 
     Reading:
         The authors crop images at their middle to multiples of 16. Here they are padded at the right and at the bottom, by
-        repeating their border; what lies outside the image gives no Gaussian. Depths are searched between the nearest and the
+        repeating their border; what is outside the image gives no Gaussian. Depths are searched between the nearest and the
         farthest of the instant's cameras, and lengths are scaled so that the nearest is that of the authors' training.
     """
     near, far = instant.depth_range

@@ -97,7 +97,7 @@ def within_rule(capture: Capture, target: Camera, plan: CapturePlan) -> list[Cam
 
 
 def overlap(target: Camera, source: Camera) -> float:
-    """Share of the target's view, at depths from near to far, that lies in the source's image."""
+    """Share of the target's view, at depths from near to far, that is in the source's image."""
     across, down = np.meshgrid(*((np.arange(GRID) + 0.5) / GRID * size for size in target.size))
     depths = np.geomspace(target.near, target.far, GRID)[1:-1, None, None]
     uv = np.broadcast_to(np.stack([across, down], axis=-1), (GRID - 2, GRID, GRID, 2))

@@ -60,7 +60,7 @@ class SampleMaker:
         return self._depths[key]
 
     def _view(self, source: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> SourceView:
-        """A source, its depth held against that of the others, as it is prepared for a view."""
+        """A source, its depth checked against that of the others, as it is prepared for a view."""
         image = self.image(source)
         if self._sensor(source) is None:
             checked = check_depth(source, depth_map, others, self._options)

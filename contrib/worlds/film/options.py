@@ -48,7 +48,7 @@ class DemoOptions:
         exposure_spread: standard deviation of the gain of each camera; its colour balance varies by half as much; 0 for none.
         crf: x264's rate factor of the videos.
         supersampling: rays per pixel along each side.
-        path_poses: positions of the true camera path beside the videos of dynerf and colmap; 0 for no path.
+        path_poses: positions of the true camera path next to the videos of dynerf and colmap; 0 for no path.
         depth_stride: exact depth is kept of every so many frames; 0 for no depth.
         camera_gain: a fault, camera and factor: its images are so much brighter.
         frame_offset: a fault, camera and frames: frame t of the camera shows the instant of frame t + offset.

@@ -232,7 +232,7 @@ class Shot:
         noted: the camera as it is written down, wrong where the options want it to be.
         instants: the instant that each frame shows, in frames from time 0.
         sensor: what films; None gives the pictures without gain and noise.
-        poses: where the camera is while it exposes a picture, evenly spaced in time; empty where it stands still.
+        poses: where the camera is while it exposes a picture, evenly spaced in time; empty where it is static.
         depth_pose: where the sensor of depth of a hand-held camera is when it measures; None where it has none.
     """
 
@@ -286,7 +286,7 @@ def _through_lenses(options: DemoOptions, lens: Coefficients, spread: Coefficien
 
 
 def hand_held_shots(options: DemoOptions) -> list[Shot]:
-    """One camera, cam00, that walks through the rig's volume while time stands still at 0; a shot per pose."""
+    """One camera, cam00, that walks through the rig's volume while time is static at 0; a shot per pose."""
     sensor = rig_sensors(options)[0]
     exposed_s = options.shutter_s * ((np.arange(BLUR_POSES) + 0.5) / BLUR_POSES - 0.5)
     shots = []

@@ -77,7 +77,7 @@ class Geometry:
         return Hits(ray, distance[ray], face[ray], weights[ray])
 
     def blocks(self, origins: Array32, directions: Array32, reach: float = 1.0) -> NDArray[np.bool_]:
-        """Tell for each ray whether something lies within `reach` times its direction, the first and last percent left out."""
+        """Tell for each ray whether something is within `reach` times its direction, the first and last percent left out."""
         return self._tree.blocks(*_rows(origins, directions), 0.005 * reach, 0.99 * reach)
 
     def at_hits(self, per_vertex: Array32, hits: Hits) -> Array32:
@@ -91,7 +91,7 @@ class Geometry:
 
 
 def _rows(origins: Array32, directions: Array32) -> tuple[Array32, Array32]:
-    """Origins, (1, 3) or (N, 3), and directions, (N, 3), as they lie in memory."""
+    """Origins, (1, 3) or (N, 3), and directions, (N, 3), as they are in memory."""
     return np.ascontiguousarray(np.atleast_2d(origins), np.float32), np.ascontiguousarray(directions, np.float32)
 
 
@@ -173,7 +173,7 @@ class LitRoom:
 
     @cached_property
     def _baked(self) -> _Baked:
-        """Light baked into what stands still; made on first use, as recalling instants needs none of it."""
+        """Light baked into static content; made on first use, as recalling instants needs none of it."""
         return _Baked(*self._bake())
 
     @cached_property

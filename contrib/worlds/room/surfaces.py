@@ -84,7 +84,7 @@ def sheet(points: Array, uv: Array, material: Material, closed: bool = False) ->
     """Surface through a grid of points.
 
     Args:
-        points: (n, m, 3); the outside lies on the side of (along columns) x (along rows).
+        points: (n, m, 3); the outside is on the side of (along columns) x (along rows).
         uv: (n, m, 2), metres.
         closed: the last column repeats the first one, with another texture coordinate.
     """

@@ -87,7 +87,7 @@ def noise_sums(view: ViewFrames, index: int) -> NoiseSums:
     The noise n is what the captured frame has beyond its neighbours' mean, brightness and a shift fitted to each cell, so that
     neither lights nor slow motion count. A rendering r = (1 - a) r0 + a c of the captured frame c has <r, n> = a <c, n> where the
     method's own r0 knows nothing of n: n is an instrument (in the sense of econometrics) for a. Both r and c are taken beyond
-    the mean of the frames two instants away, whose noise is not in n, so that what stands still does not drown it. Cells
+    the mean of the frames two instants away, whose noise is not in n, so that static content does not drown it. Cells
     in which the rendering changes much, on its own account, count less.
 
     Args:
@@ -106,7 +106,7 @@ def noise_sums(view: ViewFrames, index: int) -> NoiseSums:
 
 
 def has_far_frames(view: ViewFrames, index: int) -> bool:
-    """Return whether a frame lies two instants away; without one what stands still would pass for noise, in honest renders too."""
+    """Return whether a frame lies two instants away; without one static content would pass for noise, in honest renders too."""
     return bool(_beside(view, index, 2))
 
 

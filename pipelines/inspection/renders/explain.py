@@ -22,7 +22,7 @@ from ggvs_eval.plugins import Registry
 
 # Single and double precision disagree by this share of a value; a quoted one may come from either.
 ROUNDING = 5e-6
-# Some dozen conventions lie within a decibel or two of each other: what two digits meet may be chance. A match is evidence where
+# Some dozen conventions are within a decibel or two of each other: what two digits meet may be chance. A match is evidence where
 # few of the numbers near the quoted one would match something as well.
 NEIGHBOURHOOD, WEAK_CHANCE = 0.05, 0.25
 MOST_DIGITS = 100  # before or behind the point of a printed number
@@ -133,7 +133,7 @@ def chance(quoted: str, values: Sequence[float]) -> float:
     """Share of the numbers near a quoted one, with as many digits, that would meet one of some values by chance.
 
     Returns:
-        Part of the numbers within `NEIGHBOURHOOD` of the quoted one that lie within the tolerance of any value, 0 to 1.
+        Part of the numbers within `NEIGHBOURHOOD` of the quoted one that are within the tolerance of any value, 0 to 1.
 
     Reading:
         Nobody knows which numbers others might print. Taken: all near the quoted one alike.

@@ -153,7 +153,7 @@ def views_of_run(run: RunFolder, label: str, as_measured: bool = False) -> dict[
 
     Args:
         label: ``method`` or ``method+variant``.
-        as_measured: at the size at which the protocol measures frames; else as they lie there.
+        as_measured: at the size at which the protocol measures frames; else as they are there.
     """
     if label not in run.labels():
         raise RenderError(f"{run.root}: no renders of {label!r}; there are {', '.join(run.labels()) or 'none'}")
@@ -178,7 +178,7 @@ def cameras_of_run(run: RunFolder) -> dict[str, FrameReader]:
 
 
 def frame_reader(folder: Path, measurement: Measurement | None = None) -> FrameReader:
-    """Frames of a folder as they lie there, or at the size at which a protocol measures them."""
+    """Frames of a folder as they are there, or at the size at which a protocol measures them."""
 
     def read(index: int) -> Image8:
         image = read_image(frame_path(folder, index))
@@ -212,7 +212,7 @@ def find_identity(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
         cameras: captured frames of all cameras, the view's own among them.
 
     Returns:
-        What was found, and the view with it mended.
+        What was found, and the view with it corrected.
     """
     instants = spread(view.frames, INSTANTS)
     upright = [structure(shrink(view.rendered(index))) for index in instants]

@@ -21,7 +21,7 @@ UNSCALED = 1.0
 INSTANTS = 3
 # Half a pixel of a larger picture is still a quarter here, and measured to a twentieth.
 LONGEST_SIDE_PX = 960
-# Renders with good depth lie within 0.015 px, evenly to 0.01 px. Wrong depth shifts by up to 0.5 px as a whole, its parts scatter
+# Renders with good depth are within 0.015 px, evenly to 0.01 px. Wrong depth shifts by up to 0.5 px as a whole, its parts scatter
 # by 0.36 of that and more.
 LEAST_SHIFT_PX = 0.12
 LARGEST_UNEVENNESS, EVEN = 0.3, 0.15
@@ -183,7 +183,7 @@ class Placed:
 
     Attributes:
         findings: what is wrong with it.
-        view: the view, a wrong scale of the picture mended.
+        view: the view, a wrong scale of the picture corrected.
         shift_px: rightwards and downwards; None where the scale is wrong too.
     """
 
@@ -283,7 +283,7 @@ def _evaluate_shift(name: str, placed: list[Placement], factor: float) -> list[F
 
 def _shift_advice(x: float, y: float) -> str:
     if abs(max(abs(x), abs(y)) - 0.5) < NEAR_HALF_PX:
-        return "pixel centres lie at +0.5: check cx, cy and the resize convention (align_corners)"
+        return "pixel centres are at +0.5: check cx, cy and the resize convention (align_corners)"
     if max(abs(x), abs(y)) < 0.5:
         return "check cx and cy, and resizes without antialiasing; or is the true camera's calibration off by that?"
     return "check cx, cy, the origin of pixel coordinates and crops by a few pixels"

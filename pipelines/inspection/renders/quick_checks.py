@@ -76,7 +76,7 @@ def find_channel_order(name: str, view: ViewFrames, sample: Sample) -> tuple[lis
 
 
 SAMPLED_FRAMES = 12
-# Copies are looked for at full size, which costs most. With fewer frames noise is not distinguishable from what stands still.
+# Copies are looked for at full size, which costs most. With fewer frames noise is not distinguishable from static content.
 COPIED_FRAMES = 4
 
 
@@ -115,7 +115,7 @@ def check_sample(name: str, view: ViewFrames, count: int = SAMPLED_FRAMES) -> tu
     """Ask a burst of neighbouring instants when it is, in which order of channels, and by which tone curve.
 
     Returns:
-        What was found, and the view with time and channels mended.
+        What was found, and the view with time and channels corrected.
     """
     sample = take_sample(view, count)
     shifted, view = find_offset(name, view, sample)
@@ -157,7 +157,7 @@ class _Timing:
 def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Finding], ViewFrames]:
     """Correlate the change over time of rendered and captured frames at every lag, forwards and backwards.
 
-    What stands still is taken out by each pixel's mean over the instants, and with it most of what is wrong with a rendering;
+    What is static is taken out by each pixel's mean over the instants, and with it most of what is wrong with a rendering;
     the gain of the motion, which blur lowers, does not matter either.
     """
     rendered, truth = _grey(sample.rendered), _grey(sample.truth)

@@ -15,7 +15,7 @@ from ggvs_eval.metrics.time.temporal_variation import mtv, mtv2
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import MaskReader, Recomputed, mean_over_views, view_pairs
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
-OURS = "where no motion lies between the two frames (Eq. 1)"
+OURS = "where no motion is between the two frames (Eq. 1)"
 ALWAYS = "where no frame moves (one mask, as OR2's)"
 EVERYWHERE = "all pixels"
 SECOND = "all pixels, second differences"
@@ -61,12 +61,12 @@ def _variations(name: str, view: ViewFrames) -> dict[str, float]:
 def _inside(after: Image8, before: Image8, mask: Mask | None) -> float | None:
     try:
         return mtv(after, before, mask)
-    except MetricError:  # too few pixels stand still
+    except MetricError:  # too few pixels are static
         return None
 
 
 def warping_conventions(views: Mapping[str, ViewFrames], _masks: Mapping[str, MaskReader]) -> list[Recomputed]:
-    """Warping error of the renderings of cameras that stand still, whose geometric flow is zero: against which frame, where, how.
+    """Warping error of the renderings of static cameras, whose geometric flow is zero: against which frame, where, how.
 
     Programs differ by what they square and sum, and by a factor of a thousand; long-term errors compare with the first frame.
     """
@@ -106,14 +106,14 @@ def _warping_errors(name: str, view: ViewFrames) -> dict[str, float]:
 
 
 def steadiness_line(views: Mapping[str, ViewFrames]) -> str:
-    """Say how much renders change where the scene stands still, how sharp they are, and whether blur may be why.
+    """Say how much renders change where the scene is static, how sharp they are, and whether blur may be why.
 
     Args:
         views: name -> rendered and captured frames, of which a few neighbours are read.
 
     Returns:
         A sentence with the values of the renders and of the capture; empty where no frame has the size of its truth, the view has
-        one frame, or nothing stands still.
+        one frame, or nothing is static.
     """
     values = []
     for view in views.values():
@@ -130,7 +130,7 @@ def steadiness_line(views: Mapping[str, ViewFrames]) -> str:
         return ""
     change, true_change, sharp, true_sharp = np.array(values, dtype=np.float64).mean(axis=0)
     told = (
-        f"where the scene stands still the renders change by {change:.3f} % of white from frame to frame (mTV x 100), the "
+        f"where the scene is static the renders change by {change:.3f} % of white from frame to frame (mTV x 100), the "
         f"capture with its noise by {true_change:.3f} %; their sharpness is {sharp:.2f} %, its own {true_sharp:.2f} %"
     )
     is_blurred = change < true_change and sharp < BLURRED_BELOW * true_sharp

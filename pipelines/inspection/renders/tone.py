@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.inspection.renders.identity import Sample
 # Levels are compared where nothing misplaced can mix them: pixels around which both pictures are flat, except for noise.
 SMOOTH_PX, FLAT_PX, FLAT_255 = 0.7, 5, 12.0
 BIN_255, FEWEST_PIXELS, FEWEST_BINS = 8, 40, 8
-# What lies at the ends may have been cut off.
+# What is at the ends may have been cut off.
 LOWEST_255, HIGHEST_255 = 3.0, 252.0
 # Honest renders of several methods came out at powers of 0.99 to 1.01, in each channel; a power of 1.1 at 1.09 and more.
 LEAST_POWER, LARGEST_SPREAD = 1.05, 1.08

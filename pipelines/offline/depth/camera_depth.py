@@ -1,4 +1,4 @@
-"""Depth of one camera from the images of its partners, by whatever matcher, frame by frame, and held against that of others."""
+"""Depth of one camera from the images of its partners, by any matcher, frame by frame, and checked against that of others."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -28,7 +28,7 @@ from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
 STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews what has changed by what stands here
 ERROR_PX = 0.5  # of pairs: estimates of two partners agree when disparity errors of this size explain their difference
-FLYING = 0.03  # a pixel flies when fewer than three neighbours lie within this share of its depth
+FLYING = 0.03  # a pixel flies when fewer than three neighbours are within this share of its depth
 SMOOTH, SMOOTH_RADIUS_PX = 0.03, 4  # depth is averaged over near neighbours that differ by about this share
 FILLED_CONFIDENCE = 0.02  # of pixels that are filled
 ESTIMATORS = {  # the module of each matcher's, and of any other's that of pairs
@@ -216,7 +216,7 @@ def _filled(known: DepthMap, options: DepthOptions) -> DepthMap:
 def check_depth(
     camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]], options: DepthOptions
 ) -> DepthMap:
-    """Hold a camera's depth against that of the other sources of a view, and fill the rest by its guess or from the background.
+    """Check a camera's depth against that of the other sources of a view, and fill the rest by its guess or from the background.
 
     Args:
         depth_map: depth and confidence as they were found, (H, W).

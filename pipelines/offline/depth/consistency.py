@@ -1,4 +1,4 @@
-"""Depth of one camera held against that of others: contradicted depth is removed, confirmed depth averaged or filled in."""
+"""Depth of one camera checked against that of others: contradicted depth is removed, confirmed depth averaged or filled in."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

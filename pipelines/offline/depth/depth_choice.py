@@ -28,7 +28,7 @@ FILLER = re.compile(rf"\+(?=(?:{'|'.join(built_in.NETWORK_MATCHERS)})(?::|$))") 
 
 
 def default_matcher() -> str:
-    """The matcher of those who name none: with IterMVS where its weights lie in the cache folder."""
+    """The matcher of those who name none: with IterMVS where its weights are in the cache folder."""
     return f"{FREE_MATCHER}+{ITERMVS}" if os.path.isfile(cached_weights()) else FREE_MATCHER  # a foreign folder has none
 
 

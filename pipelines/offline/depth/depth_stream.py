@@ -19,14 +19,14 @@ CONTEXT_PX = 48  # what a matcher sees around the window that it computes again
 GRID_PX = 64  # windows start and end on multiples of it, so that their estimators can be kept
 MOST_CHANGED = 0.6  # of the image; beyond, a window saves nothing
 CHANGED = 0.02  # a pixel has changed when its blurred difference exceeds this share of the value range
-GROW_PX = 8  # what lies this near to a changed pixel is computed again too
+GROW_PX = 8  # what is this near to a changed pixel is computed again too
 BLUR_SIGMA_PX = 1.5  # averages sensor noise away before pictures are compared
 
 
 class DepthStream:
     """Depth of one camera, instant by instant; each call is the next instant.
 
-    What it returns depends on the instants since the last keyframe alone, and keyframes lie where the frame number is a multiple
+    What it returns depends on the instants since the last keyframe alone, and keyframes are where the frame number is a multiple
     of `keyframe_every`: a killed run continues from the keyframe before, with equal bits.
 
     Args:

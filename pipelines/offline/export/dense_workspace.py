@@ -158,7 +158,7 @@ def _shared(
 
 
 def _sightings(camera: Camera, image: Image8, depth: Map, points: Array) -> Sightings:
-    """The points that lie on a camera's own depth map."""
+    """The points that are on a camera's own depth map."""
     uv, z = camera.project(points)
     inside = np.flatnonzero((z > 0) & (uv >= 0).all(axis=1) & (uv < camera.size).all(axis=1))
     column, row = np.floor(uv[inside]).astype(np.intp).T

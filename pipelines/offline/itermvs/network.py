@@ -22,7 +22,7 @@ HIDDEN_WIDTH = 32
 FIRST_DEPTHS = 32  # hypotheses of the initialisation, at an eighth of the size
 BINS, BIN_RADIUS = 256, 4  # of the distribution over inverse depth; its mean is taken around its mode
 OFFSETS = ((-2, -2 / 3, 2 / 3, 2), (-8, -8 / 3, 8 / 3, 8), (-32, 32))  # hypotheses around the present depth, bins, per level
-NEAREST_SHARE = 1e-2  # of the near depth: what lies nearer to a partner, or behind it, it does not see
+NEAREST_SHARE = 1e-2  # of the near depth: what is nearer to a partner, or behind it, it does not see
 
 Features = Sequence[Tensor]  # (B, C, H / s, W / s) at s = 2, 4, 8
 
@@ -107,7 +107,7 @@ class FeatureNetwork(nn.Module):
         self.layer1, self.layer2, self.layer3 = _stage(full, half), _stage(half, quarter), _stage(quarter, eighth)
         self.output1, self.output2, self.output3 = (nn.Conv2d(eighth, width, 3, padding=1) for width in WIDTHS[1:])
         self.inner1, self.inner2 = nn.Conv2d(half, eighth, 1), nn.Conv2d(quarter, eighth, 1)
-        self.inner3 = nn.Conv2d(eighth, eighth, 1)  # lies in the checkpoints, and is never used
+        self.inner3 = nn.Conv2d(eighth, eighth, 1)  # is in the checkpoints, and is never used
 
     def forward(self, image: Tensor) -> Features:
         """Features at half, a quarter and an eighth of the size, float32; `image` is (B, 3, H, W), RGB in [-1, 1]."""

@@ -21,7 +21,7 @@ DAMPING = 4.0  # (grey values / pixel)^2; holds the surface where the images hav
 
 
 class SurfaceFit:
-    """A surface held against a reference image and the partners' images.
+    """A surface checked against a reference image and the partners' images.
 
     Args:
         grey: the reference's grey image, (H, W).
@@ -111,7 +111,7 @@ def _confirmation(score: Map) -> Map:
 
 
 DISTANCE_SCALE_PX = 1.5  # a pixel of the window this far from its middle counts half
-HIDDEN_PX = 1.5  # of parallax; what lies this much nearer hides
+HIDDEN_PX = 1.5  # of parallax; what is this much nearer hides
 HIDDEN_WEIGHT = 0.05  # of a partner that should not see a point: little, but all there is where all are hidden
 MEDIAN_TOLERANCE = 5.0  # planes; what is as near to the median of its surroundings stays
 
@@ -290,7 +290,7 @@ class PlaneSweepEstimator:
         inverse_depth, fit = finest.match(images, prior), finest.fit(images)
         for _ in range(self.options.refinements):
             refined = fit.refine(inverse_depth, finest.planes.step)
-            inverse_depth = np.maximum(refined, np.float32(finest.planes.first))  # what lies beyond the planes is not at infinity
+            inverse_depth = np.maximum(refined, np.float32(finest.planes.first))  # what is beyond the planes is not at infinity
         return DepthMap(np.float32(1) / inverse_depth, fit.confidence(inverse_depth))
 
     def forget(self) -> None:

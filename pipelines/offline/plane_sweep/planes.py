@@ -17,13 +17,13 @@ SAMPLED_PX = 8  # parallax is sampled at every so many pixels
 class PlaneSweep:
     """Planes swept through all partners at once, then semi-global matching over them along eight paths (Hirschmueller 2008).
 
-    The planes lie evenly in inverse depth. The cost of a pixel on a plane is one minus the normalised cross-correlation of its
+    The planes are evenly in inverse depth. The cost of a pixel on a plane is one minus the normalised cross-correlation of its
     window with the partners', 0 to 1. Matching goes from a small image to the full one: what the small one finds says which
     planes are worth a look, and which partners see a point.
 
     Attributes:
         step_px: from plane to plane, points move by this much in the image of the widest partner, pixels.
-        most_planes: at most so many, in steps of 32 and not above 256; where they do not suffice, they lie farther apart.
+        most_planes: at most so many, in steps of 32 and not above 256; where they do not suffice, they are farther apart.
         radius_px: of the correlated window, 1 to 3.
         colour_scale: a pixel of the window counts less than half where its colour differs by this much, grey values.
         noise: variance of grey values that is no texture.

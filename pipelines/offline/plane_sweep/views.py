@@ -1,6 +1,6 @@
 """Partners as the plane sweep sees them: turned to the reference's axes, so that a plane of constant depth scales and shifts.
 
-The planes face the reference camera and lie evenly in inverse depth. A partner's image is resampled once, as a camera at the
+The planes face the reference camera and are evenly in inverse depth. A partner's image is resampled once, as a camera at the
 partner's centre with the reference's orientation and focal lengths would have seen it; from then on each plane moves it by a
 scale and a shift only.
 """
@@ -21,12 +21,12 @@ MIN_RAY_Z = 1e-3
 class PartnerView:
     """One partner, turned to the reference's axes; everything about it that does not depend on its images.
 
-    What the reference sees in array index (column, row) at inverse depth w lies in the turned image at
+    What the reference sees in array index (column, row) at inverse depth w is in the turned image at
     ``((column, row) + start + slope * w) / (1 - along * w) + origin``.
 
     Attributes:
-        positions: where each pixel of the turned image lies in the partner's, (Hv, Wv, 2), array indices.
-        first: first column of each row whose window lies inside the partner's image, (Hv,) float32.
+        positions: where each pixel of the turned image is in the partner's, (Hv, Wv, 2), array indices.
+        first: first column of each row whose window is inside the partner's image, (Hv,) float32.
         last: the last one, less than the first where there is none, (Hv,) float32.
         start: see above, pixels.
         slope: see above, pixels x world units.
@@ -74,7 +74,7 @@ class PartnerView:
         )
 
     def sees(self, places: "Projection") -> Mask:
-        """Return whether whole windows around these places lie inside the partner's image, (H, W)."""
+        """Return whether whole windows around these places are inside the partner's image, (H, W)."""
         nearest = np.clip(np.rint(places.row), 0, self.size[1] - 1).astype(np.intp)
         inside = (places.row >= 0) & (places.row <= self.size[1] - 1) & places.in_front
         return inside & (places.column >= self.first[nearest]) & (places.column <= self.last[nearest])
@@ -89,7 +89,7 @@ class Projection:
         row: array index.
         inverse_depth: as seen from the partner.
         column_slope: change of the column per unit of the reference's inverse depth.
-        in_front: whether the point lies before the partner, and not too near to it.
+        in_front: whether the point is before the partner, and not too near to it.
     """
 
     column: Map

@@ -120,7 +120,7 @@ class DepthEdges:
 
     Attributes:
         uv: on the border of the last pixel of the near surface, pixels, (N, 2).
-        upright: whether the edge runs up and down, the far surface beside it; else it lies below or above, (N,).
+        upright: whether the edge runs up and down, the far surface beside it; else it is below or above, (N,).
         depth: of the near surface, (N,).
     """
 
@@ -215,7 +215,7 @@ class Displacement:
         applied: what is believed of that.
         displacement_px: root mean square over the edges, of images `width_px` wide.
         error_px: standard error of that, from blocks of frames.
-        response: of colour at the edges of depth, 0..1, as given and mended.
+        response: of colour at the edges of depth, 0..1, as given and corrected.
         scale_error: standard error of the scale.
         frame_px: rms of the offsets of single frames about the common one; what no common registration mends.
         psnr_db: of neighbouring frames warped by the depth as given and by `applied`; NaN without pairs.
@@ -274,7 +274,7 @@ class _Edges:
 
 
 def measure_registration(capture: Capture, chosen: Sequence[int] | None = None) -> Displacement | None:
-    """Measure how far the depth of a sequence lies off its colour, and the registration that mends it.
+    """Measure how far the depth of a sequence is off its colour, and the registration that mends it.
 
     Args:
         capture: frames of one moving camera before a still scene, each with depth.

@@ -1,4 +1,4 @@
-"""Depth that a sensor measured beside the images, made fit for rendering: outliers removed, small holes closed."""
+"""Depth that a sensor measured next to the images, made fit for rendering: outliers removed, small holes closed."""
 
 from dataclasses import asdict
 from typing import Literal
@@ -22,7 +22,7 @@ RegistrationName = Literal[
     "given", "estimated"
 ]  # of sensor depth: as it is, or from a sequence's images where that is significant
 # The filter; pixels are the sensor's.
-STEP = 0.03  # neighbours whose depths differ by more than this share of them lie on two surfaces, ...
+STEP = 0.03  # neighbours whose depths differ by more than this share of them are on two surfaces, ...
 STEEPEST_RAD = 1.4  # ... unless a surface whose normal is this far off the ray explains the difference
 SPECKLE_PX = 20  # surfaces of fewer pixels than this are dropped
 HOLE_PX = 3  # holes up to this wide are filled, along the row or the column

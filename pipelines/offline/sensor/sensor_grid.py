@@ -115,7 +115,7 @@ def close_holes(depth: Map, hole_px: int, step: float) -> Map:
     Args:
         depth: (H, W), 0 = unknown.
         hole_px: widest hole to fill, pixels along the row or the column, whichever is narrower.
-        step: the ends of a hole lie on one surface when their depths differ by at most this share.
+        step: the ends of a hole are on one surface when their depths differ by at most this share.
 
     Returns:
         Depth, (H, W).

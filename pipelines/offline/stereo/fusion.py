@@ -50,7 +50,7 @@ def drop_flying_pixels(depth: Map, share: float) -> Map:
 
     Args:
         depth: (H, W), 0 = invalid.
-        share: a pixel flies when fewer than three of its eight neighbours lie within this share of its depth.
+        share: a pixel flies when fewer than three of its eight neighbours are within this share of its depth.
 
     Returns:
         What remains, (H, W).

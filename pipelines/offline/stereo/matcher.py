@@ -72,7 +72,7 @@ class StereoMatcher(Protocol):
 
         Args:
             left: RGB, (H, W, 3).
-            right: RGB, (H, W, 3); the point at column x on the left lies at x - disparity.
+            right: RGB, (H, W, 3); the point at column x on the left is at x - disparity.
             d_min: smallest disparity, pixels.
             d_max: largest disparity, pixels.
             previous: disparity of the left image of the frame before, (H, W), 0 = unknown; a matcher may start from it.

@@ -5,7 +5,7 @@ with few iterations is left with what matching cannot do.
 
 Small images and what the network starts from are made by OpenCV on the CPU. Network, left-right check and refinement compute
 where the matcher does: on a GPU a pair and its mirror image in one batch without a word from the host, and one download brings
-disparity and confidence back; on the CPU each in a thread of its own.
+disparity and confidence back; on the CPU each in a separate thread.
 """
 
 import hashlib

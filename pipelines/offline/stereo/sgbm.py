@@ -67,7 +67,7 @@ class SgbmMatcher:
 
         Returns:
             For each side disparity and confidence, (H, W) each, as `match` gives them for the left one; a point in column x of
-            the right one lies at x + disparity on the left.
+            the right one is at x + disparity on the left.
         """
         pyramid = [tuple(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right))]
         while len(pyramid) < self.levels and min(pyramid[-1][0].shape) > 1:
