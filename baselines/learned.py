@@ -13,7 +13,7 @@ FULL = "full"  # the authors' configuration; a file of weights that names none i
 
 @dataclass(frozen=True)
 class Rendition:
-    """One of the ways in which a learned baseline renders, each with a label of its own.
+    """One of the ways in which a learned baseline renders, each with its own label.
 
     Attributes:
         describe: one line for the help and the report.
@@ -42,7 +42,7 @@ class LearnedBaseline:
         title: how its authors call it.
         source: authors and venue of its paper.
         checkpoint: the authors' file that it can render with.
-        method: class of its `Method`; takes the file of weights and ``device`` beside the options of a rendition.
+        method: class of its `Method`; takes the file of weights and ``device`` besides the options of a rendition.
         renditions: the ways in which it renders.
         takes_depth: whether it learns from sources with depth; without, no sample waits for depth.
     """

@@ -55,7 +55,7 @@ class ViewInterpolation:
 
 
 def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, float]:
-    """The nearest two cameras that a target is between.
+    """The nearest two cameras on both sides of a target.
 
     Returns:
         Their indices, nearest first, and how far the target is on its way from the first to the second, in [0, 1].
@@ -84,7 +84,7 @@ def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, fl
             distance = sum(float(np.linalg.norm(end - target.centre)) for end in (a, b))
             found.append((distance, first, second, min(max(share, 0.0), 1.0)))
     if not found:
-        raise ViewRefusedError("the target does not be between two cameras")
+        raise ViewRefusedError("wanted a target between two cameras, got one outside")
     _, first, second, share = min(found)
     return first, second, share
 
@@ -103,7 +103,7 @@ def turn_towards(target: Camera, source: SourceView) -> tuple[Image8, Map]:
 
 
 def flow(here: Image8, there: Image8) -> Map:
-    """Where each pixel of an image is in another, relative to itself, (H, W, 2).
+    """Return the displacement of each pixel of an image to another, (H, W, 2).
 
     Reading:
         OpenCV searches in stripes, one per thread, so that the number of threads would move bits: here it is one.

@@ -1,1 +1,1 @@
-"""What the package can do without: each folder can be deleted, and a table of the core names what it brings."""
+"""Optional parts: each folder can be deleted, and a table of the core lists what it provides."""

@@ -46,7 +46,7 @@ class Correlation:
         """Correlations around given columns of the right image.
 
         Args:
-            columns: where each left cell is thought to be in the right image, in cells, (B, H, W).
+            columns: assumed position of each left cell in the right image, in cells, (B, H, W).
 
         Returns:
             (B, levels * (2 * radius + 1), H, W), linear between cells, 0 outside the image.
@@ -206,7 +206,7 @@ def walk(
         volume_bytes: memory for the correlation volume, see `Correlation`.
 
     Returns:
-        Flow in cells after each iteration, (B, 1, H, W) each, and the weights that bring the last one to full size, see
+        Flow in cells after each iteration, (B, 1, H, W) each, and the weights that enlarge the last one to full size, see
         `upsample_convex`.
 
     Reading:

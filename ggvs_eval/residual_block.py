@@ -6,7 +6,7 @@ from torch import Tensor, nn
 
 
 class ResidualBlock(nn.Module):
-    """Two 3x3 convolutions beside a shortcut, ReLU after each normalisation and after the sum.
+    """Two 3x3 convolutions with a shortcut, ReLU after each normalisation and after the sum.
 
     Names of modules are those of the published checkpoints of RAFT-Stereo, GPS-Gaussian and MVSplat.
     """

@@ -92,7 +92,7 @@ class Results:
         table: one row per value with the columns `COLUMNS`; ``view`` is None where a value belongs to the whole rig (SDV),
             ``frame`` is -1 where it belongs to the whole sequence (STED, SDT).
         provenance: ``protocol`` (values), ``protocol_sha256``, ``inputs`` (digest per camera), ``renders`` (digest per method and
-            view), ``partial`` (method -> what its row stands on, where that is not everything), ``devices`` (method and view ->
+            view), ``partial`` (method -> what its row is based on, if not everything), ``devices`` (method and view ->
             where its networks computed, there alone where that is not the CPU), ``pooling`` (metric -> how its number is made of
             views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``absent`` (values that some methods or views lack,
             see `Absence`), ``faults`` (of renders, see `Fault`), ``versions`` (package -> versions that values were made under),
@@ -177,7 +177,7 @@ class Results:
 
     @property
     def partial(self) -> dict[str, str]:
-        """Methods whose renders lack views or frames -> what their numbers stand on."""
+        """Methods whose renders lack views or frames -> what their numbers are based on."""
         return self._recorded("partial")
 
     def _recorded(self, name: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@
     RUN/depth_page/index.html                    the depth in pictures
     RUN/fused/<frame>/points.ply  mesh.ply       one instant as a point cloud and a mesh, where asked for
     RUN/renders/<method>/<view>/<frame>.png      synthesised frames, and job.json: identity, versions, seconds per stage
-    RUN/renders/<method>/<view>/inside/<map>/    depth, weights, coverage, motion behind those frames, of methods that tell
+    RUN/renders/<method>/<view>/inside/<map>/    depth, weights, coverage, motion of those frames, of methods with diagnostics
     RUN/path/truth/<pose>.png                    a camera path at one instant: truth where there is one, poses in path.json
     RUN/path/<method>/<pose>.png                 the same path synthesised, for epipolar plane images
     RUN/path_depth/<pose>.npy                    depth along the path, the same for all methods
@@ -19,7 +19,7 @@
     RUN/scores/<view>/job.json                   values of every method in one view
     RUN/results.parquet  results.json            every value in one table, and where it comes from
     RUN/report/index.html                        the page
-    .digests.json                                beside files that are made once: their digests, and what they were made from
+    .digests.json                                next to files that are made once: their digests, and their inputs
 """
 
 import json

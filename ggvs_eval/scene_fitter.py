@@ -18,7 +18,7 @@ from ggvs_eval.depth_store import DepthMap, DepthStore
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Rendering
 
-LookAhead = Literal["none", "past", "sequence"]  # what an instant may depend on beside itself
+LookAhead = Literal["none", "past", "sequence"]  # what an instant may depend on besides itself
 Progress = Callable[[int, int], None]  # steps that are done, steps in all
 
 

@@ -61,7 +61,7 @@ class Sweep:
 
     Attributes:
         row: the methods, in the order of the table.
-        k: numbers of source cameras; the protocol's own where empty, and beside these where a row wants it.
+        k: numbers of source cameras; the protocol's own where empty, and in addition to these if a row asks for it.
         all_cameras: also with every camera as a source, but the one that is synthesised.
         stream: how pictures reach a screen, where the sweep is of what a viewer sees; a protocol's own stays.
     """
@@ -117,7 +117,7 @@ def load_sweep(source: str) -> Sweep:
         raise ProtocolError(f"{source}: wanted at least one [[row]] and k of at least 1, got {len(sweep.row)} rows, k {sweep.k}")
     labels = [row.label for row in sweep.row if row.path is not None]
     if "" in labels or len(set(labels)) < len(labels):
-        raise ProtocolError(f"{source}: wanted titles that tell rendered frames apart by letters and digits, got {labels}")
+        raise ProtocolError(f"{source}: wanted titles that differ in letters and digits, got {labels}")
     folder = Path(source).parent
     return dataclasses.replace(sweep, row=tuple(_resolved(row, folder) for row in sweep.row))
 

@@ -34,7 +34,7 @@ class Ceilings:
     Attributes:
         noise: what was found of the view's noise.
         noise_free: metric -> score of the scene itself, without noise, against the capture.
-        second_recording: metric -> score of another recording, with noise of its own, against the capture.
+        second_recording: metric -> score of another recording, with independent noise, against the capture.
         averaged_share: share of the pixels whose clean value is an average over time; the rest moved and were estimated from
             the frame alone.
         not_computed: metric -> reason.
@@ -159,7 +159,7 @@ def _is_coarse_in_colour(noise: NoiseModel) -> bool:
 
 
 class _PerfectRenderings:
-    """Second pass: beside each captured frame, a noise-free rendering and a second recording of it."""
+    """Second pass: for each captured frame, a noise-free rendering and a second recording of it."""
 
     def __init__(self, noise: NoiseModel, background: Field, random: np.random.Generator) -> None:
         self._noise = noise

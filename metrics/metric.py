@@ -30,7 +30,7 @@ class Group:
 QUALITY = Group("quality", "Image quality")
 CONSISTENCY = Group("consistency", "Temporal and view consistency")
 REGION = Group("regions", "Quality by region")
-NO_REFERENCE = Group("no_reference", "Steadiness without truth, sharpness beside it")
+NO_REFERENCE = Group("no_reference", "Stability without reference, with sharpness")
 ALONG_PATH = Group("path", "View consistency along the camera path, without truth")
 FURTHER = Group("further", "Further measures")
 
@@ -104,7 +104,7 @@ class FramePair:
 
 def shared_by_parts(rendered: NDArray[Any], truth: TruthFrame, key: Hashable, compute: Callable[[], T]) -> T:
     """A quantity that a metric and its parts derive from the same two frames, kept as long as the captured frame lives."""
-    # The frame is kept beside the result, so that no other one can come to have its identity.
+    # The frame is kept with the result, so that no other one can come to have its identity.
     return truth.once((key, id(rendered)), lambda: (rendered, compute()))[1]
 
 
@@ -161,13 +161,13 @@ class Metric:
         higher_is_better: direction of the arrow in tables.
         group: table that it belongs to.
         decimals: digits after the point in tables; None for four significant ones.
-        pooling: how its number on a scene comes from values per view and frame. Where that is no mean of its own values it names
-            parts that are in the table too: what its scorer returns beside it, or another metric.
+        pooling: how its number on a scene comes from values per view and frame. Where that is no mean of its values it names
+            parts that are in the table too: what its scorer returns in addition, or another metric.
         describe: one line for a reader who meets the metric for the first time.
         note: what a protocol's options add to that line.
         reference: where it is defined.
         has_ceiling: whether perfect renderings are scored with it, see `ceilings`.
-        beside: name of the metric without which its values are not to be read, and which is measured and shown next to it: the
+        beside: companion metric, always measured and reported with it: the
             sharpness of what blur would make steadier. Empty where it can be read alone.
     """
 

@@ -30,7 +30,7 @@ def upload(image: Image8, device: str) -> Tensor:
 
 @torch.inference_mode()
 def unit_range(image: Tensor, border: int = 0) -> Tensor:
-    """A frame (H, W, 3) uint8 as doubles in [0, 1], with a black border of so many pixels."""
+    """A frame (H, W, 3) uint8 as doubles in [0, 1], with a black border of N pixels."""
     return functional.pad(image.double() / 255, (0, 0, border, border, border, border))
 
 

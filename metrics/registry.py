@@ -71,7 +71,7 @@ class ForeignScorer:
 
 
 def _not_installed(name: str, reason: str) -> Metric:
-    """What stands in for a metric whose package is not there: it is not computed, and says why."""
+    """Substitute for a metric whose package is missing: it is not computed and gives the reason."""
 
     def refuse(*_: object) -> float:
         raise MetricError(reason)
@@ -93,7 +93,7 @@ def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
         ['mTV', 'Sharpness', 'PSNR']
 
     Reading:
-        What is steady without truth is told from the rendering's own change from one image to the next, and blur lowers that:
+        Stability without reference is measured by the rendering's own change between images, and blur lowers that:
         mTV, mTV2, E_warp, reprojection, and the change of depth maps. Their sharpness is added even if no one asks for it. TCC,
         STED, Flicker, SDT and SDV compare with captured frames; EPI_coherence has its own, EPI_line_texture; switch_ratio is a
         ratio of changes, from which blur cancels; COLMAP and SGC find fewer matches in blurred images.
@@ -120,7 +120,7 @@ def scored_by_view(names: Iterable[str]) -> tuple[ViewMetric, ...]:
 
 
 def scored_on_screen(names: Iterable[str]) -> tuple[ScreenMetric, ...]:
-    """Select the metrics that are of the displayed frames."""
+    """Select the metrics of the displayed frames."""
     return tuple(metric for metric in select_metrics(names) if isinstance(metric, ScreenMetric))
 
 

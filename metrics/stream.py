@@ -18,7 +18,7 @@ class ViewScores:
 
     Attributes:
         values: (metric, frame, value); the frame counts from 0, None represents the whole view. The value of a pair of frames
-            stands at its first frame. ``STED`` comes with its parts per pair, ``STED_spatial`` and ``STED_temporal``, whose
+            belongs to its first frame. ``STED`` comes with its parts per pair, ``STED_spatial`` and ``STED_temporal``, whose
             means over any set of pairs multiply to the score of that set; so it is for ``STED_ssn``.
         not_computed: metric -> reason.
     """

@@ -23,7 +23,7 @@ from ggvs_eval.run_folder import RunFolder
 
 
 def write_tables(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction], out: Path, columns: Sequence[str] = ()) -> None:
-    """Write all tables of the page, and every value that the paper publishes beside ours.
+    """Write all tables of the page, and every value of the paper next to this run's.
 
     Of several groups each file holds all: ``tables.csv`` distinguishes them by its columns of the protocol, the others by titles.
 
@@ -81,7 +81,7 @@ def write_report(
 ) -> Path:
     """Write ``index.html``, ``tables.*``, ``reproduction.*`` (the paper's values next to the run's) and ``figures/*.png``.
 
-    Runs of one protocol share their tables, as scenes of one data set; runs of another protocol are a group of their own,
+    Runs of one protocol share their tables, as scenes of one data set; runs of another protocol are a separate group,
     on the same page and in the same files.
 
     Args:

@@ -21,7 +21,7 @@ from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.timing import drift_table, stream_table, timing_table
 from ggvs_eval.results import Results
 
-HASH_DIGITS = 8  # of a protocol's hash, where nothing else tells two groups apart
+HASH_DIGITS = 8  # of a protocol's hash, where nothing else distinguishes two groups
 RECORDS = (".json", ".parquet", ".toml")  # of a run; they name every frame that was measured by its content
 SECTIONS_KEPT = 8
 
@@ -31,7 +31,7 @@ class RunSection:
     """Everything that the page shows of one run.
 
     Attributes:
-        view_tables: where the error lies, where it varies, how it drifts over a long clip, and one per metric.
+        view_tables: place of the error, its variation, its drift over a long clip, and one per metric.
         costs: of every method, and what else differs; where some are fitted, seeds, time to equal quality, the best by budget.
         slices: along the path and over time.
         on_time: what reaches the screen, where the protocol has a stream.
@@ -56,7 +56,7 @@ class RunGroup:
         name: short, and no other group of the report has it.
         heading: the same for a reader of the page.
         results: of all runs in one.
-        tables: quality, consistency and whatever else was measured, over all runs.
+        tables: quality, consistency and all other measurements, over all runs.
         price: of being online, where some method is fitted.
     """
 

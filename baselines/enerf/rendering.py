@@ -232,7 +232,7 @@ def render_surface(
     unit: float,
     pixels_per_chunk: int = PIXELS_AT_ONCE,
 ) -> tuple[Tensor, Tensor]:
-    """RGB (3, H, W) and depth (H, W) in world units, by so many pixels at once; gradients reach the networks' parameters."""
+    """RGB (3, H, W) and depth (H, W) in world units, by N pixels at once; gradients reach the networks' parameters."""
     centre = torch.as_tensor(target.centre * unit).float()
     rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()
     parts = []

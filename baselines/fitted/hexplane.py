@@ -54,7 +54,7 @@ PUBLISHED = FieldConfiguration((64, 128), 150, 16, 128, tuple(HEADS), is_publish
 
 
 def compact(instants: int, degree: int) -> FieldConfiguration:
-    """The small field for a clip of so many instants, with half as many nodes in time, as the authors advise.
+    """Return the small field for a clip of N instants, with half as many nodes in time, as the authors advise.
 
     Only sizes do not change over time. Colours must: a screen that shows a film is most of the error without them.
     """

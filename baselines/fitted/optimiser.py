@@ -201,7 +201,7 @@ class GaussianFitter(SceneFitter):
         """Refuse options that must be 1 or more and are not, and spherical harmonics of no degree from 0 to 3.
 
         Args:
-            names: of the options that count, beside those that all have.
+            names: of the options that count, besides the common ones.
         """
         for each in (*names, "points", "most", "save_every"):
             if getattr(self, each) < 1:

@@ -2,7 +2,7 @@
 
 Motion is by a field (4DGS), along polynomials (Spacetime Gaussians), along lines (FreeTimeGS), or none.
 
-What a motion keeps per Gaussian is stored beside the canonical properties under names of its own, and thinned and split with
+What a motion keeps per Gaussian is stored with the canonical properties under other names, and thinned and split with
 them; what all Gaussians share are the parameters of the module.
 """
 
@@ -245,7 +245,7 @@ class TransformationMotion(Motion):
 
 
 class Backdrop(Motion):
-    """Gaussians beside others that are not learned."""
+    """Return Gaussians together with others that are not learned."""
 
     kind = "backdrop"
 

@@ -36,7 +36,7 @@ class Shot:
 class Shots:
     """Images of all training cameras at some instants, each once before any comes again, in a seeded order.
 
-    Frames of videos are behind one another; they are decoded once, into a file beside the fit, which is read in any order.
+    Frames of videos depend on each other; they are decoded once, into a file next to the fit, which is read in any order.
 
     Args:
         salt: makes the order of this fit another than that of the folder's other fits.

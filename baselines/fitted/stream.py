@@ -83,7 +83,7 @@ class Stream(GaussianFitter):
         return StreamedScene(folder, self.device)
 
     def _steps(self, instants: int) -> int:
-        """Steps of so many instants together."""
+        """Steps of N instants together."""
         return self.steps + (instants - 1) * (self.transforming + self.spawning)
 
     def _journal(self, footage: Footage, folder: Path, before: int, done: int, progress: Progress) -> Journal:
@@ -119,7 +119,7 @@ class Stream(GaussianFitter):
         write_scene(scene_file(folder, index), state.gaussians, field, footage)
 
     def _spawned(self, base: Gaussians, moving: FitState, seed: int) -> Gaussians:
-        """Gaussians beside those at which the image still pulls, faint at first."""
+        """Gaussians next to those with a large image gradient, faint at first."""
         pull = moving.gradient_sum / moving.visits.clamp(min=1)
         rows = torch.sort(pull, descending=True, stable=True).indices[: self.spawned]
         rows = rows[pull[rows] > GRADIENT]

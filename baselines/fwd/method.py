@@ -87,7 +87,7 @@ def halve(source: SourceView) -> HalfView:
 
 
 def halved_camera(camera: Camera, multiple: int) -> Camera:
-    """The camera at half its size, after its window was grown to the right and downwards to multiples of so many pixels."""
+    """The camera at half its size, after its window was grown to the right and downwards to multiples of N pixels."""
     width, height = (-(-side // multiple) * multiple for side in camera.size)
     return camera.cropped(0, 0, width, height).resized(width // 2, height // 2)
 

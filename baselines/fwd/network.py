@@ -35,7 +35,7 @@ class FwdShape:
     """Widths of the network.
 
     Attributes:
-        width: channels of a point: those of the encoder beside its colour.
+        width: channels of a point: those of the encoder, besides its colour.
         encoder: channels before the last block of the encoder.
         direction: channels of the change of direction.
         decoder: channels between the eight blocks of the decoder.
@@ -139,7 +139,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> FwdNetwork:
 
 
 class ResidualBlock(nn.Module):
-    """Two 3x3 convolutions, each after normalisation and ReLU, beside a 1x1 shortcut.
+    """Two 3x3 convolutions, each after normalisation and ReLU, with a 1x1 shortcut.
 
     Args:
         resampling: ``up`` doubles the size before the first convolution (nearest neighbour), ``down`` halves it after the second
@@ -172,8 +172,8 @@ class DepthCompletion(nn.Module):
     """Inverse depth everywhere from an image and the inverse depth that is known.
 
     Reading:
-        Spectral normalisation stands on every convolution but the last. Widths double from 32 to 256 and stay there; each level
-        downwards is a 4x4 convolution of stride 2, each level upwards doubles bilinearly and convolves 3x3 beside what was seen
+        Every convolution except the last has spectral normalisation. Widths double from 32 to 256 and stay there; each level
+        downwards is a 4x4 convolution of stride 2, each level upwards doubles bilinearly and convolves 3x3 next to what was seen
         at that size on the way down. The answer replaces known depth, too.
     """
 

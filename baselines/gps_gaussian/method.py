@@ -36,7 +36,7 @@ class RectifiedView:
 
     Attributes:
         camera: the source camera turned; its size is that of the canvas.
-        positions: where each canvas pixel is in the source image, (Hc, Wc, 2), array indices (pixel centres at integers).
+        positions: position of each canvas pixel in the source image, (Hc, Wc, 2), array indices (pixel centres at integers).
         inside: canvas pixels that the source sees, (Hc, Wc).
         depth_ratio: depth in the source camera per depth in the rectified one, (Hc, Wc).
     """
@@ -137,9 +137,9 @@ def _rectifying_axes(left: Camera, right: Camera) -> Array:
     turn_rad = np.arccos(np.clip(left.axis @ right.axis, -1, 1))
     pair = f"cameras {left.name} and {right.name}"
     if distance < 1e-9 * left.near or turn_rad > MAX_TURN_RAD:
-        raise RenderError(f"{pair} stand {distance:g} apart and look {np.degrees(turn_rad):.0f} degrees apart: no stereo pair")
+        raise RenderError(f"wanted a stereo pair, {pair} are {distance:g} apart and {np.degrees(turn_rad):.0f} degrees turned")
     if np.linalg.norm(np.cross(towards, forward)) < MIN_PARALLAX_SINE * distance * length:
-        raise RenderError(f"{pair} stand behind each other: no stereo pair")
+        raise RenderError(f"wanted a stereo pair, {pair} are behind each other")
     x = towards / distance
     y = np.cross(forward, x)
     y /= np.linalg.norm(y)
@@ -147,7 +147,7 @@ def _rectifying_axes(left: Camera, right: Camera) -> Array:
 
 
 def _canvas_size(left: Camera, right: Camera, axes: Array) -> tuple[int, int]:
-    """(width, height): the larger image's, in multiples that the network takes, on its side if the pair stands upright."""
+    """(width, height): the larger image's, in multiples that the network takes, on its side if the pair is upright."""
     sides = max(left.width, right.width), max(left.height, right.height)
     across, down = np.abs((left.rotation + right.rotation) @ axes[0])[:2]
     return _in_multiples(*(sides if across >= down else sides[::-1]))
@@ -188,7 +188,7 @@ def choose_pairs(target: Camera, cameras: Sequence[Camera], count: int) -> list[
         Indices of the cameras of each pair, nearest pair first; in each, left camera first.
 
     Reading:
-        The authors name their pair by hand: the neighbours between which the target stands on a ring. Here it is the rectifiable
+        The authors name their pair by hand: the neighbours of the target on a ring. Here it is the rectifiable
         pair with the smallest sum of distances to the target, ties in the order of the sources.
     """
     distances = [float(np.linalg.norm(camera.centre - target.centre)) for camera in cameras]
@@ -214,7 +214,7 @@ def choose_pairs(target: Camera, cameras: Sequence[Camera], count: int) -> list[
 
 
 def _in_order(cameras: Sequence[Camera], first: int, second: int) -> tuple[int, int]:
-    """Left camera first; of two that stand on top of each other the upper one."""
+    """Left camera first; of two that are on top of each other the upper one."""
     one, other = cameras[first], cameras[second]
     towards = other.centre - one.centre
     across, down = ((one.rotation + other.rotation) @ towards)[:2]

@@ -32,7 +32,7 @@ Pyramid = tuple[Tensor, Tensor, Tensor]  # features at 1/2, 1/4 and 1/8 of the s
 SIZE_MULTIPLE = 8  # sides of the images are multiples of it
 ITERATIONS = 3  # of the published network, in training and after
 OF = "GPS-Gaussian (GPS-GS_stage2_final.pth)"
-# Until version 2.0 torch kept one of its own functions in the state of a OneCycleLR scheduler, as `getattr` of the class by name,
+# Until version 2.0 torch kept one of its functions in the state of a OneCycleLR scheduler, as `getattr` of the class by name,
 # and the authors' checkpoint holds such a state. What is read in place of both calls is nothing at all.
 FORGOTTEN = ("builtins.getattr", "torch.optim.lr_scheduler.OneCycleLR")
 
@@ -235,7 +235,7 @@ class GpsGaussianNetwork(nn.Module):
         """Column of each pixel's match in the other image less its own, pixels, (2, 1, H, W)."""
         if self.raft_stereo is None:
             raise WeightsError(
-                f"GPS-Gaussian ({self.configuration}) finds no depth of its own; render gps-gaussian+given-depth, or give the "
+                f"GPS-Gaussian ({self.configuration}) finds no depth; render gps-gaussian+given-depth, or give the "
                 "authors' checkpoint by --weights gps-gaussian=FILE"
             )
         flow: Tensor = self.raft_stereo(features[2], iterations)
@@ -252,7 +252,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> GpsGaussianN
     """The network of a weights file, in evaluation mode.
 
     Args:
-        path: the authors' checkpoint (a dict with ``network`` beside ``total_steps``, ``optimizer`` and ``scheduler``), or
+        path: the authors' checkpoint (a dict with ``network``, ``total_steps``, ``optimizer`` and ``scheduler``), or
             safetensors whose names begin with ``network.``, or what our training wrote.
 
     Raises:
@@ -267,4 +267,4 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> GpsGaussianN
 
 
 def _nothing(*_: object) -> None:
-    """Nothing, in place of a result that a checkpoint need not bring back."""
+    """Nothing, in place of a result that a checkpoint does not need."""

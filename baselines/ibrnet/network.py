@@ -63,7 +63,7 @@ class FeatureNetwork(nn.Module):
 
 
 class ResidualBlock(nn.Module):
-    """Two 3x3 convolutions beside a shortcut."""
+    """Two 3x3 convolutions with a shortcut."""
 
     def __init__(self, width_in: int, width: int, stride: int) -> None:
         super().__init__()
@@ -215,7 +215,7 @@ class RayNetwork(nn.Module):
         return features, self.vis_fc2(features * (torch.sigmoid(visibility) * mask)) * mask
 
     def _base(self, pooled: Tensor, features: Tensor) -> Tensor:
-        """`base_fc` of both beside each other, (R, S, K, 32); what the views share, (R, S, 1, 70), is multiplied once for all."""
+        """`base_fc` of both side by side, (R, S, K, 32); what the views share, (R, S, 1, 70), is multiplied once for all."""
         of_pooled, of_features = self.base_fc.get_parameter("0.weight").split([2 * SEEN, SEEN], dim=1)
         shared = functional.linear(pooled, of_pooled, self.base_fc.get_parameter("0.bias"))
         hidden: Tensor = self.base_fc[1:](functional.linear(features, of_features) + shared)
@@ -266,7 +266,7 @@ def weighted_moments(features: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]
 
 
 def positions(count: int) -> Tensor:
-    """Sinusoids that tell the samples of a ray apart (Vaswani et al. 2017), (1, count, 16), float64."""
+    """Sinusoids that distinguish the samples of a ray (Vaswani et al. 2017), (1, count, 16), float64."""
     channel = torch.arange(WIDTH, dtype=torch.float64)
     rates = 10000.0 ** (-2 * torch.div(channel, 2, rounding_mode="floor") / WIDTH)
     angles = torch.arange(count, dtype=torch.float64)[:, None] * rates

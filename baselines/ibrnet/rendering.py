@@ -1,4 +1,4 @@
-"""Rays of the target through the networks: where samples lie, a coarse pass, a fine pass where it found something.
+"""Rays of the target through the networks: places of samples, a coarse pass, a fine pass where it found something.
 
 Source views are looked up at points of the world.
 """
@@ -25,7 +25,7 @@ FARTHEST_PX = 1e6
 BILINEAR, ZEROS = 0, 0  # torch's numbers of interpolation and padding
 EPSILON = 1e-6
 NEARER, FARTHER = 0.9, 1.6  # margins that the authors put around the depths of a real scene
-SMALLEST_SHARE = 1e-5  # of an interval of depths in where the second samples lie
+SMALLEST_SHARE = 1e-5  # of an interval of depths in the placement of the second samples
 # Samples times views that pass through the networks together: some 0.1 GB, and fast in the caches; on a GPU some 2 GB.
 ROWS_AT_ONCE = {"cpu": 2**16, "cuda": 2**20}
 OUTPUTS = 8  # of a layer that the kernel sums side by side
@@ -71,7 +71,7 @@ class SeenView:
         uv = (projected[..., :2] / depth.clamp(min=1e-8)).clamp(-FARTHEST_PX, FARTHEST_PX)
         largest = uv.new_tensor([self.image.shape[2] - 1, self.image.shape[1] - 1])
         inside = ((uv >= 0) & (uv <= largest)).all(dim=-1, keepdim=True)
-        places = 2 * uv / largest - 1  # of the corners' centres: -1 and 1, at whatever size
+        places = 2 * uv / largest - 1  # of the corners' centres: -1 and 1, at any size
         features = self.coarse if of_pass == "coarse" else self.fine
         return torch.cat([_sample(self.image, places), _sample(features, places)], dim=-1), inside & (depth > 0)
 
@@ -159,7 +159,7 @@ def opacity_shares(density: Tensor) -> Tensor:
 
 
 def rays_at_once(views: int, samples: int, device: torch.device | None = None) -> int:
-    """Return how many rays of so many coarse samples fit through the networks together on a device, the CPU unless given."""
+    """Return the number of rays of N coarse samples that fit through the networks together on a device, the CPU unless given."""
     return max(1, ROWS_AT_ONCE[device.type if device else "cpu"] // (2 * samples * views))
 
 

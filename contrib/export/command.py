@@ -28,10 +28,10 @@ def export(
     Args:
         splats: what splats:PATH takes: a .ply, a folder with one per instant, output of 4DGS; or a fit, RUN/fits/LABEL/all.
         out: file to write.
-        capture: that they belong to: tells frames per second, which way is up, and how long the clip of 4DGS output is.
+        capture: their capture; supplies frames per second, the up direction, and the clip length of 4DGS output.
         fps: frames per second; those of the capture, or 30, by default.
         up: direction in the world that viewers show as up; that of the capture's cameras, or +Y, by default.
-        frames: write the first so many instants; all by default.
+        frames: number of instants, from the first; default all.
         degree: of the spherical harmonics that are kept, for a smaller file; all by default.
         layout: of the capture on disk; detected by default.
     """

@@ -70,7 +70,7 @@ def write_glb(
         cloud: gives the Gaussians of an instant.
         fps: frames per second.
         degree: of the spherical harmonics that are kept, at most; all by default.
-        up: the direction that viewers show as up, in the world of the Gaussians; they are left as they stand by default.
+        up: the direction that viewers show as up, in the world of the Gaussians; unchanged by default.
 
     Raises:
         RenderError: a cloud without Gaussians, with harmonics that the extension does not know or with numbers beyond floats; or

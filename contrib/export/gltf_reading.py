@@ -93,7 +93,7 @@ def read_glb(path: Path, mesh: int) -> GaussianCloud:
 
 
 class _Opened(NamedTuple):
-    """The document of a file, and where its binary chunk lies."""
+    """Return the document of a file, and the place of its binary chunk."""
 
     document: Any
     start: int

@@ -22,7 +22,7 @@ MLFLOW_FILE = "mlflow.db"
 
 @dataclass(frozen=True)
 class TrackedMethod:
-    """One method in one run, as trackers know it: a run of their own.
+    """One method in one run, as a run of a tracker.
 
     Attributes:
         settings: what was asked for: the protocol's values under dotted names, its hash, scene and method.

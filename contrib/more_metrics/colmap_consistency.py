@@ -21,7 +21,7 @@ from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, Rendere
 from ggvs_eval.metrics.path.view_consistency import PATH_SHARPNESS
 
 NAMES = ("COLMAP_registered", "COLMAP_track_length", "COLMAP_matches")
-OVERLAP = 5  # each view is matched with so many that follow
+OVERLAP = 5  # each view is matched with N that follow
 LEAST_VIEWS, MOST_VIEWS = 5, 60
 TRIMMED_FITS, KEPT_SHARE = 8, 0.75
 TINY = float(np.finfo(float).tiny)
@@ -65,7 +65,7 @@ def colmap_consistency(images: Iterable[Image], cameras: Sequence[Camera] | None
     Reading:
         After the registration rate, tracks and matches of SysCON3D (2605.18754); what counts is ours. COLMAP registers shuffled
         views of one scene as gladly as ordered ones, so being registered is not enough. With known cameras a view counts where
-        its solved centre is within half a step of its own after the best similarity, nearer than its neighbours'; without
+        its solved centre is within half a step of its true place after the best similarity, nearer than its neighbours'; without
         cameras where the solved path continues from the view before to the view after and does not turn back, as two of three
         views of a shuffled line do. Known lenses are used; unknown ones are guessed and held. Of longer paths 60 evenly spaced
         views are taken.
@@ -131,7 +131,7 @@ def _mean_length(tracks: Sequence[Sequence[int]], in_place: NDArray[np.bool_]) -
 
 
 def _at_their_cameras(poses: dict[int, Any], cameras: Sequence[Camera]) -> NDArray[np.bool_]:
-    """Tell of each view whether it was solved, and at the place that its camera has."""
+    """Return for each view whether it was solved, and at its camera's place."""
     in_place = np.zeros(len(cameras), dtype=bool)
     if len(poses) < 3:
         return in_place
@@ -167,7 +167,7 @@ def _half_steps(centres: Points) -> NDArray[np.float64]:
 
 
 def _in_order(poses: dict[int, Any], n_views: int) -> NDArray[np.bool_]:
-    """Tell of each view whether it was solved, and between its neighbours; at the ends the next view decides."""
+    """Return for each view whether it was solved, and between its neighbours; at the ends the next view decides."""
     centres = np.full((n_views, 3), np.nan)
     for index, (_, centre) in poses.items():
         centres[index] = centre

@@ -112,7 +112,7 @@ def load_package() -> Any:
     sys.modules.update(substitutes)
     try:
         return import_module("pycvvdp.cvvdp_metric")
-    except Exception as error:  # whatever another version of it does
+    except Exception as error:  # another version of it can raise anything
         sys.modules.pop("pycvvdp", None)
         raise MetricError(f"ColorVideoVDP: cvvdp cannot be imported ({error}); `pip install 'ggvs-eval[cvvdp]'`") from error
     finally:

@@ -1,4 +1,4 @@
-"""Bring the weights of DISTS onto this machine: ``python -m ggvs_eval.contrib.more_metrics.fetch_dists``, once, with a network.
+"""Download the weights of DISTS: ``python -m ggvs_eval.contrib.more_metrics.fetch_dists``, once, with a network.
 
 The authors' package DISTS-pytorch 0.1 (MIT) carries the 2 x 1475 numbers that were trained; the VGG16 below them is the one that
 LPIPS has, whose weights are fetched too (`fetch_lpips`). The package is taken by pip against a fixed sha256, read without running

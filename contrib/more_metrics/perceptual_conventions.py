@@ -31,7 +31,7 @@ SCRIPT_SIDE_PX = 256
 
 
 def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
-    """IV-PSNR on the YCbCr that a video file would hold, and the PSNR of YCbCr that its program prints beside it."""
+    """IV-PSNR on the YCbCr that a video file would hold, and the PSNR of YCbCr that its program prints as well."""
     from ggvs_eval.contrib.more_metrics.iv_psnr import iv_psnr, psnr_ycbcr
 
     def of_video(matrix: str, headroom: bool, chroma: int) -> FrameMeasure:
@@ -51,7 +51,7 @@ def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
 
 
 def _ycbcr(image: Image8, matrix: str, headroom: bool, chroma: int) -> Image8:
-    """8-bit YCbCr, (H, W, 3); chroma averaged over so many pixels a side and repeated."""
+    """8-bit YCbCr, (H, W, 3); chroma averaged over N pixels a side and repeated."""
     red, green, blue = LUMA[matrix]
     r, g, b = np.moveaxis(image.astype(np.float64), -1, 0)
     y = red * r + green * g + blue * b

@@ -31,7 +31,7 @@ LUCAS_KANADE: dict[str, Any] = {
     "minEigThreshold": 1 / 1024,
 }  # 1 level per px
 THERE_AND_BACK_PX = 0.5
-MATCH_NOISE_PX, UNSURE_DEG = 0.1, 0.05  # a region whose rotation such noise alone would turn by more tells nothing
+MATCH_NOISE_PX, UNSURE_DEG = 0.1, 0.05  # a region whose rotation such noise alone would turn by more is ignored
 ONE_SURFACE = 1.03  # of depths around a point, farthest over nearest: beyond it the edge of something is what moves
 WINDOWS = (6, 8)  # of the map, rows and columns
 AGREED_PX = 1.0  # of the pose that the map is drawn against: one for all must not bend with the part that does
@@ -221,7 +221,7 @@ def _measured(cameras: Sequence[Camera], look: Look) -> SpatialConsistency:
 
 
 def _stride(cameras: Sequence[Camera], look: Look, points: NDArray[np.float32]) -> int:
-    """So many poses on that the cameras move what they see by `LEAST_SHIFT_PX`; told from five poses of the path."""
+    """Return the number of poses after which the image moves by `LEAST_SHIFT_PX`, from five poses of the path."""
     sampled = np.unique(np.linspace(0, len(cameras) - 1, 5).round().astype(int)).tolist()
     lifted = {index: lift(cameras[index], checked_depth(cameras[index], look(index)[1]), points) for index in sampled}
 

@@ -1,4 +1,4 @@
-"""VMAF, the video industry's fused measure, by the ffmpeg that imageio-ffmpeg brings."""
+"""VMAF, the video industry's fused measure, by the ffmpeg of imageio-ffmpeg."""
 
 import json
 import subprocess
@@ -46,7 +46,7 @@ def vmaf(pairs: Iterable[tuple[Image8, Image8]], model: str = MODEL, matrix: str
     Reading:
         Models for a 1080p screen at three heights, regardless of the size of the frames, and below 45 frames per second. The older
         one looks at luma alone, v1.0.16 (June 2026) at chroma and banding too; frames are BT.709 in 16..235, 4:2:0. Both were
-        trained on compression and scaling: they say little of geometry. Each is a metric of its own, as their values differ and
+        trained on compression and scaling: they say little of geometry. Each is a separate metric, as their values differ and
         which models there are depends on the ffmpeg that is installed.
     """
     with SpooledFrames() as frames:
@@ -117,7 +117,7 @@ class VmafScorer:
 
 
 class VmafV1Scorer(VmafScorer):
-    """VMAF by its model of 2026; a scorer of its own, since an older ffmpeg lacks it alone."""
+    """VMAF by its model of 2026; a separate scorer, since an older ffmpeg lacks it alone."""
 
     names: ClassVar = ("VMAF_v1",)
     model: ClassVar = MODEL_V1

@@ -1,6 +1,6 @@
 """Degradations of frames by formula: pure functions (frames, strength, seed) -> frames, equal seeds equal bits.
 
-Frames are (T, H, W, 3) uint8, whatever comes between them: time at a fixed camera, or the next pose of a camera that moves.
+Frames are (T, H, W, 3) uint8, consecutive in time at a fixed camera, or in the poses of a camera that moves.
 Every result is rounded to 8 bit, as it would be written.
 """
 
@@ -74,7 +74,7 @@ def freeze(frames: Image8, percent: float, seed: int = 0) -> Image8:
 
 
 def delay(frames: Image8, n_frames: float, _seed: int = 0) -> Image8:
-    """Late frames: each shown `n_frames` after its time; the first one stands until then."""
+    """Late frames: each shown `n_frames` after its time; the first one is shown until then."""
     return frames[np.maximum(np.arange(len(frames)) - round(n_frames), 0)]
 
 

@@ -23,7 +23,7 @@ class Ladder:
         describe: what is done, in a few words.
         module: that its code is in.
         wants_path: planted along a camera path alone.
-        is_rendered: the undegraded clip is what the method renders of undisturbed inputs, whatever else is planted in.
+        is_rendered: the undegraded clip is what the method renders of undisturbed inputs, regardless of what else is planted in.
     """
 
     name: str

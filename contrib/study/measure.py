@@ -127,7 +127,7 @@ def _measure(record_file: Path, take: Take, name: str, identity: dict[str, Any],
 
 def _at(take: Take, ladder: Ladder | None, strength: float, seed: int, metrics: Sequence[str]) -> tuple[Numbers, Reasons]:
     clips = list(take.clips())
-    # Each view has a seed of its own, of the parity of the take's.
+    # Each view has its own seed, of the parity of the clip's.
     frames = [ladder.frames(clip, strength, seed + 1000 * view) if ladder else clip.undegraded for view, clip in enumerate(clips)]
     numbers, reasons = measure_views(clips, frames, metrics)
     paths, absent = _measure_paths(clips, frames, metrics, _sources(ladder, clips, strength, seed))

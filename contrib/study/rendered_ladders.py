@@ -42,7 +42,7 @@ def boil(clip: Clip, percent: float, seed: int = 0) -> Image8:
 
 
 def switch_sources(clip: Clip, switches: float, seed: int = 0) -> Image8:
-    """Rendering along a camera path with so many exchanges of all source cameras, evenly spaced.
+    """Rendering along a camera path with N exchanges of all source cameras, evenly spaced.
 
     Two pairs of the four nearest cameras take turns, the first with the last and the two between, so that neither pair lies
     nearer to the path; the parity of the seed says which begins.
@@ -54,7 +54,7 @@ def switch_sources(clip: Clip, switches: float, seed: int = 0) -> Image8:
 def switch_brightness(clip: Clip, percent: float, seed: int = 0) -> Image8:
     """Rendering along a camera path with `EXCHANGES` exchanges, between one pair of cameras and one that is `percent` brighter.
 
-    Nothing brings the cameras to one colour, as the online method would alone.
+    Colours of the cameras are not compensated, as the online method would do.
     """
     clip = require_sources(clip, SWITCHED)
     brighter = (clip.sources[1].camera.name, clip.sources[2].camera.name)
@@ -70,14 +70,14 @@ def switch_brightness(clip: Clip, percent: float, seed: int = 0) -> Image8:
 
 
 def sources_at(clip: Clip, frame: int, switches: float, seed: int) -> tuple[SourceClip, SourceClip]:
-    """The pair of source cameras at a frame, of a path with so many exchanges."""
+    """The pair of source cameras at a frame, of a path with N exchanges."""
     stretch = frame * (round(switches) + 1) // len(clip.truth)
     nearest = require_sources(clip, SWITCHED).sources
     return (nearest[0], nearest[3]) if (stretch + seed) % 2 == 0 else (nearest[1], nearest[2])
 
 
 def require_sources(clip: Clip, count: int) -> Clip:
-    """The clip, if it has so many source cameras."""
+    """Return the clip if it has N source cameras."""
     if len(clip.sources) < count:
         raise RenderError(f"view {clip.name}: wanted {count} source cameras with depth to render from, got {len(clip.sources)}")
     return clip

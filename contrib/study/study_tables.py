@@ -15,12 +15,12 @@ def correlation_table(study: Study, metrics: Sequence[str] | None = None) -> str
 
 
 def sensitivity_table(study: Study, metrics: Sequence[str] | None = None) -> str:
-    """The least strength that each metric tells from the undegraded, with the unit beside the degradation."""
+    """The least strength that each metric distinguishes from the original, with the unit next to the degradation."""
     return _table(study, metrics, lambda answer: _number(answer["least_strength"]), with_units=True)
 
 
 def verdict_table(studies: Sequence[Study], metrics: Sequence[str] | None = None) -> str:
-    """Degradations that each metric sees, is blind to, and rewards; those in which studies disagree in a column of their own."""
+    """Degradations that each metric detects, misses and rewards; a separate column for those on which studies disagree."""
     heads = {"sees": "worse with strength", "blind": "blind to", "rewards": "better with strength"}
     heads |= {"disputed": "depends on the capture"} if len(studies) > 1 else {"unclear": "one clip: unclear"}
     verdicts = [(metric, _verdicts(studies, metric)) for metric in metrics or answered_metrics(studies)]
@@ -82,7 +82,7 @@ def study_text(study: Study) -> str:
         f"Metric study of {', '.join(study['captures'])}": f"{study['takes']} clips.",
         "Degradations": ladder_table(study),
         "Rank correlation with strength, 95 % interval over clips": correlation_table(study),
-        "Least strength told from the undegraded": sensitivity_table(study),
+        "Least strength distinguished from the original": sensitivity_table(study),
         "Blind to": verdict_table([study]),
         "Not computed": absence_list(study) or "Everything that was asked for is computed.",
     }

@@ -49,7 +49,7 @@ def perceptual_loss(image: Tensor, truth: Tensor) -> Tensor:
         truth: same shape, in [0, 1].
 
     Reading:
-        Not in the paper, whose L1 and SSIM blur what they cannot place: trained on captures with noise and motion blur beside
+        Not in the paper, whose L1 and SSIM blur what they cannot place: trained on captures with noise and motion blur next to
         clean ones, the network became softer in clean rooms (LPIPS 0.083 to 0.090). LPIPS asks for the truth's fine detail back,
         but of a noisy truth it asks for noise, which costs PSNR and can only be guessed; hence the weight.
     """

@@ -14,7 +14,7 @@ from ggvs_eval.plugins import missing_part
 ABOUT = {
     BLEND: """Train the blending network on procedural rooms and on captures; rooms and depth are made before the first step.
 
-    It takes no more views than it is trained for, and learns from two views on. The samples are kept in blend-samples beside
+    It takes no more views than it is trained for, and learns from two views on. The samples are kept in blend-samples next to
     the folder.""",
     STEREO: "Train the compact RAFT-Stereo on pairs of procedural rooms, taken on the fly.",
     **{

@@ -86,7 +86,7 @@ class InstantSample:
         """The same with each source cut to what the target's window can show of it at any depth, all to one size.
 
         Args:
-            multiple: sides are so many pixels times a whole number, if the sources are large enough.
+            multiple: sides are multiples of this number of pixels, if the sources are large enough.
         """
         boxes = np.stack([_window_in(source.camera, self.instant.target) for source in self.instant.sources])  # (K, 4)
         sizes = np.array([source.camera.size for source in self.instant.sources])

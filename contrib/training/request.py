@@ -39,7 +39,7 @@ class TrainingOptions:
         rooms: rooms to render of each domain, one to four minutes and 50 MB each.
         targets: target views per room.
         domains: kinds of captures to learn from and to choose by (plain, narrow, arc, ...).
-        captures: folders of captures to learn from beside the rooms (RGB-D sequences by ScanNet's rule, Spaces, DyNeRF, rigs of
+        captures: folders of captures to learn from besides the rooms (RGB-D sequences by ScanNet's rule, Spaces, DyNeRF, rigs of
             your own), never those that you test on.
         hold_back: learn from the first half of each RGB-D sequence, and validate on what is new in the rest.
         start_from: weights to begin with where the folder holds no state, such as those that ship; a lower rate moves them.

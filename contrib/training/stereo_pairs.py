@@ -200,12 +200,12 @@ class StereoRig:
         return directions.reshape(-1, 3).astype(np.float32)
 
     def positions(self, step: int = 1) -> tuple[Array, Array]:
-        """Pixel centres, every so many, x and y, (H, W) each."""
+        """Pixel centres, every N pixels, x and y, (H, W) each."""
         y, x = np.mgrid[step // 2 : self.size[1] : step, step // 2 : self.size[0] : step] + 0.5
         return x, y
 
     def depth(self, geometry: Geometry, step: int = 1) -> Map:
-        """Depth of the left picture, metres, `FARTHEST_M` where nothing is, (H, W), or of every so many pixels."""
+        """Depth of the left picture, metres, `FARTHEST_M` where nothing is, (H, W), or of every N pixels."""
         x, y = self.positions(step)
         depth = np.full(x.size, FARTHEST_M, np.float32)
         hits = geometry.cast(self.eye.astype(np.float32), self.rays(x, y))
@@ -264,9 +264,9 @@ def _painted(scene: Instant, rng: np.random.Generator) -> Instant:
 
 
 def place_rig(scene: Instant, rng: np.random.Generator, width: int, height: int) -> tuple[StereoRig, Map]:
-    """Choose where the cameras stand so that near things have a disparity drawn from a wide range.
+    """Choose the cameras' places so that near things have a disparity drawn from a wide range.
 
-    Nothing in the left picture is closer than `NEAREST_M`, nothing stands between the cameras.
+    Nothing in the left picture is closer than `NEAREST_M`, nothing is between the cameras.
 
     Returns:
         The cameras, and the depth of the left one, metres, (H, W).

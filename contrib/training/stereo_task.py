@@ -24,10 +24,10 @@ def sequence_loss(flows: Sequence[Tensor], last: Tensor, truth: Tensor, decay: f
         flows: after each of n iterations, in cells, (B, 1, h, w).
         last: the last one at full size, in pixels, (B, 1, H, W).
         truth: (B, 1, H, W), pixels.
-        decay: weight of iteration i is decay**(15 / (n - 1) * (n - 1 - i)): the first one counts the same whatever n.
+        decay: weight of iteration i is decay**(15 / (n - 1) * (n - 1 - i)): the first one counts the same for any n.
 
     Reading:
-        The authors bring every iteration to full size; earlier ones count at their cells here, at a third less time a step.
+        The authors enlarge every iteration to full size; earlier ones count at their cells here, at a third less time a step.
     """
     factor = last.shape[-1] // flows[0].shape[-1]
     step, n = decay ** (15 / max(1, len(flows) - 1)), len(flows)
@@ -112,7 +112,7 @@ class StereoTask:
     def evaluated_on(self) -> str:
         """Sentence of the model card on the measures of `validate`."""
         return (
-            f"{self.validation_pairs} pairs of 512x320 of scenes of their own, every pixel, occluded ones included: end-point "
+            f"{self.validation_pairs} pairs of 512x320 of separate scenes, every pixel, occluded ones included: end-point "
             "error and share of pixels off by more than 1 and 3 px, from semi-global matching (8 iterations), `zero_` from "
             "nothing (24), and `start_` the semi-global matching itself, gaps filled."
         )
@@ -159,7 +159,7 @@ class StereoTask:
         return of_flow + self.matching_weight * of_features, figures
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
-        """Errors on pairs of scenes of their own, from semi-global matching, and from nothing with three times the iterations."""
+        """Errors on pairs of separate scenes, from semi-global matching, and from nothing with three times the iterations."""
         assert isinstance(network, RaftStereo)
         figures = {
             "epe_px": 0.0,

@@ -51,7 +51,7 @@ class Training:
         return self.folder / "train.log"
 
     def steps_done(self) -> int:
-        """Steps that its log tells of; 0 before the first."""
+        """Steps in its log; 0 before the first."""
         line = last_line(self.folder / "log.csv")
         number = line.partition(",")[0]
         return int(number) + 1 if number.isdigit() else 0
@@ -108,7 +108,7 @@ def last_line(path: Path) -> str:
 
 
 def _start(training: Training, jobs: int) -> subprocess.Popen[bytes]:
-    """The training as a process group of its own; what it prints is added to its log."""
+    """Start the training as a separate process group; its output is added to its log."""
     training.folder.mkdir(parents=True, exist_ok=True)
     with training.log.open("ab") as log:
         _lock(training, log)
@@ -196,7 +196,7 @@ class ProgressLines:
         self._bars.stop()
 
     def show(self, name: str, done: int) -> None:
-        """So many steps are done."""
+        """Report N finished steps."""
         self._bars.update(self._tasks[name], completed=done)
         tenth = TENTHS * done // max(self._steps[name], 1)
         if self._bars.disable and tenth > self._tenths[name]:
@@ -247,7 +247,7 @@ def train_all(
     if failures:
         print(*failures.values(), sep="\n", file=sys.stderr)
         raise TrainingError(
-            f"train all: wanted {len(trainings)} trained networks, {', '.join(failures)} failed, the others are trained; mend "
+            f"train all: wanted {len(trainings)} trained networks, {', '.join(failures)} failed, the others are trained; fix "
             "what their logs say and call again to continue"
         )
     return [training.folder / f"{training.name}{end}" for training in trainings for end in (".safetensors", ".md")]

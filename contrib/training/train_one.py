@@ -144,7 +144,7 @@ class BaselineTask:
         return {name: torch.as_tensor(values) for name, values in drawn.items()}
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
-        """Mean over the crops; ``passed_over`` tells how many views a crop skipped, see `_crop_loss`."""
+        """Mean over the crops; ``passed_over`` counts the views that a crop skipped, see `_crop_loss`."""
         network.train()
         if self.has_statistics:
             freeze_statistics(network)
@@ -216,7 +216,7 @@ class BaselineTask:
         return {"psnr_db": psnr(image, truth), "ssim": ssim(image, truth)}
 
 
-CACHE = "blend-samples"  # beside the folders of the trainings
+CACHE = "blend-samples"  # next to the folders of the trainings
 WORKER_BYTES = 2**30  # of a GPU, for a worker that makes samples: its context, kernels, and a sample's maps
 
 

@@ -1,4 +1,4 @@
-"""What changes from step to step beside pictures - cameras, weights, flags - as one block of memory that one copy uploads."""
+"""Inputs of a step besides pictures - cameras, weights, flags - as one block of memory that one copy uploads."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.online import exposure_compensation as compensation
 from ggvs_eval.pipelines.online.geometry_guided import SAME_SURFACE_TAU, OnlineOptions
 
-# Places of the single numbers, and of the flags that tell which memories count.
+# Places of the single numbers, and of the flags of valid memories.
 NEAR, END, TAU, PER_BIT, FAR, SAME_SURFACE, NOISE = (wp.constant(place) for place in range(7))
 PAST, SHOWN, GAINS = (wp.constant(place) for place in range(3))
 SLABS = 512  # depth intervals of the march's grid, about equal in log depth

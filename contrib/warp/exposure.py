@@ -43,7 +43,7 @@ class ExposureState:
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """What the sources' colours tell.
+    """Colour statistics of the sources.
 
     Attributes:
         gains: of each source and channel, (K, 3).

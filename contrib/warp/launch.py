@@ -17,7 +17,7 @@ MODULE_OPTIONS = {"enable_backward": False, "fuse_fp": False}
 
 
 def launch(kernel: Any, size: int | Sequence[int], *arguments: Any, block: int = 0) -> None:
-    """Launch a kernel where its tensors lie; nothing is copied.
+    """Launch a kernel on the device of its tensors; nothing is copied.
 
     Args:
         kernel: of Warp.
@@ -56,7 +56,7 @@ def sort_pairs(keys: Tensor, values: Tensor, count: int, bits: int) -> None:
     Args:
         keys: (2 count,), int32, not negative; the second half is for the sort's own use.
         values: the same.
-        count: so many.
+        count: number of them.
         bits: that differ.
     """
     wp.utils.radix_sort_pairs(wp.from_torch(keys), wp.from_torch(values), count, 0, bits)

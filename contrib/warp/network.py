@@ -1,6 +1,6 @@
 """The blending network and its refiner on a device: one kernel gathers each layer's input, convolutions are cuDNN's.
 
-Activations lie (row, column, channel), as tensor cores want them. A convolution's output is kept as it comes; its mean and
+Activations are (row, column, channel), as tensor cores want them. A convolution's output is kept as it comes; its mean and
 deviation are summed by two launches, and anyone who reads it normalises: pooling, enlarging, joining and padding cost no pass of
 their own.
 """
@@ -383,7 +383,7 @@ class DeviceNetwork:
         self._kernels, self._device = kernels_of(OF_WARP[dtype]), network.scale.device
         assert self._refiner is not None  # `covers` asks for it
         unet = network.unet
-        with torch.no_grad():  # detached: Warp allocates a gradient for whatever wants one, at every launch
+        with torch.no_grad():  # detached: Warp allocates a gradient for every tensor that requires one, at every launch
             modules = [module for block in (*unet.down, *unet.up) for module in block.modules()]
             convolutions = [module for module in modules if isinstance(module, nn.Conv2d)]
             norms = [module for module in modules if isinstance(module, nn.GroupNorm)]

@@ -140,7 +140,7 @@ def network_channels(
     left = wp.max(x - 1, 0)
     right = wp.min(x + 1, width - 1)
     far = numbers[FAR]
-    # A power of two rounds nothing, and brings lengths near 1. Its bits are those of an exponent.
+    # A power of two rounds nothing, and scales lengths to about 1. Its bits are those of an exponent.
     per = wp.cast((254 - (wp.cast(length, wp.int32) >> 23)) << 23, wp.float32)
     point = per * surface_point(fused, pinhole, far, y, x)
     along_column = per * surface_point(fused, pinhole, far, lower, x) - per * surface_point(fused, pinhole, far, upper, x)

@@ -257,7 +257,7 @@ def register_pixels(
 def settle_depth(
     fused: Tensor, images: Tensor, splats: DeviceSplats, c: StepConstants, t: Tables, odd: Tensor | None = None
 ) -> Tensor:
-    """Fused depth, (H, W), replaced where most views and the colours of all but odd ones speak for a splat's."""
+    """Fused depth, (H, W), replaced where most views and the colours of all except odd ones support a splat's."""
     if min(min(size) for size in t.sizes.views) < 2:  # colours cannot be interpolated
         return fused
     settled = torch.empty_like(fused)

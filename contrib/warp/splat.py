@@ -18,7 +18,7 @@ wp.set_module_options(MODULE_OPTIONS)
 
 TILE = 8  # pixels across and down whose Gaussians are listed together
 DEPTH_BITS = 31  # of a positive float
-SHORT_KEYS = 2**16  # tiles that two passes of the sort tell apart
+SHORT_KEYS = 2**16  # tiles that two passes of the sort distinguish
 _TILE, _HALF = wp.constant(TILE), wp.constant(TILE // 2)
 _HIDDEN = wp.constant(0x7F7FFFFF)  # sorts behind every depth
 LOG2_MIN_ALPHA = wp.constant(wp.float32(-7.99435344))
@@ -308,7 +308,7 @@ def splat_views(images: Tensor, depths: Tensor, masks: Tensor, c: StepConstants,
 
     Reading:
         Two stable sorts of 32 bits, by depth and then by tile, order the pairs as the compiled splat does, equal depths in
-        reading order; sorting pairs at once by 64 bits would move twice the bytes. So many views are sorted together as have at
+        reading order; sorting pairs at once by 64 bits would move twice the bytes. Views are sorted together as long as they have at
         most 2^16 tiles: the sort then takes two passes, not three. How many pairs there are is known on the device alone: room
         is kept for a number of them, and anyone who reads the picture sees whether it was enough.
     """

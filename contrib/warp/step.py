@@ -83,7 +83,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What a step leaves for the host: the picture as float32 and in 8 bit, (H, W, 3), and what `Rendering` has beside it."""
+    """Output of a step for the host: the picture as float32 and in 8 bit, (H, W, 3), and the rest of `Rendering`."""
 
     image: Tensor
     levels: Tensor
@@ -213,7 +213,7 @@ class DeviceGuided:
 
     Attributes:
         details: seconds of every part of the last step that was not recorded.
-        takes_device_depth: tells `OnlineSynthesizer` to leave estimated depth on the device.
+        takes_device_depth: makes `OnlineSynthesizer` leave estimated depth on the device.
 
     Reading:
         Pictures are those of the compiled path except for rounding. Weights, march, contested depth and registration give the same

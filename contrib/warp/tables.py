@@ -46,7 +46,7 @@ class Sizes:
         return max(len(self.views) * (len(self.views) - 1) // 2, 1)
 
     def lattice(self, by: int, rows: int) -> list[tuple[int, int, int]]:
-        """Step, columns and rows of the lattice of each view's reduced image; at least so many rows, if it has them."""
+        """Step, columns and rows of the lattice of each view's reduced image; at least N rows, if it has them."""
         lattices = []
         for view in self.views:
             width, height = (max(side // by, 1) for side in view)
@@ -76,7 +76,7 @@ class Tables:
 
     Args:
         sizes: of the step.
-        device: where they lie.
+        device: of the tables.
     """
 
     def __init__(self, sizes: Sizes, device: torch.device) -> None:

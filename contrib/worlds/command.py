@@ -14,7 +14,7 @@ def film(
     seconds: float | None = None,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Film a demo capture: a procedural dynamic room or garden in the layout of a data set, with exact depth beside it.
+    """Film a demo capture: a procedural dynamic room or garden in the layout of a data set, with exact depth.
 
     Args:
         out: folder to write; absent, or holding this very demo.

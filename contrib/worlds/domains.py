@@ -9,7 +9,7 @@ import numpy as np
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.errors import CaptureError
 
-FIRST_TRAINING_SEED = 1000  # below lie the demo captures, for tests, and the validation seeds
+FIRST_TRAINING_SEED = 1000  # below are the demo captures, for tests, and the validation seeds
 VALIDATION_SEEDS = (101, 102, 103)
 PLAIN = "plain"
 Range = tuple[float, float]
@@ -25,8 +25,8 @@ class Domain:
         strengths: options that training draws evenly between two values for each seed, so that no network learns the one value
             by which it is chosen.
         size: of the images, pixels.
-        gap: of captures by a hand-held camera: sources come from more than so many frames before or after the target's, ...
-        span: ... and from at most so many.
+        gap: of captures by a hand-held camera: exclusive minimum distance of a source from the target, frames
+        span: maximum of that distance, frames.
     """
 
     title: str

@@ -1,16 +1,16 @@
-"""Renders next to copies of the reference: ``renders/00000.png`` beside ``gt/00000.png``, as programs write them; EasyVolcap's.
+"""Renders next to copies of the reference: ``renders/00000.png`` and ``gt/00000.png``, as programs write them; EasyVolcap's.
 
-EasyVolcap writes ``RENDER/frame0000_camera0000.png``, and its copy of the truth as ``..._gt.png`` beside.
+EasyVolcap writes ``RENDER/frame0000_camera0000.png``, and its copy of the truth as ``..._gt.png``.
 
 Facts of its layout, from github.com/zju3dv/EasyVolcap (commit 4cb3c00, easyvolcap/runners/visualizers/
 volumetric_video_visualizer.py and easyvolcap/dataloaders/datasets/volumetric_video_dataset.py): below
-``data/result/<experiment>[/<tag>]/`` stands one folder per kind of picture, ``RENDER``, ``DEPTH``, ``ALPHA``; a name has the
+``data/result/<experiment>[/<tag>]/`` is one folder per kind of picture, ``RENDER``, ``DEPTH``, ``ALPHA``; a name has the
 frame and the camera in at least four digits; ``_gt`` and ``_error`` pictures follow each where they are asked for; PNG carries
 alpha as its fourth channel. The camera's number is its place among the sorted names of all cameras of the capture, the frame's
 number counts from the capture's first.
 
-Views and frames are read from the names where these say them (``cam00/0001.png``, ``cam00_0001.png``); else the copies of the
-truth tell, see `truth_match`.
+Views and frames are read from the names where these contain them (``cam00/0001.png``, ``cam00_0001.png``); else the copies of the
+truth decide, see `truth_match`.
 
 Facts of 4DGaussians, from github.com/hustvl/4DGaussians (commit 0bc8fed, render.py): the model's folder holds
 ``{train,test,video}/ours_<iteration>/``, each with ``renders/`` and ``gt/`` of five digits in the order of its data loader and a
@@ -34,7 +34,7 @@ EASYVOLCAP_NAME = re.compile(r"frame(\d+)_camera(\d+)(_gt|_error)?")
 EASYVOLCAP_FOLDER = "RENDER"
 # 3DGS and its kin, nerfstudio's `ns-render dataset`, NerfBaselines.
 PAIRS = (("renders", "gt"), ("rgb", "gt-rgb"), ("color", "gt-color"))
-NERFBASELINES = "info.json"  # beside color/; then gt-color/ may be absent
+NERFBASELINES = "info.json"  # next to color/; then gt-color/ may be absent
 
 
 def refuse_easyvolcap(path: Path, request: FrameRequest) -> str | None:
@@ -128,7 +128,7 @@ def refuse_flat_set(path: Path, request: FrameRequest) -> str | None:
         return "not a folder"
     pairs = _pairs(path)
     if not pairs:
-        return f"no {', '.join(f'{rendered}/ beside {truth}/' for rendered, truth in PAIRS)}, here or in test/ours_<iteration>/"
+        return f"no {', '.join(f'{rendered}/ next to {truth}/' for rendered, truth in PAIRS)}, here or in test/ours_<iteration>/"
     if len(pairs) > 1:
         places = [pair.rendered.parent for pair in pairs]
         shown = [pair.rendered if places.count(place) > 1 else place for pair, place in zip(pairs, places, strict=True)]
@@ -147,7 +147,7 @@ def find_flat_set(path: Path, request: FrameRequest, is_temporary: bool) -> Rend
     """The renders by view and frame, after their copies of the truth were compared with the captured frames.
 
     Raises:
-        RenderError: lists that do not match each other, names that tell no view where there is no truth to find the order by, or
+        RenderError: lists that do not match each other, names without a view where no truth determines the order, or
             copies of the truth that are not the captured frames.
     """
     (pair,) = _pairs(path)
@@ -159,7 +159,7 @@ def find_flat_set(path: Path, request: FrameRequest, is_temporary: bool) -> Rend
     if not copies:
         first = next(iter(names)).relative_to(pair.rendered.parent)
         raise RenderError(
-            f"{pair.rendered.parent}: names like {first} tell no view, and {pair.truth.name}/ lacks pictures to find their order "
+            f"{pair.rendered.parent}: wanted names with a view, got {first}, and {pair.truth.name}/ lacks pictures to find their order "
             "by; name them <view>/<frame>.png"
         )
     if set(rendered) != set(copies):

@@ -43,7 +43,7 @@ KINDS = {
     "folders": Kind("<view>/<frame>.png", view_folders.refuse_folders, view_folders.folder_files, view_folders.find_folders),
     "names": Kind("<view>_<frame>.png", view_folders.refuse_flat, view_folders.flat_files, view_folders.find_flat),
 }
-WEAKEST = "names"  # pictures may be beside what is meant
+WEAKEST = "names"  # pictures can be next to the renders
 
 
 def detect(path: Path, request: FrameRequest) -> str:

@@ -45,7 +45,7 @@ class Numbered(Generic[Item]):
 
 
 class Place(NamedTuple):
-    """Parts of a picture's name: its view, its frame number, and how many numbers are left beside the view's name."""
+    """Parts of a picture's name: its view, its frame number, and the number of further numbers in it."""
 
     view: str
     number: int | None
@@ -63,7 +63,7 @@ def frame_numbers(folder: Path, stems: Sequence[str], view: str = "") -> list[in
 
 
 def places_of(folder: Path, names: Iterable[str], views: Sequence[str]) -> list[Place | None]:
-    """The view and frame that relative names, without suffix, say; None where not one view's name stands once in it as a word."""
+    """Return view and frame of relative names, without suffix; None unless exactly one view's name is in it once as a word."""
     found: list[tuple[str, str] | None] = []
     for name in map(same_name, names):
         matches = [(view, match) for view in views for match in re.finditer(name_as_word(same_name(view)), name)]
@@ -74,7 +74,7 @@ def places_of(folder: Path, names: Iterable[str], views: Sequence[str]) -> list[
 
 
 def name_as_word(view: str) -> str:
-    """Regular expression of a view's name as a word of its own."""
+    """Return a regular expression of a view's name as a separate word."""
     return rf"(?<![A-Za-z0-9]){re.escape(view)}(?![A-Za-z0-9])"
 
 
@@ -157,7 +157,7 @@ def _first_number(used: Sequence[int], request: FrameRequest) -> int:
 
 
 def _fits(used: Sequence[int], first: int, request: FrameRequest) -> bool:
-    """Return whether numbers are frames of the protocol alone, or the whole capture, if its first instant bears `first`."""
+    """Return whether numbers are frames of the protocol alone, or the whole capture, if its first instant has number `first`."""
     shifted = _shifted(used, first)
     return shifted.issubset(request.frames) or shifted == set(range(request.n_frames))
 
@@ -185,7 +185,7 @@ def _ambiguous(used: Sequence[int], request: FrameRequest) -> RenderError:
 
 
 def _refuse_unlike(numbers: Mapping[str, Numbers], request: FrameRequest) -> None:
-    """Refuse views of which each holds what is wanted under numbers of its own."""
+    """Refuse views that hold the wanted frames under different numbers."""
     firsts = {}
     for view, used in numbers.items():
         if _is_run(sorted(used), len(request.frames)):
@@ -199,7 +199,7 @@ def _refuse_unlike(numbers: Mapping[str, Numbers], request: FrameRequest) -> Non
 
 
 def _is_run(used: Sequence[int], count: int) -> bool:
-    """Return whether these are so many numbers in a row."""
+    """Return whether these are N consecutive numbers."""
     return len(used) == count and used[-1] - used[0] == count - 1
 
 

@@ -1,4 +1,4 @@
-"""Fit of renders to a run: the views, frames and sizes that it asks for, and the captured frames beside them.
+"""Fit of renders to a run: its views, frames and sizes, and the captured frames.
 
 Rendered frames that are pictures on disk are RGB in PNG, linked as it is; everything else is decoded once, and it is said.
 """
@@ -35,7 +35,7 @@ class FrameRequest:
         sizes: view -> (width, height) in pixels.
         cameras: names of all cameras, in the capture's order.
         truth_root: folder of the captured frames, ``<view>/<frame>.png``.
-        first_frame: number that the protocol's first frame bears, as the user says; None where the numbers shall tell.
+        first_frame: number of the protocol's first frame, given by the user; None to infer it.
     """
 
     label: str
@@ -53,7 +53,7 @@ class FrameRequest:
 
 
 class RenderedView(Protocol):
-    """The frames of one view, wherever and however they lie."""
+    """The frames of one view, in any supported form."""
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -77,7 +77,7 @@ class RenderSet:
         numbering: how frame numbers were understood; the same for all views.
         first: the number that the capture's first instant bears in these names.
         doubles: view -> frame number -> names of the several pictures of it.
-        hints: view -> what lies there instead of the frames that it lacks.
+        hints: view -> what is there instead of its missing frames.
     """
 
     views: Mapping[str, RenderedView]
@@ -196,7 +196,7 @@ def read_header(path: Path) -> PictureHeader:
         raise RenderError(f"{path}: wanted a picture, it cannot be read ({why_unread(error)}); restore it") from error
     try:
         return read_picture_header(path)
-    except Exception as error:  # the parser raises whatever a damaged header makes it stumble over
+    except Exception as error:  # the parser raises any exception on a damaged header
         contents = "other bytes or a damaged header"
         raise RenderError(f"{path}: wanted a PNG or JPEG picture, got {contents}; render this frame again") from error
 

@@ -1,4 +1,4 @@
-"""Copies of the truth that came with renders, against the captured frames: they tell the order, and test the protocol."""
+"""Copies of the truth that came with renders, against the captured frames: they give the order, and test the protocol."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -44,7 +44,7 @@ def check_truth(claims: Claims, request: FrameRequest) -> float:
         Their mean difference in levels of 255.
 
     Raises:
-        RenderError: copies of another size, that are too far from the captured frame, or nearer to the instant beside it; the
+        RenderError: copies of another size, that are too far from the captured frame, or nearer to the next or previous instant; the
             message names them and how far they are.
     """
     checked = [_check_view(view, claims, request) for view in request.views]
@@ -52,7 +52,7 @@ def check_truth(claims: Claims, request: FrameRequest) -> float:
     if wrong:
         more = f" and {len(wrong) - LISTED} more" if len(wrong) > LISTED else ""
         raise RenderError(
-            f"the copies of the truth beside these renders are not the captured frames: {'; '.join(wrong[:LISTED])}{more}; "
+            f"wanted copies of the captured frames next to these renders, got others: {'; '.join(wrong[:LISTED])}{more}; "
             f"wanted at most {LARGEST_DIFFERENCE:g} levels of 255: check views, frames, size, colours, undistortion"
         )
     levels = [level for view_levels, _ in checked for level in view_levels]
@@ -97,7 +97,7 @@ class _ViewDistances:
         return level
 
     def better_neighbour(self) -> str:
-        """Says so where the copies fit the instants beside theirs clearly better; else empty."""
+        """Note that the copies fit neighbouring instants clearly better; else empty."""
         for offset, (here, there) in self._sums.items():
             if math.isfinite(here) and here > VISIBLE_DIFFERENCE and there < CLEARLY_BETTER * here:
                 return f"fit {'one frame later' if offset > 0 else 'one frame earlier'} better ({there:.1f} against {here:.1f})"

@@ -53,7 +53,7 @@ def find_folders(path: Path, request: FrameRequest, is_temporary: bool) -> Rende
 
 
 def refuse_flat(path: Path, request: FrameRequest) -> str | None:
-    """Say why this is no folder of pictures whose names tell view and frame; None if it is."""
+    """Return why this is no folder of pictures named by view and frame; None if it is."""
     return None if any(_places(path, request).values()) else f"no {request.views[0]}_0000.png or 0000_{request.views[0]}.png"
 
 

@@ -26,7 +26,7 @@ from ggvs_eval.renders.request import FrameRequest, PixelRemarks, RenderedView, 
 from ggvs_eval.renders.view_folders import instead_of, respelled
 from ggvs_eval.run_folder import as_ranges, frame_path
 
-# Renderers overshoot a little; what is farther out was never meant to be [0, 1].
+# Renderers overshoot a little; values farther out are not in [0, 1] by design.
 OVERSHOOT = 0.1
 ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
 SAFE_CODINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)

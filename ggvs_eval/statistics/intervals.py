@@ -15,7 +15,7 @@ from ggvs_eval.statistics.pooled import PooledScene, PooledTable, pool_table
 
 LEVEL = 0.95
 FEWEST = 5  # views or scenes from which others can be concluded; fewer are taken as given
-CLEAR = 2.0  # intervals of the strongest correlation beyond which even a short clip tells
+CLEAR = 2.0  # intervals of the strongest correlation beyond which even a short clip suffices
 NUDGE = 1e-4
 ROUNDING = 1e-12
 
@@ -132,7 +132,7 @@ def measure_spread(scenes: Sequence[PooledScene]) -> Spread:
     Reading:
         With five scenes or more, scenes are a sample: their spread holds that of the views and frames in them, and counting
         those again would count it twice (Davison & Hinkley 1997, section 3.8). With fewer, scenes are taken as given and views
-        and frames count within each. Five test views or more count as a sample of the places where a camera could stand, fewer
+        and frames count within each. Five test views or more count as a sample of the places where a camera could be, fewer
         are taken as given too.
     """
     numbers = np.array([scene.value for scene in scenes])

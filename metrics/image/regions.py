@@ -92,7 +92,7 @@ class PartScorer:
 
 
 class PairPartScorer(PartScorer):
-    """A metric of pairs of neighbouring frames in one region, whose values stand at the first frame."""
+    """A metric of pairs of neighbouring frames in one region, whose values belong to the first frame."""
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
         """See `Scorer`."""

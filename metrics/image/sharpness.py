@@ -1,4 +1,4 @@
-"""Sharpness of an image: the contrast of neighbouring pixels, shown beside every value that blur improves."""
+"""Sharpness of an image: the contrast of neighbouring pixels, shown next to every value that blur improves."""
 
 import cv2
 
@@ -53,7 +53,7 @@ SHARPNESS = ViewMetric(
     higher_is_better=True,
     group=NO_REFERENCE,
     decimals=3,
-    describe="mean absolute difference of neighbouring pixels; a steadiness beside a lower one is blur, noise raises it",
+    describe="mean absolute difference of neighbouring pixels; higher stability with lower sharpness is blur, noise raises it",
     reference="docs/metrics.md",
     series=Series(1, lambda frames, _static: sharpness(*frames)),
 )

@@ -48,7 +48,7 @@ def static_limit(histogram: NDArray) -> int:
         histogram: blocks per bin of `ENERGY_EDGES`, (E,).
 
     Returns:
-        Index of a bin. Blocks below the peak of the histogram tell how wide the peak is: motion only adds energy. Three such
+        Index of a bin. Blocks below the peak of the histogram give the width of the peak: motion only adds energy. Three such
         widths above the peak, at most a factor of 8, noise ends.
     """
     last = int(np.searchsorted(ENERGY_EDGES, MAX_SIGMA_255**2)) - 1

@@ -27,7 +27,7 @@ STEP_255 = 1.0  # an average shown in 8 bit follows by steps of at least this; r
 SMOOTHING_PX = 7
 CONTRAST_FACTOR = 4.0  # contrast up to this multiple of the noise's variance is smoothed away
 STILL_FACTOR = 4.0  # mean squared residual of a block over the variance of its noise; a codec's noise varies by more than white
-RIM_FACTOR = 1.4  # the same beside a block that moves
+RIM_FACTOR = 1.4  # the same next to a block that moves
 LUMA = np.array([[0.2126, 0.7152, 0.0722]], np.float32)  # of BT.709
 WINDOW_PX = 9  # of half size, over which strengths are compared
 LEAST_VARIANCE = 0.5  # grey levels squared; with less detail of brightness there is nothing to go by
@@ -62,7 +62,7 @@ def observe(frames: Iterable[Image8]) -> tuple[NoiseModel, Field]:
 def clean_frames(
     frames: Iterable[Image8], noise: NoiseModel, background: Field, coding_variance: float = 0.0
 ) -> Iterator[tuple[Image8, CleanFrame]]:
-    """Second pass: each captured frame and the clean one beside it.
+    """Second pass: each captured frame and the clean one.
 
     Args:
         frames: captured, (H, W, 3) uint8, consumed as a stream.
@@ -141,7 +141,7 @@ def _smoothed(frame: Image8, sigma: Field) -> Field:
 
 
 def _still(energy: Field) -> NDArray[np.bool_]:
-    """Blocks that do not move; beside one that does, less is allowed, since a rim that moves changes little."""
+    """Blocks that do not move; next to one that does, less is allowed, since a rim that moves changes little."""
     moving = (energy > STILL_FACTOR).astype(np.uint8)
     beside = cv2.dilate(moving, np.ones((3, 3), np.uint8)) > 0
     return np.asarray(energy <= np.where(beside, RIM_FACTOR, STILL_FACTOR))
@@ -164,7 +164,7 @@ def with_colour_detail(frame: Field) -> Field:
 
     Reading:
         No decoder can give this detail back; only its strength is wanted, because it decides what a frame loses when it is coded
-        again. In the octave below, which 4:2:0 keeps, the strength of colour beside that of brightness is measured in each
+        again. In the octave below, which 4:2:0 keeps, the strength of colour relative to that of brightness is measured in each
         neighbourhood, with its sign, after brightness has gone through the same halving; that ratio is taken to hold one octave
         up, where brightness is known.
     """

@@ -5,7 +5,7 @@ one camera that moves along its own rows in equal steps.
 
 An EPI (v, x) is a row of the image over the poses of that path; a scene point draws the line x = x0 + slope * v. Neighbouring
 rows may be many pixels apart, where derivatives mean nothing; so the EPI is sheared by every whole slope of a range, and near its
-own slope each line stands upright, where its tensor is measured ("refocusing" an EPI).
+own slope each line is upright, where its tensor is measured ("refocusing" an EPI).
 """
 
 import math
@@ -382,7 +382,7 @@ def _inner(depth: NDArray[np.float32], lines: Lines) -> NDArray[np.float32]:
 
 
 def _is_measured(lines: Lines, least_texture_255: float) -> NDArray[np.bool_]:
-    """Tell where texture and coherence suffice to trust a slope."""
+    """Mask where texture and coherence suffice to trust a slope."""
     coherent = lines.across - lines.along >= SLOPE_COHERENCE * (lines.across + lines.along)
     return coherent & (lines.across >= least_texture_255**2)
 

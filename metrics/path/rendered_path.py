@@ -157,7 +157,7 @@ class RenderedPath:
         sources: names of the source cameras of each pose.
         n_switches: steps at which the source cameras change; None where that was not measured.
         sharpness: of each pose's image, see `metrics.image.sharpness`.
-        folder: where the whole images lie, see `write_view`, and the depths; None where no metric wants them.
+        folder: of the complete images, see `write_view`, and the depths; None where no metric wants them.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -235,7 +235,7 @@ class PathScorer:
     """Computes one or several metrics of a path at once.
 
     Attributes:
-        names: of its values for the whole path; beside metrics these may be numbers that help to read them.
+        names: of its values for the whole path; besides metrics these may be numbers that help to read them.
         measure: the path -> values; raises `MetricError` where there can be none.
         why_absent: the reason for a name that it leaves out.
         wants_images: whether it works on files of the whole images, which takes seconds: measured only where it is named.

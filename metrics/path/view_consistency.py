@@ -75,7 +75,7 @@ PATH_SHARPNESS = PathMetric(
     unit=SHARPNESS.unit,
     higher_is_better=True,
     decimals=3,
-    describe="mean absolute difference of neighbouring pixels along the path; a consistency beside a lower one is blur",
+    describe="mean absolute difference of neighbouring pixels along the path; higher consistency with lower sharpness is blur",
     reference="docs/metrics.md",
     scorer=PathScorer(("path_sharpness",), lambda path: whole_path(("path_sharpness",), float(np.mean(path.sharpness)))),
 )
@@ -176,7 +176,7 @@ class SwitchScore:
 
 
 def switch_steps(sources: Sequence[Collection[str]]) -> list[bool]:
-    """Tell for each step between poses whether the set of source cameras changes; their order does not matter."""
+    """Return for each step between poses whether the set of source cameras changes, in any order."""
     sets = [frozenset(names) for names in sources]
     return [before != after for before, after in pairwise(sets)]
 

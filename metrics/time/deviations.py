@@ -62,7 +62,7 @@ def sdv(l1_255: ArrayLike, ddof: int = 1) -> float:
 
 
 def _rows_of_views(errors: Errors, options: MetricOptions) -> list[Row]:
-    """SDT of each view that has two frames or more, whatever frames these are."""
+    """SDT of each view with two frames or more, of any instants."""
     frames = {frame for of_view in errors.values() for frame in of_view}
     if len(frames) < 2:
         raise MetricError(f"{len(frames)} frame; needs 2")

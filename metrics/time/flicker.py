@@ -59,7 +59,7 @@ class FlickerMeter:
         its noise: no estimate is needed. Where it moves, the energy of the noise of still blocks
         as bright is taken off the capture's. Blocks of
         8 x 8 pixels are static if their change is in the peak that noise makes in the histogram of changes (of all frames so
-        far) and no neighbour moves. Where nothing is static, the noise is taken for 0. Pixels beyond the last whole block are
+        far) and no neighbour moves. Where nothing is static, the noise is assumed to be 0. Pixels beyond the last whole block are
         not measured.
     """
 

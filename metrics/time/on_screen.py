@@ -24,7 +24,7 @@ TIE = 1e-6  # frames: what is ready that much after an instant was ready at it, 
 
 @dataclass(frozen=True)
 class Screen:
-    """the displayed frames at each instant of a clip.
+    """Displayed frames at each instant of a clip.
 
     Attributes:
         shown: frame number, counted from the clip's first, of the picture at each instant; None while there is none yet.
@@ -60,7 +60,7 @@ class Screen:
 
 
 def on_screen(stages_s: Sequence[float], count: int, stream: Stream) -> Screen:
-    """the displayed frames, from the time that each stage of a method takes.
+    """Displayed frames, from the time of each stage of a method.
 
     A method begins with the newest frame whenever it is free. It is busy with one for the sum of its stages, or for the longest
     of them where stages are pipelined; the picture is ready after their sum in either case.
@@ -138,6 +138,6 @@ def metric_on_screen(metric: ViewMetric) -> ScreenMetric:
 
 
 def _pooling(metric: ViewMetric, options: MetricOptions) -> Pooling:
-    """As of the metric, from parts under names of their own."""
+    """As of the metric, from parts under other names."""
     pooling = metric.pooling(options)
     return replace(pooling, parts=tuple(f"{part}{ON_SCREEN}" for part in pooling.parts))

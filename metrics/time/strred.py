@@ -261,7 +261,7 @@ def _pyramid_kernels() -> tuple[Array, Array, Array]:
 
 
 def _sp5_filters() -> dict[str, Array]:
-    """The filters of that set from the source of pyrtools, whose import takes a second and brings scipy.signal and matplotlib."""
+    """The filters of that set from the source of pyrtools, whose import takes a second and loads scipy.signal and matplotlib."""
     package = find_spec("pyrtools")
     if package is None or package.origin is None:
         raise MetricError("STED needs pyrtools, which has its filters; pip install pyrtools")

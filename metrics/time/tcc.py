@@ -38,7 +38,7 @@ def tcc(rendered: Sequence[Image] | Image, truth: Sequence[Image] | Image) -> fl
 
     Reading:
         The sensor noise of the truth is part of its change: a perfect but noise-free rendering does not reach 1, and flicker as
-        strong as that noise is not punished. Read it beside STED.
+        strong as that noise is not penalised. Read it with STED.
     """
     if len(rendered) != len(truth):
         raise MetricError(f"TCC: {len(rendered)} rendered frames, {len(truth)} true frames; score the same frames")

@@ -96,7 +96,7 @@ def _differing(first: Image, second: Image, third: Image | None = None) -> tuple
 
 
 class VariationScorer:
-    """First or second difference of a view where its captured frames are static; each value stands at its first frame."""
+    """First or second difference of a view where its captured frames are static; each value belongs to its first frame."""
 
     def __init__(self, n_frames: int, names: Sequence[str], _options: MetricOptions, _colour_map: ColourMap | None) -> None:
         self.names = names

@@ -54,7 +54,7 @@ class FittedMethod(SceneMethod):
         self.make_fitter()
 
     def identity(self, unit: RenderUnit) -> dict[str, Any]:
-        """The fit, which has seen none of what is rendered, and where the targets lie."""
+        """The fit, which has not used the rendered views, and the places of the targets."""
         return {"fit": self._fit(unit).sha256, "shots": unit.identity_of_shots()}
 
     def scene(self, unit: RenderUnit) -> FittedScene:
@@ -147,7 +147,7 @@ class StoredSplats(SceneMethod):
         open_splats(self.path)
 
     def identity(self, unit: RenderUnit) -> dict[str, Any]:
-        """The files, the clip that they belong to, and where the targets lie."""
+        """The files, the clip that they belong to, and the places of the targets."""
         instants = [0, unit.capture.n_frames]
         return {"splats": digest_files(splats_files(self.path)), "instants": instants, "shots": unit.identity_of_shots()}
 

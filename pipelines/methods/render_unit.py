@@ -12,7 +12,7 @@ from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.jobs.ledger import Entry
 from ggvs_eval.method import Instant, LookaheadMethod, Method, SourceView
 
-PATH = "path"  # the unit of the camera path, beside the test views
+PATH = "path"  # the unit of the camera path, besides the test views
 Shot = tuple[int, int, Camera]  # number of the frame in its folder, instant, target
 
 

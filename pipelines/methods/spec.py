@@ -87,7 +87,7 @@ class MethodSpec(ABC):
     Attributes:
         title: how tables call it.
         describe: one line for the help and the report.
-        modules: where its classes lie; a change there, or in what they import, makes its renders stale.
+        modules: of its classes; a change there, or in what they import, makes its renders stale.
         ours: whether it is this project's method or an ablation of it.
         online: whether it sees nothing of the future.
         usual: whether it is rendered where no method is named; ablations that only a sweep asks for are not.
@@ -146,7 +146,7 @@ class MethodSpec(ABC):
 
     @abstractmethod
     def identity(self, unit: RenderUnit) -> dict[str, Any]:
-        """Everything that the pixels of a unit depend on beside the label, the code and the device."""
+        """Everything that the pixels of a unit depend on, besides the label, the code and the device."""
 
     @abstractmethod
     def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
@@ -279,7 +279,7 @@ class ForeignMethod:
         """See `Method`.
 
         Raises:
-            ViewRefusedError: whatever it raised, or no picture of numbers of the target's size.
+            ViewRefusedError: any exception of the method, or no picture of numbers of the target's size.
         """
         with foreign(f"method {self._title}: failed at instant {instant.index}", ViewRefusedError):
             return _checked(self._method.step(_read_only(instant)), instant.target)

@@ -40,7 +40,7 @@ class SplatsScene(FittedScene):
         path: see `splats_files`.
 
     Reading:
-        Gaussians stand in the world of the capture's cameras. What is at z <= 0.2 of the capture's units is left out, as 3D
+        Gaussians are in the world of the capture's cameras. What is at z <= 0.2 of the capture's units is left out, as 3D
         Gaussian splatting does while it fits; the background is black. The number of a file of a sequence is the last one in its
         name, and it is the capture's frame number, from 0.
     """

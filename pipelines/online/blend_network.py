@@ -32,7 +32,7 @@ _kept: WeakKeyDictionary[nn.Module, tuple[Hashable, object]] = WeakKeyDictionary
 LEVELS = 4
 SIZE_MULTIPLE = 2**LEVELS
 LEAST_SIZE_PX = 2 * SIZE_MULTIPLE  # the coarsest level must be two cells wide, or there is nothing to reflect
-BEYOND_VIEWS = 4  # outputs beside one per view: weight of the background and change of its colour
+BEYOND_VIEWS = 4  # outputs besides one per view: weight of the background and change of its colour
 WIDTHS = {"small": 8, "standard": 16, "large": 32}  # of named sizes; the standard one ships
 SURE = 0.02  # the background's weight starts between this and 1 - this
 NETWORK = "a blending network"  # in messages
@@ -50,7 +50,7 @@ class BlendNetworkShape:
         guidance: what it sees of the fused depth: ``registered`` views, its ``channels`` as the paper prints them, or ``none``
             (ablation 'No TSDF Guidance'); ``naive``: no depth at all.
         width: channels of the U-Net's first level.
-        scale: the U-Net works on N times fewer pixels per side; its weights are enlarged, what they weigh is not.
+        scale: the U-Net works on N times fewer pixels per side; only its weights are enlarged.
         features: channels that the U-Net hands to a `Refiner` at full size; none, and no refiner, with 0.
 
     Reading:
@@ -300,7 +300,7 @@ def packed_once(module: nn.Module, key: Hashable, pack: Callable[[], Packed]) ->
 
     Args:
         module: whose parameters `pack` reads.
-        key: whatever else it depends on.
+        key: anything else it depends on.
         pack: makes what is kept.
     """
     state = key, tuple((each.data_ptr(), each.stride(), _version(each)) for each in module.parameters())
@@ -348,7 +348,7 @@ def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
 
     Args:
         path: safetensors, or a torch checkpoint that is a state dict.
-        device: where the network shall be.
+        device: of the network.
 
     Raises:
         WeightsError: absent, damaged, or tensors of no blending network.
@@ -358,7 +358,7 @@ def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
     load_strict(tensors, network, path, NETWORK)
     if device.type != "cpu":
         return network.eval().to(device)
-    # Channels that are side by side are convolved twice as fast.
+    # Channels side by side are convolved twice as fast.
     return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 

@@ -39,7 +39,7 @@ class Blended:
     Attributes:
         image: the target view of one instant, (H, W, 3), float32 in [0, 1].
         weights: share of each source view in it, nearest camera first, (K, h, w) at its size or less, the rest is the
-            background's; None if it does not tell.
+            background's; None if unknown.
     """
 
     image: Map

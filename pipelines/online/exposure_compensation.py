@@ -20,13 +20,13 @@ from ggvs_eval.method import Instant, SourceView
 
 FALL_OFF_NOISE = 0.02  # of the logarithm of a look-up's colour; what is off by more than four times that says nothing of a lens
 FALL_OFF_ROUNDS = 4  # of reweighting
-FALL_OFF_PRIOR = 1.0  # weight of "none" beside the look-ups; squared tangents count in those of the picture's corner
+FALL_OFF_PRIOR = 1.0  # weight of "none" relative to the look-ups; squared tangents count in those of the picture's corner
 LEAST_FALL_OFF = 0.03  # of the logarithm of brightness in the corner: less is not distinguished from none
 REDUCTION = 4  # of the images that are compared, so that a registration that is off by a pixel does not matter
 LATTICE_ROWS = 32  # of look-ups in a source, at least, if it has as many
 DARK, BRIGHT = 20.0, 235.0  # levels of 255 between which a sensor is taken to be linear
 FEWEST = 50  # look-ups that two sources must share
-PRIOR = 1e-3  # weight of "no gain" beside the share of the look-ups that two sources have in common
+PRIOR = 1e-3  # weight of "no gain" relative to the share of the look-ups that two sources have in common
 LARGEST_LOG_GAIN = 0.5
 GAUGE_POWER = 2  # of the views' weights, by which their gains are averaged into the target's
 MEMORY = 10  # instants that a ratio is the mean of, at most
@@ -39,8 +39,8 @@ class ExposureCompensation:
     """Gains, one per source camera and channel, that make the sources agree about the surfaces they share.
 
     A lattice of pixels of each source is looked up in every other source that sees the same surface. The median ratio of two
-    sources' colours tells their gains apart; least squares over all pairs gives every source's. How the ratio changes with the
-    angles from the two axes tells the fall-off of the lens that all share, see `LensFallOff`. State: the mean ratio of each pair
+    sources' colours gives the ratio of their gains; least squares over all pairs gives every source's. How the ratio changes with the
+    angles from the two axes gives the fall-off of the lens that all share, see `LensFallOff`. State: the mean ratio of each pair
     of cameras that were sources together, whose weight fades while they share too little, and the mean fall-off, since the last
     gap in time.
 
@@ -234,7 +234,7 @@ def _squared_tangents(points: Map) -> Map:
 
 
 def linear(colours: Map) -> NDArray[np.bool_]:
-    """Mask colours (..., 3) whose channels all are in the range in which a sensor is taken to be linear."""
+    """Mask colours (..., 3) whose channels all are in the range in which a sensor is assumed to be linear."""
     return np.asarray(np.logical_and.reduce((colours >= DARK) & (colours <= BRIGHT), axis=-1))
 
 
@@ -277,7 +277,7 @@ class LensFallOff:
         own, or a field that each camera has for itself, cannot; of those that K sources have, their differences alone show, and
         taking them out leaves (1 + 1/K) of the variance where the blend leaves (1 + sum of squared weights). The squared tangent
         is the first term of the cosine law and of every lens profile. Shrinking by the disagreement of the pairs makes it exactly
-        0 in rooms without, and nearly always where each camera has a field of its own.
+        0 in rooms without, and nearly always where each camera has its own field.
     """
 
     def __init__(self, memory: int = 10) -> None:

@@ -298,7 +298,7 @@ def target_mask(splats: list[Splat], views: Literal["largest", "mean"] = "larges
 
     Reading:
         The paper's channel-wise maximum is taken over the K splatted masks. The paper filters all views of the rig, here the K
-        chosen ones keep a state: one that has just been chosen cannot tell what moves, and has no vote.
+        chosen ones keep a state: a newly chosen one cannot detect motion, and has no vote.
     """
     features, alphas = [view.features for view in splats], [view.alpha for view in splats]
     if views == "largest":
@@ -346,7 +346,7 @@ class RememberedBackground:
             target: camera of the output.
             image: blended, holes filled from their surroundings, (H, W, 3), float32; written into.
             depth: fused, (H, W), world units, 0 where unknown.
-            splats: forward renderings of the sources; their coverage tells the holes.
+            splats: forward renderings of the sources; their coverage gives the holes.
             still: how sure it is that nothing moves at each cell, see `stillness`.
 
         Returns:

@@ -57,7 +57,7 @@ from ggvs_eval.pipelines.online.refiner import (
     Refiner,
 )
 
-OUTPUT_MULTIPLE = 8  # of a layer: so many are summed at once
+OUTPUT_MULTIPLE = 8  # outputs of a layer that are summed at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +148,7 @@ def composed(maps: BlendMaps, unseen: Map, background: Map, small: Map, scale: i
         unseen: how little of what the target sees is shown, (H, W).
         background: the picture filled from its surroundings, (H, W, 3).
         small: `small_outputs` of the network, (K + 4 + F, h, w).
-        scale: N times smaller they are per side.
+        scale: factor by which they are smaller per side.
     """
     from ggvs_eval.kernels import _core
 
@@ -191,7 +191,7 @@ def _conditioned(layers: list[tuple[Map, Map, int]], refiner: Refiner, picture: 
 
 
 def statistics_of(picture: Composed) -> NDArray[np.float64]:
-    """`picture_statistics` by numpy, (4,), with equal bits: torch's threads, once woken, would spin beside those of the kernels.
+    """`picture_statistics` by numpy, (4,), with equal bits: torch's threads, once woken, would spin next to those of the kernels.
 
     Args:
         picture: what the network's outputs compose.

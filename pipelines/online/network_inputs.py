@@ -25,7 +25,7 @@ from ggvs_eval.pipelines.online.blending import BlendingInputs
 Guidance = Literal["registered", "channels", "none", "naive"]
 FAINT = np.float32(0.02)  # coverage of a fully splatted pixel whose view does not see the fused surface
 GUIDED = ("registered", "channels")  # by the fused depth
-FUSED_GROUP = 3  # comes behind so many groups: the only one that is not of the views
+FUSED_GROUP = 3  # index of the only group that is not of the views
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class BlendMaps:
     shares: tuple[float, ...] | None = None
 
     def reduced(self, scale: int) -> "BlendMaps":
-        """The maps of a camera with N times fewer pixels: averages, but of depths one pixel of each block.
+        """The maps of a camera with N times fewer pixels: averages, except depths: one pixel of each block.
 
         Sizes that `scale` does not divide are continued by their last row and column.
         """
@@ -77,7 +77,7 @@ class BlendMaps:
 
     @property
     def weights(self) -> Map:
-        """Weight of each view beside the others, (K,), see `view_weights`."""
+        """Weight of each view relative to the others, (K,), see `view_weights`."""
         return view_weights(self.target, self.sources, self.shares)
 
     def unseen(self) -> Map:
@@ -90,7 +90,7 @@ def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
 
     Reading:
         The paper blends the splats. Splats are blurred by the Gaussians' footprint; with ``registered`` guidance each source
-        image is sampled at the fused surface instead wherever its view sees that, and splats only stand in elsewhere.
+        image is sampled at the fused surface instead wherever its view sees that, and splats replace it elsewhere.
     """
     target, (sources, splats) = inputs.instant.target, in_order(inputs)
     if guidance == "registered":

@@ -10,7 +10,7 @@ REACH_PX = 2
 TAPS = ((-2, 0), (-1, -1), (-1, 0), (-1, 1), (0, -2), (0, -1), (0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0))  # row, column
 EVIDENCE = 6  # channels of `evidence`
 STATISTICS = 4  # of `picture_statistics`
-ROW_STEP_PX = 8  # one row in so many speaks for the picture
+ROW_STEP_PX = 8  # one row in N represents the picture
 STATISTICS_GAIN = 4.0
 STATISTICS_GRID = 1024.0  # steps per unit that statistics are rounded to
 TYPICAL = (-2.9, -2.3, -4.3, -3.7)  # statistics of a validation room
@@ -19,7 +19,7 @@ COLOUR_GAIN = 10.0  # a spread of a tenth of full scale is as much as can be
 CONTRAST_GAIN = 4.0
 DEPTH_GAIN = 20.0  # a step of a twentieth of the depth is an edge
 NO_WEIGHT = 1e-30  # a sum of weights below this is none
-ENOUGH_VIEWS = 3.0  # so many views can outvote one
+ENOUGH_VIEWS = 3.0  # views that can outvote one
 
 
 class Refiner(nn.Module):
@@ -104,7 +104,7 @@ def filtered(picture: Tensor, taps: Tensor) -> Tensor:
 
 
 def evidence(picture: Tensor, colours: Tensor, weights: Tensor, visibilities: Tensor, depth: Tensor) -> Tensor:
-    """Compute the channels that tell how sure the blended picture is; no gradient passes through them.
+    """Compute the channels that measure the certainty of the blended picture; no gradient passes through them.
 
     Args:
         picture: weighted mean of the views, (B, 3, H, W).

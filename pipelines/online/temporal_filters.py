@@ -28,7 +28,7 @@ LIGHT_PX = 32  # changes as wide as this are light, and are let through
 LEAST_LOOKS = 0.05  # pairs of views that see a surface, in the mean over the window; with fewer nothing is known
 SHARED = (0.3, 0.7)  # energy of the change that views share, times that of what each has for itself: nothing moves, and it does
 LARGEST = (12.0, 24.0)  # change next to a cell, times the noise of mean colours: the same
-LEAST_NOISE, MOST_NOISE = 0.15 / 255, 1.0 / 255  # of mean colours; below lies the rounding to 8 bit
+LEAST_NOISE, MOST_NOISE = 0.15 / 255, 1.0 / 255  # of mean colours; below is the rounding to 8 bit
 NEVER = np.float32(1e-12)
 DRAGGED = (0.3, 0.8)  # energy that a mean of past images errs by, times that of the noise of one: none and all of it harms
 
@@ -191,7 +191,7 @@ def agreement(new: Map, mean: Map, last: Map, count: Map) -> Map:
         count: of images in the mean, (h, w).
 
     Reading:
-        Of noise of energy N, new in each image, two images differ by 2 N, and one from the mean of n by N (1 + 1 / n), whatever N
+        Of noise of energy N, new in each image, two images differ by 2 N, and one from the mean of n by N (1 + 1 / n), for any N
         is. What the difference has beyond that is motion that the mean drags along, however slow and faint; motion by more than
         the grain of a texture looks like noise here, and is for the sources to see.
     """
@@ -241,14 +241,14 @@ def stillness(
         tolerance: depths that differ by less are the same surface, world units.
 
     Returns:
-        (ceil(H / 4), ceil(W / 4)), float32, from 1, nothing moves, to 0: it does, or fewer than two views can tell.
+        (ceil(H / 4), ceil(W / 4)), float32, from 1, nothing moves, to 0: it does, or fewer than two views show it.
 
     Reading:
         Noise is new in every camera, motion is one and the same in all: the mean product of two views' changes at a surface that
         both see is the energy of motion regardless of the noise, and what it falls short of the energy of each is the noise,
-        whatever moves. No threshold is set for a sensor or for a contrast, and a picture that moves as a whole is seen to. Both
+        regardless of what moves. No threshold is set for a sensor or for a contrast, and a picture that moves as a whole is seen to. Both
         are asked of single pixels, which know the finest texture, and of mean colours of cells, in which noise is an eighth.
-        What no two views agree about, uncovered or at a wrong depth, is checked against the noise itself.
+        What no two views agree about, uncovered or at a wrong depth, is compared with the noise itself.
     """
     small, surface = middle_rays(target), cells(depth)
     still = np.ones_like(surface)
@@ -280,7 +280,7 @@ def _means(target: Camera, depth: Map, views: Sequence[SourceView], changes: Seq
 
 
 def shared_change(views: Sequence[Warp]) -> tuple[Map, Map, Map]:
-    """Tell the change that views share from what each has for itself.
+    """Separate the change that views share from that of each alone.
 
     Args:
         views: change of colour in each and how far it sees the surface, at the same cells.
@@ -346,7 +346,7 @@ def middle_rays(camera: Camera) -> Camera:
 
 
 def middles(side: int, count: int) -> NDArray[np.int64]:
-    """Number of the pixel in the middle of each of so many cells of a line."""
+    """Number of the pixel in the middle of each of N cells of a line."""
     return ((2 * np.arange(count, dtype=np.int64) + 1) * side) // (2 * count)
 
 

@@ -22,7 +22,7 @@ class WholeSequence:
     falls to half of its standard deviation, where the forward pass alone leaves two thirds. What this gains over the online
     method is the price of being online.
 
-    Depth of the backward pass is in a temporary folder, as much of it as there is in the depth store; memory stays bounded.
+    Depth of the backward pass is in a temporary folder, of the same size as in the depth store; memory stays bounded.
     """
 
     def __init__(self, options: OnlineOptions | None = None, blender: Blender | None = None) -> None:

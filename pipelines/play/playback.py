@@ -28,7 +28,7 @@ def camera_loop(cameras: Sequence[Camera], count: int, width: int | None = None)
     """Poses once around the middle of a rig, evenly spaced in phase; the last is followed by the first.
 
     Each pose is a mean of the cameras around a point that runs along an ellipse in the rig's two main directions, weighted by a
-    Gaussian of their distance from it, so that it stands between cameras and looks where they look, be they in rows, on an arc,
+    Gaussian of their distance from it, so that it is between cameras and looks where they look, be they in rows, on an arc,
     on a dome or carried by hand.
 
     Args:
@@ -153,7 +153,7 @@ def playback_of_capture(
         anywhere: make ready what any camera sees, for a target that may be anywhere, instead of one that goes round.
 
     Reading:
-        Sources change along the way. Depth of a camera is that of its own stereo, not checked against the other sources of a view,
+        Sources change along the path. Depth of a camera is that of its own stereo, not checked against the other sources of a view,
         so that it does not change when they do.
     """
     capture = without_unmatched(capture, depth)
@@ -224,7 +224,7 @@ def _needed(
 
 
 def _jobs(capture: Capture, poses: Sequence[Camera], k: int, options: DepthOptions, sources: SourceChoice) -> dict[str, DepthJob]:
-    """Plan the depth of each source camera: the same wherever the virtual camera stands."""
+    """Plan the depth of each source camera: the same for every position of the virtual camera."""
     jobs: dict[str, DepthJob] = {}
     for pose in poses:
         if any(each.camera.name not in jobs for each in choose_sources(pose, capture.cameras, k, sources)):

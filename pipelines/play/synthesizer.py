@@ -148,7 +148,7 @@ class OnlineSynthesizer:
                 depth.
             depths_by_camera: depth of the same cameras, (H, W), world units, 0 = unknown; a `DepthMap` knows its confidence, that
                 of a bare array is 1. None: it is estimated, in the stage ``depth`` of the rendering's seconds.
-            target: the virtual camera, of any size; it may stand elsewhere at each step.
+            target: the virtual camera, of any size; it can move at each step.
 
         Raises:
             CameraError: fewer than K cameras next to the target.
@@ -163,7 +163,7 @@ class OnlineSynthesizer:
     def show(
         self, images_by_camera: Mapping[str, Image8], depths_by_camera: Mapping[str, Map | DepthMap] | None, target: Camera
     ) -> Image8:
-        """As `step`, the picture alone, in 8 bit, (H, W, 3): a method on a GPU then brings nothing else from there."""
+        """As `step`, the picture alone, in 8 bit, (H, W, 3): a method on a GPU then downloads nothing else."""
         if not hasattr(self._method, "show"):
             return quantise(self.step(images_by_camera, depths_by_camera, target).image)
         picture: Image8 = self._method.show(self._instant(images_by_camera, depths_by_camera, target)[0])
@@ -240,7 +240,7 @@ def _source_view(source: ChosenSource, image: Image8, source_depth: Map | DepthM
 
 
 def _checked_depth(camera: Camera, depth: Map) -> Map:
-    """Depth as float32 of its own memory."""
+    """Return depth as float32 in separate memory."""
     depth, shape = np.asarray(depth), (camera.height, camera.width)
     if depth.shape != shape or not np.issubdtype(depth.dtype, np.floating):
         mend = "depth has the size of its image, in world units"
@@ -265,7 +265,7 @@ def seen_share(target: Camera, cameras: Sequence[Camera]) -> float:
         cameras: the rig; one of the target's own name is left out.
 
     Reading:
-        Between the cameras of the demo rig it is 1, and 0.99 in the middle of a rig carried by hand; beside the demo rig's middle
+        Between the cameras of the demo rig it is 1, and 0.99 in the middle of a rig carried by hand; next to the demo rig's middle
         by a quarter of its extent 0.96, by half of it 0.6, by the whole 0.2.
     """
     points = sample_view(target)
@@ -297,19 +297,19 @@ class Doubts:
             )
 
     def look_at_target(self, target: Camera) -> None:
-        """Doubt a virtual camera that stands farther off the rig than the rig is wide and its nearest surfaces are away."""
+        """Warn of a virtual camera farther from the rig than the rig's width and its nearest surfaces."""
         self.look_at_intrinsics(target)
         distance = float(np.linalg.norm(self._centres - target.centre, axis=1).min())
         extent = float(np.linalg.norm(np.ptp(self._centres, axis=0)))
         if distance > extent + self._near:
             self._say(
                 "target",
-                f"camera {target.name}: stands {distance:g} from the nearest camera of a rig that is {extent:g} wide; "
+                f"camera {target.name}: is {distance:g} from the nearest camera of a rig that is {extent:g} wide; "
                 "is its pose world_to_camera, in the rig's units and axes?",
             )
 
     def look_at_depth(self, camera: Camera, depth: Map) -> None:
-        """Doubt depth of which most lies far outside the camera's near and far bounds."""
+        """Warn of depth of which most is far outside the camera's near and far bounds."""
         known = depth[depth > 0]
         outside = (known < camera.near / OUTSIDE_FACTOR) | (known > camera.far * OUTSIDE_FACTOR)
         if not known.size or outside.mean() <= MOST_OUTSIDE:
@@ -320,7 +320,7 @@ class Doubts:
         )
         self._say(
             "depth",
-            f"camera {camera.name}: {outside.mean():.0%} of its depth lies far outside near..far = {camera.near:g}.."
+            f"camera {camera.name}: {outside.mean():.0%} of its depth is far outside near..far = {camera.near:g}.."
             f"{camera.far:g}, its median is {median:g}; depth is in world units: {mend}",
         )
 

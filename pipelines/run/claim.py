@@ -56,7 +56,7 @@ def _digests(capture: Capture) -> dict[str, str]:
 
 
 def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
-    """Describe a capture for its run folder: its path as given, and where it lies, seen from anywhere and from the run."""
+    """Describe a capture for its run folder: its path as given, absolute, and relative to the run."""
     place = capture.path.resolve()
     return {
         "path": str(capture.path),

@@ -1,4 +1,4 @@
-"""Outputs of `ggvs-eval prepare` beside the depth store: the depth page, a fused instant, a COLMAP workspace."""
+"""Outputs of `ggvs-eval prepare` besides the depth store: the depth page, a fused instant, a COLMAP workspace."""
 
 from pathlib import Path
 

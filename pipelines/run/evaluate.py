@@ -53,7 +53,7 @@ def evaluate(
         capture: what to evaluate on.
         protocol: views, frames, sizes, metrics.
         labels: methods, see `ggvs_eval.pipelines.methods.registry.METHODS`.
-        workers: where jobs run: so many processes, or an `Engine`.
+        workers: number of processes, or an `Engine`.
         depth: how depth is found, see `DepthRunOptions`.
         networks: with which weights and where networks compute.
 
@@ -151,7 +151,7 @@ class Stages:
         return attempt(name, work, self.failures) if self.goes_on else work()
 
     def note(self, stage: str, jobs: Sequence[Job]) -> None:
-        """Write the jobs of a stage into its ledger; those of other shards and sweeps stay."""
+        """Write the jobs of a stage into its job log; those of other shards and sweeps stay."""
         Ledger(self.root, stage).write([job.entry for job in jobs], keep=self.goes_on)
 
     def run(self, stage: str, jobs: Sequence[Job], doing: str) -> int:

@@ -71,7 +71,7 @@ class FitPlan:
 
 
 def choose_folds(cameras: Sequence[Camera]) -> Folds:
-    """Distribute test cameras over at most three folds of nearly equal size, so that those of a fold lie far apart.
+    """Distribute test cameras over at most three folds of nearly equal size, so that those of a fold are far apart.
 
     Returns:
         Names by fold: a partition of the test cameras, each fold in their order.
@@ -79,7 +79,7 @@ def choose_folds(cameras: Sequence[Camera]) -> Folds:
     Reading:
         The literature fits once per test camera (4DGS, 4K4D: K = 17 of 18) or holds all out at once. Three folds cost three fits
         regardless of the number of test cameras. Cameras are dealt one by one to the fold whose nearest member is farthest away, among
-        those that are not full; then pairs change places while that brings the nearest two cameras of a fold farther apart.
+        those that are not full; then pairs change places while that moves the nearest two cameras of a fold farther apart.
 
     Examples:
         >>> from ggvs_eval.camera import translated_path
@@ -181,7 +181,7 @@ def plan_fits(
 
 
 def _path_instants(fitter: SceneFitter, frames: range, path_frame: int) -> range:
-    """Footage of a fit for the camera path, which stands at one instant: as much of the sequence as the method looks at."""
+    """Return the footage of a fit for the camera path, at one instant: as much of the sequence as the method uses."""
     if fitter.look_ahead == "none" or path_frame not in frames:
         return range(path_frame, path_frame + 1)
     return range(frames.start, path_frame + 1) if fitter.look_ahead == "past" else frames

@@ -52,7 +52,7 @@ def import_renders(
 ) -> dict[str, Any]:
     """Make frames that others rendered a method of a run.
 
-    PNG files are copied, so that the run is whole whatever becomes of theirs; JPEG files, videos and arrays are written to PNG
+    PNG files are copied, so that the run stays complete if the originals are removed; JPEG files, videos and arrays are written to PNG
     once. A second call with the same files does nothing.
 
     Args:
@@ -61,12 +61,12 @@ def import_renders(
         path: folder, archive or file, see `kinds.KINDS`.
         allow_partial: take what fits where not everything does; its row is marked.
         workers: processes that decode videos and arrays, one view each.
-        first_frame: number of the protocol's first frame in their names, of all views, where the numbers do not tell; in videos
+        first_frame: number of the protocol's first frame in their names, of all views, where the numbers are ambiguous; in videos
             and arrays its place, counted from 0.
         link: take PNG files as links, which costs no space and breaks where they are moved.
 
     Returns:
-        The record of the import, ``import.json``: kind, source, digests, notes, frames, and what the row stands on if partial.
+        The record of the import, ``import.json``: kind, source, digests, notes, frames, and the basis of the row if partial.
 
     Raises:
         RenderError: a label that is taken, or renders that are unreadable or do not fit the protocol; everything missing,

@@ -54,7 +54,7 @@ def path_files(folder: Path, capture: Capture, poses: Sequence[tuple[Camera, dic
 
 
 def poses_left(files: MadeFiles, n_poses: int) -> list[int]:
-    """Poses of a path of so many whose depth is missing, or made from something else."""
+    """Poses of a path of N poses whose depth is missing or outdated."""
     poses = {pose_file(files.folder, pose).name: pose for pose in range(n_poses)}
     return [poses[name] for name in files.missing(poses)]
 

@@ -106,7 +106,7 @@ def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Wor
 
 
 def _write_path_truth(prepared: RunPlan) -> None:
-    """Write the path's images where the capture has them, and where its poses lie."""
+    """Write the path's images where the capture has them, and its poses."""
     if prepared.path_images is not None:
         size, resize_filter = prepared.path[0].target.size, prepared.protocol.synthesis.resize_filter
         cache_path(prepared.path_images, size, resize_filter, prepared.run.path("truth"))

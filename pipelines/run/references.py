@@ -27,7 +27,7 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 NOISE_FREE, SECOND = "Ceiling: perfect and noise-free", "Ceiling: second recording"
 NOTES = {
     NOISE_FREE: "estimate of what the scene without the camera's noise and codec would score against this capture.",
-    SECOND: "estimate of what another recording by the same camera, with noise of its own, would score.",
+    SECOND: "estimate of what another recording by the same camera, with independent noise, would score.",
 }
 LEAST_DB = 30.0
 UNRECORDED = "this run folder does not say; prepare it again"
@@ -57,7 +57,7 @@ def read_ceilings(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
 
 
 def find_seen_view(view: str, psnrs_db: Collection[float], perfect: Mapping[str, Any] | None) -> list[Finding]:
-    """Tell of a view whose renders are better than a perfect one's, see `find_seen`.
+    """Report a view whose renders are better than a perfect one's, see `find_seen`.
 
     Args:
         view: name.

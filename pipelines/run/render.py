@@ -37,11 +37,11 @@ from ggvs_eval.results import describe_machine, installed_versions, split_label
 from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, diagnostics_path, frame_path, read_json, write_json
 from ggvs_eval.scene_fitter import Footage
 
-# Okabe and Ito's colours, which the colour-blind tell apart: one for each source view, nearest first.
+# Okabe and Ito's colours, which the colour-blind can distinguish: one for each source view, nearest first.
 VIEW_COLOURS = np.array(
     [(230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0), (204, 121, 167)], np.float32
 )
-FITS = "fits"  # folder beside truth and depth
+FITS = "fits"  # folder next to truth and depth
 TIME_FILE = "seconds.json"  # in the folder of a fit that is not finished
 NOTE_EVERY_S = 5.0
 
@@ -113,7 +113,7 @@ def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
 
 
 def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dict[str, Any]:
-    """Write the pictures of a unit; returns what job.json records beside the identity: how long each stage of each took."""
+    """Write the pictures of a unit; returns what job.json records besides the identity: seconds per stage."""
     seconds, refused = [], {}
     with PeakMemory() as memory:
         try:

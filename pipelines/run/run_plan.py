@@ -132,7 +132,7 @@ class RunPlan:
 
     @property
     def name(self) -> str:
-        """Of the run in a sweep; empty where it stands alone."""
+        """Of the run in a sweep; empty for a single run."""
         return self.request.name
 
     @property
@@ -336,7 +336,7 @@ def _depth_of(run: RunFolder, request: RunRequest) -> tuple[DepthRunOptions, str
     """Return how this folder's depth is found, or will be, and on which device; methods of one table must be given the same.
 
     Reading:
-        Learned depth stays on the device that found its first map, whatever later calls name for their networks: else a run that
+        Learned depth stays on the device that found its first map, regardless of the device of later calls: else a run that
         was prepared on a GPU would be prepared again where it is looked at. That device is missed only where a map is.
     """
     asked = request.depth

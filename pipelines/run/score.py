@@ -75,7 +75,7 @@ def _title(spec: MethodSpec, is_given: bool) -> str:
     return spec.title_from or spec.title if is_given and isinstance(spec, OnlineMethod) else spec.title
 
 
-METRICS_ON_DEVICE = "metrics"  # stands among the renders that are not the CPU's
+METRICS_ON_DEVICE = "metrics"  # listed with the renders that are not the CPU's
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ def _fault(label: str, scene: str, found: Mapping[str, Any]) -> Fault:
 def _derived(
     protocol: Protocol, values: dict[str, dict[str, dict[int, float]]], not_computed: dict[str, str]
 ) -> list[tuple[Any, ...]]:
-    """Rows (view, frame, metric, value) of what is made of other metrics' values, of whatever views and frames there are.
+    """Rows (view, frame, metric, value) of what is made of other metrics' values, of any views and frames.
 
     Args:
         values: metric -> view -> frame -> value.

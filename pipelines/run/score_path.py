@@ -22,7 +22,7 @@ TRUTH = "truth"
 
 
 def write_path_record(run: RunFolder, frame: int, poses: Sequence[tuple[Camera, Sequence[str]]]) -> None:
-    """Note where the path's poses lie and which source cameras each has; nothing where there is no path.
+    """Record the path's poses and the source cameras of each; nothing if there is no path.
 
     Args:
         poses: each pose with the names of its source cameras, nearest first.

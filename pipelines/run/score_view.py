@@ -76,7 +76,7 @@ def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, An
 
 
 def _on_screen_identity(measurement: Measurement, options: MetricOptions, screen: Screen | str) -> dict[str, Any]:
-    """The same of the metrics of the screen, which depend on what stands on it, too."""
+    """The same of the metrics of the screen, which also depend on the displayed frames."""
     seen = {"absent": screen} if isinstance(screen, str) else {"shown": list(screen.shown), "first": screen.first}
     metrics = scored_on_screen(measurement.metrics)
     return {metric.name: _metric_identity(metric.of, options) | {"code": metric_code(metric)} | seen for metric in metrics}
@@ -162,7 +162,7 @@ def _computing(device: str) -> AbstractContextManager[None]:
 
 
 def fresh_metrics(recorded: Mapping[str, Any], current: Mapping[str, Any]) -> set[str]:
-    """Metrics whose values stand: none where anything differs but a metric's own identity and that of the checks."""
+    """Metrics whose cached values are valid: none if anything differs except the identity of a metric or of the checks."""
     if {**recorded, "metrics": {}, "checks": ""} != {**current, "metrics": {}, "checks": ""}:
         return set()
     return {name for name, identity in current["metrics"].items() if recorded["metrics"].get(name) == identity}

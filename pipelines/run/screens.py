@@ -13,7 +13,7 @@ from ggvs_eval.pipelines.offline.depth.depth_choice import finds_live
 from ggvs_eval.protocol import Protocol, Stream
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
-DEPTH, FIT, STATED = "depth", "fit", "stated"  # stages beside those of the method's own
+DEPTH, FIT, STATED = "depth", "fit", "stated"  # stages besides those of the method
 UNTIMED = "the time of these pictures is unknown; state it in the protocol: [[stream.stated]] method, ms"
 WHOLE_CLIP = "offline: it has seen the whole clip before its first picture, and a viewer cannot wait for that"
 Clock = dict[str, float]  # stage -> seconds of a picture

@@ -1,4 +1,4 @@
-"""Steadiness of videos and depth videos that stand alone: no capture, no cameras, no run folder."""
+"""Stability of single videos and depth videos: no capture, no cameras, no run folder."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

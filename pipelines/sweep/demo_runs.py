@@ -44,7 +44,7 @@ class Unpacking:
 
     Attributes:
         open: opens the capture of a folder.
-        elsewhere: folder that rooms are unpacked into in place of their own; None where they go there.
+        elsewhere: folder that rooms are unpacked into in place of their own; None for their own.
     """
 
     open: Callable[[Path], Capture]
@@ -80,7 +80,7 @@ def demo_plans(
     """Plan the run of every demo room as soon as it is unpacked, and the main one's sweep over K.
 
     Args:
-        root: run folder of the main room; the others' lie beside it, and each capture next to its run.
+        root: run folder of the main room; the others' are next to it, and each capture next to its run.
         labels: name of a room -> its methods, see `room_labels`.
         unpack: gives the capture of a folder and a room's name.
         rooms: by the names of their protocols.
@@ -183,13 +183,13 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
 
 
 def room_labels(labels: Sequence[str]) -> dict[str, Sequence[str]]:
-    """Name of a demo room -> its methods: where they are the usual ones, small rooms have lists of their own."""
+    """Name of a demo room -> its methods: small rooms have their own lists if these are the default ones."""
     own = SMALL_ROOMS_METHODS if tuple(labels) == usual_methods() else {}
     return {name: own.get(name, labels) for name in ROOMS}
 
 
 def demo_root(root: Path, name: str) -> Path:
-    """Run folder of a demo room: the given one, or ``<root>-<layout>`` beside it."""
+    """Run folder of a demo room: the given one, or ``<root>-<layout>`` next to it."""
     return root.with_name(root.name + name.removeprefix(MAIN))
 
 

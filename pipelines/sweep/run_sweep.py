@@ -95,7 +95,7 @@ def plan_cells(
 def run_sweep(planned: SweepPlan, workers: Workers) -> SweepResult:
     """Evaluate a plan; existing results are not computed again, and a failure does not stop the rest.
 
-    Of several captures the means are shown beside the single tables.
+    Of several captures the means are shown with the single tables.
     """
     stages = Stages(planned.root, as_engine(workers), goes_on=True, failures=[*planned.failures])
     measured = {plan.name: scores for plan, scores in measure_runs(planned.plans, stages)}
@@ -135,7 +135,7 @@ def _with_lines(before: pd.DataFrame, lines: pd.DataFrame) -> pd.DataFrame:
     """A table with more lines, which take the places of those of the same name.
 
     Reading:
-        Where only one of the two names captures, the other's lines have an empty one: their runs lie beside those folders.
+        Where only one of the two names captures, the other's lines have an empty one: their runs are next to those folders.
     """
     names = [name for name in LINE_NAMES if name in before or name in lines]
     named = (

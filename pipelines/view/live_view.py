@@ -34,7 +34,7 @@ FADED_GREY, MOST_FADED = 128, 0.85
 
 
 class FrameStock:
-    """Cache of what the cameras of a playback see, at most at so many pixels; least recently used frames are dropped first.
+    """Cache of what the cameras of a playback see, of at most N pixels; least recently used frames are dropped first.
 
     Where depth is live it is found at that size, when it is asked for.
 
@@ -79,7 +79,7 @@ class FrameStock:
 
 
 def fitted(camera: Camera, pixels: int) -> Camera:
-    """The camera at its own size, or at the largest one of its shape with no more than so many pixels.
+    """The camera at its own size, or at the largest one of its shape with at most N pixels.
 
     Examples:
         >>> import numpy as np

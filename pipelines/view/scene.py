@@ -69,7 +69,7 @@ def cloud(stock: FrameStock, instant: int, most: int = MOST_POINTS) -> tuple[Arr
 
 
 class Frusta:
-    """The cameras of a rig where they stand; one in which the viewer stands would frame the picture and is hidden."""
+    """The cameras of a rig; the one at the viewer's position would frame the picture and is hidden."""
 
     def __init__(self, scene: "viser.SceneApi", cameras: Sequence[Camera]) -> None:
         centres = np.stack([camera.centre for camera in cameras])

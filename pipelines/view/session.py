@@ -109,7 +109,7 @@ OUTSIDE = (
     f"**outside of what the cameras see**: {{:.0%}} of this view is seen from within {SEEN_FROM_DEG:g} degrees, the rest is "
     "guessed; *reset view* goes back"
 )
-LITTLE_DEPTH = 0.5  # of the sources' pixels, below which it is said that most of the picture stands on little
+LITTLE_DEPTH = 0.5  # of the sources' pixels, below which the window notes that most of the picture is based on little
 REST_SECONDS = 0.25  # without a change, before the picture is made at full size
 RATE_SECONDS = 2.0  # over which pictures per second are counted
 
@@ -181,7 +181,7 @@ class Session:
             self._next_instant_at = max(self._next_instant_at + 1 / (self._playback.capture.fps or 30.0), monotonic() - 0.1)
             instants = sorted(set(self._playback.instants))
             following = instants[(instants.index(int(self._time.value)) + 1) % len(instants)]
-            self._time.value = following  # type: ignore[misc]  # its setter stands too far from its getter for mypy
+            self._time.value = following  # type: ignore[misc]  # its setter is too far from its getter for mypy
         with self._lock:
             version = self._version
         if version == self._shown_version:
@@ -273,8 +273,8 @@ class Session:
                 "instant", instants[0], max(instants[-1], instants[0] + 1), 1, instants[0], disabled=len(instants) == 1
             )
         with gui.add_folder("Scene"):
-            self._go_to = gui.add_dropdown("stand at", (NOTHING, *names))
-            self._cameras = gui.add_checkbox("cameras", initial_value=True, hint="click one to stand there")
+            self._go_to = gui.add_dropdown("go to camera", (NOTHING, *names))
+            self._cameras = gui.add_checkbox("cameras", initial_value=True, hint="click one to go there")
             self._points = gui.add_checkbox("points", initial_value=False, hint="the surface that depth says is there")
         self._add_recording(gui)
         with gui.add_folder("Latency"):
@@ -308,7 +308,7 @@ class Session:
         protocol.on_click(lambda _: tell(self.recording.write_protocol))
 
     def _stand_where(self, name: str, *_: Any) -> None:
-        """Put the window's camera where a camera of the rig stands."""
+        """Move the window's camera to a camera of the rig."""
         if name == NOTHING:
             return
         camera = self._playback.capture.camera(name)

@@ -2,7 +2,7 @@
 
 Its listening socket lets in who has the address with its token, from our own page.
 
-`viser` serves the page, draws the scene and tells where the camera is; the pictures are behind its scene as a background.
+`viser` serves the page, draws the scene and reports the camera's pose; the pictures are behind its scene as a background.
 """
 
 import contextlib
@@ -56,7 +56,7 @@ class Listener:
     """A socket that listens already, so that an impossible address shows before anything is computed.
 
     A page of another site can make a browser talk to this machine, and other users of it can connect. Both lack the token, a
-    random part of the address. Beside it, a browser's page must be ours (Origin), and called by an address or a name that is
+    random part of the address. In addition, a browser's page must be the viewer's (Origin), and called by an address or a name that is
     known to be this machine's (Host): a foreign name may have been pointed here (DNS rebinding).
 
     Args:
@@ -287,7 +287,7 @@ def open_server(listener: Listener) -> "viser.ViserServer":
 
 
 def set_camera(server: "viser.ViserServer", stock: FrameStock, instant: int) -> None:
-    """Let windows open where the middle camera stands, turning around what it looks at."""
+    """Let windows open at the middle camera, turning around its point of view."""
     camera = middle_camera(stock.cameras)
     server.scene.set_up_direction(up_direction(stock.cameras))
     server.initial_camera.position = camera.centre

@@ -42,7 +42,7 @@ from ggvs_eval.run_folder import read_json, write_json
 
 LEAST_MEASURED = 0.5  # of the pixels; the rest of the picture is guesswork
 LEAST_CONFIDENCE = 0.3  # below it `ggvs-eval prepare` fuses and exports nothing
-MOST_ROW_PX = 1.0  # a matcher looks for a match on one row; a pixel beside it everything is blurred or missed
+MOST_ROW_PX = 1.0  # a matcher searches one row; a pixel off it everything is blurred or missed
 MOST_OUTSIDE = 0.05  # of the matches; mismatches alone stay well below
 MOST_ERROR = 2.0  # times what is usual among the cameras ...
 LEAST_ERROR = 8.0  # ... and not less than this, of 255 levels: sensor noise and resampling
@@ -262,8 +262,8 @@ def _about_pairs(pairs: Sequence[PairErrors]) -> Iterator[str]:
     if off:
         listed = _listed([f"{pair.camera}-{pair.partner} {pair.row_px:.1f} px" for pair in off])
         yield (
-            f"Matched points lie off their common row by more than {MOST_ROW_PX:g} px (median) in {len(off)} of {len(measured)} "
-            f"pairs: {listed}. A camera in each is calibrated wrongly or did not film at the same instant; ggvs-eval check tells "
+            f"Matched points are off their common row by more than {MOST_ROW_PX:g} px (median) in {len(off)} of {len(measured)} "
+            f"pairs: {listed}. A camera in each is calibrated wrongly or did not film at the same instant; ggvs-eval check shows "
             "which."
         )
     outside = sorted((pair for pair in measured if pair.outside > MOST_OUTSIDE), key=lambda pair: -pair.outside)
@@ -280,7 +280,7 @@ def _about_camera(camera: CameraRecord) -> Iterator[str]:
         worst = min(statistics, key=lambda each: each.measured)
         if worst.measured < LEAST_MEASURED:
             yield (
-                f"{camera.label(stored)}: only {worst.measured:.0%} of the pixels have a depth of their own at frame "
+                f"{camera.label(stored)}: only {worst.measured:.0%} of the pixels have a measured depth at frame "
                 f"{worst.frame}; {worst.filled:.0%} were filled in, {worst.empty:.0%} are empty."
             )
         elif worst.confidence < LEAST_CONFIDENCE:

@@ -73,7 +73,7 @@ def measure_pair(camera: Camera, partner: Camera, features: Features, partner_fe
 
 
 def on_canvas(pair: RectifiedPair, camera: Camera, partner: Camera, uv: Array) -> Array:
-    """Bring matched pixels to the rectified canvas.
+    """Map matched pixels to the rectified canvas.
 
     Args:
         uv: pixels of the two images, (M, 2, 2).
@@ -122,7 +122,7 @@ class PairPicture(NamedTuple):
 
     Attributes:
         image: RGB uint8, (H, W, 3).
-        beside: True where the camera stands on the left and its partner on the right, False where it stands above it.
+        beside: True if the camera is on the left and its partner on the right, False if it is above it.
     """
 
     image: Image8
@@ -135,7 +135,7 @@ def pair_picture(
     """Put the two rectified images side by side, with lines along their common rows and dots on a few matched features.
 
     The canvas of a partner on the left is upside down, that of one above or below is on its side: pictures are turned back.
-    Rows become columns where that takes a quarter turn, and the halves stand one above the other.
+    Rows become columns where that takes a quarter turn, and the halves are one above the other.
 
     Args:
         image: of the reference, RGB (H, W, 3).
@@ -159,7 +159,7 @@ def pair_picture(
 
 
 def _turns_upright(along: Array) -> int:
-    """Quarter turns, counter-clockwise, that bring a canvas whose x axis points `along` in the camera upright."""
+    """Return the quarter turns, counter-clockwise, that turn a canvas whose x axis points `along` in the camera upright."""
     if abs(along[0]) >= abs(along[1]):
         return 0 if along[0] > 0 else 2
     return 3 if along[1] > 0 else 1

@@ -1,4 +1,4 @@
-"""What the depth page shows of each camera, and the record of it, kept beside the page in ``index.json``.
+"""Content of the depth page for each camera, and its record in ``index.json`` next to the page.
 
 Pictures are the image, depth, confidence, and the image resynthesised; numbers how much was measured, how far the scene is,
 and how well a map makes other images again.
@@ -23,7 +23,7 @@ from ggvs_eval.geometry.splat import COVERED_ALPHA, splat_depth
 from ggvs_eval.geometry.warp import warp
 from ggvs_eval.reports.depth_page.pairs import PairErrors, pair_picture
 
-SAME_SURFACE = 0.03  # of the median depth: what lies deeper behind another pixel is hidden by it
+SAME_SURFACE = 0.03  # of the median depth: a point this much deeper behind another pixel is hidden by it
 FEWEST_PIXELS = 100  # that both cameras see, to compare their colours
 WIDTH_PX = 480  # of a picture; with QUALITY it keeps the page of 12 cameras below 10 MB
 QUALITY = 75
@@ -34,7 +34,7 @@ class DepthStatistics:
     """Statistics of a depth map. Shares are of all pixels.
 
     Attributes:
-        measured: share of pixels with a depth of their own.
+        measured: share of pixels with a measured depth.
         filled: share of pixels whose depth was filled in from others.
         empty: share of pixels without depth.
         confidence: median of the measured pixels, in [0, 1]; 0 where there are none.
@@ -54,7 +54,7 @@ class DepthStatistics:
 
 
 def measured_pixels(depth_map: DepthMap, filled_confidence: float) -> NDArray[np.bool_]:
-    """Pixels with a depth of their own, (H, W).
+    """Pixels with a measured depth, (H, W).
 
     Reading:
         The store keeps no mark of filled pixels, only their low confidence. A measured pixel whose confidence is as low counts
@@ -125,7 +125,7 @@ def resynthesise(camera: Camera, depth: Map, image: Image8, other: Camera, other
 
 
 def _gain(truth: NDArray[np.uint8], warped: NDArray[np.float32]) -> tuple[float, float, float]:
-    """Median ratio of the pixels (N, 3) per channel; dark pixels tell only noise."""
+    """Median ratio of the pixels (N, 3) per channel; dark pixels show only noise."""
     bright = (truth > 16) & (warped > 16)
     ratios = [truth[:, c][bright[:, c]] / warped[:, c][bright[:, c]] for c in range(3)]
     red, green, blue = (float(np.median(each)) if each.size >= FEWEST_PIXELS else 1.0 for each in ratios)
@@ -285,7 +285,7 @@ class StoredDepth:
 
     Attributes:
         job: the camera and the partners it was matched with.
-        frames: instants to look at, ascending; the first one's features tell about the calibration.
+        frames: instants to show, ascending; the features of the first one show the calibration.
         registration: what was done to a sensor's depth, in words; empty where nothing was.
     """
 

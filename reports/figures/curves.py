@@ -148,7 +148,7 @@ def with_margin(low: float, high: float) -> tuple[float, float]:
 
 
 def draw_curves(panels: Sequence[Panel], out: Path, numbers: Mapping[str, int] | None = None) -> Path:
-    """Draw the panels of one metric beside each other, for print, in the colours of `numbers`, see `method_numbers`."""
+    """Draw the panels of one metric side by side, for print, in the colours of `numbers`, see `method_numbers`."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(max(3.4, 2.6 * len(panels)), 2.6), layout="constrained")

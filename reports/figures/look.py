@@ -1,4 +1,4 @@
-"""What a paper asks of a figure beside its content: methods and their order, width, title, scores."""
+"""Appearance of a figure in a paper: methods and their order, width, title, scores."""
 
 import re
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """The figures of a paper, each by its kind, as PNG and PDF; and the video that goes with it.
 
-Frames of every method stand next to the reference, with the squares that a rule has chosen enlarged below or beside them.
+Frames of every method stand next to the reference, with the squares that a rule has chosen enlarged below or next to them.
 """
 
 import math
@@ -39,7 +39,7 @@ BOX_COLOURS = (COLOURS[4], COLOURS[5], COLOURS[3], COLOURS[2])  # light ones, wh
 TINY, SMALL = 6, 7
 LETTERS_PER_IN = 20  # of the small font
 WIDEST = 3840  # pixels, which players and journals take
-IN_ONE_ROW = 3  # pictures; more stand in rows
+IN_ONE_ROW = 3  # pictures; more are arranged in rows
 STRIP = 32  # pixels, the height of a name
 DEFAULT_FPS = 10.0
 FigureKind = Literal["crops", "failures", "epi", "time", "k", "stream", "video"]
@@ -68,7 +68,7 @@ def write_figure(
     Args:
         folder: run folder, rendered and scored; of ``k`` the folder of a sweep.
         kind: ``crops`` of one frame, ``failures`` of a method, slices ``epi`` and ``time``, the curves over ``k``,
-            ``stream``: quality on the screen over pictures per second, or a ``video`` of the methods beside each other.
+            ``stream``: quality on the screen over pictures per second, or a ``video`` of the methods side by side.
         out: file to write; without a suffix both a PNG and a PDF.
         rule: by which crops are chosen, see `ggvs_eval.reports.figures.regions.RULES`.
         method: label whose worst squares are shown; ours without a variant, or the first, where None.
@@ -125,7 +125,7 @@ def draw_crops(
         regions: squares of one and the same frame.
         rule: who chose them, in words.
         look: width and title.
-        scores: label of a method -> what stands below its name.
+        scores: label of a method -> text below its name.
     """
     pictures = _pictures(run, regions[0])
     errors = read_errors(run, regions[0].view, regions[0].frame)
@@ -149,7 +149,7 @@ def draw_crops(
 def draw_failures(
     run: MeasuredRun, files: Sequence[Path], label: str, cases: int = 3, look: FigureLook = FULL_LOOK
 ) -> tuple[Path, ...]:
-    """The worst squares of a method, one per view: where they lie, the truth, every method, and the method's error as a map."""
+    """The worst squares of a method, one per view: place, reference, every method, and the method's error map."""
     regions = find_regions(run, "worst", label, cases, one_per_view=True)
     labels = ("truth", *run.pictured)
     column_in = look.width_in / (len(labels) + 2)

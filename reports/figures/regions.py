@@ -28,7 +28,7 @@ PLAIN_SHARE = 0.2  # of that, what a pixel without texture counts
 COVERED_SHARE = 0.98  # of a square that all methods must show
 RULES = {
     "worst": "where the mean absolute error of {name} is largest",
-    "different": "where the mean absolute errors of the methods lie farthest apart",
+    "different": "where the mean absolute errors of the methods differ most",
 }
 
 

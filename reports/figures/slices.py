@@ -117,7 +117,7 @@ def most_textured_row(images: Iterable[Image8]) -> int:
 
 
 def most_different_row(folders: Mapping[str, Path], indices: range) -> int | None:
-    """The row in which the methods' weighted absolute errors lie farthest apart; None where fewer than two differ.
+    """The row in which the methods' weighted absolute errors differ most; None where fewer than two differ.
 
     Args:
         folders: label -> frames, those of the truth as ``truth``; without it the mean of the methods represents it.
@@ -244,7 +244,7 @@ def draw_slices(slices: Slices, out: Path, look: FigureLook = FULL_LOOK, scores:
     Args:
         out: file to write; its suffix chooses the format (``.png``, ``.pdf``, ``.svg``).
         look: width and title.
-        scores: label of a method -> what stands behind its name.
+        scores: label of a method -> text after its name.
 
     Raises:
         ResultsError: a suffix that is not a picture's.

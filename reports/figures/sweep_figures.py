@@ -62,7 +62,7 @@ def sweep_runs(sweep: Path) -> list[Path]:
 def interval_widths(sweep: Path, metric: str) -> dict[tuple[int, float], float]:
     """Half width of the interval of each number of a sweep over K, found by K and the number itself, rounded.
 
-    The table of a sweep has titles of its own, and its numbers are those of its runs: a number that no run has any more, or a
+    The table of a sweep has its own titles, and its numbers are those of its runs: a number that no run has any more, or a
     mean over data sets, has no interval.
     """
     scored = [read_scores(run) for run in sweep_runs(sweep) if RunFolder(run).protocol_file.is_file()]
@@ -221,7 +221,7 @@ def _marks(run: MeasuredRun, metric: str, several: bool) -> list[tuple[str, Mark
 
 
 def draw_rates(panels: Sequence[RatePanel], out: Path, numbers: Mapping[str, int] | None = None) -> Path:
-    """Draw the panels beside each other, for print, in the colours of `numbers`, see `method_numbers`.
+    """Draw the panels side by side, for print, in the colours of `numbers`, see `method_numbers`.
 
     Raises:
         ResultsError: no panels.

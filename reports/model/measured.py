@@ -205,7 +205,7 @@ class MeasuredRun:
 
     @property
     def is_demo(self) -> bool:
-        """True for a capture that ``ggvs-eval demo`` wrote, in any layout and under whatever name."""
+        """Return whether ``ggvs-eval demo`` wrote a capture, in any layout and under any name."""
         return self.capture.get("units_origin") == DEMO_NOTES
 
     @property
@@ -225,7 +225,7 @@ class MeasuredRun:
 
     @property
     def partial(self) -> Mapping[str, str]:
-        """Methods whose renders lack views or frames -> what their numbers stand on."""
+        """Methods whose renders lack views or frames -> what their numbers are based on."""
         return self.results.partial
 
     @property

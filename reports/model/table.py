@@ -68,7 +68,7 @@ class Cell:
         high: upper bound; None where `low` is.
         note: what the interval takes as given, or why there is none.
         bound: ``at most`` or ``at least``, before the value, where it is a bound.
-        beside: text behind the value, such as a percentile.
+        beside: text after the value, such as a percentile.
         unranked: why the value is neither marked as best nor kept from it by others, as it follows the method's name; empty where
             it competes.
     """
@@ -138,7 +138,7 @@ class Table:
         rows: measured rows first, published ones last.
         dataset: what was measured on.
         notes: how it was made and what does not compare, in as many sentences as it takes.
-        judgements: name of a column -> who is better than whom in it.
+        judgements: name of a column -> which methods are better than which in it.
     """
 
     key: str
@@ -152,7 +152,7 @@ class Table:
 
 
 def join_tables(tables: Sequence[Table], names: Sequence[str]) -> tuple[Table, ...]:
-    """One table per data set with these columns alone, in this order, whatever tables they stood in.
+    """One table per data set with these columns alone, in this order, from any tables.
 
     Args:
         tables: whose columns are metrics.

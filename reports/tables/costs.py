@@ -1,7 +1,7 @@
 """Tables of what methods see, take and cost, the spread over seeds, and the price of being online.
 
 What seconds of fitting buy is the time to equal quality and the best method under each budget; what differs between methods by
-design stands beside what the protocol makes the same for all of them.
+design is next to what the protocol makes the same for all of them.
 """
 
 import math
@@ -39,7 +39,7 @@ ELSEWHERE = (
 UNKNOWN = Cell("unknown: others made it")
 UNRECORDED = Cell("not recorded")
 COST_COLUMNS = (
-    Column("cameras used", describe="of how many the capture has; a fit sees all but those of its fold"),
+    Column("cameras used", describe="of how many the capture has; a fit uses all except those of its fold"),
     Column("images seen", describe="captured images, for the clip of one test view: cameras times instants"),
     Column("look-ahead", describe="instants of the future that a frame depends on"),
     Column("fitting", "s/frame", describe="of one fold, over its instants"),
@@ -55,7 +55,7 @@ COST_COLUMNS = (
     Column("seeds", describe="fits by another seed that were measured too, and the first"),
 )
 NOTHING = {NOT_FITTED, UNRECORDED.text}  # a column of these alone is left out
-STATED_DB = 30.0  # a PSNR that a fit may be asked for, beside those of the methods that need none
+STATED_DB = 30.0  # a PSNR that a fit can be asked for, besides the PSNRs of the methods without fit
 POINTS = (
     "The points are whole fits: rows of a method that differ in steps (`4dgs+steps=1000`; `ggvs-eval sweep budget` has a series)."
 )

@@ -36,7 +36,7 @@ VARIANCE_COLUMNS: tuple[tuple[Column, str, Callable[[TwoWay], float]], ...] = (
     (Column("time", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["time"]),
     (Column("rest", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["rest"]),
 )
-WIDE_SHARE = 0.03  # of the width: standard deviation of the Gaussian that tells wrong surfaces from detail
+WIDE_SHARE = 0.03  # of the width: standard deviation of the Gaussian that separates wrong surfaces from detail
 FITTED_WIDTH = 160  # pixels of the pictures that the colour map is fitted to
 ROUNDS = 12  # of the fit, each with weights by the errors of the one before
 LEAST_ERROR_255 = 0.5  # in those weights
@@ -51,7 +51,7 @@ CAPTION = (
     "Mean squared error of single frames, taken apart. Unseen: pixels that no source view covers, where methods must invent. "
     "Colour: what a smooth colour map of the whole picture removes (gain, offset, a slope and a curve over the picture, in each "
     "channel), as of cameras that differ. Wrong surface: what would then be gone without the error's mean over "
-    f"{100 * WIDE_SHARE:.0f} % of the width: what is missing, or stands in place of something else. "
+    f"{100 * WIDE_SHARE:.0f} % of the width: missing or replaced content. "
     "Misplaced: what would be gone if windows of 2 % of the width moved by up to 1 %, or of 1 % by .5 %, where that halves "
     "their error: edges in the wrong place, by wrong depth, poses or motion. Detail: the rest: blur, noise, what belongs "
     "elsewhere altogether."
@@ -68,7 +68,7 @@ NOT_TOLD = Cell("not measured: wants PSNR_disoccluded among the protocol's metri
 CAUSES = {
     "unseen": "places that no source camera sees",
     "colour": "colour and light, which a smooth colour map would remove: cameras that differ",
-    "wrong surface": "wrong surfaces: what is missing, or stands in place of something else",
+    "wrong surface": "wrong surfaces: missing or replaced content",
     "misplaced": "in the wrong place, by wrong depth, poses or motion",
     "detail": "detail: blur, noise, and small things that belong elsewhere",
 }
@@ -231,7 +231,7 @@ def budget_table(run: MeasuredRun) -> Table | None:
     rows = [run.row(label, _share_cells([one[label] for one in budgets.values()])) for label in run.pictured]
     for view in run.protocol.views.test:
         rows.append(Row(f"{run.name(shown)} in {view}", _share_cells([budgets[view, frame][shown] for frame in frames])))
-    return Table(BUDGET_KEY, "Where the error lies", CAPTION, COLUMNS, tuple(rows), run.title)
+    return Table(BUDGET_KEY, "Sources of the error", CAPTION, COLUMNS, tuple(rows), run.title)
 
 
 def _budgets(run: MeasuredRun, instant: tuple[str, int]) -> dict[str, ErrorBudget]:
@@ -275,7 +275,7 @@ class Condition(NamedTuple):
 def describe_absolute(
     name: str, cell: Cell, column: Column, table: Table, budgets: Sequence[Table], runs: Sequence[MeasuredRun] = ()
 ) -> str:
-    """A few sentences on a method's number alone; empty where there is nothing to hold it against.
+    """A few sentences on a method's number alone; empty if there is nothing to compare with.
 
     Args:
         table: the main table, whose grey rows have the ceilings of the capture and values published of the same data set.
@@ -283,7 +283,7 @@ def describe_absolute(
         runs: of the group; what they were made from is that of the first of which it is known.
 
     Reading:
-        Published values of other captures say nothing of this one, so only those count that stand in the table. The largest of
+        Published values of other captures say nothing of this one, so only those in the table count. The largest of
         the parts of the squared error is named as the cause.
     """
     unit, at = f" {column.unit}" if column.unit else "", table.columns.index(column)

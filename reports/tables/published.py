@@ -86,7 +86,7 @@ class PublishedTerms:
         protocol: packaged protocol that it belongs to.
         checked: where each value was read.
         scenes: names of the scenes of which only the mean is published.
-        withheld: why no value is shown beside measured ones; empty where they are.
+        withheld: why no value is shown next to measured ones; empty where they are.
     """
 
     protocol: str
@@ -159,7 +159,7 @@ def describe_published(protocol: Protocol, scenes: Collection[str]) -> list[str]
 
 
 def _shown(protocol: Protocol, scenes: Collection[str]) -> dict[tuple[str, str], dict[str, str]]:
-    """(method, scene) -> metric -> value of what may be shown beside a run."""
+    """(method, scene) -> metric -> value that can be shown next to a run."""
     terms = published_terms().get(protocol.name)
     if terms is None or terms.withheld or _difference(protocol, scenes):
         return {}

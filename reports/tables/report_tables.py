@@ -43,7 +43,7 @@ def main_tables(runs: Sequence[MeasuredRun], results: Results, columns: Sequence
 
     Args:
         runs: at least one, all under one protocol.
-        columns: metrics that make a single table, in this order; all of them, in tables of their own, by default.
+        columns: metrics that make a single table, in this order; by default all of them, in separate tables.
 
     Returns:
         Per dataset one table for each group of the metrics that the protocol asks for, in its order.

@@ -1,4 +1,4 @@
-"""Every published cell of the paper beside our measurement, and whether that reproduces it; as Markdown, CSV, and on a page."""
+"""Published cells of the paper next to this run's measurements and verdicts, as Markdown, CSV, and on a page."""
 
 import csv
 import math
@@ -41,7 +41,7 @@ HEADS = ("Paper's table", "Method", "Metric", "Paper", "This run", "Status", "Wh
 WORDS = (0, 1, 2, 5, 6)  # columns without numbers
 CSV_HEAD = ("table", "dataset", "method", "metric", "unit", "paper", "ours", "lo", "hi", "difference", "status", "reason")
 TIMING = "timing"
-METHODS_NAMED = 4  # from so many on a line counts methods
+METHODS_NAMED = 4  # from this number on a line counts methods
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ class Block:
 
     @property
     def lines(self) -> tuple["Line", ...]:
-        """A line per measured value, and one for all values that are not measured for the same reason, where the first stands."""
+        """A line per measured value, and one for all values that are not measured for the same reason, at the place of the first."""
         alike: dict[object, list[Reproduction]] = {}
         for number, entry in enumerate(self.entries):
             alike.setdefault(number if entry.ours.value is not None else (entry.status, entry.reason), []).append(entry)

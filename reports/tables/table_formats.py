@@ -192,7 +192,7 @@ def _title(table: Table) -> str:
 
 
 def _note(table: Table) -> str:
-    """What stands below a table: its note, and the units, which the field leaves out of the heads."""
+    """Text below a table: its note, and the units, which papers leave out of the heads."""
     by_unit: dict[str, list[str]] = {}
     for column in table.columns:
         by_unit.setdefault(column.unit, []).append(column.name)
@@ -284,7 +284,7 @@ def _number_format(cell: Cell) -> str:
     whole = "#,##0" if "," in cell.text else "0"
     number = f"{whole}.{'0' * decimals}" if decimals else whole
     shown = "".join((f'"{before}"' if before else "", number, f'"{behind}"' if behind else ""))
-    return f"{shown};{shown}" if sign == "−" else shown  # in a part of its own a negative number has no other sign
+    return f"{shown};{shown}" if sign == "−" else shown  # in a separate part a negative number has no other sign
 
 
 def _sheet_name(title: str, taken: Sequence[str]) -> str:

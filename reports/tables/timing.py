@@ -113,7 +113,7 @@ def evaluate_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: f
 
     Reading:
         A time belongs to its machine: the paper's is a GPU that it does not name, ours is the machine of the run. So it is set
-        beside the paper's with the ratio of the two, and never called reproduced.
+        next to the paper's with the ratio of the two, and never called reproduced.
     """
     timing = TIMINGS[key]
     if timing.stage is None:
@@ -182,7 +182,7 @@ def _screen_cells(record: dict[str, Any], stream: Stream) -> tuple[Cell, ...]:
 def drift_table(run: MeasuredRun) -> Table | None:
     """Slopes over time of the first table's metrics, of methods that are not set aside; None of clips too short to ask.
 
-    A scene that gets harder pulls all methods down, so beside each slope is that of the difference to the mean of all methods.
+    A scene that gets harder pulls all methods down, so next to each slope is that of the difference to the mean of all methods.
     """
     labels = [label for label in run.labels if label not in run.results.set_aside]
     if run.protocol.frames.count < LEAST_FRAMES:

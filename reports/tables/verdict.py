@@ -86,7 +86,7 @@ def certainty_captions(
     """Write the meaning of ± and bold for a table's caption, and for its note what is not ranked or has no interval.
 
     Args:
-        judgements: metric -> who is better than whom.
+        judgements: metric -> which methods are better than which.
         names: label -> name to show.
         set_aside: labels of partial and faulty methods, which other sentences are about.
     """
@@ -137,8 +137,8 @@ class Verdict:
     Attributes:
         headline: who is best, or why none can be named, and which methods are set aside.
         margin: by how much, with its interval; or what to do, where nothing is ranked.
-        absolute: the first's number next to the capture's ceiling and published ones, and where its error lies; empty where
-            there is nothing to hold it against.
+        absolute: the first's number next to the capture's ceiling and published ones, and the sources of its error; empty where
+            there is nothing to compare with.
         column: the metric that this is in; None where nothing is ranked.
         meaning: what it measures, in plain words.
         contenders: every method that competes, the best first; of ours the method itself, unless ours alone were measured.
@@ -158,7 +158,7 @@ class Verdict:
     tied: tuple[str, ...] = ()
 
     def shown(self, run: MeasuredRun) -> tuple[str, ...]:
-        """Methods whose pictures say most of a run: the best, and ours beside it, or the runner-up where ours is the best."""
+        """Methods whose pictures represent a run: the best with GGVS (online), or with the runner-up if GGVS is the best."""
         labels = [one.label for one in (*self.contenders, *self.parts) if one.label in run.pictured]
         beside = [label for label in labels[1:] if label in run.ours] if labels and labels[0] not in run.ours else []
         return tuple(dict.fromkeys([*labels[:1], *beside, *labels[1:]]))[:2]
@@ -170,8 +170,8 @@ def evaluate_verdict(
     """Say who is best in the first headline metric, or that nothing is ranked, why, and what to do about it.
 
     Reading:
-        The paper names no single measure of quality. The first one of its own tables that was measured is the headline (PSNR,
-        if it was), and who leads the others is said beside it. All of it is read from the judgements of the tables.
+        The paper names no single measure of quality. The first measured one of its tables is the headline (PSNR,
+        if it was), and the leaders of the others are stated with it. All of it is read from the judgements of the tables.
     """
     all_leaders, causes, remedies = leaders(tables), *_set_aside(runs, results)
     if not all_leaders:
@@ -261,7 +261,7 @@ def _words(
 
 
 def _interval(comparison: Comparison, higher_is_better: bool, decimals: int | None, unit: str) -> str:
-    """Bounds of how far the best lies ahead."""
+    """Bounds of the best method's margin."""
     if comparison.low is None or comparison.high is None:
         return ""
     low, high = (-comparison.high, -comparison.low) if higher_is_better else (comparison.low, comparison.high)

@@ -1,4 +1,4 @@
-"""MVSNeRF as a method: each instant from three of its own source frames, by the networks that its authors trained."""
+"""MVSNeRF as a method: each instant from three of its source frames, by the networks that its authors trained."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -65,7 +65,7 @@ class MvsNerf:
 
 
 def render_volume(networks: Networks, volume: Volume, target: Camera, rays_per_chunk: int) -> tuple[Tensor, Tensor]:
-    """RGB (H, W, 3) and depth (H, W) in world units, by so many rays at once."""
+    """RGB (H, W, 3) and depth (H, W) in world units, by N rays at once."""
     centre = torch.as_tensor(target.centre).float()
     rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()
     parts = [render_rays(networks.network_fn.nerf, volume, centre, chunk) for chunk in rays.split(rays_per_chunk)]

@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 
-VIEWS = 3  # that the volume is made of; the widths of the networks are of so many
+VIEWS = 3  # of the volume; the widths of the networks depend on it
 VOXEL_WIDTH, FEATURE_WIDTH, HIDDEN_WIDTH = 8, 32, 128
 LAYERS, SKIPPING_LAYER = 6, 4
 OCTAVES = 10  # of the encoding of places

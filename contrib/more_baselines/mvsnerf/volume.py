@@ -124,7 +124,7 @@ def cost_volume(features: Tensor, colours: Tensor, cameras: Sequence[Camera], ne
         features: of the views, (3, 32, h, w).
         colours: of the views at that size, (3, 3, h, w).
         cameras: of the views.
-        near: smallest depth that is told from zero, world units.
+        near: smallest depth that is distinguished from zero, world units.
         depths: of the planes in the reference, (D,).
 
     Returns:

@@ -130,7 +130,7 @@ class TransformerBlock(nn.Module):
 
 
 class Transformer(nn.Module):
-    """Layers whose windows lie alternately on the grid and half a window off it."""
+    """Layers whose windows are alternately on the grid and half a window off it."""
 
     def __init__(self, layers: int, width: int) -> None:
         super().__init__()

@@ -15,7 +15,7 @@ HEAD_WIDTH = 32  # channels of an attention's head; fewer where the whole has fe
 
 
 class ResidualUnit(nn.Module):
-    """Two convolutions, each normalised after it, beside a shortcut."""
+    """Two convolutions, each normalised after it, with a shortcut."""
 
     def __init__(self, width_in: int, width: int) -> None:
         super().__init__()

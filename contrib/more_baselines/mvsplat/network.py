@@ -23,7 +23,7 @@ from ggvs_eval.files.weights_file import configuration_of, load_strict, read_ten
 
 FEATURE_GAIN = 10.0  # of the random features, so that their products outweigh those of positions
 SHARPNESS = 0.6  # of the softmax over depths
-FAINT = 0.01  # of what is to be learned beside it
+FAINT = 0.01  # relative to what else is to be learned
 SMALL_SCALE = -2.0  # before the sigmoid: standard deviations of half a pixel
 
 

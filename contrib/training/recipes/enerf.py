@@ -31,7 +31,7 @@ class EnerfRecipe(TrainingRecipe[Networks]):
 
     Reading:
         Its authors minimise the squared error of both levels, the coarse one weighted by 0.1, and 0.01 times a distance of
-        features of VGG16. No weights of VGG ship here: 1 - SSIM stands in for that. Depth is not used.
+        features of VGG16. No weights of VGG ship here: 1 - SSIM replaces it. Depth is not used.
     """
 
     crop_width: int = 256

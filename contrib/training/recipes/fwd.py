@@ -19,7 +19,7 @@ class FwdRecipe(TrainingRecipe[FwdNetwork]):
 
     Reading:
         Its authors minimise five times the squared error of colours in [-1, 1] and a distance of features of VGG19. No weights
-        of VGG19 ship here: 1 - SSIM stands in for that, weighted as in our own loss. Depth is not completed: the sources see
+        of VGG19 ship here: 1 - SSIM replaces it, weighted as in the loss of GGVS here. Depth is not completed: the sources see
         what is missing in each other.
     """
 

@@ -27,7 +27,7 @@ class MvsplatRecipe(TrainingRecipe[MvsplatNetwork]):
 
     Reading:
         Its authors minimise the squared error and 0.05 times a distance of features of VGG16, and begin with features and
-        attention that another training had taught to find depth. No weights of VGG ship here: 1 - SSIM stands in for that. In
+        attention that another training had taught to find depth. No weights of VGG ship here: 1 - SSIM replaces it. In
         place of the other training, the first `DEPTH_STEPS` steps teach coarse depth alone, at a third of the cost, and 0.3 times
         the mean absolute error of both inverse depths (1 at the nearest depth) stays in the loss, where the depth that other
         baselines are given is known; rendering is given none.

@@ -27,11 +27,11 @@ class CapturePlan:
     """Plan of the samples of each capture. More targets add samples and change none, of rigs as long as `instants` stays.
 
     Attributes:
-        span: sequences: sources come from at most so many frames before or after the target's, ...
-        gap: ... and from more than so many, ...
+        span: sequences: sources maximum distance of a source from the target, frames
+        gap: exclusive minimum of that distance, frames
         overlap: ... and see this share of the target's view; where fewer than K do, those that see most are taken.
         wide_share: rigs: share of the samples whose sources are drawn from twice as many near cameras, not the nearest.
-        instants: rigs: targets take turns at so many instants, evenly spaced over the capture.
+        instants: rigs: number of instants of targets, evenly spaced over the capture.
         width: least width of the samples, pixels; captures are reduced, in their own shape, as far as both sides allow.
         height: least height of the samples, pixels.
         matcher: whose depth the samples have where no sensor measured it, see `ggvs_eval.pipelines.offline.depth.depth_choice`.
@@ -156,7 +156,7 @@ def restricted(capture: Capture, names: Collection[str]) -> Capture:
 
 
 class CaptureSource:
-    """The views of a capture; it is whatever `open_capture` opens: ScanNet, Spaces, DyNeRF, one's own rig.
+    """The views of a capture; any that `open_capture` opens: ScanNet, Spaces, DyNeRF, your own rig.
 
     A test capture must never be trained on: none of those that the packaged protocols name test views of, nor any other that
     results are reported for. Only the demo capture and its likes can be recognised here, and are refused.
@@ -262,7 +262,7 @@ def _check_cameras(capture: Capture, plan: CapturePlan) -> None:
 
 
 def _refuse_tests(capture: Capture) -> None:
-    """A procedural capture says which room it shows; all but training and validation rooms are for tests."""
+    """A procedural capture names its room; all except training and validation rooms are for tests."""
     file = capture.path / DEMO_NOTES
     if not file.is_file():
         return
@@ -278,6 +278,6 @@ def _refuse_tests(capture: Capture) -> None:
 
 
 def _name(capture: Capture) -> str:
-    """Tells captures apart by the poses of their cameras and what the first one shows."""
+    """Distinguish captures by the poses of their cameras and the first one's picture."""
     cameras = [f"{camera.name} {camera.to_json()}" for camera in capture.cameras]
     return f"{capture.scene}-{digest_values(capture.sources[0].digest, str(capture.n_frames), *cameras)[:12]}"

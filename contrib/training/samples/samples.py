@@ -77,7 +77,7 @@ Origin = Literal["rooms", "captures"]
 
 
 class SampleSource(Protocol):
-    """Numbered views to learn from, of procedural rooms or of a capture, whatever a sample is."""
+    """Numbered views to learn from, of procedural rooms or of a capture, for any kind of sample."""
 
     @property
     def origin(self) -> Origin:
@@ -103,7 +103,7 @@ class SampleSource(Protocol):
         """Contents of the samples, with or without depth, for the model card."""
 
     def describe(self, depth: bool) -> dict[str, object]:
-        """Describe what a sample depends on beside its scene, its number and its kind; folders are named by it."""
+        """Describe what a sample depends on besides its scene, its number and its kind; folders are named by it."""
 
     def file_name(self, number: int) -> str:
         """Name of a sample's file, by its scene and its number."""
@@ -130,7 +130,7 @@ class SampleKind(ABC, Generic[Sample]):
     Attributes:
         folders: beginnings of folders' names, and versions: each counts up whenever equal sources give other samples.
         depth: whether it depends on the depth of its sources.
-        device: where it is computed, beside its depth; another one than ``cpu`` wants NVIDIA Warp.
+        device: of the computation and of its depth; another one than ``cpu`` wants NVIDIA Warp.
     """
 
     folders: ClassVar[Mapping[Origin, tuple[str, int]]]
@@ -157,8 +157,8 @@ class SampleKind(ABC, Generic[Sample]):
         """Name of the folder of a source's samples, by all that they depend on but their scene and their number.
 
         Reading:
-            Samples of a GPU lie apart: on the CPU equal inputs give equal bits, of a training too, and theirs differ in the last
-            ones. Which GPU is not told, since samples are rounded to 8 bits, where that moves next to nothing.
+            Samples of a GPU are stored separately: on the CPU equal inputs give equal bits, of a training too, and theirs differ in the last
+            ones. The GPU is not recorded, since samples are rounded to 8 bits, where that moves next to nothing.
         """
         name, version = self.folders[source.origin]
         described = {"version": version, **source.describe(self.depth)}

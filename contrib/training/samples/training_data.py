@@ -29,7 +29,7 @@ from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 
 FIRST_TRAINING_ROOM = FIRST_TRAINING_SEED
 WINDOW = (480, 360)  # of large images, pixels
-LARGE_FACTOR = 3  # so many times the pixels, fewer rooms and more views of each
+LARGE_FACTOR = 3  # factor on the pixels, with fewer rooms and more views of each
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, target
     Args:
         rooms: per domain; of domains whose images are large a third of that, as they take as much time.
         targets: views per room; of domains whose images are large three times as many.
-        shared: whatever else plans have in common, see `RoomPlan`.
+        shared: further settings that plans share, see `RoomPlan`.
     """
     plan = replace(RoomPlan(rooms=rooms, targets=targets), **shared)  # type: ignore[arg-type]
     return [_sized(plan, name) for name in domains]

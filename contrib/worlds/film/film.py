@@ -1,4 +1,4 @@
-"""Filming: the frames of one shot, one after another, in a separate process, and exact depth beside them."""
+"""Filming: the frames of one shot, one after another, in a separate process, and their exact depth."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -25,7 +25,7 @@ from ggvs_eval.kernels.portable import blur, cos, product, rotation_about, sin, 
 
 # A pixel is lost where depth within its 3 x 3 neighbours differs by more than this share.
 EDGE = 0.05
-# Noise of triangulating sensors is correlated over so many pixels.
+# Noise of triangulating sensors is correlated over N pixels.
 CORRELATED_PX = 1.0
 
 
@@ -132,7 +132,7 @@ def _mounting(options: DemoOptions) -> tuple[float, Array]:
     return float(rng.uniform(0, 2 * np.pi)), unit(axis)
 
 
-# Kept beside the demo while it is made, and thrown away: light of the instants, and what layouts put together at the end.
+# Kept next to the demo while it is written, then removed: light of the instants, and what layouts put together at the end.
 PARTS = "parts"
 # Which numbers the noise of a camera's frames and of its background picture begin with.
 FRAME_NOISE, BACKGROUND_NOISE = 3, 5
@@ -178,7 +178,7 @@ class Footage:
             yield Frame(self._expose(picture, noise), picture.foreground, picture.depth)
 
     def frames_keeping_depth(self, folder: Path, depth_scale: float = 1.0) -> Iterator[Frame]:
-        """All frames; those depths that the options want are written beside the demo, multiplied by a scale."""
+        """All frames; those depths that the options want are written next to the demo, multiplied by a scale."""
         options, name = self.options, self.shot.camera.name
         with DepthWriter(depth_path(folder, name), options.depth_frames, options.height, options.width) as kept:
             for index, frame in enumerate(self.frames()):

@@ -49,13 +49,13 @@ class DemoOptions:
         crf: x264's rate factor of the videos.
         supersampling: rays per pixel along each side.
         path_poses: positions of the true camera path next to the videos of dynerf and colmap; 0 for no path.
-        depth_stride: exact depth is kept of every so many frames; 0 for no depth.
+        depth_stride: frames per exact depth map; 0 for no depth.
         camera_gain: a fault, camera and factor: its images are so much brighter.
         frame_offset: a fault, camera and frames: frame t of the camera shows the instant of frame t + offset.
         calibration_error_px: a fault: cameras are written down with rotations that are wrong by this standard deviation about
             each axis, in pixels at the image's centre. Images are not touched.
         focal_error: a fault, camera and factor: its focal length is written down so much longer. Images are not touched.
-        rig: the two rows of DyNeRF's rig, on an arc; as many cameras in one row on a wide arc, as ENeRF-Outdoor's stand; or two
+        rig: the two rows of DyNeRF's rig, on an arc; as many cameras in one row on a wide arc, as ENeRF-Outdoor's are; or two
             rows that look almost straight ahead, as D3DMV's do.
         scene: the living room, or a garden: thin foliage before a far background.
         spacing: factor on the distances between the cameras of rows and grids.
@@ -67,7 +67,7 @@ class DemoOptions:
         jpeg_quality: at which each camera compresses its pictures, 1 to 100; 0 for no compression.
         vignetting: how much darker the corners of the pictures are than their middle, share of the sRGB values; of a rig's lenses
             each differs from it by a fifth; 0 for lenses without fall-off.
-        depth_offset_px: rgbd: depth is of a sensor whose picture is shifted by so many pixels of the colour image, in a
+        depth_offset_px: rgbd: shift of the depth sensor's picture, pixels of the colour image, in a
             direction that the seed chooses. What is written down says nothing of it, nor of the next three.
         depth_rotation_rad: rgbd: the sensor of depth is turned by so much about an axis that the seed chooses.
         depth_delay_s: rgbd: the sensor of depth measures so long before the colour camera.

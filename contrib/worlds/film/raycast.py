@@ -53,7 +53,7 @@ def rig(
         cameras_per_row: n, at least 2.
         near: depth range to note, world units.
         outermost_yaw_rad: how far the outermost camera is turned towards the middle.
-        spacing: factor on the distances between cameras, in rows and between them; the circle they stand on stays.
+        spacing: factor on the distances between cameras, in rows and between them; their circle stays.
     """
     rng, n = np.random.default_rng([seed, 1]), cameras_per_row
     top = [*range(n - 1, n // 2, -1), 0, *range(n // 2, 0, -1)]
@@ -174,7 +174,7 @@ def hand_held_poses(
         width: pixels.
         fps: poses per second.
         near: depth range to note, world units.
-        later_s: every pose is that of so many seconds later.
+        later_s: delay of every pose, seconds.
         sway: factor on how far the camera looks about.
         spacing: factor on how far it is carried.
     """

@@ -148,7 +148,7 @@ class Sensor:
         noise_sigma_255: standard deviation of the noise of every pixel and frame, of 255 levels.
         defocus_px: radius of the disc of a point out of focus, pixels.
         processing: how strongly the camera makes its own picture, see `DemoOptions`.
-        jpeg_quality: of its own pictures, 0 for none.
+        jpeg_quality: of its pictures, 0 for none.
         vignetting: how much darker its lens makes the corners, share of the sRGB values.
     """
 
@@ -161,7 +161,7 @@ class Sensor:
     vignetting: float = 0.0
 
     def noise(self, stream: int) -> np.random.Generator:
-        """The noise from the first picture on; each kind of pictures has a stream of its own."""
+        """The noise from the first picture on; each kind of pictures has its own stream."""
         return np.random.default_rng([self.seed[0], stream, *self.seed[1:]])
 
     def expose(self, image: Array32, noise: np.random.Generator) -> Image8:
@@ -268,12 +268,12 @@ def rig_shots(options: DemoOptions) -> list[Shot]:
 
 
 def distorted_shots(options: DemoOptions) -> list[Shot]:
-    """The cameras of the rig, each through a lens of its own."""
+    """The cameras of the rig, each through its own lens."""
     return _through_lenses(options, LENS, LENS_SPREAD)
 
 
 def fisheye_shots(options: DemoOptions) -> list[Shot]:
-    """The cameras of the rig, each through a fisheye of its own."""
+    """The cameras of the rig, each through its own fisheye."""
     return _through_lenses(options, FISHEYE_LENS, FISHEYE_SPREAD)
 
 
@@ -303,7 +303,7 @@ def hand_held_shots(options: DemoOptions) -> list[Shot]:
 
 
 def _poses_at(options: DemoOptions, later_s: float = 0.0) -> list[Camera]:
-    """The poses of the hand-held camera, each so many seconds later."""
+    """The poses of the hand-held camera, each delayed by N seconds."""
     size = (options.width, options.height)
     return hand_held_poses(
         options.seed, *size, options.n_frames, options.fps, later_s=later_s, sway=options.sway, spacing=options.spacing

@@ -86,7 +86,7 @@ def _picture(index: int, name: str) -> str:
     return f"{TECHNICOLOR_SCENE}_undist_{index + 1:05d}_{name.removeprefix('cam')}.png"
 
 
-EVERY = 4  # camera of so many is held out
+EVERY = 4  # one camera in this number is held out
 
 
 def write_panoptic(folder: Path, footage: Footage) -> Camera:
@@ -191,7 +191,7 @@ POSE_SCALE = 2
 
 
 def write_d3dmv(folder: Path, footage: Footage) -> Camera:
-    """Write the frames of one camera to files of their own and its exact depth; gives the camera to note."""
+    """Write the frames of one camera to separate files and its exact depth; gives the camera to note."""
     camera, options = footage.noted_camera(), footage.options
     size = (options.n_frames, options.height, options.width)
     rgb = open_memmap(_part(folder, camera, "rgb"), "w+", np.uint8, (*size, 3))

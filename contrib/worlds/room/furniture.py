@@ -1,4 +1,4 @@
-"""Furniture with thin parts (tables, chairs, shelves, lamps, plants, picture frames), and small things that stand about."""
+"""Furniture with thin parts (tables, chairs, shelves, lamps, plants, picture frames), and small objects."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise

@@ -1,6 +1,6 @@
 """A garden: thin foliage close to the cameras, a house, a hedge and the sky far behind it, laid out by a seed.
 
-Room frame: metres, x right, y away from the cameras, z up; the rig stands around x = y = 0 as in the living room.
+Room frame: metres, x right, y away from the cameras, z up; the rig is around x = y = 0 as in the living room.
 """
 
 from collections.abc import Callable
@@ -87,7 +87,7 @@ def tree(rng: np.random.Generator, place: Place) -> list[Surface]:
 
 
 def hedge(rng: np.random.Generator, y: float, width: float) -> list[Surface]:
-    """A clipped hedge with leaves that stand out of it."""
+    """A clipped hedge with protruding leaves."""
     height = float(rng.uniform(1.1, 1.6))
     x, z = np.meshgrid(np.linspace(-width / 2, width / 2, 120), np.linspace(0, height, 14))
     bumps = 0.12 * textures.fractal_noise(rng, x.shape, (5, 5), 3)
@@ -288,7 +288,7 @@ def _swaying_branch(rng: np.random.Generator) -> Mover:
 
 
 def _sun(rng: np.random.Generator) -> Light:
-    """The sun behind and beside the cameras, a small disc."""
+    """The sun behind and to the side of the cameras, a small disc."""
     direction = unit(rng.uniform((-0.8, -0.8, 0.8), (0.8, -0.2, 1.2)))
     angle = 2.4 * np.arange(SUN_POINTS)
     radius = SUN_RADIUS_M * np.sqrt((np.arange(SUN_POINTS) + 0.5) / SUN_POINTS)

@@ -77,7 +77,7 @@ class Geometry:
         return Hits(ray, distance[ray], face[ray], weights[ray])
 
     def blocks(self, origins: Array32, directions: Array32, reach: float = 1.0) -> NDArray[np.bool_]:
-        """Tell for each ray whether something is within `reach` times its direction, the first and last percent left out."""
+        """Return for each ray whether something is within `reach` times its direction, the first and last percent left out."""
         return self._tree.blocks(*_rows(origins, directions), 0.005 * reach, 0.99 * reach)
 
     def at_hits(self, per_vertex: Array32, hits: Hits) -> Array32:
@@ -235,7 +235,7 @@ class LitRoom:
         ambient = np.zeros_like(direct)
         for _ in range(BOUNCES):
             radiosity = self._albedo * (direct + ambient)[self.static.faces].mean(axis=1)
-            # What lies right at a lamp is far brighter than the rest and would show each single direction as a blot.
+            # A surface right at a lamp is far brighter than the rest and would show each single direction as a blot.
             radiosity = np.minimum(radiosity, BRIGHTEST_BOUNCE)
             radiosity = np.concatenate([radiosity, np.zeros((1, 3), np.float32)])  # the last one is for "nothing seen"
             ambient = np.stack([radiosity[seen_faces, channel].mean(axis=1) for channel in range(3)], axis=-1)

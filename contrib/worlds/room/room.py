@@ -1,6 +1,6 @@
 """A living room: walls, furniture, clutter, lights and what moves in it, laid out by a seed.
 
-Room frame: metres, x right, y into the room, z up; the rig stands around x = y = 0, the table and the person in front of it. The
+Room frame: metres, x right, y into the room, z up; the rig is around x = y = 0, the table and the person in front of it. The
 inside reaches from -half_width to half_width, from `FRONT_M` to back and from 0 to `CEILING_M`.
 """
 

@@ -14,7 +14,7 @@ from ggvs_eval.kernels.portable import cos, inverse, length, rotation_about, sin
 
 Vector = Sequence[float] | Array
 Profile = Sequence[tuple[float, float]] | Array
-# The first axis of a rod lies across this one; no limb points along it.
+# The first axis of a rod is across this one; no limb points along it.
 ROLL_AXIS = np.array([0.0, 0.8, 0.6])
 
 

@@ -71,7 +71,7 @@ def wallpaper(rng: np.random.Generator, size_m: Size, ground: Colour, figure: Co
 
 
 def bricks(rng: np.random.Generator, size_m: Size, colour: Colour, mortar: Colour) -> Image8:
-    """Running bond with a tone of its own for each brick and rough mortar."""
+    """Running bond with a separate tone for each brick and rough mortar."""
     shape = _shape(size_m)
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32) / TEXELS_PER_METRE
     x, y = (a + 0.003 * fractal_noise(rng, shape, (20, 20), 2) for a in (x, y))

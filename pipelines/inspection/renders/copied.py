@@ -21,7 +21,7 @@ CELL_PX = 16
 # The cells that change most move, and are left out: what moves within a cell is in a good rendering too.
 STEADY_SHARE = 0.5
 QUESTION = "truth copied in"
-# Of a clip so many instants are asked for the noise.
+# Instants of a clip from which the noise is estimated.
 NOISE_INSTANTS = 48
 # Share of the truth: 0.01 at most in honest renders of several methods, 0.05 in a perfect one without noise, where the scene
 # changes within a cell; 0.06 and more, by 12 and more standard errors, where a tenth is blended in. It is less well known
@@ -68,7 +68,7 @@ class NoiseSums:
 
 
 def pooled_share(instants: Iterable[NoiseSums]) -> TruthShare:
-    """Ratio of the sums over some instants; the cells, each with an error of its own, tell how well it is known."""
+    """Ratio of the sums over some instants; the scatter of the cells gives its uncertainty."""
     sums = list(instants)
     if not sums:
         return TruthShare(0.0, np.inf)
@@ -106,7 +106,7 @@ def noise_sums(view: ViewFrames, index: int) -> NoiseSums:
 
 
 def has_far_frames(view: ViewFrames, index: int) -> bool:
-    """Return whether a frame lies two instants away; without one static content would pass for noise, in honest renders too."""
+    """Return whether a frame is two instants away; without one static content would count as noise."""
     return bool(_beside(view, index, 2))
 
 

@@ -100,7 +100,7 @@ PERIODS_PX = {2.0: "2", 3.0: "3 or 1.5", 4.0: "4 or 1.33", 2.5: "2.5 or 1.67", 5
 LIKELY_PEAK, CERTAIN_PEAK = 4.5, 9.0
 # Energy above the smaller picture's finest frequencies relative to the truth's; honest blur also lowers it, without a period.
 LARGEST_FINE_SHARE = 0.35
-# Repeated pixels have edges of their own, but also peaks of 90 and more.
+# Repeated pixels have edges too, but also peaks of 90 and more.
 PLAIN_PEAK = 40.0
 
 
@@ -253,7 +253,7 @@ def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
     if not has_size:
         height, width = view.truth(usable[0]).shape[:2]
         view = view.with_rendered(lambda image: resized(image, width, height))
-    # Traces in the pixels as they are on disk. JPEG has a period of its own, and so has what was cropped and enlarged.
+    # Traces in the pixels as they are on disk. JPEG has a period, and so have enlarged crops.
     jpeg = find_jpeg(name, view) if has_size else []
     enlarged = find_upscaling(name, view) if has_size and not jpeg else []
     picture = _examine_picture(name, view, cameras, count)

@@ -22,7 +22,7 @@ from ggvs_eval.plugins import Registry
 
 # Single and double precision disagree by this share of a value; a quoted one may come from either.
 ROUNDING = 5e-6
-# Some dozen conventions are within a decibel or two of each other: what two digits meet may be chance. A match is evidence where
+# A few dozen conventions are within a decibel or two of each other: two matching digits can be chance. A match is evidence where
 # few of the numbers near the quoted one would match something as well.
 NEIGHBOURHOOD, WEAK_CHANCE = 0.05, 0.25
 MOST_DIGITS = 100  # before or behind the point of a printed number
@@ -136,7 +136,7 @@ def chance(quoted: str, values: Sequence[float]) -> float:
         Part of the numbers within `NEIGHBOURHOOD` of the quoted one that are within the tolerance of any value, 0 to 1.
 
     Reading:
-        Nobody knows which numbers others might print. Taken: all near the quoted one alike.
+        The distribution of printed numbers is unknown; all near the quoted one are assumed equally likely.
 
     Example:
         >>> chance("30.0", [29.9, 30.4, 45.0]), chance("30.000", [29.9, 30.4, 45.0]) < 0.001

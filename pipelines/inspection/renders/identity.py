@@ -1,6 +1,6 @@
 """Identity of a rendered picture: the captured one that it shows, of which camera, mirrored or not.
 
-Frames of a view as the doctor sees them, rendered beside captured, are read when they are wanted.
+Frames of a view, rendered and captured, are read on request.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -67,7 +67,7 @@ class ViewFrames:
         return replace(self, rendered=lambda index: change(original(index)))
 
     def with_truth(self, truth: FrameReader) -> "ViewFrames":
-        """The same renders beside another camera's frames."""
+        """The same renders with another camera's frames."""
         return replace(self, truth=truth)
 
     def moved(self, offset: int) -> "ViewFrames":
@@ -212,7 +212,7 @@ def find_identity(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
         cameras: captured frames of all cameras, the view's own among them.
 
     Returns:
-        What was found, and the view with it corrected.
+        Return the findings, and the view with them corrected.
     """
     instants = spread(view.frames, INSTANTS)
     upright = [structure(shrink(view.rendered(index))) for index in instants]
@@ -248,7 +248,7 @@ def _evaluate(
     camera, mirror = max(scores, key=lambda key: float(np.mean(scores[key])))
     best = np.array(scores[camera, mirror])
     ratios = (1 - best) / np.maximum(1 - own, 1e-6)
-    # Every instant has to agree: one that does not is a picture of its own.
+    # Every instant has to agree: one that does not is a different picture.
     ratio = float(ratios.max())
     if (camera, mirror) == (name, "as it is") or ratio > LIKELY_RATIO or best.min() < LEAST_CORRELATION:
         return [], view

@@ -160,7 +160,7 @@ def _unevenness(ours: Array32, theirs: Array32, motion: NDArray[np.float64]) -> 
 
 
 def _region_shift(ours: Array32, theirs: Array32, motion: NDArray[np.float64], ys: slice, xs: slice) -> list[float]:
-    """Shift that one region would add to the fit, by two steps of its own."""
+    """Shift that one region would add to the fit, by two further steps."""
     height, width = theirs.shape
     y, x = np.mgrid[ys, xs].astype(np.float32)
     map_x = x + motion[0] + motion[1] * (x - (width - 1) / 2) / (width / 2)
@@ -215,7 +215,7 @@ def shared_shift(shifts_px: Mapping[str, tuple[float, float]]) -> list[Finding]:
     scatter = float(np.abs(shifts - (x, y)).max())
     if max(abs(x), abs(y)) < LEAST_SHIFT_PX or scatter > VIEWS_SCATTER_PX:
         return []
-    measured = f"all {len(shifts)} views lie {x:+.2f} px right and {y:+.2f} px down, within {scatter:.2f} px"
+    measured = f"all {len(shifts)} views are {x:+.2f} px right and {y:+.2f} px down, within {scatter:.2f} px"
     values = {"shift_x_px": x, "shift_y_px": y, "scatter_px": scatter}
     return [Finding(name, "shift", "likely", measured, values, _shift_advice(x, y)) for name in shifts_px]
 
@@ -276,7 +276,7 @@ def _evaluate_shift(name: str, placed: list[Placement], factor: float) -> list[F
         return []
     whole = max(abs(2 * value - round(2 * value)) / 2 for value in (x, y))
     verdict = verdict_of(size > 0.5 - NEAR_HALF_PX and whole < NEAR_HALF_PX and uneven < EVEN * size)
-    measured = f"the whole picture lies {x:+.2f} px right and {y:+.2f} px down, parts of it deviate by {uneven:.2f} px"
+    measured = f"the whole picture is {x:+.2f} px right and {y:+.2f} px down, parts of it deviate by {uneven:.2f} px"
     values = {"shift_x_px": x, "shift_y_px": y, "unevenness_px": uneven}
     return [Finding(name, "shift", verdict, measured, values, _shift_advice(x, y))]
 

@@ -1,4 +1,4 @@
-"""The checks that every scoring carries: cheap ones of a burst of frames beside its truth; `examine` has all there are.
+"""Quick checks of every scoring, on a burst of frames next to the captured ones; `examine` has all checks.
 
 Channels in another order, rendered frames that show other instants than the captured ones (earlier, later or reversed), and every
 rendered frame once, as a stream: of another size, blank, or a repetition of the one before.
@@ -91,7 +91,7 @@ class QuickChecks:
     def check(self, rendered: FrameReader, frames: range) -> list[Finding]:
         """Find blank, repeated and mirrored frames, other instants, swapped channels, wrong tone and copies of the truth.
 
-        All but copies are looked for in one burst in the middle, at small size. What moves a picture by less than a pixel, and
+        All faults except copies are looked for in one burst in the middle, at small size. What moves a picture by less than a pixel, and
         whether it shows another camera, is left to `examine`.
 
         Args:
@@ -115,7 +115,7 @@ def check_sample(name: str, view: ViewFrames, count: int = SAMPLED_FRAMES) -> tu
     """Ask a burst of neighbouring instants when it is, in which order of channels, and by which tone curve.
 
     Returns:
-        What was found, and the view with time and channels corrected.
+        Return the findings, and the view with time and channels corrected.
     """
     sample = take_sample(view, count)
     shifted, view = find_offset(name, view, sample)
@@ -157,7 +157,7 @@ class _Timing:
 def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Finding], ViewFrames]:
     """Correlate the change over time of rendered and captured frames at every lag, forwards and backwards.
 
-    What is static is taken out by each pixel's mean over the instants, and with it most of what is wrong with a rendering;
+    Static content is removed by each pixel's mean over the instants, and with it most of what is wrong with a rendering;
     the gain of the motion, which blur lowers, does not matter either.
     """
     rendered, truth = _grey(sample.rendered), _grey(sample.truth)
@@ -238,7 +238,7 @@ class Scan:
 
 
 def scan_frames(name: str, view: ViewFrames) -> Scan:
-    """Look at all frames; those of the truth are read only beside suspicious ones and to know its usual change."""
+    """Check all frames; those of the truth are read only for suspicious ones and for its usual change."""
     blank: list[int] = []
     still: list[int] = []
     changes: list[float] = []

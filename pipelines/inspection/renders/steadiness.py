@@ -15,7 +15,7 @@ from ggvs_eval.metrics.time.temporal_variation import mtv, mtv2
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import MaskReader, Recomputed, mean_over_views, view_pairs
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
-OURS = "where no motion is between the two frames (Eq. 1)"
+OURS = "where nothing moves between the two frames (Eq. 1)"
 ALWAYS = "where no frame moves (one mask, as OR2's)"
 EVERYWHERE = "all pixels"
 SECOND = "all pixels, second differences"
@@ -106,7 +106,7 @@ def _warping_errors(name: str, view: ViewFrames) -> dict[str, float]:
 
 
 def steadiness_line(views: Mapping[str, ViewFrames]) -> str:
-    """Say how much renders change where the scene is static, how sharp they are, and whether blur may be why.
+    """State the change of renders in static areas, their sharpness, and whether blur can explain it.
 
     Args:
         views: name -> rendered and captured frames, of which a few neighbours are read.

@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.inspection.renders.identity import Sample
 # Levels are compared where nothing misplaced can mix them: pixels around which both pictures are flat, except for noise.
 SMOOTH_PX, FLAT_PX, FLAT_255 = 0.7, 5, 12.0
 BIN_255, FEWEST_PIXELS, FEWEST_BINS = 8, 40, 8
-# What is at the ends may have been cut off.
+# Values at the ends may have been clipped.
 LOWEST_255, HIGHEST_255 = 3.0, 252.0
 # Honest renders of several methods came out at powers of 0.99 to 1.01, in each channel; a power of 1.1 at 1.09 and more.
 LEAST_POWER, LARGEST_SPREAD = 1.05, 1.08
@@ -78,7 +78,7 @@ def of_all_views(found: Sequence[AnyTold], views: int) -> list[AnyTold]:
     """What was found in a method's views, without a likely tone curve that no more than half of them have.
 
     Reading:
-        Whoever writes frames by another curve writes all of them so. In one view it is the camera's: where one of a light field
+        A program that writes frames by another curve writes all of them so. In one view it is the camera's: where one of a light field
         differs, every method that blends the others looked as if its frames had been written with a gamma of 0.93.
     """
     likely = [one for one in found if one.question == QUESTION and one.verdict == "likely"]

@@ -1,4 +1,4 @@
-"""Depth of one camera from the images of its partners, by any matcher, frame by frame, and checked against that of others."""
+"""Depth of one camera from the images of its partners, by any matcher, frame by frame, and checked against other cameras."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -26,7 +26,7 @@ from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.pairwise import PairwiseEstimator, SharedMatches
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
-STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews what has changed by what stands here
+STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews changed parts by the functions of this module
 ERROR_PX = 0.5  # of pairs: estimates of two partners agree when disparity errors of this size explain their difference
 FLYING = 0.03  # a pixel flies when fewer than three neighbours are within this share of its depth
 SMOOTH, SMOOTH_RADIUS_PX = 0.03, 4  # depth is averaged over near neighbours that differ by about this share
@@ -83,7 +83,7 @@ class DepthOptions:
             "matcher": matcher,
             "filler": filler,
         }
-        del described["sensor"], described["consistency"]  # they have specs of their own
+        del described["sensor"], described["consistency"]  # they have their own specs
         return described
 
     def _code(self) -> str:
@@ -216,7 +216,7 @@ def _filled(known: DepthMap, options: DepthOptions) -> DepthMap:
 def check_depth(
     camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]], options: DepthOptions
 ) -> DepthMap:
-    """Check a camera's depth against that of the other sources of a view, and fill the rest by its guess or from the background.
+    """Check a camera's depth against the other sources of a view, and fill the rest by its guess or from the background.
 
     Args:
         depth_map: depth and confidence as they were found, (H, W).

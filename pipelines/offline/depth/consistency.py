@@ -14,7 +14,7 @@ from ggvs_eval.geometry.pinhole import as_image, rigid_between
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.kernels.portable import inverse, product, transformed
 
-# Besides what stands here: the fill of what is left, and `check_depth`, whose neighbours find depth and do not count.
+# Besides this module: the fill of what is left, and `check_depth`, whose neighbours find depth and do not count.
 FILL, CALLER = "ggvs_eval.pipelines.offline.stereo.fusion", "ggvs_eval.pipelines.offline.depth.camera_depth"
 CHUNK = 1 << 14  # points handled at a time: what they need stays in the processor's cache
 LEAST_SLOPE = np.float32(0.3)  # of depth along the other's rays: where they cross more steeply its error is a larger one here

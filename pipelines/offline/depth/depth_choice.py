@@ -24,7 +24,7 @@ FORMS = ("raft:CHECKPOINT", "itermvs:CHECKPOINT", "sgbm+raft", "sgbm+itermvs:CHE
 KEYFRAME_EVERY = 16  # instants, where instants depend on each other
 DEVICE = "device"  # in a record of depth
 ITERMVS, RAFT = built_in.NETWORK_MATCHERS[::-1]
-FILLER = re.compile(rf"\+(?=(?:{'|'.join(built_in.NETWORK_MATCHERS)})(?::|$))")  # stands before a filler's name
+FILLER = re.compile(rf"\+(?=(?:{'|'.join(built_in.NETWORK_MATCHERS)})(?::|$))")  # is before a filler's name
 
 
 def default_matcher() -> str:

@@ -19,7 +19,7 @@ CONTEXT_PX = 48  # what a matcher sees around the window that it computes again
 GRID_PX = 64  # windows start and end on multiples of it, so that their estimators can be kept
 MOST_CHANGED = 0.6  # of the image; beyond, a window saves nothing
 CHANGED = 0.02  # a pixel has changed when its blurred difference exceeds this share of the value range
-GROW_PX = 8  # what is this near to a changed pixel is computed again too
+GROW_PX = 8  # pixels this near to a changed one are recomputed too
 BLUR_SIGMA_PX = 1.5  # averages sensor noise away before pictures are compared
 
 

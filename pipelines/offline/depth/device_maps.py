@@ -1,6 +1,6 @@
 """Finish and cross-check of the depth of several cameras on a device, as `finish` and `check_depth` do on the CPU.
 
-Maps are stacks (K, H, W), 0 where depth is unknown. Whatever they hold, the same operations are launched, nothing is uploaded and
+Maps are stacks (K, H, W), 0 where depth is unknown. The same operations are launched for any values, nothing is uploaded and
 the host reads nothing, so that a GPU records them behind the network that found the depth. Sums differ from the CPU's in the last
 bits; of pixels that a comparison decides a few are decided otherwise.
 """

@@ -112,7 +112,7 @@ def plan_depth(
 
 
 def plan_rig_depth(capture: Capture, options: DepthOptions) -> tuple[DepthJob, ...]:
-    """Plan the depth of the cameras of a capture, matched with the others and checked against that of those it is matched with.
+    """Plan the depth of the cameras of a capture, matched with the others and checked against the cameras it is matched with.
 
     Returns:
         One job per camera that another can be matched with, in the order of the capture.
@@ -137,7 +137,7 @@ def without_unmatched(capture: Capture, options: DepthOptions) -> Capture:
 
 
 def _checked(job: DepthJob, jobs_by_source: Mapping[str, DepthJob], options: DepthOptions) -> DepthJob:
-    """A source's depth checked against that of the view's other sources; in the order of names, so that near targets share it."""
+    """Return a source's depth checked against the view's other sources; in the order of names, so that near targets share it."""
     others = tuple(jobs_by_source[name] for name in sorted(jobs_by_source) if name != job.camera_name)
     if not options.consistency or not others:
         return job

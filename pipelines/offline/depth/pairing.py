@@ -54,7 +54,7 @@ def choose_partners(
         candidates: cameras to choose from; `camera` itself is passed over.
         count: how many to choose at most; fewer come back where fewer can be matched.
         excluded: names that must not be chosen (the target of a leave-one-out run).
-        views: how many in all for a network that sees them at once: those after `count` may stand farther apart, and need no
+        views: total for a network that uses them at once: those after `count` can be farther apart, and need no
             common rectification, which wide pairs of near surfaces do not have.
     """
     passed_over = {camera.name, *excluded}
@@ -88,7 +88,7 @@ def _extend(
     *,
     rectified: bool,
 ) -> list[Partner]:
-    """Up to `count` partners, `chosen` first, each with the largest gain beside those before."""
+    """Up to `count` partners, `chosen` first, each with the largest gain after those before."""
     chosen, taken = list(chosen), {partner.camera.name for partner in chosen}
     left = [each for o in others if o.name not in taken and (each := _evaluate(camera, o, points, max_angle_rad)) is not None]
     while left and len(chosen) < count:

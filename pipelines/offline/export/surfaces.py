@@ -25,7 +25,7 @@ MOST_VOXELS = 512  # along the diagonal of the scene by default; more would be g
 TRUNCATION = 5.0  # voxels before and behind the surface over which it is averaged
 LEAST_CONFIDENCE = 0.3  # filled pixels have less, and with four partners those that one alone believes in
 FEWEST_TRIANGLES = 50  # of a connected part of the mesh; with fewer it is debris
-SAMPLES = 20_000  # points of a camera that tell how large the scene is
+SAMPLES = 20_000  # points of a camera that determine the scene's size
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,7 +74,7 @@ class IterMvsRig:
     Reading:
         The network counts whole pixels: the middle of the first one is at 0, and feature j of a level is on pixel j * 2^level.
         Images are stretched to sides that are multiples of 32, each camera's to its own. Where sizes differ within a rig, each
-        map is a batch of its own.
+        map is a separate batch.
     """
 
     def __init__(self, options: IterMvs, finish: Finish | None = None) -> None:

@@ -4,7 +4,7 @@ A recurrent state per pixel encodes the distribution of its inverse depth. Each 
 the partners' at a few depths around the present one, at three sizes, and updates the state by what it finds. Names of modules are
 those of the published checkpoints.
 
-K cameras are one batch: B is K, or K N where the N hypotheses of a pixel are computed as images of their own. A forward pass
+K cameras are one batch: B is K, or K N where the N hypotheses of a pixel are computed as separate images. A forward pass
 allocates and launches the same regardless of the values, and never waits for the device: it can be recorded in a CUDA graph.
 """
 
@@ -22,7 +22,7 @@ HIDDEN_WIDTH = 32
 FIRST_DEPTHS = 32  # hypotheses of the initialisation, at an eighth of the size
 BINS, BIN_RADIUS = 256, 4  # of the distribution over inverse depth; its mean is taken around its mode
 OFFSETS = ((-2, -2 / 3, 2 / 3, 2), (-8, -8 / 3, 8 / 3, 8), (-32, 32))  # hypotheses around the present depth, bins, per level
-NEAREST_SHARE = 1e-2  # of the near depth: what is nearer to a partner, or behind it, it does not see
+NEAREST_SHARE = 1e-2  # of the near depth: what is nearer to a partner, or behind it, is invisible to it
 
 Features = Sequence[Tensor]  # (B, C, H / s, W / s) at s = 2, 4, 8
 
@@ -81,7 +81,7 @@ class Convolution(nn.Module):
 
 
 class ResidualBlock(nn.Module):
-    """Two normalised convolutions beside a shortcut, which is strided where they are."""
+    """Two normalised convolutions with a shortcut, which is strided where they are."""
 
     def __init__(self, width_in: int, width: int, stride: int) -> None:
         super().__init__()
@@ -315,7 +315,7 @@ class IterMvsNetwork(nn.Module):
         """Depth of K cameras.
 
         Args:
-            pictures: all of one size in one tensor, which `views.members` index; or, of sizes of their own, one tensor of the
+            pictures: all of one size in one tensor, which `views.members` index; or, of different sizes, one tensor of the
                 cameras' and one of each partner's. (P, H, W, 3), RGB uint8, sides multiples of 32. Features of each are
                 computed once.
             views: the cameras and at least one partner of each.

@@ -1,4 +1,4 @@
-"""IterMVS as a choice: its weights and where they lie, its options; importing it does not import torch."""
+"""IterMVS as a choice: its weights and their place, its options; importing it does not import torch."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -111,7 +111,7 @@ def _confirmation(score: Map) -> Map:
 
 
 DISTANCE_SCALE_PX = 1.5  # a pixel of the window this far from its middle counts half
-HIDDEN_PX = 1.5  # of parallax; what is this much nearer hides
+HIDDEN_PX = 1.5  # of parallax; a surface this much nearer occludes
 HIDDEN_WEIGHT = 0.05  # of a partner that should not see a point: little, but all there is where all are hidden
 MEDIAN_TOLERANCE = 5.0  # planes; what is as near to the median of its surroundings stays
 
@@ -206,7 +206,7 @@ class SweepLevel:
         )
 
     def _ranges(self, prior: Map | None) -> NDArray[np.int32]:
-        """The planes worth a look in each tile of the kernel: around those of the prior in it and in the eight beside it."""
+        """Select the planes of each tile of the kernel: around those of the prior in it and its eight neighbours."""
         from ggvs_eval.kernels import _stereo
 
         columns, rows = _stereo.TILE_SIZE

@@ -1,4 +1,4 @@
-"""The parameters of a plane sweep, and where its planes lie."""
+"""The parameters of a plane sweep, and the spacing of its planes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from ggvs_eval.camera import Camera
 
 BLOCK = 32  # planes come in multiples of it, as the kernels want them
 SMALLEST_DENOMINATOR = 0.1  # nearer to a partner's centre nothing is matched; the kernels' number
-SAMPLED_PX = 8  # parallax is sampled at every so many pixels
+SAMPLED_PX = 8  # pixels between samples of parallax
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class PlaneSweep:
         noise: variance of grey values that is no texture.
         small_step: penalty of a step of one plane between neighbours, in units of the cost.
         large_step: penalty of a larger step, on a surface of one grey.
-        edge_grey: where neighbours differ by so many grey values, a larger step costs half of that.
+        edge_grey: difference of grey values of neighbours at which a larger step costs half.
         smallest_px: the image is halved until its longer side is at most this.
         search_planes: how far around what the smaller image found planes are looked at.
         median_radius_px: depth edges are moved to those of the image by a median over windows of this radius; 0 leaves them.
-        median_colour: in that median, a pixel's weight falls by e for so many grey values of difference.
+        median_colour: in that median, a pixel's weight falls by e for this difference of grey values.
         refinements: Gauss-Newton steps on the images, which find the fraction of a plane.
     """
 

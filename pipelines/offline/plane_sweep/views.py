@@ -1,6 +1,6 @@
 """Partners as the plane sweep sees them: turned to the reference's axes, so that a plane of constant depth scales and shifts.
 
-The planes face the reference camera and are evenly in inverse depth. A partner's image is resampled once, as a camera at the
+The planes face the reference camera and are evenly spaced in inverse depth. A partner's image is resampled once, as a camera at the
 partner's centre with the reference's orientation and focal lengths would have seen it; from then on each plane moves it by a
 scale and a shift only.
 """
@@ -25,7 +25,7 @@ class PartnerView:
     ``((column, row) + start + slope * w) / (1 - along * w) + origin``.
 
     Attributes:
-        positions: where each pixel of the turned image is in the partner's, (Hv, Wv, 2), array indices.
+        positions: position of each pixel of the turned image in the partner's, (Hv, Wv, 2), array indices.
         first: first column of each row whose window is inside the partner's image, (Hv,) float32.
         last: the last one, less than the first where there is none, (Hv,) float32.
         start: see above, pixels.

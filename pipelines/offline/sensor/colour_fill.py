@@ -13,7 +13,7 @@ STRENGTH = 900.0  # lambda, weight of smoothness next to that of measured depth;
 LEVELS = 4.0  # difference of colours, of 255, across which smoothness counts for 1 / e
 ROUNDS = 3  # passes along rows and columns
 JUMP = 0.05  # neighbours whose depths differ by more than this share of the nearer one are an edge of depth ...
-EDGE_PX = 2  # ... and what is this near to it is filled anew: sensors see edges a little beside those of colours
+EDGE_PX = 2  # ... and pixels this near to it are filled anew: sensors measure edges slightly off those of colours
 CONFIDENCE = 0.02  # of filled pixels
 
 
@@ -52,7 +52,7 @@ def fill_by_colour(depth_map: DepthMap, image: Image8) -> DepthMap:
 
 
 def beside_jumps(depth: Map) -> Mask:
-    """Mask what is near to an edge between known depths, (H, W)."""
+    """Mask pixels near an edge between known depths, (H, W)."""
     neighbours, reach = np.ones((3, 3), np.uint8), 2 * EDGE_PX + 1
     farthest = cv2.dilate(depth, neighbours)
     nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), neighbours)

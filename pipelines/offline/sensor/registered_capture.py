@@ -9,7 +9,7 @@ from ggvs_eval.pipelines.offline.sensor.registration import with_registration
 from ggvs_eval.pipelines.offline.sensor.registration_estimate import Displacement, measure_registration
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName
 
-SEQUENCE_LAYOUT = "rgbd"  # frames of one camera and one sensor; of a rig every camera has a sensor of its own
+SEQUENCE_LAYOUT = "rgbd"  # frames of one camera and one sensor; of a rig every camera has its own sensor
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ class Registration:
     """Registration of a sensor's depth with its colour; zeros and a scale of 1 leave it as it is.
 
     Attributes:
-        right: depth belongs this far to the right of where it lies, image widths.
+        right: depth belongs this far to the right of its place, image widths.
         down: and this far down, image widths.
         roll_rad: and turned by this much about the principal point, from right to down.
         delay_frames: depth was measured this many frames after its colour was taken.
@@ -80,7 +80,7 @@ class RegisteredDepth:
     Attributes:
         source: as it was given.
         camera: the colour camera, at any size.
-        registration: what brings it to its colour.
+        registration: that aligns it with its colour.
         taken_at: world_to_camera when the depth was measured, (4, 4).
     """
 

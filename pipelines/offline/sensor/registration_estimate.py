@@ -106,7 +106,7 @@ def _view(capture: Capture, index: int) -> View:
     return View(camera, image, np.asarray(detail, np.float32), read_depth(capture, index))
 
 
-# The background is farther by this share, the foreground's own depth differs by less within so many pixels of its edge.
+# The background is farther by this share, the foreground's own depth differs by less within N pixels of its edge.
 STEP, SMOOTH, INSIDE_PX = 0.06, 0.03, 3
 # Sensors lose the pixels between two surfaces: holes up to this share of the image's width are looked across.
 HOLE = 0.025
@@ -120,7 +120,7 @@ class DepthEdges:
 
     Attributes:
         uv: on the border of the last pixel of the near surface, pixels, (N, 2).
-        upright: whether the edge runs up and down, the far surface beside it; else it is below or above, (N,).
+        upright: whether the edge runs up and down, the far surface left or right of it; else it is below or above, (N,).
         depth: of the near surface, (N,).
     """
 
@@ -129,7 +129,7 @@ class DepthEdges:
     depth: Array
 
     def thinned(self, most: int) -> "DepthEdges":
-        """At most so many of them, evenly chosen."""
+        """At most N of them, evenly chosen."""
         if len(self.uv) <= most:
             return self
         chosen = np.linspace(0, len(self.uv) - 1, most).round().astype(np.intp)
@@ -179,7 +179,7 @@ def edge_response(image: Image8, sigma_px: float) -> tuple[NDArray[np.float32], 
 def responses_at(
     response: tuple[NDArray[np.float32], NDArray[np.float32]], upright: NDArray[np.bool_], uv: Array
 ) -> NDArray[np.float32]:
-    """The response of colour to upright and lying edges at uv, (N,).
+    """The response of colour to vertical and horizontal edges at uv, (N,).
 
     Cubic interpolation: a linear one is blunt between pixels, which would draw edges to pixels' centres.
     """
@@ -211,13 +211,13 @@ class Displacement:
     """Displacement of sensor depth from its colour.
 
     Attributes:
-        registration: what would mend it, whether it is believed or not.
+        registration: correction, significant or not.
         applied: what is believed of that.
         displacement_px: root mean square over the edges, of images `width_px` wide.
         error_px: standard error of that, from blocks of frames.
         response: of colour at the edges of depth, 0..1, as given and corrected.
         scale_error: standard error of the scale.
-        frame_px: rms of the offsets of single frames about the common one; what no common registration mends.
+        frame_px: rms of the offsets of single frames about the common one; which no common registration corrects.
         psnr_db: of neighbouring frames warped by the depth as given and by `applied`; NaN without pairs.
     """
 
@@ -243,7 +243,7 @@ class _Edges:
         upright: whether they run up and down, (N,).
         frame: number of the frame of each, (N,).
         motion: where each goes per unit of the parameters, (N, 2, 4).
-        responses: at each smoothing, of upright and lying edges, frames one below the other, (F H, W) each.
+        responses: at each smoothing, of vertical and horizontal edges, frames one below the other, (F H, W) each.
         height: of a frame, pixels.
     """
 
@@ -274,14 +274,14 @@ class _Edges:
 
 
 def measure_registration(capture: Capture, chosen: Sequence[int] | None = None) -> Displacement | None:
-    """Measure how far the depth of a sequence is off its colour, and the registration that mends it.
+    """Measure the misregistration of depth and colour of a sequence, and its correction.
 
     Args:
         capture: frames of one moving camera before a still scene, each with depth.
         chosen: which of them to look at; 16 evenly spaced ones when None.
 
     Returns:
-        None where there is no depth, or too few edges to tell.
+        None where there is no depth, or too few edges.
 
     Reading:
         Where a near surface ends before a far one, colour has an edge too. The offset, roll and delay are those under which the
@@ -357,7 +357,7 @@ def _gather(capture: Capture, chosen: Sequence[int]) -> _Edges:
 
 
 def _motion_per_frame(cameras: tuple[Camera, ...], index: int, edges: DepthEdges) -> Array:
-    """Return where edges that were measured a frame later belong, less where they lie, pixels, (N, 2)."""
+    """Return the displacement of edges that were measured a frame later to their place, pixels, (N, 2)."""
     camera = cameras[index]
     ways = []
     for frames in (-0.5, 0.5):
@@ -410,7 +410,7 @@ def _standard_error(values: Sequence[float]) -> float:
 
 
 def _frame_scatter_px(edges: _Edges, values: Array, n_frames: int) -> float:
-    """Median length of the offsets that single frames want beside the common registration."""
+    """Median length of the offsets of single frames in addition to the common registration."""
     moved = replace(edges, uv=edges.uv + edges.motion @ values)
     singles = [single for single in (moved.of([number]) for number in range(n_frames)) if len(single.uv) >= FEWEST_EDGES]
     rest = [float(np.hypot(*_refined(single, np.zeros(4), 2)[:2])) for single in singles]

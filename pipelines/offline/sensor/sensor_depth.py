@@ -33,7 +33,7 @@ OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))  # rows down and columns right to o
 
 
 class SensorDepthEstimator:
-    """Depth of one camera from the sensor beside it, frame by frame, as `DepthEstimator` for stereo."""
+    """Depth of one camera from the sensor next to it, frame by frame, as `DepthEstimator` for stereo."""
 
     def __init__(self, camera: Camera, source: DepthSource) -> None:
         self.camera = camera
@@ -56,7 +56,7 @@ class SensorDepthEstimator:
         return filter_sensor_depth(next(iter(self.source.depths(frame, frame + 1))), image, self.camera)
 
     def describe(self) -> dict[str, object]:
-        """Describe what the depth depends on beside camera and images: the options of `describe_depth`."""
+        """Describe what the depth depends on besides camera and images: the options of `describe_depth`."""
         described = {**describe_filter(), "sensor": self.source.digest}
         if isinstance(self.source, RegisteredDepth):
             described["registration"] = asdict(self.source.registration)
@@ -69,7 +69,7 @@ def describe_filter() -> dict[str, object]:
 
 
 def filter_sensor_depth(depth: Map, image: Image8, camera: Camera) -> DepthMap:
-    """Remove mixed pixels and speckles from the depth that a sensor measured, and bring it to the camera's size.
+    """Remove mixed pixels and speckles from the depth that a sensor measured, and resample it to the camera's size.
 
     Args:
         depth: z as measured, world units, 0 or not finite = unknown, (h, w): the camera's view at any size.
@@ -104,7 +104,7 @@ def filter_sensor_depth(depth: Map, image: Image8, camera: Camera) -> DepthMap:
 
 
 def drop_mixed_pixels(depth: Map, step: float) -> Map:
-    """Invalidate pixels that stand between a nearer and a farther neighbour, and those that stand alone.
+    """Invalidate pixels between a nearer and a farther neighbour, and isolated ones.
 
     Args:
         depth: (H, W), 0 = unknown.
@@ -135,7 +135,7 @@ def drop_speckles(depth: Map, speckle_px: int, step: float) -> Map:
 
 
 def surface_confidence(depth: Map, camera: Camera, edge_px: float, step: float) -> Map:
-    """Trust in measured depth from where it lies: away from edges, facing the camera, near, (H, W) in [0, 1], 0 = unknown.
+    """Return the trust in measured depth by its place: away from edges, facing the camera, near, (H, W) in [0, 1], 0 = unknown.
 
     Args:
         depth: (H, W), 0 = unknown.

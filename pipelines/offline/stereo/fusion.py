@@ -46,7 +46,7 @@ def _fuse_rows(depths: Map, confidences: Map, disparities: Map, error_px: float,
 
 
 def drop_flying_pixels(depth: Map, share: float) -> Map:
-    """Invalidate pixels that stand alone between two surfaces.
+    """Invalidate isolated pixels between two surfaces.
 
     Args:
         depth: (H, W), 0 = invalid.

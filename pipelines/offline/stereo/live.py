@@ -88,7 +88,7 @@ class SharedPair:
 class RigEstimator:
     """Depth of several cameras at once; everything that does not depend on the images is prepared once.
 
-    Whatever cameras are asked for together, each has the same depth to the last bit: a pair is always matched in the order of its
+    Each camera has the same depth to the last bit in any selection of cameras: a pair is always matched in the order of its
     cameras' names, or where it cannot be rectified so the other way round; a partner with which neither goes has no opinion.
 
     Args:
@@ -169,7 +169,7 @@ class LiveEstimator:
 
 
 def enlarge(small: DepthMap, small_image: Image8, image: Image8) -> DepthMap:
-    """Bring depth to the size of the image that it is of: edge-aware upsampling.
+    """Upsample depth to the size of its image, aware of edges.
 
     A pixel takes the depth of that of the four nearest small pixels whose colour is most like its own, so that depth ends where
     the image's edges are, and is interpolated within surfaces only.

@@ -22,7 +22,7 @@ class PairwiseEstimator:
     Args:
         partners: those that cannot be rectified with the camera have no opinion.
         error_px: estimates of two partners agree when disparity errors of this size explain their difference.
-        warm: tell the matcher of each pair what it found at the call before; the calls must then be consecutive instants.
+        warm: give the matcher of each pair its previous result; the calls must then be consecutive instants.
         shared: what was found of this instant and camera, by other estimators too; anyone who fills it empties it for the next one.
     """
 

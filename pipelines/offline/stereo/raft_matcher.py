@@ -4,8 +4,8 @@ From zero, RAFT-Stereo walks the whole disparity in small steps; from a guess th
 with few iterations is left with what matching cannot do.
 
 Small images and what the network starts from are made by OpenCV on the CPU. Network, left-right check and refinement compute
-where the matcher does: on a GPU a pair and its mirror image in one batch without a word from the host, and one download brings
-disparity and confidence back; on the CPU each in a separate thread.
+where the matcher does: on a GPU a pair and its mirror image in one batch without waiting for the host, and one download returns
+disparity and confidence; on the CPU each in a separate thread.
 """
 
 import hashlib

@@ -160,5 +160,5 @@ class RaftStereo(nn.Module):
     def walk(
         self, of_left: Tensor, of_right: Tensor, states: list[tuple[Tensor, Tensor]], iterations: int, initial: Tensor | None
     ) -> tuple[list[Tensor], Tensor]:
-        """Flow in cells after each iteration, and the weights that bring the last one to full size, see `raft_update.walk`."""
+        """Flow in cells after each iteration, and the weights that enlarge the last one to full size, see `raft_update.walk`."""
         return walk(self.update_block, self.context_zqr_convs, of_left, of_right, states, iterations, initial, self.volume_bytes)
