@@ -1,4 +1,4 @@
-"""No-reference metrics of the authors' result clips: their method beside each baseline, and the floor that the codec sets.
+"""No-reference metrics of the authors' result clips: their method next to each baseline, and the floor that the codec sets.
 
 ``python -m benchmarks.author_clips FOLDER [--colmap] [--out out/author_clips.json]``
 
@@ -7,7 +7,7 @@ FOLDER holds the clips of the paper's project page (github.com/nkhan2/nkhan2.git
 baseline in its left half and the paper's method in its right one, along one moving camera. A clip that has been measured is not
 measured again. `--colmap` adds one run of COLMAP per data set and method, and one with the views shuffled.
 
-The same frames of the paper's method stand in the clips of all three baselines, encoded three times: what a metric differs by
+The same frames of the paper's method are in the clips of all three baselines, encoded three times: what a metric differs by
 between them is the codec's.
 """
 
@@ -29,7 +29,7 @@ from ggvs_eval.metrics.series_scores import mean_values, score_frames
 from ggvs_eval.run_folder import read_json, write_json
 
 PATTERN = re.compile(r"(?P<dataset>dynerf|enerf|d3dmv)_(?P<sequence>.+)_(?P<baseline>enerf|gpsg|ibrnet)_vs_ours\.mp4")
-LABEL_ROWS = 40  # the names of the methods stand in the upper corners, in rows 5 to 38
+LABEL_ROWS = 40  # the names of the methods are in the upper corners, in rows 5 to 38
 COLMAP_VIEWS = 30  # evenly spaced frames of each half
 LEAST_FRAMES = 3  # of a second difference
 OURS, SHUFFLED = "ours", "ours, shuffled"
@@ -87,7 +87,7 @@ def measure(folder: Path, out: Path, *, with_colmap: bool = False) -> dict[str, 
     Args:
         folder: see above.
         out: JSON file: ``clips`` (file -> what it shows, digest, metric -> value of each half), ``colmap`` (data set -> method ->
-            values); a clip that stands in it with the same digest is kept.
+            values); a clip that is in it with the same digest is kept.
         with_colmap: also the COLMAP consistency of the first sequence of each data set.
 
     Raises:

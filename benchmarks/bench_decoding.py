@@ -73,7 +73,7 @@ def _resize_ms() -> float:
 
 
 def _peak_mb(path: Path) -> float:
-    """Largest resident memory of a process of its own that decodes the whole video."""
+    """Largest resident memory of a separate process that decodes the whole video."""
     command = [sys.executable, "-m", "benchmarks.bench_decoding", str(path)]
     return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 

@@ -190,7 +190,7 @@ def camera_at(x: float, y: float) -> Camera:
 
 
 def look(camera: Camera, texture: NDArray[np.float32]) -> Image8:
-    """Render the view of a camera, RGB, (H, W, 3); texture lies over x + z and y + z, which no surface is parallel to."""
+    """Render the view of a camera, RGB, (H, W, 3); texture depends on x + z and y + z, which no surface is parallel to."""
     rays, centre = camera.rays(), camera.centre
     with np.errstate(divide="ignore", invalid="ignore"):
         floor = (FLOOR - centre[1]) / rays[..., 1]

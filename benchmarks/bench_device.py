@@ -1,7 +1,7 @@
 """Seconds per frame of networks on the CPU and on a GPU: ``python -m benchmarks.bench_device --device cuda``.
 
 Both are timed in one run, on frames of the same curved wall before cameras in a row: medians after warm-up, the whole step with
-uploads and downloads. The last column tells how far the pictures differ. IBRNet on the CPU sees a quarter of the pixels.
+uploads and downloads. The last column is the difference of the pictures. IBRNet on the CPU sees a quarter of the pixels.
 """
 
 import argparse

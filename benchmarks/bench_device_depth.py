@@ -205,7 +205,7 @@ def _time_chain(options: IterMvs, rig: Rig) -> dict[str, Any]:
 
 
 def _one_by_one(options: IterMvs, rig: Rig) -> list[Tensor]:
-    """Depth of the first maps, each by an estimate of its own."""
+    """Depth of the first maps, each by a separate estimate."""
     chosen = rig.matched()[:CHECKED_MAPS]
     views = [([rig.cameras[index] for index in each], [rig.images[index] for index in each]) for each in chosen]
     return [IterMvsRig(options).estimate(cameras, [range(len(cameras))], images)[0][0] for cameras, images in views]

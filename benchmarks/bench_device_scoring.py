@@ -37,7 +37,7 @@ def print_scoring(size: tuple[int, int], device: str) -> dict[str, Any]:
     device = "cpu:0" if device == "cpu" else device  # the way of a device, not the CPU's own
     frames = _frames(*size, WARM_UP + TIMED)
     metrics = EIGHT if find_spec("pyrtools") else tuple(name for name in EIGHT if name != "STED")
-    title = "all eight" if metrics == EIGHT else "all but STED"
+    title = "all eight" if metrics == EIGHT else "all except STED"
     with _lpips_weights() as genuine:
         compared = metrics if genuine else tuple(name for name in metrics if name != "LPIPS")
         difference = _largest_difference(frames[:2], compared, device)
@@ -46,7 +46,7 @@ def print_scoring(size: tuple[int, int], device: str) -> dict[str, Any]:
     verdict = "as the CPU scores it" if difference <= LEAST_CLOSE else "NOT AS THE CPU SCORES IT"
     print(f"\nscoring, {size[0]}x{size[1]}\n  {verdict}: values differ by at most {difference:.1e} of themselves")
     if metrics != EIGHT:
-        print("  STED not computed: no pyrtools here; bring its wheel")
+        print("  STED not computed: pyrtools is missing; install its wheel")
     if not genuine:
         print("  LPIPS by random weights: its time is right, its value is not compared")
     for name, milliseconds in figures.items():

@@ -2,7 +2,7 @@
 
 In this order. Does the device render what the CPU renders, and twice the same? How long does a step take, by events of the GPU,
 played from its recording, median and 95th percentile of warm frames; from arrays to a picture by the host's clock; where the
-target moves at every step; and until a new recording stands? Which kernels is it made of, how long does each take beside the time
+target moves at every step; and until a new recording is ready? Which kernels is it made of, how long does each take next to the time
 in which its arrays could be moved once, and how long does the GPU wait between them? Learned depth follows
 (`bench_device_depth`). The command needs CUDA's torch, numpy, OpenCV, safetensors, pybind11, a C++ compiler and Warp, and no
 network; ``--device cpu --shrink 8`` tries it by Warp's CPU device, whose times mean nothing.
@@ -290,7 +290,7 @@ def main() -> None:
         _write(options.json, record)
     rendered = min(figure["check"]["within_a_level"] for figure in figures.values()) >= LEAST_SHARE
     if not options.step_alone:
-        from benchmarks.bench_device_scoring import LEAST_CLOSE, print_scoring  # of metrics, which have kernels of their own
+        from benchmarks.bench_device_scoring import LEAST_CLOSE, print_scoring  # of metrics, which have their own kernels
 
         depth = record["depth"] = measure_depth(str(device), options.shrink)
         _write(options.json, record)

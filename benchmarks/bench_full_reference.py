@@ -1,7 +1,7 @@
-"""Cost of the further full-reference metrics on frames of the paper's size; IV-PSNR beside the same definition in numpy.
+"""Cost of the further full-reference metrics on frames of the paper's size; IV-PSNR against the same definition in numpy.
 
 ``python -m benchmarks.bench_full_reference``. The fastest call counts; a metric of whole videos is measured on `VIDEO_FRAMES`.
-Beside the time by the clock stands that of the cores, which other programs on the machine disturb less. What is not installed is
+Next to the wall time is that of the cores, which other programs on the machine disturb less. What is not installed is
 left out and named.
 """
 

@@ -22,7 +22,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.geometry import fusion_weights, ray_march, splat
 from ggvs_eval.method import SourceView
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the twins live beside the tests they define
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the twins are next to the tests that they define
 
 WIDTH, HEIGHT, FOCAL, VIEWS = 1352, 1014, 730.0, 4
 TAU, DEPTH_NOISE, VOXEL, NEAR = 0.02, 0.001, 0.006, 0.2  # metres

@@ -1,6 +1,6 @@
 """Time and memory of the metrics on frames of the paper's size, against scikit-image and scikit-video.
 
-``python -m benchmarks.bench_metrics``. Whoever is compared is timed by turns in one run, and the fastest call counts.
+``python -m benchmarks.bench_metrics``. The compared functions are timed by turns in one run, and the fastest call counts.
 """
 
 import json
@@ -145,7 +145,7 @@ def _two_methods_ms() -> float:
 
 
 def _lpips_figures(width: int, height: int) -> dict[str, Figure]:
-    """LPIPS of two frames by the compiled kernel, beside the same by torch."""
+    """LPIPS of two frames by the compiled kernel and by torch."""
     rendered, truth = (cv2.resize(frame, (width, height)) for frame in _frame_pair())
     ours_ms, peer_ms = np.inf, np.inf
     for _ in range(3):

@@ -1,6 +1,6 @@
 """Cost of the metrics without truth on frames of the paper's size.
 
-``python -m benchmarks.bench_no_reference``. The fastest call counts; beside the time by the clock stands that of the cores, which
+``python -m benchmarks.bench_no_reference``. The fastest call counts; next to the wall time is that of the cores, which
 other programs on the machine disturb less. COLMAP's is of a path of `VIEWS` views, per view.
 """
 

@@ -1,7 +1,7 @@
 """The whole online step, stage by stage, decoding excluded: ``python -m benchmarks.bench_online``.
 
 At 1352 x 1014 with K = 4, and at 640 x 360 with K = 2, where it should keep up with a slow camera. The learned blender is
-measured alone at the full size, in CPU time, beside the torch code that training uses for the same picture.
+measured alone at the full size, in CPU time, next to the torch code that training uses for the same picture.
 """
 
 from collections.abc import Callable

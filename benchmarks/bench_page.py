@@ -25,7 +25,7 @@ WIDTH, HEIGHT = 480, 360
 REPEATS = 5
 OPEN_MS, SWITCH_MS = 1000.0, 100.0  # targets: what is felt as one go, and as at once
 Figure = dict[str, Any]
-# Runs before the page's own script: notes when the first picture of the viewer stands on the screen.
+# Runs before the page's own script: notes when the first picture of the viewer is displayed.
 WATCH = """
 document.addEventListener("load", (event) => {
   if (event.target.closest?.(".stage")) requestAnimationFrame(() => { window.firstPictureMs ??= performance.now(); });
@@ -54,7 +54,7 @@ def measure() -> dict[str, Figure]:
 
 
 def measure_page(key: str, page: Path) -> dict[str, Figure]:
-    """Least of `REPEATS` in a browser of its own, whose first opening warms it up; times by the clock, and of its main thread."""
+    """Least of `REPEATS` in a separate browser, whose first opening warms it up; times by the clock, and of its main thread."""
     with tempfile.TemporaryDirectory() as profile, open_browser(Path(profile)) as browser:
         browser.driven.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": WATCH})
         browser.driven.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})

@@ -6,7 +6,7 @@ of arithmetic, or its bytes at the measured peak of memory, whichever is longer;
 
 Reading:
     Bytes are those of arguments and results, each moved once. Operations are those carried out, lanes that mean nothing included:
-    counts per Gaussian, ray or pixel stand in `OPERATIONS`, of which those of splat and march were counted in this scene.
+    counts per Gaussian, ray or pixel are in `OPERATIONS`, of which those of splat and march were counted in this scene.
 """
 
 from collections import defaultdict
@@ -82,7 +82,7 @@ class Call:
 
 @dataclass
 class _Recorder:
-    """Stands in for the compiled module and keeps what it is asked for."""
+    """Replacement of the compiled module that records its calls."""
 
     calls: list[Call] = field(default_factory=list)
 
@@ -99,7 +99,7 @@ class _Recorder:
 
 
 def measure() -> dict[str, dict[str, Any]]:
-    """Processor time of each kernel of a step, its share of its roof, AVX2 beside AVX-512, and the step's memory."""
+    """Processor time of each kernel of a step, its share of its roof, AVX2 and AVX-512, and the step's memory."""
     arithmetic, memory = peak_operations(), peak_bytes()
     figures = {
         "roofline_peak_arithmetic": _one(arithmetic / 1e9, "GFLOP/s", higher=True),

@@ -1,7 +1,7 @@
 """The live viewer over the wire: pictures per second while the camera is dragged, and how soon a jump of the camera shows.
 
 `python -m benchmarks.bench_view CAPTURE|RUN` speaks with the server as a browser does, by websocket, and draws nothing: the
-browser of anyone who looks has cores of its own.
+browser of anyone who looks has its own cores.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Estimated scores of perfect renderings beside the real ones, of rooms that are filmed twice and coded.
+"""Estimated scores of perfect renderings and the real ones, of rooms that are filmed twice and coded.
 
     python -m benchmarks.ceiling_accuracy [--seeds 11 12 13] [--crfs 0 12 23] [--sigmas 0.5 1 2 4]
 

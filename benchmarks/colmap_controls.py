@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.colmap_controls RUN [--every 2] [--out out/colmap_controls.json]``
 RUN is a scored run whose capture has true images along the path, as the demo's. The true path is spoilt in ways that a measure
-without truth might like; the methods of the run stand below.
+without truth might like; the methods of the run are below.
 """
 
 import argparse
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print one line per control and method, and write them all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path)
-    parser.add_argument("--every", type=int, default=2, help="take every so many poses")
+    parser.add_argument("--every", type=int, default=2, help="use every Nth pose")
     parser.add_argument("--out", type=Path, default=Path("out/colmap_controls.json"))
     options = parser.parse_args(arguments)
     try:

@@ -41,7 +41,7 @@ from helpers.fuzz import (  # type: ignore[import-not-found]
 )
 from helpers.render_folders import make_run  # type: ignore[import-not-found]
 
-LONGEST_S = 60.0  # on a machine that has other work; the largest is told
+LONGEST_S = 60.0  # on a machine that has other work; the largest is reported
 GRACE_S = 20.0  # after that a process which did not stop itself is killed
 START_S = 240.0  # of a process: its imports and its valid input, on a machine that has other work
 LARGEST_KIB = 2_000_000_000 // 1024
@@ -133,7 +133,7 @@ def listen(process: subprocess.Popen[bytes]) -> tuple[list[Outcome], str]:
 
 
 def work(kind: str, seed: int, numbers: range) -> None:
-    """Read inputs of one kind and tell of each in a line; runs in a separate process."""
+    """Read inputs of one kind and report each in a line; runs in a separate process."""
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_BYTES, ADDRESS_BYTES))
     signal.signal(signal.SIGALRM, _too_long)
     group, _, name = kind.partition("/")

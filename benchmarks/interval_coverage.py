@@ -66,7 +66,7 @@ def heavy(generator: Generator, count: int, frames: int, correlation: float) -> 
 
 
 def frame_noise(generator: Generator, count: int, frames: int, correlation: float) -> Array:
-    """Half of the variance correlated, half noise of each frame: longer memory than the lag-1 correlation tells."""
+    """Half of the variance correlated, half noise of each frame: longer memory than the lag-1 correlation shows."""
     return (autoregressive(generator, count, frames, correlation) + generator.standard_normal((count, frames))) / np.sqrt(2.0)
 
 
@@ -190,7 +190,7 @@ def scene(values: Array, pool: Pool, squares: bool = False) -> PooledScene:
 
 
 def rig(generator: Generator, views: int, frames: int, correlation: float, heavy_tails: bool) -> Array:
-    """Errors of views that see the same instant: half of the variance in common; with nine, views differ beside."""
+    """Errors of views that see the same instant: half of the variance in common; with nine, views also differ."""
     common = autoregressive(generator, 1, frames, correlation, heavy_tails)
     own = autoregressive(generator, views, frames, correlation, heavy_tails)
     of_view = 0.5 * generator.standard_normal((views, 1)) if views > 4 else 0.0

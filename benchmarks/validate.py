@@ -1,4 +1,4 @@
-"""``make validate``: the heavier proofs, on real input where it lies beside the checkout and on the demo capture.
+"""``make validate``: the heavier proofs, on real input if it is next to the checkout and on the demo capture.
 
 Prints tables and writes out/validate.json: name -> value, unit, target, direction, command, and the peer where there is one with
 the ratio by which we are better.
@@ -119,7 +119,7 @@ def _means(results: Results) -> pd.DataFrame:
 
 
 def _compared(data: str, means: pd.DataFrame, targets: Targets, ours: tuple[str, str], peer: tuple[str, str]) -> Figures:
-    """Figures of one method against one peer; without a target of its own, the peer's value is the target."""
+    """Figures of one method against one peer; without a target, the peer's value is the target."""
     figures = {}
     for metric, (target, higher) in targets.items():
         if metric not in means.columns:

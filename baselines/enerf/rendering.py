@@ -22,7 +22,7 @@ SMALLEST_VARIANCE = 1e-10  # of an expected depth
 SAMPLES = 2  # per pixel
 PIXELS_AT_ONCE = 2**14  # on a CPU
 COARSE_SAMPLES = 8  # per pixel of the coarse picture, ...
-COARSE_FACTOR = 4  # ... whose pixels are N times as large as the target's
+COARSE_FACTOR = 4  # ... with pixels N times as large as the target's
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class CoarseSurface:
     far: float
 
     def range_at(self, factor: int) -> tuple[Tensor, Tensor]:
-        """Depths between which the surface is thought to be, on N times as many pixels, (H', W') twice."""
+        """Depths between which the surface is assumed, on N times as many pixels, (H', W') twice."""
         mean, deviation = _enlarge(self.mean, factor), _enlarge(self.deviation, factor)
         return 1 / (mean + deviation).clamp(max=1 / self.near), 1 / (mean - deviation).clamp(min=1 / self.far)
 

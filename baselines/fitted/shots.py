@@ -92,7 +92,7 @@ class Shots:
         return self._folder / f"{view}.frames.npy"
 
     def _stored(self, view: str) -> Image8:
-        """All frames of a camera, (T, H, W, 3), as they are in a file."""
+        """All frames of a camera, (T, H, W, 3), memory-mapped from a file."""
         if view not in self._frames:
             path, indices = self._path(view), self.footage.indices
             if not path.is_file():

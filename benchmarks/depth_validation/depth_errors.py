@@ -41,7 +41,7 @@ def summarise(errors: Sequence[Map], rejected: Sequence[Map]) -> dict[str, float
 
     Args:
         errors: of each picture, `relative_errors`.
-        rejected: of each picture, 1 where the matcher had no opinion of its own; same shapes.
+        rejected: of each picture, 1 where the matcher had no estimate; same shapes.
 
     Raises:
         DepthError: no pixel at all.

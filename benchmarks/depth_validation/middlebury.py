@@ -22,7 +22,7 @@ from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher
 from ggvs_eval.progress import track
 
 FOLDER = "stereo_motorcycle"
-DISPARITY_RANGE_PX = (0, 80)  # the scene's own, 7 to 60, is not told to a matcher
+DISPARITY_RANGE_PX = (0, 80)  # the scene's own, 7 to 60, is not given to a matcher
 LEARNED = "raft"
 MEASURES = (
     Measure("epe_px", "px", higher_is_better=False, target=1.5, target_of=LEARNED),
@@ -101,7 +101,7 @@ def score_disparity(disparity: Map, truth: Map, whole: Map | None = None) -> dic
 
 
 def fill_disparity(disparity: Map) -> Map:
-    """Rejected pixels from the background beside them, by the pipeline's own rule, which speaks of depth; (H, W)."""
+    """Rejected pixels from the background next to them, by the pipeline's own rule, which speaks of depth; (H, W)."""
     inverse = np.divide(1, disparity, out=np.zeros_like(disparity), where=disparity > 0)
     filled, _ = fill_background(inverse, np.zeros_like(inverse), filled_confidence=1.0)
     background = np.divide(1, filled, out=np.zeros_like(disparity), where=filled > 0)

@@ -18,7 +18,7 @@ class RegionOptions:
     Attributes:
         step: a discontinuity bends inverse depth by more than this share of it from one pixel to the next but one.
         edge_px: edges reach this far to both sides of a discontinuity.
-        thin_px: what is at most this wide and stands before something farther is thin.
+        thin_px: an object at most this wide in front of something farther is thin.
         thin_step: how much farther, as a share of the farther depth.
         slope: untextured is where the root mean square slope of the grey values stays below this, grey levels per pixel.
         slope_window_px: side of the window of that mean; odd.
@@ -35,7 +35,7 @@ class RegionOptions:
 def find_regions(depth: Map, image: Image8, options: RegionOptions) -> dict[str, Mask]:
     """Divide the pixels of known depth among the regions; each belongs to one.
 
-    What is thin is thin, whatever else it is; of the rest, what lies beside a discontinuity is edge; of the rest, what shows
+    What is thin is thin, regardless of the rest; of the rest, what is next to a discontinuity is edge; of the rest, what shows
     next to no slope of grey values is untextured. The remainder is texture.
 
     Args:
@@ -78,7 +78,7 @@ def discontinuities(depth: Map, step: float) -> Mask:
 def thin_structures(depth: Map, width_px: int, step: float) -> Mask:
     """Pixels of what is at most `width_px` wide and nearer than what is behind by more than `step` of that depth, (H, W).
 
-    A grey-scale closing raises whatever holds no square of `width_px` + 1 to the depth around it and leaves planes as they are.
+    A grey-scale closing raises each part that holds no square of `width_px` + 1 to the depth around it and leaves planes as they are.
     The picture's border cuts things off, which does not make them thin.
     """
     side = width_px + 1

@@ -39,7 +39,7 @@ def film_rooms(out: Path, seeds: Sequence[int] = VALIDATION_SEEDS) -> list[Rende
     """Write the rooms that are not there yet, and open all of them.
 
     Args:
-        out: folder of the rooms; the demo room lies with them, since the one that ships and `make reports` unpacks has no depth.
+        out: folder of the rooms; the demo room is with them, since the one that ships and `make reports` unpacks has no depth.
         seeds: of the validation rooms.
     """
     plans = {f"room {seed}": (out / "rooms" / f"seed{seed}", room_options(seed)) for seed in seeds}

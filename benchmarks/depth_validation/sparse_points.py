@@ -1,7 +1,7 @@
 """Depth of a real rig against the sparse points it was calibrated by: of every camera, at the pixels where it saw them.
 
 Sparse points are where there is texture. Depth that is good there can be garbage on walls and blinds, so this check must not
-stand alone: the room's regions and the rendering of left-out views stand beside it.
+are not enough: the room's regions and the rendering of left-out views supplement it.
 """
 
 import subprocess
@@ -84,7 +84,7 @@ def choose_points(rows: NDArray[np.float64], camera: Camera) -> SparsePoints:
 
 
 def score_points(depth: Map, points: SparsePoints) -> dict[str, float]:
-    """Depth at the pixels that hold the observations, against the points' own.
+    """Depth at the pixels that hold the observations, against those of the points.
 
     Args:
         depth: (H, W), world units, 0 = no depth, which counts as an error of 100 %.
@@ -112,7 +112,7 @@ def evaluate_sparse(capture: Capture, options: Mapping[str, DepthOptions]) -> tu
 
     Returns:
         A table, one row per camera, columns (matcher, measure), and figures of the means over the cameras. Seconds are those of
-        all threads for one depth map once the estimator stands.
+        all threads for one depth map once the estimator is ready.
     """
     points = read_sparse_points(capture)
     images = {name: capture.frame(name, 0) for name in track(capture.camera_names, "reading the sparse capture")}

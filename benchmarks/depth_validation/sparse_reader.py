@@ -24,7 +24,7 @@ def read_observations(folder: Path) -> dict[str, NDArray[np.float64]]:
         that camera in world units, by how many observations it was triangulated, and its mean reprojection error in pixels.
 
     Raises:
-        ValueError: damaged, or a camera that distorts, whose observations lie elsewhere in an undistorted image.
+        ValueError: damaged, or a camera that distorts, whose observations are elsewhere in an undistorted image.
     """
     import pycolmap
 

@@ -1,7 +1,7 @@
 """Depth flicker of static surfaces, before and after the temporal filter of the online half.
 
 A static pixel shows the same surface in the same light at all instants: its exact depth and its noise-free colour never change.
-Whatever its depth does over time comes from the sensor's noise, the video's coding, and what moves elsewhere in the pictures.
+Changes of its depth over time come from the sensor's noise, the video's coding, and what moves elsewhere in the pictures.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -45,7 +45,7 @@ def evaluate_temporal(rooms: Sequence[RenderedRoom], options: Mapping[str, Depth
         options: of each matcher, by name.
 
     Returns:
-        A table, one row per room, columns (matcher, measure) beside the share of static pixels, and figures: of the demo
+        A table, one row per room, columns (matcher, measure) and the share of static pixels, and figures: of the demo
         capture, and of the mean over the validation rooms.
     """
     rows: dict[str, dict[Column, float]] = {}
@@ -88,7 +88,7 @@ def estimate_views(room: RenderedRoom, camera: Camera, images: Mapping[str, Imag
 def measure_spread(views: Sequence[SourceView], static: Mask) -> dict[str, float]:
     """Spread over time before and after the temporal filter with its own parameters, and the share that remains.
 
-    Beside them what `ggvs-eval steadiness --depth` calls flicker and sharpness, of the unfiltered depth.
+    In addition, what `ggvs-eval steadiness --depth` calls flicker and sharpness, of the unfiltered depth.
 
     Args:
         views: one camera at consecutive instants.

@@ -44,7 +44,7 @@ def boil(clip: Clip, percent: float, seed: int = 0) -> Image8:
 def switch_sources(clip: Clip, switches: float, seed: int = 0) -> Image8:
     """Rendering along a camera path with N exchanges of all source cameras, evenly spaced.
 
-    Two pairs of the four nearest cameras take turns, the first with the last and the two between, so that neither pair lies
+    Two pairs of the four nearest cameras take turns, the first with the last and the two between, so that neither pair is
     nearer to the path; the parity of the seed says which begins.
     """
     pairs = [sources_at(clip, frame, switches, seed) for frame in range(len(clip.truth))]

@@ -136,7 +136,7 @@ def blend_loss(
 
 
 def depth_loss(depths: Tensor, fused_depth: Tensor, weights: Tensor) -> Tensor:
-    """Measure how far the blended depth of the views lies from the fused one (Eq. 6).
+    """Measure the distance of the blended depth of the views from the fused one (Eq. 6).
 
     Args:
         depths: splatted depth of each view, (B, K, H, W), 0 where unknown.

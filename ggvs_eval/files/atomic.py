@@ -80,7 +80,7 @@ def scratch_folder(beside: Path) -> Iterator[Path]:
     """Give an empty folder next to a path; it is removed when the block ends.
 
     Args:
-        beside: path that the folder is for; part of its name.
+        beside: path next to which the folder is made; part of its name.
 
     Yields:
         ``.<name>.<host>.<pid>.tmp``: others can see that this process works on it, and sweep it when the process is dead.

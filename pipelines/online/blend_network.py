@@ -82,7 +82,7 @@ class BlendNetwork(nn.Module):
     def __init__(self, config: BlendNetworkShape) -> None:
         super().__init__()
         self.config = config
-        self.register_buffer("scale", torch.tensor(config.scale))  # is in the weights file: no shape tells it
+        self.register_buffer("scale", torch.tensor(config.scale))  # is in the weights file: no shape reveals it
         self.unet = UNet(config.inputs, config.outputs, config.width)
         for parameter in self.unet.last.parameters():
             nn.init.zeros_(parameter)  # so it begins as geometric weights and learns what to change

@@ -1,6 +1,6 @@
 """Folds of test cameras for methods that are fitted: those held out together, and the input of each fit.
 
-A feed-forward method renders each test camera from all others at no cost. A fit takes minutes to hours, so test cameras that lie
+A feed-forward method renders each test camera from all others at no cost. A fit takes minutes to hours, so test cameras that are
 far apart are held out together: the neighbours of each stay training cameras.
 """
 

@@ -1,6 +1,6 @@
 """Error of each method alone: over views or over time; unseen, in colour, of wrong surfaces, misplaced, or in detail.
 
-A method's number alone has a ceiling, published values of the same data, what it was made from, and where its error lies.
+A method's number alone has a ceiling, published values of the same data, its training data, and the sources of its error.
 """
 
 import math

@@ -23,7 +23,7 @@ class PlaneSweep:
 
     Attributes:
         step_px: from plane to plane, points move by this much in the image of the widest partner, pixels.
-        most_planes: at most so many, in steps of 32 and not above 256; where they do not suffice, they are farther apart.
+        most_planes: maximum number, in steps of 32 and not above 256; where it does not suffice, they are farther apart.
         radius_px: of the correlated window, 1 to 3.
         colour_scale: a pixel of the window counts less than half where its colour differs by this much, grey values.
         noise: variance of grey values that is no texture.
