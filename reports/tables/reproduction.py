@@ -39,6 +39,15 @@ MEANING = (
 )
 HEADS = ("Paper's table", "Method", "Metric", "Paper", "Ours here", "Status", "Why")
 WORDS = (0, 1, 2, 5, 6)  # columns without numbers
+PAPER_MAP = (  # what the paper shows, the part of the page that has the same of these runs, and the command that makes it
+    ("View and temporal consistency (Table 1), image quality (Table 2)", "results", "ggvs-eval run OUT --capture SCENE"),
+    ("Ablation (Table 3)", "", "ggvs-eval sweep ablations OUT --capture SCENE"),
+    ("Computation time (Tables 4 and 5)", "timing", "ggvs-eval run OUT --capture SCENE"),
+    ("Number of input views K (figure)", "", "ggvs-eval sweep k OUT --capture SCENE"),
+    ("View consistency and limitations, EPI (figures)", "slices", "ggvs-eval figure epi RUN epi.pdf"),
+    ("Temporal consistency, x-t (figure)", "slices", "ggvs-eval figure time RUN x-t.pdf"),
+    ("Qualitative comparison, crops (figures)", "compare", "ggvs-eval figure crops RUN crops.pdf"),
+)
 CSV_HEAD = ("table", "dataset", "method", "metric", "unit", "paper", "ours", "lo", "hi", "difference", "status", "reason")
 TIMING = "timing"
 METHODS_NAMED = 4  # from so many on a line counts methods
