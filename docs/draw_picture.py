@@ -20,7 +20,12 @@ from ggvs_eval.run_folder import RunFolder, frame_path
 
 ROOT = Path(__file__).parents[1]
 PICTURE = ROOT / "docs" / "images" / "demo.webp"
-METHODS = {"no-blending": "No Blending", "distance-based": "Distance-based Blending", "ours": "Ours", "truth": "Captured"}
+METHODS = {
+    "no-blending": "No Blending",
+    "distance-based": "Distance-based Blending",
+    "ours": "GGVS (online)",
+    "truth": "Captured",
+}
 VIEW, POSES, POSE_STEP = "cam07", 48, 2
 LEFT, TOP, CROP_WIDTH, CROP_HEIGHT = 130, 100, 240, 180  # of 480 x 360: what the methods differ in
 WIDTH, HEIGHT, SLICE_HEIGHT, GAP, TITLE, CAPTION = 232, 174, 64, 6, 22, 20

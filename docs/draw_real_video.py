@@ -19,8 +19,8 @@ STRIPS = {
     "truth": "Captured",
     "distance-based": "Distance-based Blending",
     "no-blending": "No Blending",
-    "ours-geometric": "Ours (geometric weights)",
-    "ours": "Ours",
+    "ours-geometric": "GGVS (online), geometric weights",
+    "ours": "GGVS (online)",
 }
 WIDTH, HEIGHT, GAP, TITLE = 320, 180, 4, 20
 LONGEST, QUALITY = 1600, 72  # of a figure's side, pixels; of JPEG

@@ -214,7 +214,7 @@ def _table_of_card(name: str, heading: str) -> list[dict[str, float]]:
 
 def _cards() -> list[tuple[str, str, str]]:
     """Title, minutes of one core and millions of pixels of each baseline that is trained here, and of ours, by their cards."""
-    titles = {name: baseline.title for name, baseline in TRAINED_BASELINES.items()} | {"blend": "Ours"}
+    titles = {name: baseline.title for name, baseline in TRAINED_BASELINES.items()} | {"blend": "GGVS (online)"}
     return [(title, *_costs((WEIGHTS / f"{name}.md").read_text(encoding="utf-8"))) for name, title in titles.items()]
 
 

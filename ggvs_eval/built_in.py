@@ -111,7 +111,7 @@ VERBS: dict[str, Verb] = {
     ),
     "report": Verb(
         f"{VERBS_ROOM}.figures:report",
-        "Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and figures of scored runs.",
+        "Write the page, tables (Markdown, CSV, LaTeX, Excel), figures and the comparison with the paper.",
         RESULTS,
     ),
     "table": Verb(

@@ -79,7 +79,7 @@ def write_report(
     standalone: bool = False,
     columns: Sequence[str] = (),
 ) -> Path:
-    """Write ``index.html``, ``tables.*``, ``reproduction.*`` (the paper's values beside ours) and ``figures/*.png``.
+    """Write ``index.html``, ``tables.*``, ``reproduction.*`` (the paper's values next to the run's) and ``figures/*.png``.
 
     Runs of one protocol share their tables, as scenes of one data set; runs of another protocol are a group of their own,
     on the same page and in the same files.

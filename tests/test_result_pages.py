@@ -203,8 +203,8 @@ def test_the_readme_shows_the_run_that_the_other_pages_show():
 
     shown = rows(fill_tables.README, "real_frame")
     means, views = rows(fill_tables.RESULTS, "real_frame"), rows(fill_tables.BENCH, "real_frame_views")
-    in_one_view = shown.pop("Ours, cam00")
-    assert in_one_view["PSNR"] == views["Ours"]["cam00"]
+    in_one_view = shown.pop("GGVS (online), cam00")
+    assert in_one_view["PSNR"] == views["GGVS (online)"]["cam00"]
     assert len(shown) == len(result_tables.README_METHODS)
     for name, row in shown.items():
         assert row["PSNR"] == means[name]["PSNR"].partition(" ")[0]

@@ -24,7 +24,7 @@ def report(
     standalone: bool = False,
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(all by default)")] = (),
 ) -> None:
-    """Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and figures of scored runs.
+    """Write the page, tables (Markdown, CSV, LaTeX, Excel), figures and the comparison with the paper.
 
     Args:
         runs: run folders; those of one protocol share a section of the page.

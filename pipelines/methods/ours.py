@@ -67,7 +67,7 @@ OURS: dict[str, OnlineMethod] = {
         weights=(shipped("blend-naive.safetensors"),),
     ),
     "ours+no-tsdf": OnlineMethod(
-        "Ours, No TSDF Guidance",
+        "GGVS (online), no TSDF guidance",
         "no fused depth; the network was trained without it",
         LEARNED,
         _learned,
@@ -79,7 +79,7 @@ OURS: dict[str, OnlineMethod] = {
         weights=(shipped("blend-no-tsdf.safetensors"),),
     ),
     "ours+no-temporal": OnlineMethod(
-        "Ours, No Temporal Filtering",
+        "GGVS (online), no temporal filtering",
         "without temporal depth filter, temporal term of the ray march and recurrent output",
         LEARNED,
         _learned,
@@ -91,7 +91,7 @@ OURS: dict[str, OnlineMethod] = {
         weights=(shipped("blend.safetensors"),),
     ),
     "ours": OnlineMethod(
-        "Ours",
+        "GGVS (online)",
         "the whole online method: splats, filtered and fused depth, blending network",
         LEARNED,
         _learned,
@@ -102,7 +102,7 @@ OURS: dict[str, OnlineMethod] = {
         takes=("options", "device"),
     ),
     "ours-geometric": OnlineMethod(
-        "Ours (geometric weights)",
+        "GGVS (online), geometric weights",
         "the whole online method with geometric weights in place of the blending network",
         GEOMETRIC,
         _geometric,
@@ -111,7 +111,7 @@ OURS: dict[str, OnlineMethod] = {
         takes=("options",),
     ),
     "ours-geometric+no-temporal": OnlineMethod(
-        "Ours (geometric weights), No Temporal Filtering",
+        "GGVS (online), geometric weights, no temporal filtering",
         "without temporal depth filter, temporal term of the ray march and recurrent output",
         GEOMETRIC,
         _geometric,
@@ -121,7 +121,7 @@ OURS: dict[str, OnlineMethod] = {
         usual=False,
     ),
     "ours-geometric+point-splat": OnlineMethod(
-        "Ours (geometric weights), Point Splats",
+        "GGVS (online), geometric weights, point splats",
         "views rendered forward as points of one pixel, not as pixel-sized Gaussians",
         GEOMETRIC,
         _geometric,
@@ -131,7 +131,7 @@ OURS: dict[str, OnlineMethod] = {
         usual=False,
     ),
     "ours-geometric+no-background": OnlineMethod(
-        "Ours (geometric weights), No Background Blending",
+        "GGVS (online), geometric weights, no background blending",
         "what no view shows stays black",
         GEOMETRIC,
         _geometric,
@@ -141,7 +141,7 @@ OURS: dict[str, OnlineMethod] = {
         usual=False,
     ),
     "ours-geometric+offline": OnlineMethod(
-        "Ours (geometric weights), Not Online",
+        "GGVS (offline), geometric weights",
         "a reference that sees the whole sequence: depth filtered backwards in time, then forwards",
         OFFLINE,
         _offline,

@@ -182,7 +182,7 @@ def _is_taken(label: str) -> bool:
 def _check_label(label: str) -> None:
     if NAME.fullmatch(label) and not _is_taken(label):
         return
-    reason = "which is the name of one of our methods" if _is_taken(label) else "which is no plain name"
+    reason = "which is the name of a built-in method" if _is_taken(label) else "which is no plain name"
     reason = "which is the captured frames" if label == "truth" else reason
     raise RenderError(f"renders cannot be called {label!r}, {reason}; give another: --renders {plain_label(label)}=PATH")
 

@@ -32,8 +32,8 @@ from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Outcome, judge_aga
 MEGABYTE = 1e6
 NOT_FITTED = "not fitted"
 ELSEWHERE = (
-    "4K4D has no row of ours: it wants foreground masks of all frames, its licence forbids commercial use and wants what derives "
-    "from it to be open, and its 800,000 iterations take a day of a GPU; frames of it stand as `rendered:PATH`."
+    "4K4D was not run here: it needs foreground masks of all frames, its licence forbids commercial use and requires derived "
+    "work to be open, and its 800,000 iterations take a day of a GPU; import its frames as `rendered:PATH`."
 )
 UNKNOWN = Cell("unknown: others made it")
 UNRECORDED = Cell("not recorded")

@@ -21,7 +21,7 @@ SOURCE = "Ha et al., Geometry-guided Online 3D Video Synthesis with Multi-View T
 CAVEATS = (
     "The paper blends with a trained network and takes depth from RAFT-Stereo; the methods measured here need not.",
     "It gives the number of test views (9 on DyNeRF), not which; the choice moves PSNR by more than a decibel.",
-    "It leaves the backbone of LPIPS and the variants of STED and SSIM open; ours are in the protocol.",
+    "It leaves the backbone of LPIPS and the variants of STED and SSIM open; those used here are in the protocol.",
 )
 PAPER = " (paper)"  # ends the name of the paper's rows, which are not the only published ones
 UNITS = {"PSNR": "dB"}

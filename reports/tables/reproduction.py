@@ -33,11 +33,11 @@ TABLES = {"quality": "Quality", "consistency": "Consistency", "ablation": "Ablat
 NOT_MEASURED = Cell("not measured")
 RETRAINED = "(retrained"  # in the name of a method whose weights we trained, which are not the paper's
 MEANING = (
-    f"reproduced: the paper's value lies in the {100 * LEVEL:.0f} % interval of ours, or both print the same digits; "
+    f"reproduced: the paper's value lies in the {100 * LEVEL:.0f} % interval of this run, or both print the same digits; "
     "differs: neither; data absent: no run on the paper's data and terms; weights absent: those of the method do not ship; "
-    "not run: this run could hold it and does not. Ours are on views chosen by us, for the paper does not name its own."
+    "not run: this run could hold it and does not. The views of these runs were chosen here; the paper does not name its own."
 )
-HEADS = ("Paper's table", "Method", "Metric", "Paper", "Ours here", "Status", "Why")
+HEADS = ("Paper's table", "Method", "Metric", "Paper", "This run", "Status", "Why")
 WORDS = (0, 1, 2, 5, 6)  # columns without numbers
 PAPER_MAP = (  # what the paper shows, the part of the page that has the same of these runs, and the command that makes it
     ("View and temporal consistency (Table 1), image quality (Table 2)", "results", "ggvs-eval run OUT --capture SCENE"),
@@ -142,7 +142,7 @@ def _evaluate(comparable: ComparableRuns, method: PaperMethod, metric: str, pape
         return (
             NOT_MEASURED,
             "not run",
-            f"not rendered here; run `ggvs-eval render {root} --methods {method.label}` and score again",
+            f"not rendered in this run; run `ggvs-eval render {root} --methods {method.label}` and score again",
         )
     if metric in TIMINGS:
         cell, reason = evaluate_time(comparable.runs, label, metric, float(paper))
@@ -172,8 +172,8 @@ def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = Non
         digits: after the point, of our numbers; None for four significant ones.
 
     Reading:
-        A published value stands for all that round to it. It is reproduced where one of those lies in our interval, which holds
-        what other frames (and views, from five on) could have given; without an interval, where ours rounds to the same digits.
+        A published value stands for all that round to it. It is reproduced where one of those lies in this run's interval,
+        which covers other frames (and views, from five on); without an interval, where the run rounds to the same digits.
     """
     if ours.value is None:
         raise ValueError(f"{metric}: nothing measured")
@@ -185,7 +185,7 @@ def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = Non
         return "reproduced", "the same to the printed digits"
     has_interval = ours.low is not None and ours.high is not None
     if has_interval and ours.low - half_unit <= published <= ours.high + half_unit:  # type: ignore[operator]
-        return "reproduced", f"the paper's value lies in our {bounds}"
+        return "reproduced", f"the paper's value lies in this run's {bounds}"
     better = "better" if (ours.value > published) == is_higher_better(metric) else "worse"
     by = f"{format_value(abs(ours.value - published), digits)}{' ' if metric in UNITS else ''}{UNITS.get(metric, '')}"
     return "differs", f"{better} by {by}; {bounds if has_interval else f'no interval{given}'}"
@@ -275,7 +275,7 @@ def count_words(entries: Sequence[Reproduction]) -> str:
 
 def reproduction_markdown(entries: Sequence[Reproduction]) -> str:
     """One table of the paper's values, those grouped that are not measured for one reason; what the words mean at the end."""
-    head = f"# The paper's values and ours\n\n{len(entries)} published values: {count_words(entries)}."
+    head = f"# The paper's values and this run's\n\n{len(entries)} published values: {count_words(entries)}."
     rows = [_words(block.title, line) for block in blocks(entries) for line in block.lines]
     notes = (MEANING, "Every value by itself: reproduction.csv", f"Published values: {SOURCE}", *CAVEATS)
     closing = "\n".join(f"- {escape_markdown(note)}" for note in notes)
@@ -321,10 +321,10 @@ def _table(entries: Sequence[Reproduction]) -> Table:
     best = [_best(published, at, column) for at, column in enumerate(columns)]
     for name, row in zip(methods, rank(columns, published, best), strict=True):
         here = tuple(_our_cell(entry_of.get((name, column.name))) for column in columns)
-        rows += [replace(row, name=f"{name} (paper)", kind="published"), Row(f"{name}, here", here)]
+        rows += [replace(row, name=f"{name} (paper)", kind="published"), Row(f"{name}, this run", here)]
     summary = count_words(entries)
     caption = f"{summary[0].upper()}{summary[1:]}; reproduction.csv says why. Paper: {SOURCE}."
-    return Table(f"reproduction-{table}", f"{TABLES[table]}, the paper's and ours", caption, columns, tuple(rows), dataset)
+    return Table(f"reproduction-{table}", f"{TABLES[table]}, the paper and this run", caption, columns, tuple(rows), dataset)
 
 
 def _best(rows: Sequence[Row], at: int, column: Column) -> set[str]:

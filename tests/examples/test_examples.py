@@ -85,6 +85,6 @@ def test_a_sweep_has_a_line_for_each_k_and_row(folder, monkeypatch):
     run_command(["sweep", *words, "--jobs", "1"])
     table = pd.read_csv(folder / "out" / "sweep" / "sweep.csv")
     assert sorted(zip(table["variant"], table["method"], strict=True)) == [
-        (f"k{k}", title) for k in (2, 3) for title in ("Ours", "Ours, No Temporal Filtering")
+        (f"k{k}", title) for k in (2, 3) for title in ("GGVS (online)", "GGVS (online), no temporal filtering")
     ]
     assert table["PSNR"].between(20, 50).all()

@@ -25,8 +25,8 @@ PER_SEQUENCE = {"STED", "SDT"}
 LABELS = ("no-blending", "ours-geometric", "ours-geometric+no-temporal")
 NAMES = {
     "no-blending": "No Blending",
-    "ours-geometric": "Ours (geometric weights)",
-    "ours-geometric+no-temporal": "Ours, No Temporal Filtering",
+    "ours-geometric": "GGVS (online), geometric weights",
+    "ours-geometric+no-temporal": "GGVS (online), no temporal filtering",
 }
 METRIC_NOTES = metric_notes(REGISTERED)
 Painter = Callable[[str, str, int], Image8]

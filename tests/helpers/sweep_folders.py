@@ -9,7 +9,9 @@ from helpers.run_folders import RunShape, write_run
 
 SWEPT = RunShape(metrics=("PSNR",), poses=0, views=("cam00",))
 KS = (2, 3, 5)
-LINES = [(f"k{k}", method, base + k / 10, 0.2 * k) for k in KS for method, base in (("Ours", 30.0), ("No Blending", 20.0))]
+LINES = [
+    (f"k{k}", method, base + k / 10, 0.2 * k) for k in KS for method, base in (("GGVS (online)", 30.0), ("No Blending", 20.0))
+]
 
 
 def write_sweep(root: Path) -> Path:

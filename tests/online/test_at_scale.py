@@ -56,7 +56,7 @@ def test_labels_set_the_scale_of_any_online_method():
     """With options, of a variant, with a device: the label says it, and the identity knows it."""
     for label, title in (
         ("distance-based+scale=0.5", "Distance-based Blending, scale=0.5"),
-        ("ours-geometric+no-temporal+scale=0.25", "Ours (geometric weights), No Temporal Filtering, scale=0.25"),
+        ("ours-geometric+no-temporal+scale=0.25", "GGVS (online), geometric weights, no temporal filtering, scale=0.25"),
     ):
         spec = find_method(label)
         assert spec.title == title

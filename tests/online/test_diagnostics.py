@@ -87,14 +87,19 @@ def test_the_page_can_choose_them(reported_run):
     shown = compare_frames(measured)
     inside = [f"ours/{name}" for name in MEANINGS]
     assert list(shown.keys) == ["truth", *LABELS, *inside]
-    assert shown.names[-4:] == ("Ours: depth", "Ours: weights", "Ours: coverage", "Ours: motion")
+    assert shown.names[-4:] == (
+        "GGVS (online): depth",
+        "GGVS (online): weights",
+        "GGVS (online): coverage",
+        "GGVS (online): motion",
+    )
     for view in shown.views:
         assert [len(shown.images[view][key]) for key in inside] == [2] * 4
         assert set(shown.errors[view]) == set(LABELS)
     page = (reported_run.report / "index.html").read_text(encoding="utf-8")
     for key in inside:
         assert f'<option value="{key}"' in page
-    assert "What our method decided on the way" in page
+    assert "Intermediate results of GGVS" in page
 
 
 def test_a_run_without_them_has_the_methods_alone(reported_run):

@@ -180,7 +180,7 @@ def test_a_label_may_set_options():
     method = spec.make()
     assert isinstance(method, GeometryGuided)
     assert method.options == OnlineOptions(beta_temporal=0.6, mask_views="mean", normalised_field=False)
-    assert spec.title == "Ours (geometric weights), beta_temporal=0.6, mask_views=mean, normalised_field=false"
+    assert spec.title == "GGVS (online), geometric weights, beta_temporal=0.6, mask_views=mean, normalised_field=false"
     assert spec.ours
 
 

@@ -22,7 +22,7 @@ from helpers.run_folders import RunShape, write_run
 pytestmark = pytest.mark.slow
 
 LABELS = ("late", "ours-geometric")
-NAMES = (("late", "late"), ("ours-geometric", "Ours (geometric weights)"))
+NAMES = (("late", "late"), ("ours-geometric", "GGVS (online), geometric weights"))
 WHOLE = RunShape(frames=Frames(0, 4), labels=LABELS, names=NAMES, metrics=("PSNR", "SSIM", "TCC", "SDT", "SDV"))
 LATE = ("frame offset", "certain", "frame t shows instant t-1: motion", "renumber the frames by -1: counted from 0?", "late")
 

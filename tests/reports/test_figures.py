@@ -57,7 +57,7 @@ def sweep(tmp_path) -> Path:
         (capture, f"k{k}", method, 20.0 + k + (5.0 if capture == "b" else 0.0), 0.1 * k)
         for capture in ("a", "b")
         for k in (10, 2, 4)
-        for method in ("Distance-based Blending", "Ours")
+        for method in ("Distance-based Blending", "GGVS (online)")
     ]
     lines += [("mean", variant, method, psnr_db + 2.5, seconds) for _, variant, method, psnr_db, seconds in lines[:6]]
     lines.append(("mean", "k4", "No Blending", 19.0, 0.1))
@@ -209,7 +209,7 @@ def test_a_paper_chooses_methods_width_title_and_scores(planted, tmp_path, monke
     shown = " ".join(texts(drawn[0]))
     psnr_db = read_run(planted).results.summary()["PSNR"].xs("ours-geometric", level="method").item()
     assert f"PSNR {psnr_db:.2f}" in shown
-    assert shown.index("Ours (geometric") < shown.index("No Blending")
+    assert shown.index("GGVS (online)") < shown.index("No Blending")
     assert "row:" not in shown
     assert "boxes:" not in shown
     assert any("row:" in text or "boxes:" in text for text in texts(drawn[1]))
@@ -265,8 +265,8 @@ def test_equal_figures_are_equal_bytes(planted, tmp_path):
 def test_k_table_is_the_mean_of_the_captures_in_order_of_k(sweep):
     """Of several captures the means are taken, K counts as a number, and a method has the K that it was evaluated at."""
     table = read_k_table(sweep)
-    assert table.loc["Ours", "PSNR"].to_dict() == {2: 24.5, 4: 26.5, 10: 32.5}
-    assert list(table.loc["Ours"].index) == [2, 4, 10]
+    assert table.loc["GGVS (online)", "PSNR"].to_dict() == {2: 24.5, 4: 26.5, 10: 32.5}
+    assert list(table.loc["GGVS (online)"].index) == [2, 4, 10]
     assert list(table.loc["No Blending"].index) == [4]
 
 
@@ -275,7 +275,7 @@ def test_k_figure_has_a_panel_per_metric_and_one_for_time(sweep, tmp_path, monke
     drawn = drawn_figures(monkeypatch, "sweep_figures")
     draw_k(sweep, tmp_path / "k.png")
     quality, seconds = drawn[0].axes
-    line = next(each for each in quality.containers if each.get_label() == "Ours").lines[0]
+    line = next(each for each in quality.containers if each.get_label() == "GGVS (online)").lines[0]
     assert (list(line.get_xdata()), list(line.get_ydata())) == ([2, 4, 10], [24.5, 26.5, 32.5])
     assert (quality.get_ylabel(), seconds.get_ylabel()) == ("PSNR (dB)", "seconds per frame")
     with refused(ResultsError, "TCC", "PSNR, s/frame"):
@@ -289,11 +289,11 @@ def test_k_figure_has_the_intervals_of_its_runs(tmp_path, monkeypatch):
     shutil.rmtree(tmp_path / "k3")
     run = read_run(write_run(tmp_path / "k3", RunShape(k=3)))
     bounds = intervals(run.results, "PSNR", "Demo room")["ours-geometric"]
-    lines.loc[(lines["variant"] == "k3") & (lines["method"] == "Ours"), "PSNR"] = bounds.value
+    lines.loc[(lines["variant"] == "k3") & (lines["method"] == "GGVS (online)"), "PSNR"] = bounds.value
     lines.to_csv(tmp_path / "sweep.csv", index=False)
     drawn = drawn_figures(monkeypatch, "sweep_figures")
     draw_k(tmp_path, tmp_path / "k.png")
-    ours = next(each for each in drawn[0].axes[0].containers if each.get_label() == "Ours")
+    ours = next(each for each in drawn[0].axes[0].containers if each.get_label() == "GGVS (online)")
     segments = ours.lines[2][0].get_segments()
     assert [abs(high - low) > 0 for (_, low), (_, high) in segments] == [False, True, False]
     assert [y for _, y in segments[1]] == pytest.approx([bounds.low, bounds.high])
@@ -302,7 +302,9 @@ def test_k_figure_has_the_intervals_of_its_runs(tmp_path, monkeypatch):
 def test_k_figure_needs_a_sweep_over_k(planted, tmp_path):
     """A run folder is no sweep, and a sweep at one K has no curve; both say what to run."""
     assert "ggvs-eval sweep k" in refusal("figure", "k", planted, tmp_path / "k.png")
-    pd.DataFrame([("k4", "Ours", 30.0)], columns=["variant", "method", "PSNR"]).to_csv(tmp_path / "sweep.csv", index=False)
+    pd.DataFrame([("k4", "GGVS (online)", 30.0)], columns=["variant", "method", "PSNR"]).to_csv(
+        tmp_path / "sweep.csv", index=False
+    )
     assert "at least two numbers of source views, got 1" in refusal("figure", "k", tmp_path, tmp_path / "k.png")
 
 

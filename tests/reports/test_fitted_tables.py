@@ -23,7 +23,7 @@ FITTED, SEED = "fwd", "fwd+seed=1"
 def fitted_run(tmp_path_factory):
     """A run of ours and of a fitted method by two seeds, two folds of one view each."""
     labels = ("ours-geometric", FITTED, SEED)
-    names = (("ours-geometric", "Ours"), (FITTED, "4DGS"), (SEED, "4DGS, seed=1"))
+    names = (("ours-geometric", "GGVS (online)"), (FITTED, "4DGS"), (SEED, "4DGS, seed=1"))
     shape = RunShape(labels=labels, names=names, metrics=("PSNR", "TCC", "STED"), poses=0)
     root = write_run(tmp_path_factory.mktemp("run") / "run", shape)
     write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours-geometric"]})
@@ -39,7 +39,7 @@ def cells(table, name: str) -> dict[str, str]:
 def test_costs_of_every_method(fitted_run):
     """Of a fit: cameras, images, look-ahead, mean seconds over the folds, machine, megabytes, seeds; of ours what it has."""
     costs, *_ = cost_tables(read_run(fitted_run))
-    rendering = cells(costs, "Ours")["rendering"]
+    rendering = cells(costs, "GGVS (online)")["rendering"]
     assert cells(costs, "4DGS") == {
         **{
             "cameras used": "3 of 5",
@@ -52,7 +52,7 @@ def test_costs_of_every_method(fitted_run):
         **{"rendering": rendering, "size": "2.000", "seeds": "2"},
     }
     assert float(rendering) == pytest.approx(33.0)  # median of 30, 33, 36 ms
-    ours = cells(costs, "Ours")
+    ours = cells(costs, "GGVS (online)")
     assert (ours["cameras used"], ours["images seen"], ours["look-ahead"], ours["fitting"]) == ("2 of 5", "8", "0", "not fitted")
 
 
@@ -108,7 +108,7 @@ def test_families_stand_in_the_order_of_the_run(tmp_path):
 
 def test_a_family_is_called_by_the_name_that_is_shown(tmp_path):
     """Of one fit of some steps alone, the name without the steps; never the label."""
-    names = (("ours", "Ours"), ("3dgs-per-instant+steps=300", "3DGS per Instant, 300 steps"))
+    names = (("ours", "GGVS (online)"), ("3dgs-per-instant+steps=300", "3DGS per Instant, 300 steps"))
     shape = RunShape(labels=tuple(label for label, _ in names), names=names, metrics=("PSNR",), poses=0)
     root = write_run(tmp_path / "run", shape)
     write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours"]})
@@ -186,7 +186,7 @@ def test_the_tables_are_in_every_format(fitted_run):
     assert float(fitting["value"]) == 15.0
     assert any(line["table"] == "price" and line["lo"] and line["hi"] for line in lines)
     page = render_page([group])
-    assert "4K4D has no row of ours: it wants foreground masks" in page
+    assert "4K4D was not run here: it needs foreground masks" in page
     for text in (to_markdown(group.all_tables), to_latex(group.all_tables), page):
         for title in ("Price of being online", "What each method sees and costs", "Spread over seeds"):
             assert title in text
@@ -203,7 +203,7 @@ def test_what_differs_by_design_is_a_table_of_its_own(fitted_run):
     write_json(file, before)
 
     assert cells(table, "4DGS") == declared
-    assert set(cells(table, "Ours").values()) == {"unknown: others made it"}
+    assert set(cells(table, "GGVS (online)").values()) == {"unknown: others made it"}
     assert "cam00, cam03" in table.caption
     assert "4 frames" in table.caption
     assert table.caption.endswith("metric.")  # nothing is announced that does not follow

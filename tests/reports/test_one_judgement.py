@@ -28,7 +28,7 @@ EQUALS = ("ours", *FITS)
 
 def write_equals(root: Path, views: int, frames: int, metrics: tuple[str, ...] = ("PSNR",)) -> MeasuredRun:
     """A run of ours and four ever dearer fits, without meaning in its values."""
-    names = tuple(zip(EQUALS, ("Ours", *FITS), strict=True))
+    names = tuple(zip(EQUALS, ("GGVS (online)", *FITS), strict=True))
     cameras = tuple(f"cam{view:02}" for view in range(views))
     shape = RunShape(cameras, Frames(0, frames), 8, 8, 0, labels=EQUALS, names=names, metrics=metrics)
     write_run(root, shape, paint=lambda *_: np.full((8, 8, 3), 90, np.uint8))
@@ -169,7 +169,7 @@ def test_a_certain_fault_and_a_partial_method_win_nowhere(tmp_path):
     run = replace(run, results=results)
     (main,) = main_tables([run], results)
     verdict = evaluate_verdict([run], results, [main])
-    assert verdict.headline.startswith("Ours is best; ")
+    assert verdict.headline.startswith("GGVS (online) is best; ")
     assert f"{FITS[2]} has seen the test view" in verdict.headline
     assert "Take it out of the inputs." in verdict.margin
     assert [row.label for row in main.rows if row.cells[0].best] == ["ours"]
@@ -178,7 +178,7 @@ def test_a_certain_fault_and_a_partial_method_win_nowhere(tmp_path):
     assert all(cell.value is None for row in budgets["equal_quality"].rows for cell in row.cells[:1])
     (price,) = price_tables([run], results)
     assert [row.label for row in price.rows] == list(FITS[:2])
-    sides = (Side("Ours", "ours", results), Side(FITS[2], FITS[2], results))
+    sides = (Side("GGVS (online)", "ours", results), Side(FITS[2], FITS[2], results))
     assert {one.verdict for one in differences(*sides, run.folder.root)} == {"not compared: second has seen the test view"}
 
 

@@ -23,7 +23,12 @@ pytestmark = pytest.mark.slow
 Shown = list[tuple[str, bool]]  # what stands in the cells of a row, and whether it is bold
 Rows = dict[str, Shown]
 LABELS = ("no-blending", "ours-geometric", "4dgs", "4dgs+seed=1", "theirs")
-NAMES = (("no-blending", "No Blending"), ("ours-geometric", "Ours & co_1"), ("4dgs", "4DGS"), ("4dgs+seed=1", "4DGS, seed=1"))
+NAMES = (
+    ("no-blending", "No Blending"),
+    ("ours-geometric", "GGVS (online) & co_1"),
+    ("4dgs", "4DGS"),
+    ("4dgs+seed=1", "4DGS, seed=1"),
+)
 METRICS = ("PSNR", "SSIM", "LPIPS", "TCC", "STED", "SDT", "SDV", "FLIP", "reprojection", "E_warp")
 REFERENCES = [
     {

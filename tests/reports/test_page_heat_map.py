@@ -21,9 +21,9 @@ def test_heat_map_by_keyboard(shown):
     show_part(shown, "heat")
     shown.run("document.querySelectorAll('.cells')[1].focus()")
     shown.press("\ue015", "\ue014")
-    assert shown.text("[data-role=cell]").startswith("Ours (geometric weights), cam03, frame 3: PSNR")
+    assert shown.text("[data-role=cell]").startswith("GGVS (online), geometric weights, cam03, frame 3: PSNR")
     shown.press("\ue013", "\ue012", "\ue012")
-    assert shown.text("[data-role=cell]").startswith("Ours (geometric weights), cam00, frame 5: PSNR")
+    assert shown.text("[data-role=cell]").startswith("GGVS (online), geometric weights, cam00, frame 5: PSNR")
     shown.press("\ue015", "\ue014", "\ue014")
     shown.press("\ue007")
     assert clock(shown).startswith("frame 3 of")
@@ -45,5 +45,5 @@ def test_pointer_reads_a_cell(shown):
     """A pointer above a map says what the cell holds, and opens nothing."""
     show_part(shown, "heat")
     shown.point(".heat:nth-child(3) .cells", 0.9, 0.75)
-    assert re.fullmatch(r"Ours, No Temporal Filtering, cam03, frame 5: PSNR [\d.]+ dB", shown.text("[data-role=cell]"))
+    assert re.fullmatch(r"GGVS \(online\), no temporal filtering, cam03, frame 5: PSNR [\d.]+ dB", shown.text("[data-role=cell]"))
     assert clock(shown).startswith("frame 2 of")

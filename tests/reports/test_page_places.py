@@ -118,7 +118,7 @@ def test_the_first_screen_answers_and_shows(started, painted, size):
     started.visit(painted, size)
     parts = "[...document.querySelectorAll('.headline, .margin, .opening img, .player')]"
     assert max(started.run(f"{parts}.map(one => one.getBoundingClientRect().bottom)")) <= size[1]
-    assert started.run("document.querySelector('.headline').textContent").startswith("Ours (geometric weights) is best")
+    assert started.run("document.querySelector('.headline').textContent").startswith("GGVS (online), geometric weights is best")
     assert started.run("[...document.querySelectorAll('.opening figure')].map(one => one.dataset.key)") == [
         "truth",
         MAIN,

@@ -49,7 +49,7 @@ def test_curves_over_k_are_seen(started, page):
         assert [x for x, *_ in line] == sorted({x for x, *_ in line})
         assert [y for _, y, *_ in line] == sorted({y for _, y, *_ in line}, reverse=True)
     assert max(y for _, y, *_ in ours) < min(y for _, y, *_ in other)
-    assert ours[-1][3] == "Ours, K = 5: 30.5 dB"
+    assert ours[-1][3] == "GGVS (online), K = 5: 30.5 dB"
     legend = started.run("[...document.querySelectorAll('#sweep0 .legend line')].map(line => getComputedStyle(line).stroke)")
     assert legend == [ours[0][2], other[0][2]]
     assert started.complaints() == []
@@ -63,7 +63,7 @@ def test_table_of_a_sweep_sorts(started, page):
     started.click("#sweep0 thead th:nth-child(2) .sort")
     assert started.run(rows) == by_quality
     started.click("#sweep0 thead th:nth-child(3) .sort")
-    assert started.run(rows)[:2] == ["Ours, K = 2", "No Blending, K = 2"]
+    assert started.run(rows)[:2] == ["GGVS (online), K = 2", "No Blending, K = 2"]
     assert started.complaints() == []
 
 

@@ -181,7 +181,10 @@ def test_both_sides_and_the_view_are_chosen(shown):
     for x, label in ((0.3, LABELS[0]), (0.7, LABELS[1])):
         red, _, blue = shown.colour(STAGE, x, 0.4)
         assert np.abs(np.subtract((red, blue), (RED[label], 120 + 20 * 2))).max() < 12
-    assert [shown.text(f"[data-role={side}-name]") for side in ("left", "right")] == ["No Blending", "Ours (geometric weights)"]
+    assert [shown.text(f"[data-role={side}-name]") for side in ("left", "right")] == [
+        "No Blending",
+        "GGVS (online), geometric weights",
+    ]
 
 
 def test_pictures_beside_each_other_and_error_maps_take_the_pointer(shown):

@@ -108,7 +108,7 @@ def test_values_on_the_papers_terms_are_judged(on_dynerf):
     ours = find(entries, "quality", "DyNeRF", "Ours", "PSNR")
     assert ours.status == "reproduced"
     assert ours.ours.value == pytest.approx(np.mean([run.results.summary()["PSNR"].max() for run in on_dynerf]))
-    assert ours.reason.startswith("the paper's value lies in our 95 % interval")
+    assert ours.reason.startswith("the paper's value lies in this run's 95 % interval")
     assert ours.reason.endswith("on sear_steak, flame_steak")
     distance = find(entries, "ablation", "DyNeRF", "Distance-based Blending", "PSNR")
     assert distance.status == "differs"
@@ -200,7 +200,7 @@ def test_departures_from_the_terms_are_named(on_dynerf, changed, words):
         ("31.17", Cell("30.00", 30.0, note="1 frame; an interval needs 2"), "PSNR", "differs", "no interval (1 frame"),
         ("0.191", Cell("0.250", 0.25, low=0.24, high=0.26), "LPIPS", "differs", "worse by 0.059;"),
         ("2796", Cell("2796", 2796.4), "STED", "reproduced", "the same to the printed digits"),
-        ("0.191", Cell("0.192", 0.192, low=0.1913, high=0.1927), "LPIPS", "reproduced", "lies in our"),
+        ("0.191", Cell("0.192", 0.192, low=0.1913, high=0.1927), "LPIPS", "reproduced", "lies in this run's"),
     ],
 )
 def test_a_value_is_reproduced_by_interval_or_digits(paper, cell, metric, status, reason):

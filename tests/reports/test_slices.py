@@ -115,7 +115,7 @@ def test_missing_pose_is_named(tmp_path):
     """A gap in the path of one method is an error that names the method and the pose."""
     run = read_run(write_run(tmp_path / "run"))
     frame_path(run.folder.path("ours-geometric"), 4).unlink()
-    with refused(RenderError, "Ours (geometric weights)", "lacks 4"):
+    with refused(RenderError, "GGVS (online), geometric weights", "lacks 4"):
         path_slices(run)
 
 

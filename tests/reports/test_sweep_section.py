@@ -41,22 +41,28 @@ def test_table_and_curves_hold_what_was_swept(sweep, page):
     psnr, seconds = section.panels
     assert section.ks == KS
     assert [(curve.name, curve.pairs) for curve in psnr.curves] == [
-        ("Ours", ((2, 30.2), (3, 30.3), (5, 30.5))),
+        ("GGVS (online)", ((2, 30.2), (3, 30.3), (5, 30.5))),
         ("No Blending", ((2, 20.2), (3, 20.3), (5, 20.5))),
     ]
     assert psnr.y(30.5) < psnr.y(30.2) < psnr.y(20.2)
     assert (seconds.bounds[2], seconds.unit) == (0.0, "s")
     drawn = page[page.index('id="sweep0"') : page.index("<article")]
     assert drawn.count("<circle") == 2 * 2 * len(KS)
-    assert "Ours, K = 5: 30.5 dB" in drawn
+    assert "GGVS (online), K = 5: 30.5 dB" in drawn
 
 
 def test_a_sweep_of_one_k_has_a_table_alone(sweep, tmp_path):
     """A sweep over methods at one K shows its lines and no curve; of several captures the mean is a line and no run."""
-    (tmp_path / "sweep.csv").write_text("capture,variant,method,PSNR\na,demo,Ours,30\nb,demo,Ours,31\nmean,demo,Ours,30.5\n")
+    (tmp_path / "sweep.csv").write_text(
+        "capture,variant,method,PSNR\na,demo,GGVS (online),30\nb,demo,GGVS (online),31\nmean,demo,GGVS (online),30.5\n"
+    )
     section = sweep_section(tmp_path, read_run(sweep / "k2").metrics)
     assert (section.panels, section.title) == ((), "Sweep")
-    assert [row.name for row in section.table.rows] == ["Ours, demo, a", "Ours, demo, b", "Ours, demo, mean"]
+    assert [row.name for row in section.table.rows] == [
+        "GGVS (online), demo, a",
+        "GGVS (online), demo, b",
+        "GGVS (online), demo, mean",
+    ]
     assert sweep_runs(tmp_path) == [tmp_path / "a" / "demo", tmp_path / "b" / "demo"]
 
 
@@ -80,9 +86,9 @@ def test_a_method_has_one_colour_on_the_whole_page(page):
         colours.setdefault(name, set()).add(colour)
     for colour, name in re.findall(r'<polyline class="(c\d)"[^>]*><title>([^<]+)</title>', page):
         colours.setdefault(name, set()).add(colour)
-    assert {"Ours", "No Blending"} < set(colours)
+    assert {"GGVS (online)", "No Blending"} < set(colours)
     assert all(len(of_name) == 1 for of_name in colours.values()), colours
-    assert colours["Ours"] != colours["No Blending"]
+    assert colours["GGVS (online)"] != colours["No Blending"]
     shown = re.sub(r"<(script|style|pre)\b.*?</\1>", "", page, flags=re.DOTALL)
     assert "`" not in shown
-    assert "Ours, k2" not in shown
+    assert "GGVS (online), k2" not in shown
