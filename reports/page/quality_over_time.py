@@ -91,4 +91,3 @@ def _mean_time(name: str, timings: Sequence[Table]) -> float | None:
         if row.name == name and column.name == TOTAL and cell.value
     ]
     return sum(found) / len(found) if found else None
-

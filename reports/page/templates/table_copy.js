@@ -18,7 +18,7 @@ async function copyText(text) {
 
 /** A table in a format, its rows as they are seen: in their order, without those of hidden methods. */
 function tableText(table, format) {
-  const [head, rows, foot] = JSON.parse(table.parentElement.querySelector('[data-role="copy"]').textContent)[format];
+  const [head, rows, foot] = JSON.parse(table.dataset.texts)[format];
   const shown = [...table.tBodies[0].rows].filter((row) => getComputedStyle(row).display !== "none");
   return [head, ...shown.map((row) => rows[row.dataset.row]), ...(foot ? [foot] : []), ""].join("\n");
 }
