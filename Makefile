@@ -16,7 +16,7 @@ reports: $(READY)
 # Every table and figure of README and docs, as far as it is older than the code: hours, in pieces. ONLY=name,name chooses, PLAN=1 tells
 # states and minutes, DATA= and WEIGHTS= are folders of captures and checkpoints that do not ship. Killed, it goes on where it was.
 results: $(READY)
-	$(BIN)/python docs/make_results.py $(if $(ONLY),--only $(ONLY)) $(if $(PLAN),--plan) $(if $(DATA),--data $(DATA)) \
+	$(BIN)/python tools/docs/make_results.py $(if $(ONLY),--only $(ONLY)) $(if $(PLAN),--plan) $(if $(DATA),--data $(DATA)) \
 		$(if $(WEIGHTS),--weights $(WEIGHTS))
 
 # One process per core. Neighbours stay together, as the tests of a file share what takes long to make; who is done early helps.
@@ -67,7 +67,7 @@ validate: $(READY)
 
 # The site in build/site: the pages of docs/ and the docstrings of the public interface; a warning is an error.
 docs: .venv/.docs view
-	$(BIN)/python -m mkdocs build --strict --clean
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --clean
 	@echo $(CURDIR)/build/site/index.html
 
 .venv/.docs: $(READY)

@@ -16,11 +16,11 @@ class MetricChoices:
     """What a protocol may choose of the metrics themselves.
 
     Attributes:
-        ssim: which SSIM, see `ggvs_eval.metrics.image.ssim.SSIM_VARIANTS`; regions and colour-corrected frames take the
-            default one.
-        lpips_net: backbone of LPIPS v0.1; vgg-bf16 computes VGG in bfloat16, which is faster and not the same number.
-        lpips_every: LPIPS looks at every so many frames, the first among them; it costs as much as all other metrics.
-        sted_pairing: frame pairs of ST-RRED: ``disjoint`` (0-1, 2-3, ...) or ``consecutive``.
+        ssim: variant of SSIM, see `ggvs_eval.metrics.image.ssim.SSIM_VARIANTS`; regions and colour-corrected frames use the
+            default.
+        lpips_net: backbone of LPIPS v0.1; ``vgg-bf16`` computes VGG in bfloat16, which is faster and gives other digits.
+        lpips_every: distance of the frames that LPIPS measures, from the first on; 1 measures all.
+        sted_pairing: pairs of frames of ST-RRED: ``disjoint`` (0-1, 2-3, ...) or ``consecutive``.
         sted_pooling: ``means`` (mean spatial times mean temporal difference) or ``products`` (mean of the pairs' products).
         colour_scope: one affine map per ``view`` or per ``frame`` for the colour-corrected metrics.
         ddof: delta degrees of freedom of the standard deviations SDT and SDV.

@@ -26,10 +26,10 @@ class Views:
     Attributes:
         test: names of the target cameras.
         chosen_by: who chose them and by which rule.
-        keep_unsynced: cameras that are known to be out of step stay among the sources, as in the code of some authors.
-        sources: names of the cameras that any method may see, in images or in depth; every camera where empty.
-        folds: test cameras that are held out together from a method that is fitted to the capture, one fit per fold. Where it is
-            empty and such a method is run, the run states those of `ggvs_eval.pipelines.run.folds.choose_folds`.
+        keep_unsynced: keep cameras that are known to be out of step among the sources, as the code of some authors does.
+        sources: names of the cameras that any method may see, in images or in depth; empty for every camera.
+        folds: groups of test cameras that are held out together from a method fitted to the capture, one fit per group. If it is
+            empty and such a method runs, the run states the groups, see `ggvs_eval.pipelines.run.folds.choose_folds`.
     """
 
     test: tuple[str, ...]
@@ -41,7 +41,12 @@ class Views:
 
 @dataclass(frozen=True)
 class Frames:
-    """Instants that are synthesised: ``count`` from ``start`` on, consecutive; 0 in a file: as many as the capture has."""
+    """Consecutive instants that are synthesised.
+
+    Attributes:
+        start: the first frame.
+        count: number of frames; 0 takes all that the capture has.
+    """
 
     start: int = 0
     count: int = 0
@@ -60,10 +65,10 @@ class Synthesis:
         k: number of source cameras.
         width: width of input and output images; 0 keeps the capture's.
         height: height of input and output images; 0 keeps the capture's.
-        resize_filter: how the capture's frames reach that size.
-        sources: which cameras these are, see `choose_sources`: the ``nearest`` by centre, as in the paper, or those that by their
-            calibration see most of the target's view (``coverage``), or the three of the triangle that it lies in (``triplet``);
-            all methods get the same.
+        resize_filter: filter that resizes the capture's frames.
+        sources: choice of the source cameras, the same for all methods: the ``nearest`` by centre, as in the paper; those whose
+            calibration covers most of the target's view (``coverage``); or the three corners of the triangle around the target
+            (``triplet``).
     """
 
     k: int = 4
@@ -97,7 +102,7 @@ class CameraPath:
     """A camera path that is synthesised at one instant, for epipolar plane images.
 
     Attributes:
-        poses: number of virtual cameras; 0 for no path. A capture that carries a true path brings its own number.
+        poses: number of virtual cameras; 0 for no path. A capture with a true path has its own number.
         cameras: the poses themselves where they were chosen, e.g. by `ggvs-eval view`; they come before all others.
         frame: the instant at which such poses are synthesised.
     """
@@ -113,11 +118,11 @@ class Measurement(MetricChoices):
 
     Attributes:
         metrics: names of the metrics, see `ggvs_eval.metrics.registry.METRICS`.
-        width: both images are resized to this width before anything is measured; 0 keeps the rendered size.
-        height: of both images, as `width`.
-        resize_filter: how they are resized.
-        ceilings: also estimate what perfect renderings would score, for the rows beside the tables.
-        aggregation: order in which means are taken.
+        width: width to which both images are resized before anything is measured; 0 keeps the rendered size.
+        height: height to which both images are resized; 0 keeps the rendered size.
+        resize_filter: filter that resizes both images.
+        ceilings: also estimate the scores of perfect renderings, as grey rows of the tables.
+        aggregation: order of the means.
     """
 
     metrics: tuple[str, ...] = STREAMED
@@ -149,17 +154,17 @@ class Stream:
     or what is stated here.
 
     Attributes:
-        fps: frames per second at which the cameras deliver.
-        policy: a method begins with the newest frame whenever it is free, and what it passes over is lost. By ``drop`` each
-            picture is shown as soon as it is ready; by ``deadline`` one that is not ready in time is never shown.
-        deadline_ms: time from the capture of a frame to its picture that ``deadline`` allows; 150 ms is the delay up to which
+        fps: frames per second of the cameras.
+        policy: a method takes the newest frame whenever it is free and drops those in between. ``drop`` shows each picture as
+            soon as it is ready; ``deadline`` never shows one that is late.
+        deadline_ms: longest time from the capture of a frame to its picture under ``deadline``; 150 ms is the delay up to which
             ITU-T G.114 finds a conversation undisturbed.
-        pipelined: the stages of a method work on different frames at once: more pictures per second, none of them sooner.
-        depth_ms: time of the depth of all sources of a picture; None where it is that of the run: measured where its matcher is
-            ``live``, else none, because that depth was computed before.
-        stated: times of methods that are not taken from the run.
-        warm_up: instants at the beginning of the clip that are not scored. Methods are ranked where they are measured at the same
-            instants, so their first pictures should be there by then; one that comes later is measured from its own first on.
+        pipelined: stages of a method work on different frames at once: more pictures per second, none of them sooner.
+        depth_ms: time of the depth of all sources of a picture; by default that of the run, measured with the matcher ``live``
+            and 0 with others, whose depth is computed before.
+        stated: times of methods that the run did not measure, as tables of `method` and `ms` (one per stage).
+        warm_up: instants at the beginning of the clip that are not scored. Methods are ranked on the instants that all of them
+            show; one whose first picture comes later is measured from there on.
     """
 
     fps: float
@@ -176,8 +181,8 @@ class Protocol:
     """One evaluation protocol; equal protocols have equal hashes, whatever file they came from.
 
     Attributes:
-        name: what the protocol is called.
-        dataset: name of the data in tables; published values are shown beside measured ones only under the same name.
+        name: name of the protocol.
+        dataset: name of the data set in tables; published values are shown next to runs of the same name only.
         stream: how pictures reach a screen, for metrics such as ``PSNR_stream``; None where every picture is waited for.
     """
 

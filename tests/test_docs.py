@@ -4,6 +4,7 @@ import ast
 import importlib
 import json
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
@@ -11,6 +12,7 @@ from typing import get_args
 import pytest
 
 from ggvs_eval import plugins
+from ggvs_eval.protocol import load_protocol
 
 ROOT = Path(__file__).parents[1]
 README_BYTES = 6000
@@ -96,14 +98,36 @@ def test_the_readme_is_a_front_door():
 
 
 def test_every_page_is_in_the_site():
-    """Each page of docs/ stands in the navigation of the site."""
-    listed = re.findall(r"^  - [^:]+: (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    """Each page of docs/ is in the navigation of the site, which makes the page of the command line itself."""
+    listed = re.findall(r"^ +- [^:]+: (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE)
 
-    assert sorted(listed) == sorted(page.name for page in (ROOT / "docs").glob("*.md"))
+    assert sorted(listed) == sorted(["cli.md", *(page.name for page in (ROOT / "docs").glob("*.md"))])
+
+
+def test_the_protocols_keys_are_those_of_the_code():
+    """Every key of a protocol is listed with its default and meaning; `python tools/docs/describe_code.py` writes them."""
+    page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    sys.path.insert(0, str(ROOT / "tools" / "docs"))
+    import describe_code
+
+    assert f"<!-- keys -->\n{describe_code.keys_table()}\n<!-- /keys -->" in page
+    for key in ("views.test", "synthesis.k", "measurement.lpips_net", "stream.fps"):
+        assert f"| `{key}` |" in page
+
+
+def test_the_example_of_a_protocol_is_one(tmp_path):
+    """Both files of the protocol's page are read, and the longer one says what it sets."""
+    page = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+    shortest, longer = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    for name, text in (("mine", shortest), ("studio", longer)):
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
+    assert load_protocol(tmp_path / "mine.toml").views.test == ("cam02", "cam05")
+    studio = load_protocol(tmp_path / "studio.toml")
+    assert (studio.dataset, studio.frames.count, studio.measurement.lpips_net) == ("Studio, take 3", 120, "alex")
 
 
 def test_the_architecture_is_that_of_the_tree():
-    """Its rooms are those of the tree; `python docs/describe_tree.py` writes them."""
+    """Its rooms are those of the tree; `python tools/docs/describe_code.py` writes them."""
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     for folder in ("ggvs_eval", "baselines", "contrib", "metrics", "pipelines", "reports"):
         for file in (ROOT / folder).rglob("__init__.py"):

@@ -1,4 +1,4 @@
-"""Draw the pictures of the real video, docs/images/real_video_*.jpg: ``python docs/draw_real_video.py [RUN]``.
+"""Draw the pictures of the real video, docs/images/real_video_*.jpg: ``python tools/docs/draw_real_video.py [RUN]``.
 
 Strips of all test views, failures among them, and a row over time. The command of the run stands in docs/results.md.
 """
@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ggvs_eval.reports.figures.paper_figures import write_figure
 from ggvs_eval.run_folder import RunFolder, frame_path
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"
 STRIPS = {
     "truth": "Captured",

@@ -1,4 +1,4 @@
-"""Draw a good EPI and bad ones with their numbers, docs/images/epi_good_bad.jpg: ``python docs/draw_epi_picture.py``."""
+"""Draw a good EPI and bad ones with their numbers, docs/images/epi_good_bad.jpg: ``python tools/docs/draw_epi_picture.py``."""
 
 from collections.abc import Callable
 from dataclasses import replace

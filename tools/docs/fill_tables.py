@@ -1,4 +1,4 @@
-"""Write measured figures into README.md, the pages of docs/ and benchmarks/RESULTS.md: ``python docs/fill_tables.py [--check]``.
+"""Write measured figures into README.md, docs/ and benchmarks/RESULTS.md: ``python tools/docs/fill_tables.py [--check]``.
 
 `make results` measures and then fills. Tables are between ``<!-- name -->`` and ``<!-- /name: identity -->``, the identity of the
 code that they came from (`result_plan`); nothing between them is typed by hand. ``--check`` lists those older than the code.

@@ -1,4 +1,4 @@
-"""Draw the README's moving picture from a scored run: ``python docs/draw_picture.py [RUN]`` after `make reports`.
+"""Draw the README's moving picture from a scored run: ``python tools/docs/draw_picture.py [RUN]`` after `make reports`.
 
 Each method beside the captured frames, as on the page: first the scene moves and the x-t slice of the marked row grows below each
 picture, then the camera moves along its path and the epipolar plane image of the row grows.
@@ -18,7 +18,7 @@ from ggvs_eval.reports.figures.slices import epipolar_plane_image, most_textured
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PICTURE = ROOT / "docs" / "images" / "demo.webp"
 METHODS = {
     "no-blending": "No Blending",

@@ -27,7 +27,7 @@ from ggvs_eval.protocol import Protocol, load_protocol
 from ggvs_eval.run_folder import read_json
 from ggvs_eval.sweep import load_sweep
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 OUT = ROOT / "out"
 RECORDS = OUT / "results"  # one per measurement that was made here, with its log
 SHORT = 12  # digits of an identity that a page shows
