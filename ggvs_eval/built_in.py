@@ -99,6 +99,11 @@ VERBS: dict[str, Verb] = {
         "Run the whole evaluation (prepare, render, score, report); resumes completed steps.",
         RUNS,
     ),
+    "evaluate": Verb(
+        f"{VERBS_ROOM}.evaluate:evaluate",
+        "Videos of a rig to a page: calibrate, check, protocol and run in one command, each printed as it goes.",
+        RUNS,
+    ),
     "sweep": Verb(
         f"{VERBS_ROOM}.runs:sweep",
         "Evaluate every row of a sweep under each of its variants and print one table of all.",

@@ -17,6 +17,7 @@ EXAMPLES = {
     "ggvs-eval figure": "crops out/mine figures/crops",
     "ggvs-eval compare": "ours mine --run out/mine",
     "ggvs-eval run": "out/mine --capture my_capture --protocol mine.toml --methods ours distance-based",
+    "ggvs-eval evaluate": "my_videos out/rig --frames 30",
     "ggvs-eval sweep": "ablations out/ablations --capture my_capture --protocol mine.toml",
     "ggvs-eval status": "out/ablations",
     "ggvs-eval play": "my_capture round.mp4",
