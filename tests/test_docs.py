@@ -15,7 +15,7 @@ from ggvs_eval import plugins
 from ggvs_eval.protocol import load_protocol
 
 ROOT = Path(__file__).parents[1]
-README_BYTES = 6000
+README_BYTES = 7500
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
@@ -89,11 +89,11 @@ def test_modules_that_a_page_names_exist(page):
 
 
 def test_the_readme_is_a_front_door():
-    """At most 6 kB, one sentence and one table that scripts fill; the rest stands in docs/."""
+    """At most 7.5 kB, with a sentence and two tables that scripts fill; the rest is in docs/."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
 
     assert len(text.encode()) <= README_BYTES
-    assert re.findall(r"<!-- (\w+) -->", text) == ["learned", "real_frame"]
+    assert re.findall(r"<!-- (\w+) -->", text) == ["real_frame", "learned", "reduced"]
     assert (ROOT / "docs" / "images" / "demo.webp").stat().st_size <= 1.5e6
 
 

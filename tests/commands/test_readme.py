@@ -4,6 +4,7 @@ import re
 import shlex
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from ggvs_eval.protocol import load_protocol
@@ -51,6 +52,30 @@ def test_what_is_printed_is_what_the_page_shows(walk):
         assert abs(float(number) - float(own)) <= 0.002 * abs(float(own)) + 0.002
     assert (folder / reported).is_file()
     assert reported == "scores/room/report/index.html"
+
+
+def blocks(language):
+    """The code of README in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def test_the_same_in_python_is_the_same(walk, monkeypatch, capsys):
+    """The lines of Python print the table of the same renders."""
+    folder, _ = walk
+    monkeypatch.chdir(folder)
+    scoring, _ = blocks("python")
+    exec(compile(scoring, "README.md", "exec"), {})
+    assert QUOTED in capsys.readouterr().out
+
+
+def test_the_metric_is_a_plug_in():
+    """The example of a metric is one; of equal images it is 0, of a constant error that error."""
+    _, metric = blocks("python")
+    made = {}
+    exec(compile(metric, "mine.py", "exec"), made)
+    black = np.zeros((4, 5, 3), np.uint8)
+    assert made["METRICS"]["P99"].function(black, black) == 0
+    assert made["METRICS"]["P99"].function(black, black + np.uint8(7)) == 7
 
 
 @pytest.fixture(scope="module")

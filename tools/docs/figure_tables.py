@@ -175,16 +175,16 @@ def printed_table(measurement: str, head: str) -> str:
 
 
 def learned_sentence() -> str:
-    """Minutes and pixels that each network learned for: one sentence, the same on every page."""
+    """Minutes and pixels that each network was trained for: one sentence, the same on every page."""
     first, *others, ours = _cards()
     title, minutes, pixels = first
-    told = [f"{title} for {minutes} core-minutes on {pixels} million pixels"]
-    told += [f"{title} for {minutes} on {pixels}" for title, minutes, pixels in others]
+    listed = [f"{title} {minutes} core-minutes on {pixels} million pixels"]
+    listed += [f"{title} {minutes} on {pixels}" for title, minutes, pixels in others]
     on_gpu = {f"{minutes} minutes" for name in TRAINED_BASELINES if (minutes := _gpu_minutes(name))}
     besides = f" (and {' or '.join(sorted(on_gpu))} on a shared GPU)" if on_gpu else ""
     return (
-        f"The baselines are compact and were trained here{besides}: {', '.join(told)}; "
-        f"ours for {ours[1]} on {ours[2]}. A row says nothing of what their authors reach."
+        f"The baselines are reduced models trained for this comparison{besides}: {', '.join(listed)}; "
+        f"GGVS {ours[1]} on {ours[2]}. Do not read these rows as the published methods' quality."
     )
 
 

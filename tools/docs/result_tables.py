@@ -21,7 +21,8 @@ DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
 ON_THE_SCREEN = ("PSNR_stream", "SSIM_stream", "LPIPS_stream", "TCC_stream", "STED_stream")
 FIDELITY = ("PSNR", "SSIM", "LPIPS", "L1")
 USUAL_VIEW = "cam00"  # that Neural 3D Video is tested on by most
-README_METHODS = ("no-blending", "distance-based", "interpolation", "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", "ours")
+FRONT_METHODS = ("no-blending", "distance-based", "interpolation", "ours")  # of the README; no network but the method's own
+REDUCED_METHODS = ("fwd", "gps-gaussian+given-depth", "ibrnet", "enerf")  # compact networks that were trained here
 
 CLIP_DATASETS = {"dynerf": "DyNeRF", "enerf": "ENeRF-Outdoor", "d3dmv": "D3DMV"}
 CLIP_METHODS = {"enerf": "ENeRF", "gpsg": "GPSG", "ibrnet": "IBRNet", "ours": "paper's"}
@@ -76,14 +77,16 @@ def views_table(run: Path) -> str:
     return _markdown(_named(Results.read(run).per_view("PSNR"), run))
 
 
-def fidelity_table(run: Path) -> str:
-    """Fidelity of ours and its opponents in one run, and of ours in the data set's usual test view, as Markdown."""
+def fidelity_table(run: Path, labels: Sequence[str], usual_view: bool = False) -> str:
+    """Fidelity of some methods in one run as Markdown, and that of `ours` in the data set's usual test view where asked for."""
     results, names = Results.read(run), read_json(run / "methods.json")["names"]
     measured = results.summary().droplevel("dataset")
-    named = {names[label]: measured.loc[tuple(label.partition("+")[::2])] for label in README_METHODS}
-    in_view = {metric: results.per_view(metric).loc[("ours", ""), USUAL_VIEW] for metric in FIDELITY}
+    named = {names[label]: measured.loc[tuple(label.partition("+")[::2])] for label in labels}
+    if usual_view:
+        in_view = {metric: results.per_view(metric).loc[("ours", ""), USUAL_VIEW] for metric in FIDELITY}
+        named[f"{names['ours']}, {USUAL_VIEW}"] = pd.Series(in_view)
     rows = ["| method | " + " | ".join(FIDELITY) + " |", "| --- |" + " ---: |" * len(FIDELITY)]
-    for name, values in (*named.items(), (f"{names['ours']}, {USUAL_VIEW}", in_view)):
+    for name, values in named.items():
         rows.append(f"| {name} | " + " | ".join(f"{values[metric]:.{DECIMALS[metric]}f}" for metric in FIDELITY) + " |")
     return "\n".join(rows)
 
