@@ -113,7 +113,7 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def absent_unless_made(folder: Path) -> Iterator[None]:
-    """Remove a folder, and empty ones above it, that were absent before a block that fails; a stop by the user removes nothing."""
+    """Remove a folder, and empty ones above it, absent before a block that fails; a stop by the user removes nothing."""
     absent = [each for each in (folder, *folder.parents) if not each.exists()]
     try:
         yield

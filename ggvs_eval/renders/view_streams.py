@@ -325,7 +325,7 @@ def _compare_truth(stack: ArrayStack, indices: Mapping[int, int], view: str, req
     truth, numbers = ArrayStack(stack.path, OWN_TRUTH), {index: number for number, index in indices.items()}
     if (truth.n_frames, truth.size) != (stack.n_frames, stack.size):
         sizes = [f"{one.n_frames} frames of {one.size[0]} x {one.size[1]}" for one in (stack, truth)]
-        raise RenderError(f"{stack.path}: wanted {OWN_RENDERS} and {OWN_TRUTH} alike, got {' and '.join(sizes)}; save them again")
+        raise RenderError(f"{stack.path}: wanted {OWN_RENDERS} and {OWN_TRUTH} alike, got {' and '.join(sizes)}; save again")
     if size_fault(truth.size, request.sizes[view]):
         return f"{truth.path.name}[{OWN_TRUTH}] was not compared with the captured frames, which have another size"
     levels = [
@@ -336,7 +336,7 @@ def _compare_truth(stack: ArrayStack, indices: Mapping[int, int], view: str, req
     level = float(np.mean(levels))
     if level > LARGEST_DIFFERENCE:
         raise RenderError(
-            f"{truth.name}: wanted the captured frames of {view}, got pictures {level:.1f} levels of 255 away; check the view, the "
+            f"{truth.name}: wanted the captured frames of {view}, got pictures {level:.1f} levels of 255 away; check view, "
             "frames and --first-frame, or score them with their own truth: --with-truth"
         )
     return f"{truth.path.name}[{OWN_TRUTH}] agrees with the captured frames ({level:.1f} levels of 255 apart)"

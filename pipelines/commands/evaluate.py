@@ -1,4 +1,4 @@
-"""The verb of the command line that leads from the videos of a rig to a page: evaluate, which calls calibrate, check, protocol, run."""
+"""The verb of the command line from the videos of a rig to a page: evaluate calls calibrate, check, protocol and run."""
 
 import shlex
 import sys
@@ -33,8 +33,8 @@ def evaluate(
 ) -> None:
     """Calibrate, check and evaluate the videos of a rig, in one command.
 
-    Each step is printed as the command that does the same alone: calibrate, check, protocol, run. Where `check` finds something bad
-    the evaluation stops with its verdict and ends with 1. A second call resumes: finished steps are not repeated.
+    Each step is printed as the command that does the same alone: calibrate, check, protocol, run. Where `check` finds something
+    bad the evaluation stops with its verdict and ends with 1. A second call resumes: finished steps are not repeated.
 
     Args:
         videos: one video or folder of images per camera; or a capture with poses, which is not calibrated.

@@ -1,7 +1,7 @@
 """Renders that come with their truth become a run without a capture: archives as papers publish them.
 
-The form, by the card of 4DGV's evaluation (TOG 44(4), 2025): one ``.npz`` per view or scene with ``renders`` and ``gts``, (T, H, W, 3)
-as float in [0, 1] or uint8, and perhaps ``metrics``, one line per frame, whose order it does not say.
+The form, by the card of 4DGV's evaluation (TOG 44(4), 2025): one ``.npz`` per view or scene with ``renders`` and ``gts``,
+(T, H, W, 3) as float in [0, 1] or uint8, and perhaps ``metrics``, one line per frame, whose order it does not say.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -70,7 +70,7 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
     with absent_unless_made(run.root):
         if not run.protocol_file.is_file():
             _write_truth(run, stacks, terms, renders[first])
-        for label, own in sets.items():
+        for own in sets.values():
             for view, stack in own.items():
                 _require_same(run, view, stack, frames.numbers)
         yield run
@@ -91,7 +91,7 @@ def own_truths(path: Path) -> dict[str, ArrayStack]:
         if file.suffix.lower() != ".npz" or not {OWN_RENDERS, OWN_TRUTH} <= {*npz_members(file)}:
             held = ", ".join(npz_members(file)[:9]) if file.suffix.lower() == ".npz" else f"a {file.suffix or 'folder'}"
             raise RenderError(
-                f"{file}: wanted arrays {OWN_RENDERS} and {OWN_TRUTH}, got {held or 'none'}; save them so with numpy.savez, or give "
+                f"{file}: wanted arrays {OWN_RENDERS} and {OWN_TRUTH}, got {held or 'none'}; save them by numpy.savez, or give "
                 "--capture and leave out --with-truth"
             )
     return {file.stem: ArrayStack(file, OWN_TRUTH) for file in files}
@@ -155,7 +155,7 @@ def _compare(label: str, path: Path, results: Results) -> Iterator[str]:
         theirs = np.asarray(read_small_array(stack.path, PUBLISHED), np.float64)
         if theirs.ndim != 2 or len(theirs) != stack.n_frames:
             shape = " x ".join(map(str, theirs.shape))
-            yield f"{label}, {view}: {PUBLISHED} is {shape}, not a line for each of {counted(stack.n_frames, 'frame')}; not compared"
+            yield f"{label}, {view}: {PUBLISHED} is {shape}, not a line for each frame; not compared"
             continue
         for at, column in enumerate(theirs.T):
             yield f"{label}, {view}: {PUBLISHED} column {at} {_column_words(column, split_label(label), view, results)}"
@@ -178,4 +178,5 @@ def _column_words(theirs: np.ndarray, method: tuple[str, str], view: str, result
         return f"is {best} and agrees (at most {float(ratios.max()) * AGREEING[best]:.4f} apart)"
     worst = int(np.argmax(ratios))
     mine = float(results.per_frame(best, view)[method].to_numpy()[worst])
-    return f"is {best} and differs in {counted(len(wrong), 'frame')}, most in frame {worst}: {theirs[worst]:.4f} there, {mine:.4f} here"
+    many = counted(len(wrong), "frame")
+    return f"is {best} and differs in {many}, most in frame {worst}: {theirs[worst]:.4f} there, {mine:.4f} here"

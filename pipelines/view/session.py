@@ -337,7 +337,7 @@ class Session:
 
 
 def status_text(picture: Picture, rate: float) -> str:
-    """Pictures per second, the size, the source cameras and the milliseconds of each stage, as Markdown; outside of the rig only that."""
+    """Pictures per second, size, source cameras and milliseconds of each stage, as Markdown; outside of the rig that alone."""
     if picture.is_outside:
         return OUTSIDE.format(picture.seen)
     height, width = picture.image.shape[:2]

@@ -41,7 +41,7 @@ class Break:
     Attributes:
         at: number of the later sample, from 0.
         x: column, pixels.
-        apart: how far its change since the sample before is from the truth's, mean over channels and a few columns, levels of 255.
+        apart: how far its change since the sample before is from the truth's, mean over a few columns, levels of 255.
     """
 
     at: int

@@ -39,7 +39,7 @@ MEANING = (
 )
 HEADS = ("Paper's table", "Method", "Metric", "Paper", "This run", "Status", "Why")
 WORDS = (0, 1, 2, 5, 6)  # columns without numbers
-PAPER_MAP = (  # what the paper shows, the part of the page that has the same of these runs, and the command that makes it (docs/paper.md)
+PAPER_MAP = (  # what the paper shows, the part of the page with the same of these runs, the command; as docs/paper.md
     ("Tables 1 and 2, consistency and novel-view synthesis", "results", "ggvs-eval run OUT --capture DATA --protocol dynerf"),
     ("Table 3, ablation", "", "ggvs-eval sweep ablations OUT --capture DATA --protocol dynerf"),
     ("Table 4, time of each stage", "timing", "ggvs-eval run OUT --capture DATA --protocol dynerf --jobs 1"),

@@ -1,4 +1,4 @@
-"""From the videos of a rig to a page in one command, which says each step as a command of its own, and stops where check is bad."""
+"""From the videos of a rig to a page in one command, which prints each step as a command and stops where check is bad."""
 
 import shlex
 import shutil
@@ -40,7 +40,7 @@ def room(tmp_path_factory) -> Path:
 
 @pytest.mark.proof  # two calls of COLMAP and depth, a minute and a half of a core
 def test_videos_become_a_page_by_steps_that_are_said(room, tmp_path, capsys):
-    """Calibrate, check, protocol and run, each printed as it goes; a second call repeats none but the check, and gives the same."""
+    """Calibrate, check, protocol and run, each printed as it goes; a second call repeats the check alone, and gives the same."""
     out = tmp_path / "out"
     call("evaluate", room / "videos", out, *FAST)
     told = capsys.readouterr().out

@@ -18,7 +18,8 @@ HIDDEN = LABELS[0]
 NAME = "No Blending"
 # Elements that show the method by its name and can be seen now.
 SEEN = (
-    "[...document.querySelectorAll('[data-method]')].filter(one => one.dataset.method === arguments[0] && one.getClientRects().length)"
+    "[...document.querySelectorAll('[data-method]')]"
+    ".filter(one => one.dataset.method === arguments[0] && one.getClientRects().length)"
 )
 
 
@@ -141,7 +142,7 @@ def test_paper_has_scores_and_figures_alone(started, painted):
             assert started.run(seen, shown), shown
         for hidden in (".stage", "#through", "#errors", "#heat", "#videos", ".tabs", ".copies", ".methods"):
             assert not started.run(seen, hidden), hidden
-        wide = "[...document.querySelectorAll('table')].filter(one => one.checkVisibility() && one.getBoundingClientRect().right > innerWidth)"
+        wide = "[...document.querySelectorAll('table')].filter(one => one.getBoundingClientRect().right > innerWidth)"
         assert started.run(f"{wide}.map(one => one.parentElement.ariaLabel)") == []
         pages = started.driven.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
         assert base64.b64decode(pages["data"]).count(b"/Type /Page\n") <= 6

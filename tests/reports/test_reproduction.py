@@ -22,7 +22,6 @@ from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.reproduction import (
     STATUSES,
-    TABLES,
     Reproduction,
     blocks,
     evaluate_value,

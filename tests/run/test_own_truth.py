@@ -1,4 +1,4 @@
-"""Renders that papers publish with their truth are scored as they are, without a capture, and marked so; failed calls leave nothing."""
+"""Renders that papers publish with their truth are scored without a capture and marked so; failed calls leave nothing."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -136,7 +136,7 @@ def test_two_methods_share_one_truth(quick, tmp_path):
 )
 @pytest.mark.parametrize("verb", ["score", "doctor"])
 def test_a_failed_call_leaves_no_folder(quick, tmp_path, monkeypatch, verb, renders):
-    """Neither the run folder nor `scores/` above it is there after a call that failed on its input; a run that was there stays."""
+    """Neither the run folder nor `scores/` is there after a call that failed on its input; a run that was there stays."""
     monkeypatch.chdir(tmp_path)
     options = ["--capture", quick / QUICK_ROOM, "--protocol", quick / PROTOCOL]
     words = ["--renders", *renders] if verb == "score" and renders else ["/nowhere"] if verb == "doctor" else []

@@ -93,7 +93,7 @@ def test_outside_of_the_rig_is_said_and_left_by_a_key(page):
 
 
 def test_a_camera_that_was_dragged_away_comes_back_within_reach(page):
-    """The picture is of the nearest place within reach, and the window's camera is taken there once it rests; no control moves."""
+    """The picture is of the nearest place within reach, the window's camera follows once it rests; no control moves."""
     browser, viewer = page
     session = session_of(viewer)
     leash, opened = session._leash, session.client.camera.position.copy()
