@@ -36,7 +36,8 @@ def _values(run: MeasuredRun, metric: str) -> dict[str, list[Value]]:
         table = run.results.per_frame(metric, view)
         for method, variant in cast("list[tuple[str, str]]", list(table.columns)):
             series = table[(method, variant)]
-            finite = [(float(value), view, int(frame)) for frame, value in series.items() if math.isfinite(value)]
+            frames, numbers = series.index.astype(int), map(float, series)
+            finite = [(value, view, frame) for frame, value in zip(frames, numbers, strict=True) if math.isfinite(value)]
             values.setdefault(label_of(method, variant), []).extend(finite)
     sign = 1.0 if run.metrics[metric].higher_is_better else -1.0
     return {label: sorted(own, key=lambda one: sign * one[0]) for label, own in values.items() if own}
