@@ -82,3 +82,9 @@ def test_videos_play(shown):
     shown.wait(f"{videos}.every(video => video.readyState >= 1 && video.videoWidth === 160)")
     shown.run(f"{videos}[1].play()")
     shown.wait(f"{videos}[1].currentTime > 0 && !{videos}[1].error")
+
+
+def test_the_summary_fits_a_phone(started, painted):
+    """Who is best and who is as good is read without scrolling sideways."""
+    started.visit(painted, PHONE, place="#results")
+    assert started.run("(box => box.scrollWidth <= box.clientWidth)(document.querySelector('.leaders').parentElement)")
