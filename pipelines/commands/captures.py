@@ -91,6 +91,8 @@ def check(
     from ggvs_eval.pipelines.inspection.capture.colour import repair_capture
 
     capture = locate(capture)
+    if not capture.exists():
+        raise CaptureError(f"{capture}: wanted a folder or a file with a capture, there is none; check the path")
     out = out or Path(f"{capture.resolve().name}.check.json")
     if crop is not None:
         print(write_crop(capture if capture.is_dir() else capture.parent, Crop(*crop)))
@@ -164,6 +166,8 @@ def protocol(
     if metrics:
         select_metrics(metrics)
         chosen = replace(chosen, measurement=replace(chosen.measurement, metrics=metrics))
+    if chosen != proposal.protocol or test:  # a protocol of the user's own spares no frame
+        chosen = replace(chosen, measurement=replace(chosen.measurement, lpips_every=1))
     if stream is not None:
         chosen = checked_protocol(chosen.streamed(Stream(fps=stream)), "--stream")
     with atomic_file(out) as unfinished:
