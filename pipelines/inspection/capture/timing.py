@@ -5,26 +5,24 @@ that same half-plane, whatever its depth. So the motion within each half-plane r
 idea of motion barcodes, Ben-Artzi et al. 2016, with energies in place of bits).
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.epipolar import neighbour_pairs
-from ggvs_eval.pipelines.inspection.capture.frames import CameraRecord
 from ggvs_eval.pipelines.inspection.capture.pairs import solve_differences
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict
+from ggvs_eval.pipelines.inspection.capture.records import CameraRecord
+from ggvs_eval.pipelines.inspection.capture.stillness import describe_when
+from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict, graded
 
 PLANES = 24
 # Share of pixels at the rims that may lie outside the planes compared.
 RIM_SHARE = 0.02
-# Differences below so many times the usual one of that frame are noise, or the pulse of a codec's key frames.
-NOISE_FACTOR, LEAST_LEVELS = 4.0, 1.0
-SMOOTHING_SIGMA = 1.0
 QUESTION = "time offset"
 LARGEST_LAG = 8
 # Fewer frames leave nothing to correlate once they are shifted.
@@ -37,6 +35,11 @@ BAD_FRAMES, WARN_FRAMES = 0.75, 0.3
 LARGEST_SCATTER_FRAMES = 0.75
 # One pair cannot tell which of its two cameras is wrong, nor whether it is wrong itself.
 FEWEST_PAIRS = 2
+DROPPED = "dropped frames"
+# Of frames lost at once; the price of a step in units of what two cameras' motion differs by at its best; neighbours that agree.
+LARGEST_STEP, STEP_COST, LEAST_AGREEMENT, LEAST_RESIDUAL = 3, 4.0, 0.7, 0.01
+# Half widths of intervals are so many standard errors; lags of sharp motion are no better than a fiftieth of a frame.
+SIGMAS, LEAST_SIGMA_FRAMES = 3.0, 0.02
 
 
 @dataclass(frozen=True)
@@ -54,17 +57,6 @@ class Lag:
     correlation: float
     margin: float
     at_edge: bool
-
-
-def motion_energy(burst: NDArray[np.uint8]) -> Array32:
-    """Square root of what changes from frame to frame beyond noise, (B - 1, h, w)."""
-    energy = np.empty((max(len(burst) - 1, 0), *burst.shape[1:]), np.float32)
-    for index in range(len(energy)):
-        difference = cv2.absdiff(burst[index + 1], burst[index]).astype(np.float32)
-        difference = cv2.GaussianBlur(difference, (0, 0), SMOOTHING_SIGMA)
-        threshold = max(NOISE_FACTOR * float(np.median(difference)), LEAST_LEVELS)
-        energy[index] = np.sqrt(np.maximum(difference - threshold, 0))
-    return energy
 
 
 def plane_signals(one: Camera, other: Camera, energy_one: Array32, energy_other: Array32) -> tuple[Array, Array] | None:
@@ -133,6 +125,10 @@ def _correlation(one: Array, other: Array, lag: int) -> float:
     frames = one.shape[1]
     first = one[:, max(0, -lag) : frames - max(0, lag)]
     second = other[:, max(0, lag) : frames + min(0, lag)]
+    known = np.isfinite(first).all(axis=0) & np.isfinite(second).all(axis=0)
+    if not known.any():
+        return float("nan")
+    first, second = first[:, known], second[:, known]
     first, second = (signal - signal.mean(axis=1, keepdims=True) for signal in (first, second))
     energy = float((first**2).sum() * (second**2).sum())
     return float((first * second).sum() / np.sqrt(energy)) if energy > 1e-12 else float("nan")
@@ -145,56 +141,99 @@ def _parabola_peak(before: float, at: float, after: float) -> float:
 
 
 Lags = dict[tuple[int, int], Lag]
+Signals = dict[tuple[int, int], tuple[Array, Array]]
 
 
 def check_timing(
     cameras: Sequence[Camera], records: Sequence[CameraRecord], doubtful: Collection[int] = (), fps: float = 0.0
 ) -> tuple[Finding, ...]:
-    """Offsets of all cameras from the motion that neighbours see.
+    """Offsets of all cameras from the motion that neighbours see, and frames that one of them lost or doubled.
 
     Args:
         doubtful: indices of cameras whose calibration is wrong, whose motion can be compared with no other's.
         fps: frames per second, to say offsets in milliseconds too.
 
     Returns:
-        One finding for the rig and one for each camera; ``offset_frames`` is positive for a camera that is ahead: its frame t
-        shows what the others show at t + offset.
+        Of each question one finding for the rig and one for each camera; ``offset_frames`` is positive for a camera that is
+        ahead: its frame t shows what the others show at t + offset. Of a camera that lost frames it is that at the start.
     """
     reason = _why_not(records) or ("the calibration is in doubt, see epipolar error" if len(doubtful) == len(cameras) else "")
     if reason:
-        return tuple(Finding(subject, QUESTION, "unknown", reason) for subject in (RIG, *(camera.name for camera in cameras)))
-    lags = measure_lags(cameras, records, doubtful)
+        subjects = (RIG, *(camera.name for camera in cameras))
+        return tuple(Finding(each, question, "unknown", reason) for question in (QUESTION, DROPPED) for each in subjects)
+    signals = pair_signals(cameras, records, doubtful)
+    lags = measure_lags(signals)
+    steps = find_steps(len(cameras), signals, lags)
+    if any(steps.values()):
+        signals = {pair: _in_step(pair, both, steps) for pair, both in signals.items()}
+        lags = measure_lags(signals)
     offsets = solve_offsets(len(cameras), lags)
-    evaluated = [
+    known = [
         _unknown(record, index in doubtful, len(cameras), [lag for pair, lag in lags.items() if index in pair])
-        or _evaluate(record.name, index, offsets, lags)
+        for index, record in enumerate(records)
+    ]
+    evaluated = [
+        Finding(record.name, QUESTION, "unknown", known[index])
+        if known[index]
+        else _evaluate(record.name, index, offsets, lags, steps[index])
+        for index, record in enumerate(records)
+    ]
+    dropped = [
+        Finding(record.name, DROPPED, "unknown", known[index])
+        if known[index]
+        else _dropped(record.name, steps[index], timed_frames(records), fps)
         for index, record in enumerate(records)
     ]
     n_known = int(np.isfinite(offsets).sum())
     if not n_known:
         reason = "nothing moves, or not as neighbours see it"
-        return (Finding(RIG, QUESTION, "unknown", reason, {}, "compare a clap or a flash by eye"), *evaluated)
+        rig = Finding(RIG, QUESTION, "unknown", reason, {}, "compare a clap or a flash by eye")
+        return (rig, *evaluated, Finding(RIG, DROPPED, "unknown", reason), *dropped)
     spread = float(np.nanmax(np.abs(offsets)))
     shown = f"largest {spread:.2f} frames" + (f" ({1000 * spread / fps:.0f} ms)" if fps else "")
     correlation = float(np.median([lag.correlation for lag in lags.values()]))
     values = {"largest_frames": round(spread, 3), "n_cameras": n_known, "correlation": round(correlation, 3)}
     measured = f"{shown} among {n_known} cameras, {len(lags)} pairs, correlation {correlation:.2f}"
-    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated)
+    n_steps = sum(map(len, steps.values()))
+    lost = Finding(RIG, DROPPED, "ok", "none" if not n_steps else f"{n_steps} in the clip", {"n_steps": n_steps})
+    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated, lost, *dropped)
 
 
-def measure_lags(cameras: Sequence[Camera], records: Sequence[CameraRecord], doubtful: Collection[int] = ()) -> Lags:
-    """Lag of each pair of neighbours whose motion agrees at one lag clearly better than at others."""
-    usable = {index for index, record in enumerate(records) if len(record.burst) >= FEWEST_FRAMES} - set(doubtful)
-    energies = {index: motion_energy(records[index].burst) for index in usable}
-    small = {index: cameras[index].resized(*records[index].burst.shape[:0:-1]) for index in usable}
-    lags: Lags = {}
+def timed_frames(records: Sequence[CameraRecord]) -> list[int]:
+    """Frames whose motion any camera knows, ascending; -1 stands in gaps, so that no lag reaches over one."""
+    known = sorted(set().union(*(record.energy for record in records)))
+    frames = []
+    for before, frame in zip([known[0] - 1, *known], known, strict=False):
+        frames += [-1] * min(frame - before - 1, LARGEST_LAG) + [frame]
+    return frames
+
+
+def pair_signals(cameras: Sequence[Camera], records: Sequence[CameraRecord], doubtful: Collection[int] = ()) -> Signals:
+    """Motion per half-plane of each pair of neighbours at `timed_frames`, both (PLANES, T); NaN of frames that were not read."""
+    usable = {index for index, record in enumerate(records) if len(record.energy) >= FEWEST_FRAMES - 1} - set(doubtful)
+    frames = timed_frames(records)
+    energies, small = {}, {}
+    for index in usable:
+        shape = next(iter(records[index].energy.values())).shape
+        missing = np.full(shape, np.nan, np.float32)
+        energies[index] = np.stack([records[index].energy.get(frame, missing) for frame in frames]).astype(np.float32)
+        small[index] = cameras[index].resized(*shape[::-1])
+    signals: Signals = {}
     for i, j in neighbour_pairs(cameras):
         if i in usable and j in usable:
-            length = min(len(energies[i]), len(energies[j]))  # damage may have cut one short
-            signals = plane_signals(small[i], small[j], energies[i][:length], energies[j][:length])
-            lag = best_lag(*signals, min(LARGEST_LAG, length // 3)) if signals else None
-            if lag is not None and lag.correlation >= LEAST_CORRELATION and not lag.at_edge:
-                lags[i, j] = lag
+            both = plane_signals(small[i], small[j], energies[i], energies[j])
+            if both is not None:
+                signals[i, j] = both
+    return signals
+
+
+def measure_lags(signals: Signals) -> Lags:
+    """Lag of each pair of neighbours whose motion agrees at one lag clearly better than at others."""
+    lags: Lags = {}
+    for pair, (one, other) in signals.items():
+        lag = best_lag(one, other, min(LARGEST_LAG, one.shape[1] // 3))
+        if lag is not None and lag.correlation >= LEAST_CORRELATION and not lag.at_edge:
+            lags[pair] = lag
     return lags
 
 
@@ -206,8 +245,125 @@ def solve_offsets(count: int, lags: Lags) -> Array:
     return solve_differences(count, list(lags), np.array([lag.frames for lag in lags.values()]), weights)
 
 
+@dataclass(frozen=True)
+class Step:
+    """Frames that a camera lost or doubled.
+
+    Attributes:
+        row: where the signals fit best if its motion is shifted from here on.
+        first: the earliest row that fits about as well.
+        last: the latest.
+        size: frames lost; negative for doubled ones.
+    """
+
+    row: int
+    first: int
+    last: int
+    size: int
+
+
+def find_steps(count: int, signals: Signals, lags: Lags) -> dict[int, list[Step]]:
+    """Steps of each camera in its offset against its neighbours, ascending in time.
+
+    Reading:
+        At each instant a camera's motion is compared with that of every neighbour at every lag; the median over neighbours, of
+        which most are sound, is followed by the path of least cost that pays for each change (Viterbi). A step counts where most
+        neighbours agree with it on both of its sides.
+    """
+    offsets = np.nan_to_num(np.rint(solve_offsets(count, lags))).astype(int)
+    steps: dict[int, list[Step]] = {}
+    for index in range(count):
+        costs = []
+        for pair in (pair for pair in lags if index in pair):
+            one, other = signals[pair] if pair[0] == index else signals[pair][::-1]
+            costs.append(_lag_costs(one, other, int(offsets[index] - offsets[sum(pair) - index])))
+        steps[index] = _steps_of(np.stack(costs)) if len(costs) >= FEWEST_PAIRS else []
+    return steps
+
+
+def _lag_costs(one: Array, other: Array, base: int) -> Array:
+    """Squared difference of two motions at each instant and change of lag, (T, 2 LARGEST_STEP + 1), about 1 of unlike ones.
+
+    Args:
+        one: (P, T).
+        base: lag without a change.
+    """
+    first, second = (signal - np.nanmean(signal, axis=1, keepdims=True) for signal in (one, other))
+    first, second = (signal / max(np.sqrt(np.nanmean(signal**2)), 1e-9) for signal in (first, second))
+    frames = one.shape[1]
+    costs = np.full((frames, 2 * LARGEST_STEP + 1), np.nan)
+    for place in range(2 * LARGEST_STEP + 1):
+        lag = base + place - LARGEST_STEP
+        begin, end = max(0, -lag), frames - max(0, lag)
+        if begin < end:
+            costs[begin:end, place] = ((first[:, begin:end] - second[:, begin + lag : end + lag]) ** 2).mean(axis=0) / 2
+    return costs
+
+
+def _steps_of(costs: Array) -> list[Step]:
+    """Steps of one camera.
+
+    Args:
+        costs: of each neighbour, instant and change of lag, (N, T, L).
+    """
+    common = np.nanmedian(np.where(np.isfinite(costs).any(axis=0), costs, 0.0), axis=0)  # (T, L); 0 where nothing is known
+    none, some = (~np.isfinite(costs)).all(axis=0), np.isfinite(costs).any(axis=(0, 2))
+    if not some.any():
+        return []
+    row_means = np.array([row[~unknown].mean() if known else 0.0 for row, unknown, known in zip(common, none, some, strict=True)])
+    filled = np.where(none, row_means[:, None], common)  # at the ends some lags have no partner, which tells nothing
+    unit = max(float(np.median(filled[some].min(axis=1))), LEAST_RESIDUAL)
+    path = _cheapest_path(filled, STEP_COST * unit)
+    borders = [0, *(np.flatnonzero(np.diff(path)) + 1).tolist(), len(path)]
+    steps = []
+    for begin, row, end in zip(borders[:-2], borders[1:-1], borders[2:], strict=True):
+        before, after = int(path[row - 1]), int(path[row])
+        gains = costs[:, :, after] - costs[:, :, before]  # (N, T), positive where the lag before the step is the better one
+        agree = (np.nansum(gains[:, begin:row], axis=1) > 0) & (np.nansum(gains[:, row:end], axis=1) < 0)
+        if agree.mean() < LEAST_AGREEMENT:
+            continue
+        prices = np.concatenate([[0.0], np.cumsum(filled[begin:end, before] - filled[begin:end, after])])
+        first = last = row
+        while first - 1 > begin and prices[first - 1 - begin] <= prices[row - begin] + unit:
+            first -= 1
+        while last + 1 < end and prices[last + 1 - begin] <= prices[row - begin] + unit:
+            last += 1
+        steps.append(Step(row, first, last, after - before))
+    return steps
+
+
+def _cheapest_path(costs: Array, change: float) -> NDArray[np.int64]:
+    """The column of each row, (T,), with the least sum of costs (T, L) and of `change` for each time that it changes."""
+    best, came_from = costs[0].copy(), np.zeros(costs.shape, np.int64)
+    stay = np.arange(costs.shape[1])
+    for row in range(1, len(costs)):
+        jump = int(best.argmin())
+        came_from[row] = np.where(best <= best[jump] + change, stay, jump)
+        best = np.minimum(best, best[jump] + change) + costs[row]
+    path = np.empty(len(costs), np.int64)
+    path[-1] = best.argmin()
+    for row in range(len(costs) - 1, 0, -1):
+        path[row - 1] = came_from[row, path[row]]
+    return path
+
+
+def _in_step(pair: tuple[int, int], both: tuple[Array, Array], steps: dict[int, list[Step]]) -> tuple[Array, Array]:
+    """The signals of two cameras as they would be had none lost or doubled a frame."""
+    mended = []
+    for index, signal in zip(pair, both, strict=True):
+        shift, place = np.zeros(signal.shape[1], int), np.arange(signal.shape[1])
+        for step in steps[index]:
+            shift[step.row :] += step.size
+        target = place + shift
+        kept = (target >= 0) & (target < len(place))
+        moved = np.full_like(signal, np.nan)
+        moved[:, target[kept]] = signal[:, place[kept]]
+        mended.append(moved)
+    return mended[0], mended[1]
+
+
 def _why_not(records: Sequence[CameraRecord]) -> str:
-    longest = max((len(record.burst) for record in records), default=0)
+    longest = max((len(record.energy) for record in records), default=0) + 1
     if len(records) < 2:
         return "one camera alone has no offset"
     if longest < FEWEST_FRAMES:
@@ -215,34 +371,66 @@ def _why_not(records: Sequence[CameraRecord]) -> str:
     return ""
 
 
-def _unknown(record: CameraRecord, is_doubtful: bool, n_cameras: int, own: Sequence[Lag]) -> Finding | None:
-    """Say why nothing can be said of one camera; None where something can."""
-    reason = ""
+def _unknown(record: CameraRecord, is_doubtful: bool, n_cameras: int, own: Sequence[Lag]) -> str:
+    """Say why nothing can be said of one camera; empty where something can."""
     if is_doubtful:
-        reason = "its calibration is in doubt, see epipolar error"
-    elif len(record.burst) < FEWEST_FRAMES:
-        reason = f"{len(record.burst)} frames in a row, at least {FEWEST_FRAMES} are needed"
-    elif len(own) < min(FEWEST_PAIRS, n_cameras - 1):
-        reason = "no motion that enough neighbours see too"
-    return Finding(record.name, QUESTION, "unknown", reason) if reason else None
+        return "its calibration is in doubt, see epipolar error"
+    if len(record.energy) < FEWEST_FRAMES - 1:
+        return f"{len(record.energy) + 1} frames in a row, at least {FEWEST_FRAMES} are needed"
+    return "no motion that enough neighbours see too" if len(own) < min(FEWEST_PAIRS, n_cameras - 1) else ""
 
 
-def _evaluate(name: str, index: int, offsets: Array, lags: Lags) -> Finding:
+def _evaluate(name: str, index: int, offsets: Array, lags: Lags, steps: Sequence[Step]) -> Finding:
     own = {pair: lag for pair, lag in lags.items() if index in pair}
     offset = float(offsets[index])
     if not np.isfinite(offset):
         return Finding(name, QUESTION, "unknown", "its neighbours share no motion with the rest of the rig")
-    scatter = float(np.median([abs(offsets[i] - offsets[j] - lag.frames) for (i, j), lag in own.items()]))
+    residuals = np.array([offsets[i] - offsets[j] - lag.frames for (i, j), lag in own.items()])
+    scatter = float(np.median(np.abs(residuals)))
     if scatter > LARGEST_SCATTER_FRAMES:
         return Finding(name, QUESTION, "unknown", f"its {len(own)} neighbours contradict each other by {scatter:.1f} frames")
     correlation = float(np.median([lag.correlation for lag in own.values()]))
-    values = {"offset_frames": round(offset, 3), "correlation": round(correlation, 3), "n_pairs": len(own)}
+    half_width = SIGMAS * max(1.4826 * scatter * 1.2533 / np.sqrt(len(own)), LEAST_SIGMA_FRAMES)
+    values = {"offset_frames": round(offset, 3), "half_width_frames": round(half_width, 3)}
+    values |= {"correlation": round(correlation, 3), "n_pairs": len(own), "is_constant": not steps}
     size = abs(offset)
-    verdict: Verdict = "bad" if size > BAD_FRAMES else "warn" if size > WARN_FRAMES else "ok"
-    whole = round(size)
+    verdict: Verdict = "ok" if size <= half_width else graded(size, WARN_FRAMES, BAD_FRAMES)
     direction = "ahead of" if offset > 0 else "behind"
-    measured = f"{size:.2f} frames {direction} the rig, correlation {correlation:.2f} with {len(own)} cameras"
+    measured = f"{size:.2f} +- {half_width:.2f} frames {direction} the rig"
+    measured += f"{' at the start' if steps else ''}, correlation {correlation:.2f} with {len(own)} cameras"
     advice = "" if verdict == "ok" else "shot without genlock? leave the camera out where things move fast"
-    if whole:
-        advice = f"'check --repair' shifts it by {whole} frame{'s' * (whole > 1)}; or leave it out"
+    if whole := whole_shift(values):
+        advice = f"'check --repair' shifts it by {abs(whole)} frame{'s' * (abs(whole) > 1)}; or leave it out"
+    elif verdict == "bad" and steps:
+        advice = f"see {DROPPED}: no shift suits the whole clip"
     return Finding(name, QUESTION, verdict, measured, values, advice)
+
+
+def whole_shift(values: Mapping[str, Any]) -> int:
+    """Frames by which a camera can be shifted into step; 0 where its offset does not lie beyond half a frame for certain.
+
+    Args:
+        values: of a finding on the time offset.
+    """
+    offset = float(values["offset_frames"])
+    is_certain = abs(offset) - values.get("half_width_frames", 0.0) > 0.5 and values.get("is_constant", True)
+    return round(offset) if is_certain else 0
+
+
+def _dropped(name: str, steps: Sequence[Step], frames: Sequence[int], fps: float) -> Finding:
+    """Frames that one camera lost or doubled."""
+    if not steps:
+        return Finding(name, DROPPED, "ok", "none", {"steps": []})
+    parts, values = [], []
+    for step in steps:
+        near = [frame for frame in frames[step.first : step.last + 1] if frame >= 0]
+        first, last = (near[0], near[-1]) if near else (frames[step.row - 1], frames[step.row])
+        count = abs(step.size)
+        how = "lost" if step.size > 0 else "doubled"
+        parts.append(f"{count} frame{'s' * (count > 1)} {how} {describe_when(first, last, fps)}")
+        values.append({"frames": step.size, "first_frame": first, "last_frame": last})
+    end = sum(step.size for step in steps)
+    if end:
+        parts.append(f"from there on {abs(end)} frame{'s' * (abs(end) > 1)} {'ahead' if end > 0 else 'behind'}")
+    advice = "copy or convert this video again; until then evaluate the frames before, or leave this camera out"
+    return Finding(name, DROPPED, "bad", "; ".join(parts), {"steps": values}, advice)
