@@ -1,12 +1,13 @@
 """Faults of cameras planted in the videos of clean rigs against what `check` finds: smallest faults found, false alarms.
 
 ``python -m benchmarks.capture_faults RIG [RIG ...] [--clean N] [--only FAULT ...]``
-RIG is a capture with exact cameras and gains of 1 (`ggvs-eval film RIG --exposure-spread 0 ...`). Each fault is planted in one
+RIG is filmed by `ggvs-eval film`, so that its cameras are exact; their gains are divided out. Each fault is planted in one
 camera of each rig, at each size; a fault counts as found where the right question names that camera, and at the right time. Clean
 takes are parts of the rigs - other cameras, other frames, new sensor noise, lamps that fade - of which every warning is false.
 """
 
 import argparse
+import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.inspection.capture.check import examine
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, record_camera
@@ -134,11 +136,21 @@ def scale(frame: Image8, gain: object) -> Image8:
     return np.clip(np.rint(frame * np.asarray(gain)), 0, 255).astype(np.uint8)
 
 
+def even_gains(capture: Capture) -> Capture:
+    """The capture, in memory, with the gains that `demo.json` gives of its cameras divided out."""
+    gains = json.loads((capture.path / DEMO_NOTES).read_text(encoding="utf-8"))["camera_gains"]
+    frames = (
+        [scale(frame, 1 / np.array(gain)) for frame in capture.frames(name)]
+        for name, gain in zip(capture.camera_names, gains, strict=True)
+    )
+    return replace(capture, sources=tuple(map(KeptFrames, frames)))
+
+
 class Take:
     """A clean rig in memory, of which single cameras can be spoilt."""
 
     def __init__(self, path: Path) -> None:
-        self.capture = open_capture(path)
+        self.capture = even_gains(open_capture(path))
         self.frames = {name: list(self.capture.frames(name)) for name in self.capture.camera_names}
         self.n_frames = self.capture.n_frames - SPARE
         self._records = {name: self.record(name, frames) for name, frames in self.frames.items()}
@@ -194,7 +206,7 @@ def zoomed_rigs(rigs: Sequence[Path]) -> None:
     for zoom in (1.0, *ZOOMS):
         found, accused = 0, []
         for number, path in enumerate(rigs):
-            capture = open_capture(path)
+            capture = even_gains(open_capture(path))
             rng = np.random.default_rng([number, 9])
             camera = capture.camera_names[int(rng.integers(len(capture.cameras)))]
             with tempfile.TemporaryDirectory() as folder:
@@ -212,10 +224,10 @@ def zoomed_rigs(rigs: Sequence[Path]) -> None:
 
 def false_alarms(rigs: Sequence[Path], count: int) -> None:
     """Print what is warned of in clean takes."""
-    alarms = 0
+    alarms, clean = 0, [even_gains(open_capture(path)) for path in rigs]
     for number in range(count):
         rng = np.random.default_rng([number, 11])
-        capture = open_capture(rigs[number % len(rigs)])
+        capture = clean[number % len(rigs)]
         n_cameras = int(rng.integers(LEAST_CAMERAS, len(capture.cameras) + 1))
         chosen = sorted(rng.choice(len(capture.cameras), n_cameras, replace=False))
         n_frames = int(rng.integers(LEAST_FRAMES, capture.n_frames + 1))

@@ -191,6 +191,8 @@ def calibrate(frames: Frames, out: Output, calibration: Calibrating = Calibratio
     rig = find_cameras(frames, out, calibration)
     for name, reason in rig.missing.items():
         print(f"{name} left out: {reason}", file=sys.stderr)
+    for name, lens in rig.odd_lenses.items():
+        print(f"{name} {lens.describe()}: another zoom? calibrate again with --own-lens {name}", file=sys.stderr)
     error = f"mean reprojection error {rig.mean_reprojection_error_px:.3f} px over {rig.n_points} points"
     print(f"{rig.path}: {len(rig.cameras)} cameras, {error}")
 

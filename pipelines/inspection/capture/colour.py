@@ -30,6 +30,7 @@ DARKEST, BRIGHTEST = 20.0, 235.0
 FEWEST_COLOURS = 15
 # Half widths of intervals are so many standard errors; what the codec does to a median of colours is never known better.
 SIGMAS, LEAST_SIGMA = 3.0, 0.001
+PARTS_PER_SIDE, FEWEST_IN_PART, FEWEST_PARTS = 4, 3, 4
 # Above 5 levels PSNR against a perfect image is below 34 dB; twice the rig's own noise points at one sensor.
 WARN_SIGMA, BAD_SIGMA, ODD_FACTOR, LEAST_ODD_SIGMA = 5.0, 12.0, 2.0, 2.0
 CHANNELS = ("red", "green", "blue")
@@ -87,7 +88,9 @@ def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Gains:
         pairs: of two cameras as often as there are instants at which they were matched.
 
     Reading:
-        Matches at several instants are mostly of the same surfaces: their medians are averaged, but their error is as of one.
+        Features on one surface share what it reflects to either side, so they count as one where this tells more than their number
+        does: the error of a pair is also that of the medians of the picture's parts. Matches at several instants are mostly of
+        the same surfaces: their medians are averaged, but their error is as of one.
     """
     logs: dict[tuple[int, int], list[Array]] = {}
     sigmas: dict[tuple[int, int], list[Array]] = {}
@@ -97,6 +100,7 @@ def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Gains:
         if usable.sum() >= FEWEST_COLOURS:
             parts = brightness_and_casts(np.log(first[usable] / second[usable]))  # (M, 4)
             middle, sigma = median_and_error(parts)
+            sigma = np.maximum(sigma, [surface_error(parts, uv[usable]) for uv in (pair.uv_first, pair.uv_second)]).max(axis=0)
             logs.setdefault((pair.first, pair.second), []).append(middle)
             sigmas.setdefault((pair.first, pair.second), []).append(sigma)
     solved = np.full((count, 4), np.nan), np.full((count, 4), np.inf)
@@ -106,6 +110,17 @@ def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Gains:
         for part in range(4):
             solved[0][:, part], solved[1][:, part] = solve_with_errors(count, measured, differences[:, part], errors[:, part])
     return Gains(*solved)
+
+
+def surface_error(values: Array, uv: Array) -> Array:
+    """Standard error of the median of (M, n) values by how it differs between parts of the picture, (n,)."""
+    low, high = uv.min(axis=0), uv.max(axis=0)
+    column, row = np.minimum((uv - low) / np.maximum(high - low, 1e-9) * PARTS_PER_SIDE, PARTS_PER_SIDE - 1).astype(int).T
+    part = row * PARTS_PER_SIDE + column
+    kept = [number for number in np.unique(part) if (part == number).sum() >= FEWEST_IN_PART]
+    if len(kept) < FEWEST_PARTS:  # all of one surface
+        return np.asarray(1.4826 * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
+    return median_and_error(np.array([np.median(values[part == number], axis=0) for number in kept]))[1]
 
 
 def is_usable(colours: Array) -> NDArray[np.bool_]:

@@ -1,6 +1,41 @@
-"""Lenses of a calibration with shared intrinsics."""
+"""Lenses of a rig that was calibrated with one for all: cameras that would like another focal length."""
+
+from collections.abc import Mapping
+
 from ggvs_eval.capture import Capture
+from ggvs_eval.errors import CaptureError
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding
+from ggvs_eval.pipelines.offline.calibration.calibrate import RECORD, OddLens
+from ggvs_eval.run_folder import read_json
+
 QUESTION = "lens"
+
+
 def check_lens(capture: Capture) -> tuple[Finding, ...]:
-    return (Finding(RIG, QUESTION, "ok", "todo"),)
+    """Report what `calibrate` found when it freed each camera of a rig with shared intrinsics.
+
+    A lens that is wrong in one camera only is found by the epipolar error; where all were adjusted together, one other zoom bends
+    the common lens and every pose until the errors are small.
+    """
+    record = _record(capture)
+    options, odd = record.get("options", {}), record.get("odd_lenses")
+    if not options.get("shared_intrinsics") or options.get("known_poses") or options.get("known_intrinsics") or odd is None:
+        return (Finding(RIG, QUESTION, "ok", "no lens was taken for that of several cameras by 'calibrate'"),)
+    own = ", ".join(options.get("own_lens", ()))
+    measured = f"one for all cameras{f' but {own}' * bool(own)}"
+    lenses = {name: OddLens(**each) for name, each in odd.items() if name in capture.camera_names}
+    findings = [
+        Finding(name, QUESTION, "bad", lens.describe(), dict(odd[name]), f"another zoom? calibrate again with --own-lens {name}")
+        for name, lens in lenses.items()
+    ]
+    shared = [Finding(name, QUESTION, "ok", measured) for name in capture.camera_names if name not in lenses]
+    return (Finding(RIG, QUESTION, "ok", f"{measured}; {len(lenses)} disagree", {"n_odd": len(lenses)}), *findings, *shared)
+
+
+def _record(capture: Capture) -> Mapping:
+    """Return what `calibrate` recorded of the capture; empty where it was calibrated otherwise, or cannot be read."""
+    file = capture.path / RECORD
+    try:
+        return read_json(file) if file.is_file() else {}
+    except CaptureError:
+        return {}

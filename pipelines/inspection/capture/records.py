@@ -21,7 +21,7 @@ from ggvs_eval.geometry.epipolar import Features, find_features
 LONGEST_SIDE_PX = 480
 CELLS_PER_SIDE = 16
 # Motion is measured on small pictures and kept in cells, of the first and the last so many frames.
-MOTION_LONGEST_SIDE_PX, ENERGY_LONGEST_SIDE_PX, TIMED_FRAMES = 240, 60, 512
+MOTION_LONGEST_SIDE_PX, ENERGY_LONGEST_SIDE_PX, TIMED_FRAMES = 240, 80, 384
 # Differences below so many times the usual one of that frame are noise, or the pulse of a codec's key frames.
 NOISE_FACTOR, LEAST_LEVELS = 4.0, 1.0
 SMOOTHING_SIGMA = 1.0

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
@@ -20,7 +21,7 @@ from ggvs_eval.pipelines.inspection.capture.records import CameraRecord
 from ggvs_eval.pipelines.inspection.capture.stillness import describe_when
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict, graded
 
-PLANES = 24
+PLANES = 48
 # Share of pixels at the rims that may lie outside the planes compared.
 RIM_SHARE = 0.02
 QUESTION = "time offset"
@@ -29,15 +30,19 @@ LARGEST_LAG = 8
 FEWEST_FRAMES = 8
 # Random signals of 24 planes and 16 frames reach 0.2 at the best of 17 lags; motion seen by two cameras gave 0.6 - 0.98.
 LEAST_CORRELATION = 0.35
-# A whole frame wrong pairs pictures of different instants. Less is usual without genlock, but above a quarter it can be seen.
-BAD_FRAMES, WARN_FRAMES = 0.75, 0.3
+# A whole frame wrong pairs pictures of different instants. Less is usual without genlock; clean rigs come to 0.28 frames where
+# cameras stand 20 degrees apart and see the motion from different sides.
+BAD_FRAMES, WARN_FRAMES = 0.75, 0.4
 # How far the lags of a camera's pairs may scatter about the solution before it is not believed.
 LARGEST_SCATTER_FRAMES = 0.75
 # One pair cannot tell which of its two cameras is wrong, nor whether it is wrong itself.
 FEWEST_PAIRS = 2
 DROPPED = "dropped frames"
-# Of frames lost at once; the price of a step in units of what two cameras' motion differs by at its best; neighbours that agree.
-LARGEST_STEP, STEP_COST, LEAST_AGREEMENT, LEAST_RESIDUAL = 3, 4.0, 0.7, 0.01
+# Frames lost at once; frames on either side of a step; share of the neighbours that agree with it.
+LARGEST_STEP, LEAST_SIDE, LEAST_AGREEMENT = 3, 3, 0.6
+# Gain of a step in squared difference, in units of what is left of it in a frame: clean rigs of 24 frames reach 0.25 (240 planes
+# and cameras), one lost frame gives 0.6 to 4, the median 2.7.
+LEAST_GAIN, LEAST_RESIDUAL, WORST_ROW, SLOW_FRAMES = 0.9, 0.01, 4.0, 2.0
 # Half widths of intervals are so many standard errors; lags of sharp motion are no better than a fiftieth of a frame.
 SIGMAS, LEAST_SIGMA_FRAMES = 3.0, 0.02
 
@@ -162,11 +167,11 @@ def check_timing(
         subjects = (RIG, *(camera.name for camera in cameras))
         return tuple(Finding(each, question, "unknown", reason) for question in (QUESTION, DROPPED) for each in subjects)
     signals = pair_signals(cameras, records, doubtful)
-    lags = measure_lags(signals)
+    lags = _supported(len(cameras), measure_lags(signals))
     steps = find_steps(len(cameras), signals, lags)
     if any(steps.values()):
         signals = {pair: _in_step(pair, both, steps) for pair, both in signals.items()}
-        lags = measure_lags(signals)
+        lags = _supported(len(cameras), measure_lags(signals))
     offsets = solve_offsets(len(cameras), lags)
     known = [
         _unknown(record, index in doubtful, len(cameras), [lag for pair, lag in lags.items() if index in pair])
@@ -237,6 +242,17 @@ def measure_lags(signals: Signals) -> Lags:
     return lags
 
 
+def _supported(count: int, lags: Lags) -> Lags:
+    """Lags of cameras that enough others vouch for; one that hangs on a single pair vouches for nobody."""
+    least = min(FEWEST_PAIRS, count - 1)
+    while True:
+        own = {index: sum(index in pair for pair in lags) for index in range(count)}
+        kept = {pair: lag for pair, lag in lags.items() if min(own[index] for index in pair) >= least}
+        if len(kept) == len(lags):
+            return lags
+        lags = kept
+
+
 def solve_offsets(count: int, lags: Lags) -> Array:
     """Offset of each camera, frames, median 0, (count,); NaN where no pair tells."""
     if not lags:
@@ -266,9 +282,9 @@ def find_steps(count: int, signals: Signals, lags: Lags) -> dict[int, list[Step]
     """Steps of each camera in its offset against its neighbours, ascending in time.
 
     Reading:
-        At each instant a camera's motion is compared with that of every neighbour at every lag; the median over neighbours, of
-        which most are sound, is followed by the path of least cost that pays for each change (Viterbi). A step counts where most
-        neighbours agree with it on both of its sides.
+        At each instant a camera's motion is compared with that of every neighbour at every lag. Motion changes slowly, and two
+        views of it differ in strength, so only what is quick in it is compared. The step that lowers the sum of squared
+        differences most is taken if it does so by more than clean rigs do, and most neighbours agree; then each side is searched.
     """
     offsets = np.nan_to_num(np.rint(solve_offsets(count, lags))).astype(int)
     steps: dict[int, list[Step]] = {}
@@ -277,19 +293,18 @@ def find_steps(count: int, signals: Signals, lags: Lags) -> dict[int, list[Step]
         for pair in (pair for pair in lags if index in pair):
             one, other = signals[pair] if pair[0] == index else signals[pair][::-1]
             costs.append(_lag_costs(one, other, int(offsets[index] - offsets[sum(pair) - index])))
-        steps[index] = _steps_of(np.stack(costs)) if len(costs) >= FEWEST_PAIRS else []
+        steps[index] = _steps_of(np.stack(costs), 0) if len(costs) >= FEWEST_PAIRS else []
     return steps
 
 
 def _lag_costs(one: Array, other: Array, base: int) -> Array:
-    """Squared difference of two motions at each instant and change of lag, (T, 2 LARGEST_STEP + 1), about 1 of unlike ones.
+    """Squared difference of what is quick in two motions, at each instant and change of lag, (T, 2 LARGEST_STEP + 1).
 
     Args:
         one: (P, T).
         base: lag without a change.
     """
-    first, second = (signal - np.nanmean(signal, axis=1, keepdims=True) for signal in (one, other))
-    first, second = (signal / max(np.sqrt(np.nanmean(signal**2)), 1e-9) for signal in (first, second))
+    first, second = (_quick(signal) for signal in (one, other))
     frames = one.shape[1]
     costs = np.full((frames, 2 * LARGEST_STEP + 1), np.nan)
     for place in range(2 * LARGEST_STEP + 1):
@@ -300,51 +315,52 @@ def _lag_costs(one: Array, other: Array, base: int) -> Array:
     return costs
 
 
-def _steps_of(costs: Array) -> list[Step]:
+def _quick(signal: Array) -> Array:
+    """A motion (P, T) without its slow part, of mean square 1; NaN stays."""
+    known = np.isfinite(signal)
+    weights = gaussian_filter1d(known.astype(float), SLOW_FRAMES, axis=1)
+    slow = gaussian_filter1d(np.where(known, signal, 0.0), SLOW_FRAMES, axis=1) / np.maximum(weights, 1e-9)
+    quick = np.where(known, signal - slow, np.nan)
+    return np.asarray(quick / max(float(np.sqrt(np.mean(quick[known] ** 2))) if known.any() else 0.0, 1e-9))
+
+
+def _steps_of(costs: Array, start: int) -> list[Step]:
     """Steps of one camera.
 
     Args:
         costs: of each neighbour, instant and change of lag, (N, T, L).
+        start: row of the signals that is the first of these.
     """
-    common = np.nanmedian(np.where(np.isfinite(costs).any(axis=0), costs, 0.0), axis=0)  # (T, L); 0 where nothing is known
-    none, some = (~np.isfinite(costs)).all(axis=0), np.isfinite(costs).any(axis=(0, 2))
-    if not some.any():
+    known = np.isfinite(costs)
+    counts = known.sum(axis=0)
+    mean = np.where(known, costs, 0.0).sum(axis=0) / np.maximum(counts, 1)  # (T, L)
+    some = counts.sum(axis=1) > 0
+    if some.sum() < 2 * LEAST_SIDE:
         return []
-    row_means = np.array([row[~unknown].mean() if known else 0.0 for row, unknown, known in zip(common, none, some, strict=True)])
-    filled = np.where(none, row_means[:, None], common)  # at the ends some lags have no partner, which tells nothing
-    unit = max(float(np.median(filled[some].min(axis=1))), LEAST_RESIDUAL)
-    path = _cheapest_path(filled, STEP_COST * unit)
-    borders = [0, *(np.flatnonzero(np.diff(path)) + 1).tolist(), len(path)]
-    steps = []
-    for begin, row, end in zip(borders[:-2], borders[1:-1], borders[2:], strict=True):
-        before, after = int(path[row - 1]), int(path[row])
-        gains = costs[:, :, after] - costs[:, :, before]  # (N, T), positive where the lag before the step is the better one
-        agree = (np.nansum(gains[:, begin:row], axis=1) > 0) & (np.nansum(gains[:, row:end], axis=1) < 0)
-        if agree.mean() < LEAST_AGREEMENT:
-            continue
-        prices = np.concatenate([[0.0], np.cumsum(filled[begin:end, before] - filled[begin:end, after])])
-        first = last = row
-        while first - 1 > begin and prices[first - 1 - begin] <= prices[row - begin] + unit:
-            first -= 1
-        while last + 1 < end and prices[last + 1 - begin] <= prices[row - begin] + unit:
-            last += 1
-        steps.append(Step(row, first, last, after - before))
-    return steps
-
-
-def _cheapest_path(costs: Array, change: float) -> NDArray[np.int64]:
-    """The column of each row, (T,), with the least sum of costs (T, L) and of `change` for each time that it changes."""
-    best, came_from = costs[0].copy(), np.zeros(costs.shape, np.int64)
-    stay = np.arange(costs.shape[1])
-    for row in range(1, len(costs)):
-        jump = int(best.argmin())
-        came_from[row] = np.where(best <= best[jump] + change, stay, jump)
-        best = np.minimum(best, best[jump] + change) + costs[row]
-    path = np.empty(len(costs), np.int64)
-    path[-1] = best.argmin()
-    for row in range(len(costs) - 1, 0, -1):
-        path[row - 1] = came_from[row, path[row]]
-    return path
+    rows = (mean * counts).sum(axis=1) / np.maximum(counts.sum(axis=1), 1)
+    mean = np.where(counts > 0, mean, rows[:, None])  # at the ends some lags have no partner, which tells nothing
+    mean = np.minimum(mean, WORST_ROW * np.median(mean[some]))  # where frames are lost, twice the motion shows at once
+    unit = max(float(mean[some].min(axis=1).mean()), LEAST_RESIDUAL)
+    before = np.concatenate([np.zeros((1, mean.shape[1])), np.cumsum(mean, axis=0)])  # (T + 1, L)
+    prices = before[:, :, None] + (before[-1] - before)[:, None, :]  # (T + 1, L, L): one lag before a row, another from it on
+    places = np.arange(mean.shape[1])
+    prices[:, places, places] = np.inf
+    inner = prices[LEAST_SIDE:-LEAST_SIDE]
+    row, one, other = (int(value) for value in np.unravel_index(inner.argmin(), inner.shape))
+    row += LEAST_SIDE
+    gain = (float(before[-1].min()) - float(prices[row, one, other])) / unit
+    votes = np.where(known, costs, np.nan)[:, :, one] - np.where(known, costs, np.nan)[:, :, other]
+    agree = (np.nansum(votes[:, :row], axis=1) < 0) & (np.nansum(votes[:, row:], axis=1) > 0)
+    if gain < LEAST_GAIN or agree.mean() < LEAST_AGREEMENT:
+        return []
+    near = prices[:, one, other] <= prices[row, one, other] + 0.5 * unit
+    first = last = row
+    while first > LEAST_SIDE and near[first - 1]:
+        first -= 1
+    while last < len(mean) - LEAST_SIDE and near[last + 1]:
+        last += 1
+    step = Step(start + row, start + first, start + last, other - one)
+    return [*_steps_of(costs[:, :row], start), step, *_steps_of(costs[:, row:], start + row)]
 
 
 def _in_step(pair: tuple[int, int], both: tuple[Array, Array], steps: dict[int, list[Step]]) -> tuple[Array, Array]:
@@ -390,7 +406,8 @@ def _evaluate(name: str, index: int, offsets: Array, lags: Lags, steps: Sequence
     if scatter > LARGEST_SCATTER_FRAMES:
         return Finding(name, QUESTION, "unknown", f"its {len(own)} neighbours contradict each other by {scatter:.1f} frames")
     correlation = float(np.median([lag.correlation for lag in own.values()]))
-    half_width = SIGMAS * max(1.4826 * scatter * 1.2533 / np.sqrt(len(own)), LEAST_SIGMA_FRAMES)
+    usual = float(np.median([abs(offsets[i] - offsets[j] - lag.frames) for (i, j), lag in lags.items()]))
+    half_width = SIGMAS * max(1.4826 * max(scatter, usual) * 1.2533 / np.sqrt(len(own)), LEAST_SIGMA_FRAMES)
     values = {"offset_frames": round(offset, 3), "half_width_frames": round(half_width, 3)}
     values |= {"correlation": round(correlation, 3), "n_pairs": len(own), "is_constant": not steps}
     size = abs(offset)
