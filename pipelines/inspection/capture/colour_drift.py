@@ -34,7 +34,9 @@ WARN_FLICKER, ODD_FACTOR = 0.01, 2.0
 ADVICE = "lock exposure and white balance; score with a colour-corrected metric, or leave this camera out"
 
 
-def check_drift(names: Sequence[str], records: Sequence[CameraRecord], pairs: Sequence[MatchedPair], fps: float = 0.0) -> tuple[Finding, ...]:
+def check_drift(
+    names: Sequence[str], records: Sequence[CameraRecord], pairs: Sequence[MatchedPair], fps: float = 0.0
+) -> tuple[Finding, ...]:
     """Change of each camera's gains against the rig within the clip.
 
     Args:
@@ -52,7 +54,11 @@ def check_drift(names: Sequence[str], records: Sequence[CameraRecord], pairs: Se
         for index, name in enumerate(names)
     ]
     drifts = [finding.values["drift"] for finding in evaluated if "drift" in finding.values]
-    lamps = float(np.nanmedian([np.ptp(record.levels[np.isfinite(record.levels)]) for record in records if np.isfinite(record.levels).any()]))
+    lamps = float(
+        np.nanmedian(
+            [np.ptp(record.levels[np.isfinite(record.levels)]) for record in records if np.isfinite(record.levels).any()]
+        )
+    )
     measured = f"median drift {100 * np.median(drifts):.1f} %, largest {100 * max(drifts):.1f} % against the rig; "
     measured += f"brightness of all changes by {100 * lamps:.0f} %, {100 * usual:.1f} % from frame to frame"
     values = {"largest_drift": max(drifts), "common_change": round(lamps, 4), "flicker": round(usual, 4)}

@@ -249,7 +249,9 @@ def check_clip(cameras: Sequence[Camera], instants: Mapping[int, Sequence[Featur
     for frame, features in instants.items():
         at[frame] = check_epipolar(cameras, features, match_pairs(cameras, features, pairs))
     known = {frame: verdict for frame, verdict in at.items() if verdict.findings[0].verdict != "unknown"} or at
-    findings = tuple(_worst_instant(dict(zip(at, group, strict=True))) for group in zip(*(v.findings for v in at.values()), strict=True))
+    findings = tuple(
+        _worst_instant(dict(zip(at, group, strict=True))) for group in zip(*(v.findings for v in at.values()), strict=True)
+    )
     trusted = [index for index in range(len(cameras)) if all(index in verdict.trusted for verdict in known.values())]
     suspects = [index for index in range(len(cameras)) if all(index in verdict.suspects for verdict in known.values())]
     return ClipVerdict(findings, at, tuple(trusted), tuple(suspects))

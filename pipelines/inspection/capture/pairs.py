@@ -68,9 +68,7 @@ def solve_differences(count: int, pairs: Sequence[tuple[int, int]], differences:
     return values - np.nanmedian(values)
 
 
-def solve_with_errors(
-    count: int, pairs: Sequence[tuple[int, int]], differences: Array, sigmas: Array
-) -> tuple[Array, Array]:
+def solve_with_errors(count: int, pairs: Sequence[tuple[int, int]], differences: Array, sigmas: Array) -> tuple[Array, Array]:
     """What `solve_differences` gives, (count,), and the standard error of each value, infinite where there is none.
 
     Args:

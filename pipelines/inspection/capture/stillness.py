@@ -33,7 +33,11 @@ def check_stillness(cameras: Sequence[Camera], records: Sequence[CameraRecord], 
     evaluated = [_evaluate(camera, record, fps) for camera, record in zip(cameras, records, strict=True)]
     moved = [finding for finding in evaluated if "moved_px" in finding.values]
     if not moved:
-        reason = evaluated[0].measured if len({finding.measured for finding in evaluated}) == 1 else "too little stands in the pictures"
+        reason = (
+            evaluated[0].measured
+            if len({finding.measured for finding in evaluated}) == 1
+            else "too little stands in the pictures"
+        )
         return (Finding(RIG, QUESTION, "unknown", reason), *evaluated)
     sizes = [finding.values["moved_px"] for finding in moved]
     odd = [finding for finding in moved if finding.verdict != "ok"]
@@ -41,7 +45,10 @@ def check_stillness(cameras: Sequence[Camera], records: Sequence[CameraRecord], 
     values = {"largest_px": max(sizes), "n_moved": len(odd)}
     if len(odd) > max(len(moved) / 2, 1):
         advice = "a moving rig, or stabilised videos? poses of one instant hold for no other"
-        return (Finding(RIG, QUESTION, "warn", f"{len(odd)} of {len(moved)} cameras move; {measured}", values, advice), *evaluated)
+        return (
+            Finding(RIG, QUESTION, "warn", f"{len(odd)} of {len(moved)} cameras move; {measured}", values, advice),
+            *evaluated,
+        )
     return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated)
 
 
@@ -145,5 +152,7 @@ def _describe(shift: Array, camera: Camera) -> str:
     """The largest part of a displacement in words."""
     values: Mapping[str, Any] = _values(camera, shift, 0.0)
     part = int(np.abs([np.linalg.norm(shift[:2]), *shift[2:]]).argmax())
-    sideways = f"{abs(shift[0]):.1f} px {'right' if shift[0] > 0 else 'left'}, {abs(shift[1]):.1f} px {'down' if shift[1] > 0 else 'up'}"
+    sideways = (
+        f"{abs(shift[0]):.1f} px {'right' if shift[0] > 0 else 'left'}, {abs(shift[1]):.1f} px {'down' if shift[1] > 0 else 'up'}"
+    )
     return (sideways, f"turned by {values['turn_deg']:.2f} deg", f"zoomed by x {values['zoom']:.3f}")[part]

@@ -87,7 +87,9 @@ class CalibrationOptions:
                 f"calibrate: wanted known intrinsics or known poses (which include intrinsics), got {choice}; give one"
             )
         if self.own_lens and not self.shared_intrinsics:
-            raise CaptureError("calibrate: wanted shared intrinsics with --own-lens, got none; add --shared-intrinsics or drop it")
+            raise CaptureError(
+                "calibrate: wanted shared intrinsics with --own-lens, got none; add --shared-intrinsics or drop it"
+            )
         if self.refine and self.known_poses is None:
             raise CaptureError("calibrate: wanted poses to refine, got none; give them with --known-poses RIG")
         if self.frame < 0 or self.max_features < 1 or self.max_image_size_px < 1 or not 0 <= self.seed < 1 << 31:
@@ -160,7 +162,9 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
         raise CaptureError(f"{frames_folder}: wanted up to {MOST_CAMERAS} cameras, got {len(files)}; calibrate by COLMAP itself")
     files, given = _known(files, options)
     if strange := [name for name in options.own_lens if name not in files]:
-        raise CaptureError(f"{frames_folder}: wanted cameras for --own-lens, got {', '.join(strange)}; there are {', '.join(files)}")
+        raise CaptureError(
+            f"{frames_folder}: wanted cameras for --own-lens, got {', '.join(strange)}; there are {', '.join(files)}"
+        )
     with atomic_folder(out) as unfinished:
         images = write_instant(files, options.frame, unfinished / "work" / "images")
         result = run_worker(unfinished, out, _job(files, images, given, options))
