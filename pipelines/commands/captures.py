@@ -145,6 +145,10 @@ def check(
     repair: bool = False,
     crop: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="COLUMN ROW")] = None,
     jobs: Jobs = ONE_PER_CORE,
+    watch: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
+    rig: Path | None = None,
+    page: Path | None = None,
+    json: bool = False,
 ) -> None:
     """Check a capture for problems: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
 
@@ -161,7 +165,15 @@ def check(
         crop: frames are a part of the pictures that the calibration was made for, and begin with this column and row of them:
             write it into CAPTURE/crop.toml, which every command obeys, and check.
         jobs: processes.
+        watch: look at a folder that is being filmed to every so many seconds, and print a line when a camera's state changes: moved,
+            out of step, frames lost or frozen, exposure drifts.
+        rig: with --watch: capture of the same cameras with poses, for time offsets and colours.
+        page: with --watch: HTML file that shows the state and refreshes itself.
+        json: with --watch: print every round as JSON lines.
     """
+    if watch is not None:
+        _watch(capture, watch, rig, page, json)
+        return
     from ggvs_eval.pipelines.inspection.capture.check import run_check
     from ggvs_eval.pipelines.inspection.capture.colour import describe_repair, repair_capture
 
@@ -179,6 +191,18 @@ def check(
     print(out)
     if not inspected.is_usable:
         sys.exit(1)
+
+
+def _watch(frames: Path, every_s: float, rig: Path | None, page: Path | None, as_json: bool) -> None:
+    from ggvs_eval.pipelines.inspection.capture.watch import watch
+
+    if not every_s > 0:
+        raise CommandError(f"--watch {every_s:g}: wanted a positive number of seconds")
+    try:
+        for line in watch(frames, every_s, rig=rig and locate(rig), page=page, as_json=as_json):
+            print(line, flush=True)
+    except KeyboardInterrupt:
+        return
 
 
 def calibrate(frames: Frames, out: Output, calibration: Calibrating = CalibrationOptions()) -> None:  # noqa: B008 - frozen

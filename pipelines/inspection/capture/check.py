@@ -294,12 +294,14 @@ def open_uncalibrated(path: Path) -> Capture | None:
 
 def uncalibrated_capture(path: Path, files: Mapping[str, CameraFrames]) -> Capture:
     """Frames by the names of their cameras as a capture; the cameras are placeholders, see `open_uncalibrated`."""
-    cameras = []
-    for name, file in files.items():
-        width, height = file.size
-        K = np.array([[float(width), 0.0, width / 2], [0.0, float(width), height / 2], [0.0, 0.0, 1.0]])
-        cameras.append(Camera(name, K, np.eye(4), width, height, 1.0, 2.0))
+    cameras = [placeholder_camera(name, *file.size) for name, file in files.items()]
     return assemble_capture(path, LAYOUT, cameras, list(files.values()), Units(1.0, LAYOUT))
+
+
+def placeholder_camera(name: str, width: int, height: int) -> Camera:
+    """A camera of which only the size is known."""
+    K = np.array([[float(width), 0.0, width / 2], [0.0, float(width), height / 2], [0.0, 0.0, 1.0]])
+    return Camera(name, K, np.eye(4), width, height, 1.0, 2.0)
 
 
 def ask_for_calibration(path: Path, questions: tuple[str, ...]) -> tuple[Finding, ...]:

@@ -128,9 +128,13 @@ class Recorder:
             self._instants[self._n_frames // 2] = find_features(image)
         self._follow(index, small, colour, image.shape[1] / colour.shape[1])
 
-    def record(self) -> CameraRecord:
-        """The record of the frames so far."""
-        n_frames = self._n_frames or len(self._change)
+    def record(self, n_frames: int | None = None) -> CameraRecord:
+        """The record of the frames so far.
+
+        Args:
+            n_frames: of the rig, where other cameras have more.
+        """
+        n_frames = n_frames or self._n_frames or len(self._change)
         instants = dict(self._instants)
         if self._last_image is not None and self._last > 0 and n_frames > 1:
             instants.setdefault(n_frames - 1, find_features(self._last_image))

@@ -3,7 +3,7 @@
 Runs in the process of `calibration_worker` alone.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ def find_odd_lenses(shared: Any) -> dict[str, dict[str, float]]:
         return odd
     model, _ = free_lenses(shared, ())
     cost, n_residuals = _adjust(model)
-    (given,) = (camera.focal_length for camera in model.cameras.values())
+    (given,) = (camera.mean_focal_length() for camera in model.cameras.values())
     while len(odd) < MOST_ODD_SHARE * len(names):
         tried = {name: _freed(shared, [*odd, name]) for name in names if name not in odd}
         best = min(tried, key=lambda name: tried[name][0])
@@ -82,12 +82,12 @@ def adjust_own(shared: Any, names: Collection[str]) -> Any:
     return model
 
 
-def _freed(shared: Any, names: Collection[str]) -> tuple[float, float, float]:
+def _freed(shared: Any, names: Sequence[str]) -> tuple[float, float, float]:
     """Cost with some images freed, focal length of the last of them as a factor on the common one, and that one, pixels."""
     model, own = free_lenses(shared, names)
     cost, _ = _adjust(model)
-    common = next(model.cameras[number].focal_length for number in shared.cameras)
-    return cost, model.cameras[list(own.values())[list(own).index(list(names)[-1])]].focal_length / common, common
+    (common,) = (model.cameras[number].mean_focal_length() for number in shared.cameras)
+    return cost, model.cameras[own[names[-1]]].mean_focal_length() / common, common
 
 
 def _adjust(model: Any) -> tuple[float, int]:
