@@ -165,8 +165,8 @@ def check(
         crop: frames are a part of the pictures that the calibration was made for, and begin with this column and row of them:
             write it into CAPTURE/crop.toml, which every command obeys, and check.
         jobs: processes.
-        watch: look at a folder that is being filmed to every so many seconds, and print a line when a camera's state changes: moved,
-            out of step, frames lost or frozen, exposure drifts.
+        watch: look every so many seconds at a folder that is being filmed to, and print a line when a camera's state changes:
+            moved, out of step, frames lost or frozen, exposure drifts.
         rig: with --watch: capture of the same cameras with poses, for time offsets and colours.
         page: with --watch: HTML file that shows the state and refreshes itself.
         json: with --watch: print every round as JSON lines.
@@ -214,12 +214,13 @@ def calibrate(frames: Frames, out: Output, calibration: Calibrating = Calibratio
         calibration: what is known and what is assumed.
     """
     from ggvs_eval.pipelines.offline.calibration.calibrate import calibrate as find_cameras
+    from ggvs_eval.pipelines.offline.calibration.calibrate import own_lens_option
 
     rig = find_cameras(frames, out, calibration)
     for name, reason in rig.missing.items():
         print(f"{name} left out: {reason}", file=sys.stderr)
     for name, lens in rig.odd_lenses.items():
-        print(f"{name} {lens.describe()}: another zoom? calibrate again with --own-lens {name}", file=sys.stderr)
+        print(f"{name} {lens.describe()}: another zoom? calibrate again with {own_lens_option(rig.odd_lenses)}", file=sys.stderr)
     error = f"mean reprojection error {rig.mean_reprojection_error_px:.3f} px over {rig.n_points} points"
     print(f"{rig.path}: {len(rig.cameras)} cameras, {error}")
 

@@ -40,7 +40,7 @@ def write_rig(folder: Path, cameras: list[Camera], frames: Mapping[str, Frames])
 
 
 def brighten(frame: Image8, gain: object) -> Image8:
-    """sRGB values multiplied."""
+    """Multiply sRGB values."""
     return np.clip(np.rint(frame * np.asarray(gain)), 0, 255).astype(np.uint8)
 
 

@@ -41,8 +41,8 @@ class Gains:
     """Gains of all cameras with their errors.
 
     Attributes:
-        log: logarithm of the factor on the sRGB values, median 0 over the rig: brightness, the mean of the channels, and what red,
-            green and blue have beyond it, (N, 4); NaN where unknown.
+        log: logarithm of the factor on the sRGB values, median 0 over the rig: brightness, the mean of the channels, and what
+            red, green and blue have beyond it, (N, 4); NaN where unknown.
         error: standard error of each, (N, 4).
     """
 
@@ -90,9 +90,9 @@ def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Gains:
         pairs: of two cameras as often as there are instants at which they were matched.
 
     Reading:
-        Features on one surface share what it reflects to either side, so they count as one where this tells more than their number
-        does: the error of a pair is also that of the medians of the picture's parts. Matches at several instants are mostly of
-        the same surfaces: their medians are averaged, but their error is as of one.
+        Features on one surface share what it reflects to either side, so they are not independent: the error of a pair is at
+        least that of the medians of the picture's parts. Matches at several instants are mostly of the same surfaces: their
+        medians are averaged, but their error is as of one.
     """
     logs: dict[tuple[int, int], list[Array]] = {}
     sigmas: dict[tuple[int, int], list[Array]] = {}

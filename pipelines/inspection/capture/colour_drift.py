@@ -139,5 +139,6 @@ def _evaluate(name: str, frames: Sequence[int], logs: Array, errors: Array, flic
     what = ("brighter" if grows else "darker") if part == 0 else f"{'more' if grows else 'less'} {CHANNELS[part - 1]}"
     values |= {"first_frame": frames[min(first, last)], "last_frame": frames[last], "part": ("brightness", *CHANNELS)[part]}
     values["change"] = round(size if grows else -size, 4)
-    measured = f"{what} by {100 * np.expm1(size):.1f} +- {100 * half_width:.1f} % {describe_when(values['first_frame'], values['last_frame'], fps)}"
-    return Finding(name, QUESTION, verdict, measured + " against the rig", values, ADVICE)
+    when = describe_when(values["first_frame"], values["last_frame"], fps)
+    measured = f"{what} by {100 * np.expm1(size):.1f} +- {100 * half_width:.1f} % {when} against the rig"
+    return Finding(name, QUESTION, verdict, measured, values, ADVICE)

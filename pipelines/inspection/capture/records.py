@@ -202,7 +202,7 @@ class _Followed:
         self.levels = self._colours_at(colour).mean(axis=1)
 
     def see(self, small: Image8, colour: Image8) -> tuple[Array, NDArray[np.uint8]]:
-        """Shift of the picture since the first frame, (4,), pixels of `small`, and the colours of the features' places, (N, 3)."""
+        """Shift of the picture since the first frame, (4,), pixels of `small`, and colours of the features' places, (N, 3)."""
         shift = self._measure(even_contrast(small))
         if np.isfinite(shift).all():
             self._shift = shift

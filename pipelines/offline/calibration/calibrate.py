@@ -9,7 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -115,6 +115,11 @@ class OddLens:
         """The factor with its interval, and what it does to the others."""
         changed = f"; the others then x {self.common_factor:.3f}"
         return f"alone would like x {self.factor:.3f} +- {self.half_width:.3f} of the common focal length{changed}"
+
+
+def own_lens_option(odd: Iterable[str]) -> str:
+    """The option of `calibrate` that frees some cameras."""
+    return f"--own-lens {' '.join(odd)}"
 
 
 @dataclass(frozen=True)

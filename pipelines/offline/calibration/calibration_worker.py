@@ -38,8 +38,9 @@ def run_job(folder: Path) -> dict[str, Any]:
 
     Args:
         folder: its ``job.json`` holds ``groups`` (names of images below ``images/``, those of one size together), ``model``,
-            ``shared``, ``own_lens`` (images that do not share), ``refine``, ``seed``, ``threads``, ``max_features``, ``max_image_size_px`` and ``known``: null, or
-            image -> ``model``, ``params``, ``width``, ``height`` and ``world_to_camera`` (3 x 4, or null).
+            ``shared``, ``own_lens`` (images that do not share), ``refine``, ``seed``, ``threads``, ``max_features``,
+            ``max_image_size_px`` and ``known``: null, or image -> ``model``, ``params``, ``width``, ``height`` and
+            ``world_to_camera`` (3 x 4, or null).
 
     Returns:
         ``registered``: image -> the number of points it sees; ``features`` and ``matches`` (with the best partner) per image;

@@ -24,12 +24,12 @@ def find_odd_lenses(shared: Any) -> dict[str, dict[str, float]]:
         shared: reconstruction whose images share one camera; it stays as it is.
 
     Returns:
-        Image -> ``factor`` on the common focal length, its ``half_width``, and ``common_factor``, by which the focal length of the
-        others changes once this camera and those before it are freed.
+        Image -> ``factor`` on the common focal length, its ``half_width``, and ``common_factor``, by which the focal length of
+        the others changes once this camera and those before it are freed.
 
     Reading:
-        Points, poses and lenses are adjusted with each camera freed in turn, under Cauchy's loss, so that a few wrong matches have
-        no say. The one that explains most is kept free, since it bends its neighbours, and the others are tried again.
+        Points, poses and lenses are adjusted with each camera freed in turn, under Cauchy's loss, so that a few wrong matches
+        have no say. The one that explains most is kept free, since it bends its neighbours, and the others are tried again.
     """
     names = sorted(image.name for image in shared.images.values() if image.has_pose)
     odd: dict[str, dict[str, float]] = {}
