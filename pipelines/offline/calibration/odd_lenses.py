@@ -55,7 +55,8 @@ def free_lenses(shared: Any, names: Collection[str]) -> tuple[Any, dict[str, int
     """A copy of a reconstruction in which some images have a camera of their own, and its number by image."""
     import pycolmap
 
-    model, own = pycolmap.Reconstruction(), {}
+    model = pycolmap.Reconstruction()
+    own: dict[str, int] = {}
     for camera in shared.cameras.values():
         model.add_camera_with_trivial_rig(pycolmap.Camera(camera.todict()))
     for image in sorted(shared.images.values(), key=lambda image: image.image_id):
@@ -101,5 +102,5 @@ def _adjust(model: Any) -> tuple[float, int]:
     for image in model.reg_image_ids():
         config.add_image(image)
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    summary = pycolmap.create_default_ceres_bundle_adjuster(options, config, model).solve()
+    summary: Any = pycolmap.create_default_ceres_bundle_adjuster(options, config, model).solve()
     return float(summary.ceres_summary.final_cost), int(summary.num_residuals)
