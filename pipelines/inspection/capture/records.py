@@ -89,7 +89,8 @@ class Recorder:
     def __init__(self, name: str, n_frames: int | None = None) -> None:
         self.name, self._n_frames = name, n_frames
         self.damage: list[Damage] = []
-        self._n_read, self._last, self._last_image = 0, -2, None
+        self._n_read, self._last = 0, -2
+        self._last_image: Image8 | None = None
         self._small: Image8 | None = None
         self._sparse: Image8 | None = None
         self._change: list[float] = []

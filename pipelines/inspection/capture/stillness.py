@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from ggvs_eval.arrays import Array
@@ -107,7 +108,7 @@ def describe_when(first: int, last: int, fps: float = 0.0) -> str:
     return frames + (f" ({first / fps:.2f} s)" if fps else "")
 
 
-def _lost(camera: Camera, record: CameraRecord, frames: Array) -> Finding | None:
+def _lost(camera: Camera, record: CameraRecord, frames: NDArray[np.intp]) -> Finding | None:
     """A camera whose picture was lost in mid-clip: features say whether it moved far; None where they, too, are silent."""
     first, *others = record.instants.items()
     last_seen = int(frames[-1]) if len(frames) else 0
