@@ -117,6 +117,12 @@ VERBS: dict[str, Verb] = {
         RUNS,
         "out/mine --capture my_capture --protocol mine.toml --methods ours distance-based",
     ),
+    "evaluate": Verb(
+        f"{VERBS_ROOM}.evaluate:evaluate",
+        "Go from videos of a rig to a page: calibrate, check, protocol and run in one command, each printed as it goes.",
+        RUNS,
+        "my_videos out/rig --frames 30",
+    ),
     "sweep": Verb(
         f"{VERBS_ROOM}.runs:sweep",
         "Evaluate every row of a sweep under each of its variants and print one table of all.",

@@ -19,6 +19,7 @@ from ggvs_eval.reports.tables.costs import budget_tables, cost_tables, differenc
 from ggvs_eval.reports.tables.error_budget import budget_table, decomposition_table
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.timing import drift_table, stream_table, timing_table
+from ggvs_eval.reports.tables.worst_frames import worst_frames_table
 from ggvs_eval.results import Results
 
 HASH_DIGITS = 8  # of a protocol's hash, where nothing else distinguishes two groups
@@ -31,7 +32,7 @@ class RunSection:
     """Everything that the page shows of one run.
 
     Attributes:
-        view_tables: place of the error, its variation, its drift over a long clip, and one per metric.
+        view_tables: worst frames, place of the error, its variation, its drift over a long clip, and one per metric.
         costs: of every method, and what else differs; where some are fitted, seeds, time to equal quality, the best by budget.
         slices: along the path and over time.
         on_time: what reaches the screen, where the protocol has a stream.
@@ -134,7 +135,8 @@ def _make_section(run: MeasuredRun) -> RunSection:
 def _read_section(root: Path, scored: str, scene: str) -> RunSection:
     """The section of a run with these results: a page that grows with every run reads the frames of the earlier ones once."""
     run = read_run(root).called(scene)
-    taken_apart = tuple(table for table in (budget_table(run), decomposition_table(run), drift_table(run)) if table)
+    apart = (worst_frames_table(run), budget_table(run), decomposition_table(run), drift_table(run))
+    taken_apart = tuple(table for table in apart if table)
     costs = tuple(table for table in (*cost_tables(run), *budget_tables(run), differences_table(run)) if table)
     tables = taken_apart + view_tables(run), timing_table(run), costs
     return RunSection(run, *tables, all_slices(run), curve_panels(run), stream_table(run), rate_panels([run]))
@@ -142,6 +144,6 @@ def _read_section(root: Path, scored: str, scene: str) -> RunSection:
 
 def _name_groups(firsts: Sequence[MeasuredRun], scenes: Sequence[str]) -> list[str]:
     """Name the groups so that they differ: scene, protocol and K, with the protocol's hash where these are the same."""
-    names = [f"{scene}, {run.protocol.name}, K = {run.protocol.synthesis.k}" for run, scene in zip(firsts, scenes, strict=True)]
+    names = [f"{scene}, {run.protocol.name}, {run.sources_text}" for run, scene in zip(firsts, scenes, strict=True)]
     hashes = [run.protocol.sha256[:HASH_DIGITS] for run in firsts]
     return [f"{name}, {digest}" if names.count(name) > 1 else name for name, digest in zip(names, hashes, strict=True)]

@@ -11,7 +11,7 @@ from ggvs_eval.progress import counted
 from ggvs_eval.reports.model.measured import MeasuredRun, read_scores
 from ggvs_eval.reports.model.table import SHORT_MEANS, Table, join_tables
 from ggvs_eval.reports.run_groups import HASH_DIGITS, runs_by_protocol
-from ggvs_eval.reports.tables.report_tables import main_tables
+from ggvs_eval.reports.tables.report_tables import OWN_TRUTH_MEANS, main_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
 from ggvs_eval.results import Results
 
@@ -41,7 +41,7 @@ def tables_of_runs(roots: Sequence[Path], columns: Sequence[str], to: TableForma
     several = len({run.scene for run in runs}) > 1
     tables = [_over_scenes(runs, results, name) for name in names] if several else [*main_tables(runs, results, names)]
     means = f"{counted(protocol.frames.count, 'frame')} of {counted(len(protocol.views.test), 'view')}"
-    terms = f"Mean over {means}, K = {protocol.synthesis.k}; protocol {protocol.name}, {protocol.sha256[:HASH_DIGITS]}."
+    terms = f"Mean over {means}, {runs[0].sources_text}; protocol {protocol.name}, {protocol.sha256[:HASH_DIGITS]}."
     if not with_notes:
         tables = [_in_short(table, terms, names) for table in tables]
     if to == "csv":
@@ -54,6 +54,7 @@ def _in_short(table: Table, terms: str, metrics: Sequence[str]) -> Table:
     _, _, marks = table.caption.partition(". ")
     subjects = (*metrics, *(row.name for row in table.rows if not row.is_grey))
     notes = [note for note in table.notes if note.startswith(tuple(f"{subject} " for subject in subjects))]
+    notes += [note for note in table.notes if note == OWN_TRUTH_MEANS]
     notes += [SHORT_MEANS] if any(cell.is_short for row in table.rows for cell in row.cells) else []
     return replace(table, caption=f"{terms} {marks}".strip(), notes=tuple(notes))
 

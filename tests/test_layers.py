@@ -20,7 +20,7 @@ FLOORS = (
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
     ("depth_store", "protocol", "gaussians"),
-    ("run_folder", "results", "scene_fitter", "sweep"),
+    ("measured_frames", "run_folder", "results", "scene_fitter", "sweep"),
     ("statistics", "merged_results", "datasets", "jobs", "synthetic.d3dmv_scene", "coverage"),
     ("synthetic", "renders"),
     ("baselines", "metrics.inputs", "metrics.metric"),

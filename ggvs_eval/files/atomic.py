@@ -111,6 +111,21 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
         temporary.replace(folder)
 
 
+@contextmanager
+def absent_unless_made(folder: Path) -> Iterator[None]:
+    """Remove a folder, and empty ones above it, absent before a block that fails; a stop by the user removes nothing."""
+    absent = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        yield
+    except Exception:
+        if absent:
+            shutil.rmtree(folder, ignore_errors=True)
+            with suppress(OSError):
+                for above in absent[1:]:
+                    above.rmdir()
+        raise
+
+
 def is_in_hand(temporary: Path) -> bool:
     """Return whether the process that fills a scratch folder or a temporary file is still at work on it.
 

@@ -6,7 +6,7 @@ A stack is a ``.npy`` file or a member of an ``.npz`` archive: read frame by fra
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import IO, Any, Protocol
@@ -23,6 +23,7 @@ from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.progress import counted
 from ggvs_eval.renders.numbering import number_streams
 from ggvs_eval.renders.request import FrameRequest, PixelRemarks, RenderedView, RenderSet, size_fault
+from ggvs_eval.renders.truth_match import LARGEST_DIFFERENCE, difference
 from ggvs_eval.renders.view_folders import instead_of, respelled
 from ggvs_eval.run_folder import as_ranges, frame_path
 
@@ -31,6 +32,7 @@ OVERSHOOT = 0.1
 ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
 SAFE_CODINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 ARRAY_SUFFIXES = (".npy", ".npz")
+OWN_RENDERS, OWN_TRUTH = "renders", "gts"  # members of an archive of renders with their truth, as 4DGV publishes them
 VIDEO_NOTE = "decoded from video: what its coding lost counts against the method"
 ARRAY_NOTE = "written to PNG from an array"
 
@@ -175,6 +177,16 @@ def npz_members(path: Path) -> list[str]:
         raise RenderError(f"{path}: wanted an .npz archive, it cannot be opened ({error}); save it with numpy.savez") from error
 
 
+def read_small_array(path: Path, member: str) -> np.ndarray:
+    """One array of an ``.npz`` as a whole, nothing unpickled."""
+    try:
+        check_plain(path)
+        with np.load(path, allow_pickle=False) as archive:
+            return archive[member]
+    except (*ZIP_ERRORS, KeyError) as error:
+        raise RenderError(f"{path}[{member}]: wanted an array of numbers, it cannot be read ({error}); save it again") from error
+
+
 class FrameStream(Protocol):
     """Frames in order, at one size."""
 
@@ -276,9 +288,19 @@ def array_files(path: Path, request: FrameRequest) -> list[Path]:
 
 
 def find_arrays(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
-    """The views' stacks (T, H, W, 3): ``<view>.npy``, ``<view>.npz`` with one array, or one ``.npz`` with an array per view."""
+    """The views' stacks (T, H, W, 3): ``<view>.npy``, ``<view>.npz`` with one array, or one ``.npz`` with an array per view.
+
+    An ``.npz`` with renders and truth is one view's: of its name, or the only one.
+    """
     del is_temporary  # written to PNG either way
-    if path.is_file():
+    notes: tuple[str, ...] = ()
+    if path.is_file() and {OWN_RENDERS, OWN_TRUTH} <= {*(members := npz_members(path))} and not {*members} & {*request.views}:
+        spelled = {same_name(view): view for view in request.views}
+        view = spelled.get(same_name(path.stem), request.views[0] if len(request.views) == 1 else "")
+        if not view:
+            raise RenderError(f"{path}: wanted an archive called like one of {', '.join(request.views)}; rename it to <view>.npz")
+        stacks, unexpected = {view: ArrayStack(path, OWN_RENDERS)}, []
+    elif path.is_file():
         members = npz_members(path)
         twice = sorted({member for member in members if members.count(member) > 1})
         if twice:
@@ -289,7 +311,38 @@ def find_arrays(path: Path, request: FrameRequest, is_temporary: bool) -> Render
         stacks = {view: _stack(file) for view, file in _one_each(path, ARRAY_SUFFIXES, request).items()}
         unexpected = list(_unexpected_files(path, ARRAY_SUFFIXES, request))
     counted = {view: (stack.name, stack, stack.n_frames) for view, stack in stacks.items()}
-    return _found(path, counted, unexpected, ARRAY_NOTE, request)
+    found = _found(path, counted, unexpected, ARRAY_NOTE, request)
+    for view, stack in stacks.items():
+        rendered = found.views.get(view)
+        if stack.member == OWN_RENDERS and isinstance(rendered, StreamView):
+            notes += (_compare_truth(stack, rendered.indices, view, request),)
+    return replace(found, notes=notes)
+
+
+def _compare_truth(stack: ArrayStack, indices: Mapping[int, int], view: str, request: FrameRequest) -> str:
+    """Compare the truth in an archive with the captured frames.
+
+    Raises:
+        RenderError: it shows other pictures.
+    """
+    truth, numbers = ArrayStack(stack.path, OWN_TRUTH), {index: number for number, index in indices.items()}
+    if (truth.n_frames, truth.size) != (stack.n_frames, stack.size):
+        sizes = [f"{one.n_frames} frames of {one.size[0]} x {one.size[1]}" for one in (stack, truth)]
+        raise RenderError(f"{stack.path}: wanted {OWN_RENDERS} and {OWN_TRUTH} alike, got {' and '.join(sizes)}; save again")
+    if size_fault(truth.size, request.sizes[view]):
+        return f"{truth.path.name}[{OWN_TRUTH}] was not compared with the captured frames, which have another size"
+    levels = [
+        difference(to_8_bit(frame), request.truth(view, numbers[index]))
+        for index, frame in enumerate(truth.frames(0, truth.n_frames))
+        if index in numbers
+    ]
+    level = float(np.mean(levels))
+    if level > LARGEST_DIFFERENCE:
+        raise RenderError(
+            f"{truth.name}: wanted the captured frames of {view}, got pictures {level:.1f} levels of 255 away; check view, "
+            "frames and --first-frame, or score them with their own truth: --with-truth"
+        )
+    return f"{truth.path.name}[{OWN_TRUTH}] agrees with the captured frames ({level:.1f} levels of 255 apart)"
 
 
 def _found(
@@ -313,6 +366,8 @@ def _stack(file: Path) -> ArrayStack:
     if file.suffix.lower() == ".npy":
         return ArrayStack(file)
     members = npz_members(file)
+    if {OWN_RENDERS, OWN_TRUTH} <= {*members}:
+        return ArrayStack(file, OWN_RENDERS)
     if len(members) != 1:
         contents = ", ".join(members[:9]) or "none"
         raise RenderError(f"{file}: wanted one array, got {contents}; save frames (T, H, W, 3) alone")

@@ -11,7 +11,7 @@ import tyro
 
 from ggvs_eval.datasets.assemble import Crop, write_crop
 from ggvs_eval.datasets.public_captures import find_scene, get_capture, locate
-from ggvs_eval.errors import ProtocolError
+from ggvs_eval.errors import CaptureError, CommandError, ProtocolError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.pipelines.commands.flags import (
     CAPTURE_DEFAULTS,
@@ -70,6 +70,10 @@ def check(
     repair: bool = False,
     crop: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="COLUMN ROW")] = None,
     jobs: Jobs = ONE_PER_CORE,
+    watch: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
+    rig: Path | None = None,
+    page: Path | None = None,
+    json: bool = False,
 ) -> None:
     """Check a capture for problems: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
 
@@ -82,15 +86,26 @@ def check(
         units: world units per metre, or a TOML file with a known baseline or two marked points (docs/captures.md).
         out: JSON file; CAPTURE.check.json in the current folder by default.
         repair: write CAPTURE/corrections.toml, by which every command shifts cameras that are out of step by whole frames and
-            divides the colours of those that are brighter or darker; then check again.
+            divides the colours of those that are brighter or darker; then check again. Written is only what lies outside of its
+            interval: no fraction of a frame, no offset or gain that changes within the clip.
         crop: frames are a part of the pictures that the calibration was made for, and begin with this column and row of them:
             write it into CAPTURE/crop.toml, which every command obeys, and check.
         jobs: processes.
+        watch: look every so many seconds at a folder that is being filmed to, and print a line when a camera's state changes:
+            moved, out of step, frames lost or frozen, exposure drifts.
+        rig: with --watch: capture of the same cameras with poses, for time offsets and colours.
+        page: with --watch: HTML file that shows the state and refreshes itself.
+        json: with --watch: print every round as JSON lines.
     """
+    if watch is not None:
+        _watch(capture, watch, rig, page, json)
+        return
     from ggvs_eval.pipelines.inspection.capture.check import run_check
-    from ggvs_eval.pipelines.inspection.capture.colour import repair_capture
+    from ggvs_eval.pipelines.inspection.capture.colour import describe_repair, repair_capture
 
     capture = locate(capture)
+    if not capture.exists():
+        raise CaptureError(f"{capture}: wanted a folder or a file with a capture, there is none; check the path")
     out = out or Path(f"{capture.resolve().name}.check.json")
     if crop is not None:
         print(write_crop(capture if capture.is_dir() else capture.parent, Crop(*crop)))
@@ -98,11 +113,25 @@ def check(
     inspected, table = look()
     if repair and (written := repair_capture(capture, inspected.findings)):
         print(written)
+        before = inspected.findings
         inspected, table = look()
+        print(*describe_repair(before, inspected.findings), sep="\n")
     print(table)
     print(out)
     if not inspected.is_usable:
         sys.exit(1)
+
+
+def _watch(frames: Path, every_s: float, rig: Path | None, page: Path | None, as_json: bool) -> None:
+    from ggvs_eval.pipelines.inspection.capture.watch import watch
+
+    if not every_s > 0:
+        raise CommandError(f"--watch {every_s:g}: wanted a positive number of seconds")
+    try:
+        for line in watch(frames, every_s, rig=rig and locate(rig), page=page, as_json=as_json):
+            print(line, flush=True)
+    except KeyboardInterrupt:
+        return
 
 
 def calibrate(frames: Frames, out: Output, calibration: Calibrating = CalibrationOptions()) -> None:  # noqa: B008 - frozen
@@ -114,10 +143,13 @@ def calibrate(frames: Frames, out: Output, calibration: Calibrating = Calibratio
         calibration: what is known and what is assumed.
     """
     from ggvs_eval.pipelines.offline.calibration.calibrate import calibrate as find_cameras
+    from ggvs_eval.pipelines.offline.calibration.calibrate import own_lens_option
 
     rig = find_cameras(frames, out, calibration)
     for name, reason in rig.missing.items():
         print(f"{name} left out: {reason}", file=sys.stderr)
+    for name, lens in rig.odd_lenses.items():
+        print(f"{name} {lens.describe()}: another zoom? calibrate again with {own_lens_option(rig.odd_lenses)}", file=sys.stderr)
     error = f"mean reprojection error {rig.mean_reprojection_error_px:.3f} px over {rig.n_points} points"
     print(f"{rig.path}: {len(rig.cameras)} cameras, {error}")
 
@@ -164,6 +196,8 @@ def protocol(
     if metrics:
         select_metrics(metrics)
         chosen = replace(chosen, measurement=replace(chosen.measurement, metrics=metrics))
+    if chosen != proposal.protocol or test:  # a protocol of the user's own spares no frame
+        chosen = replace(chosen, measurement=replace(chosen.measurement, lpips_every=1))
     if stream is not None:
         chosen = checked_protocol(chosen.streamed(Stream(fps=stream)), "--stream")
     with atomic_file(out) as unfinished:

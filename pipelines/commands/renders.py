@@ -165,8 +165,8 @@ def _rendered(
         protocol = str(scored)
     with TemporaryDirectory(prefix="ggvs-eval-") as scratch:
         root = Path(scratch) / "run" if run is None and capture else run
-        folder = run_for(root, partial(reading.open, capture) if capture else None, protocol, jobs)
-        ((label, path),) = named_renders((str(renders),)).items()
-        for note in import_renders(folder, label, path, workers=jobs, first_frame=first_frame, link=run is None)["notes"]:
-            print(f"{label}: {note}", file=sys.stderr)
+        with run_for(root, partial(reading.open, capture) if capture else None, protocol, jobs) as folder:
+            ((label, path),) = named_renders((str(renders),)).items()
+            for note in import_renders(folder, label, path, workers=jobs, first_frame=first_frame, link=run is None)["notes"]:
+                print(f"{label}: {note}", file=sys.stderr)
         yield folder, [label]

@@ -121,6 +121,7 @@ def score(
     link: bool = False,
     device: Device = "cpu",
     first_frame: int | None = None,
+    with_truth: bool = False,
     reading: CaptureFlags = CAPTURE_DEFAULTS,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
@@ -139,20 +140,33 @@ def score(
         device: where LPIPS, SSIM, TCC, STED and other metrics of many operations compute; a GPU rounds otherwise than the CPU.
         first_frame: number of the protocol's first frame in the names of your frames (its place, from 0, in videos and arrays);
             needed where the numbers can be read in two ways.
+        with_truth: score published renders without a capture, against the truth in them: .npz with arrays `renders` and `gts`
+            (T, H, W, 3), one per view. Rows are marked "own truth"; of --protocol the measures alone are taken.
         reading: how the capture is read.
         jobs: processes.
     """
     from ggvs_eval.pipelines.run.import_renders import import_renders, named_renders, run_for
+    from ggvs_eval.pipelines.run.own_truth import compare_published, run_with_truth
+    from ggvs_eval.pipelines.run.score import require_labels
     from ggvs_eval.pipelines.run.score import score as measure
 
     if folder and run:
         raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")
-    target = run_for(run or folder, partial(reading.open, capture) if capture else None, protocol, jobs)
-    for name, path in named_renders(renders).items():
-        for note in import_renders(target, name, path, allow_partial, jobs, first_frame, link)["notes"]:
-            print(f"{name}: {note}", file=sys.stderr)
+    named = named_renders(renders)
+    if with_truth and capture:
+        raise ProtocolError(f"wanted --capture or --with-truth, got both; without --with-truth {capture} is the truth")
+    opened = partial(reading.open, capture) if capture else None
+    root = run or folder
+    with run_with_truth(root, named, protocol) if with_truth else run_for(root, opened, protocol, jobs) as target:
+        for name, path in named.items():
+            for note in import_renders(target, name, path, allow_partial, jobs, first_frame, link)["notes"]:
+                print(f"{name}: {note}", file=sys.stderr)
+        require_labels(target)
     results = measure(target, jobs, device=checked_device(device))
     print(results.summary().droplevel("dataset").round(4).to_string())
+    if with_truth:
+        print("own truth: measured against the pictures that came with the renders, not against a capture")
+        print(*compare_published(named, results), sep="\n", end="\n" if named else "")
     for label, mark in results.partial.items():
         print(f"{label} is {mark}")
     for line in results.fault_lines():

@@ -304,7 +304,7 @@ class Doubts:
         if distance > extent + self._near:
             self._say(
                 "target",
-                f"camera {target.name}: is {distance:g} from the nearest camera of a rig that is {extent:g} wide; "
+                f"camera {target.name}: is {distance:.4g} units from the nearest camera of a rig {extent:.4g} units wide; "
                 "is its pose world_to_camera, in the rig's units and axes?",
             )
 

@@ -15,6 +15,7 @@ from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.coverage import read_coverage, require_imported
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
+from ggvs_eval.errors import ResultsError
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
 from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
@@ -90,6 +91,10 @@ def reopen(root: Path, workers: Workers, labels: Sequence[str] = (), networks: N
 def recorded_capture(run: RunFolder) -> Capture:
     """The capture of a run folder, with the cameras, units and noise it had when the run was prepared."""
     record = run.capture_record()
+    if "truth" in record:
+        raise ResultsError(
+            f"{run.root}: wanted a run of a capture, got renders with their own truth; `ggvs-eval run OUT --capture CAPTURE`"
+        )
     capture = open_capture(run.capture_path(), record["layout"], units=record["units_per_metre"], drop_unsynced=False)
     capture = capture.without([name for name in capture.camera_names if name not in record["cameras"]], "")
     capture = perturb_capture(capture, CaptureEdit(**(record.get("edit") or {})))

@@ -16,7 +16,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.coverage import IMPORT_FILE, read_import
 from ggvs_eval.errors import GgvsError, MetricError, ProtocolError, RenderError
 from ggvs_eval.files.archive import Limits, is_archive, unpack
-from ggvs_eval.files.atomic import atomic_folder, remove_leftovers, scratch_folder
+from ggvs_eval.files.atomic import absent_unless_made, atomic_folder, remove_leftovers, scratch_folder
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.metrics.registry import METRICS, select_metrics
@@ -224,8 +224,13 @@ def _left_out(fitted: Fit) -> list[str]:
     return [f"{title}: {item}" for title, items in groups.items() for item in items]
 
 
-def run_for(root: Path | None, open_capture: Callable[[], Capture] | None, protocol: str | None, workers: int) -> RunFolder:
+@contextmanager
+def run_for(
+    root: Path | None, open_capture: Callable[[], Capture] | None, protocol: str | None, workers: int
+) -> Iterator[RunFolder]:
     """Open a run folder, or make one that holds the captured frames of the test views and nothing else.
+
+    Renders are imported in its block: a folder that it made is removed where that fails.
 
     Args:
         root: the folder; ``scores/<capture's folder>`` where None.
@@ -241,11 +246,12 @@ def run_for(root: Path | None, open_capture: Callable[[], Capture] | None, proto
     capture = open_capture() if open_capture else None
     run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))
     own = run.protocol() if run.protocol_file.is_file() else None
-    if asked:
-        require_protocol(run, asked.over(own.frames.numbers.stop) if own else asked)
-    if capture:
-        prepare_truth(run.root, capture, asked or own or suggest_protocol(capture), workers)
-    return run
+    with absent_unless_made(run.root):
+        if asked:
+            require_protocol(run, asked.over(own.frames.numbers.stop) if own else asked)
+        if capture:
+            prepare_truth(run.root, capture, asked or own or suggest_protocol(capture), workers)
+        yield run
 
 
 def named_renders(items: tuple[str, ...]) -> dict[str, Path]:

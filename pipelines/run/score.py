@@ -4,6 +4,7 @@ Each view is one job for all methods, because what the truth alone decides is th
 ``RUN/scores/<view>/job.json``, and a method that is there already, with the same frames, is not measured again.
 """
 
+import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -13,19 +14,23 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
+from ggvs_eval.jobs.machine import pace
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
 from ggvs_eval.pipelines.inspection.renders.examine import COMPARED
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import LEARNED, MethodSpec, OnlineMethod, digest_weights
+from ggvs_eval.pipelines.methods.stage_costs import STAGES, score_cost
 from ggvs_eval.pipelines.run.references import ceiling_jobs, find_seen_view, read_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.pipelines.run.screens import Clock, read_clocks, screens_of, write_screens
+from ggvs_eval.progress import counted, duration
 from ggvs_eval.protocol import Protocol
+from ggvs_eval.renders.request import read_header
 from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table, split_label
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
 
 GIVEN = "weights that were given"
 
@@ -75,6 +80,8 @@ def _title(spec: MethodSpec, is_given: bool) -> str:
     return spec.title_from or spec.title if is_given and isinstance(spec, OnlineMethod) else spec.title
 
 
+TOLD_FRAMES = 10  # number to score from which a line gives the expected time
+TOLD_S = 60.0  # from which the line also gives a way to shorten it
 METRICS_ON_DEVICE = "metrics"  # listed with the renders that are not the CPU's
 
 
@@ -103,6 +110,25 @@ class Scores:
     def jobs(self) -> tuple[Job, ...]:
         """All, the longest first, so that all workers end at about the same time."""
         return (*self.views, *self.ceilings, *self.paths)
+
+    def time_words(self, workers: int) -> str:
+        """Say how long the views that are not scored yet take, and what shortens it; empty where it is seconds."""
+        protocol, left = self.run.protocol(), sum(not job.is_done() for job in self.views)
+        frames = left * protocol.frames.count
+        if frames * len(self.labels) < TOLD_FRAMES or self.device != "cpu":
+            return ""
+        size = read_header(frame_path(self.run.truth(protocol.views.test[0]), protocol.frames.start)).size
+        cost = score_cost(protocol.measurement) * size[0] * size[1] / 1e6
+        seconds = cost * frames * len(self.labels) * pace() / min(workers, left)
+        every = protocol.measurement.lpips_every
+        of_lpips = (
+            f"; LPIPS of {'every frame' if every == 1 else f'one frame in {every}'}"
+            if "LPIPS" in protocol.measurement.metrics
+            else ""
+        )
+        shorter = f": {STAGES['scoring']} shortens it" if of_lpips and every == 1 and seconds >= TOLD_S else ""
+        what = f"scoring {counted(frames, 'frame')} of {counted(len(self.labels), 'method')}"
+        return f"{what} takes about {duration(seconds)}{of_lpips}{shorter}"
 
     def collect(self) -> Results:
         """Collect all values, when every job is done, into the results of the run folder."""
@@ -134,10 +160,20 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), d
         RenderError: no renders, missing frames (all gaps are listed) or frames of the wrong size.
     """
     scores = plan_scores(run, [label for label in run.labels() if label not in without], None, device)
+    if told := scores.time_words(workers if isinstance(workers, int) else 1):
+        print(told, file=sys.stderr, flush=True)
     ledger = Ledger(run.root, "score")
     ledger.write([job.entry for job in scores.jobs])
     run_jobs(scores.jobs, workers, "scoring", ledger)
     return scores.collect()
+
+
+def require_labels(run: RunFolder, labels: Sequence[str] | None = None) -> None:
+    """Refuse a run without any method."""
+    if not (run.labels() if labels is None else labels):
+        raise RenderError(
+            f"{run.root}: nothing to score, renders/ is empty; run `ggvs-eval render` or give --renders NAME=FOLDER"
+        )
 
 
 def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | None = None, device: str = "cpu") -> Scores:
@@ -147,10 +183,7 @@ def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | 
         units: test views, or ``path``, of which nothing may be missing; None for all.
     """
     protocol = run.protocol()
-    if not labels:
-        raise RenderError(
-            f"{run.root}: nothing to score, renders/ is empty; run `ggvs-eval render` or give --renders NAME=FOLDER"
-        )
+    require_labels(run, labels)
     views = [view for view in protocol.views.test if units is None or view in units]
     coverage = read_coverage(run, protocol.frames.numbers, labels)
     coverage.require(run, views, labels)
@@ -261,7 +294,7 @@ def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, 
         "renders": renders,
         "pooling": pooling_records(protocol.measurement.metrics, metric_options(protocol.measurement)),
         "machine": describe_machine(),
-    }
+    } | ({"truth": capture["truth"]} if "truth" in capture else {})
 
 
 def _versions(run: RunFolder, renders: Sequence[str], records: Mapping[str, dict[str, Any]]) -> dict[str, str]:

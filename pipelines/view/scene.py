@@ -68,6 +68,28 @@ def cloud(stock: FrameStock, instant: int, most: int = MOST_POINTS) -> tuple[Arr
     return np.concatenate(points), np.concatenate(colours)
 
 
+class Leash:
+    """Keeps a virtual camera near the rig: where it stands farther away it is taken to the nearest place within reach.
+
+    Attributes:
+        reach: from the nearest camera of the rig, world units: half of the rig's width or a third of what it looks at.
+    """
+
+    def __init__(self, cameras: Sequence[Camera], gazed: float) -> None:
+        self._centres = np.stack([camera.centre for camera in cameras])
+        width = float(np.linalg.norm(self._centres[:, None] - self._centres, axis=-1).max())
+        self.reach = max(width / 2, gazed / 3)
+
+    def keep(self, place: Array) -> Array:
+        """Return the place, or the one within reach that is nearest to it, (3,)."""
+        away = place - self._centres
+        distances = np.linalg.norm(away, axis=1)
+        nearest = int(np.argmin(distances))
+        if distances[nearest] <= self.reach:
+            return place
+        return np.asarray(self._centres[nearest] + away[nearest] * (self.reach / distances[nearest]))
+
+
 class Frusta:
     """The cameras of a rig; the one at the viewer's position would frame the picture and is hidden."""
 

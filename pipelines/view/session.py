@@ -16,7 +16,7 @@ from ggvs_eval.errors import GgvsError
 from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.play.synthesizer import SEEN_FROM_DEG
 from ggvs_eval.pipelines.view.live_view import LAYERS, FrameStock, LiveView, Picture, ViewRequest
-from ggvs_eval.pipelines.view.scene import Frusta, add_cloud, camera_orientation, middle_camera
+from ggvs_eval.pipelines.view.scene import Frusta, Leash, add_cloud, camera_orientation, gazed_depth, middle_camera
 from ggvs_eval.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -163,6 +163,8 @@ class Session:
         self._next_instant_at = 0.0
         self._cloud: viser.PointCloudHandle | None = None
         self._frusta = Frusta(client.scene, small.cameras)
+        self._leash = Leash(small.cameras, gazed_depth(small, playback.instants[0]))
+        self._was_within = False  # a browser begins elsewhere, before it is told where to stand
         for handle, camera in zip(self._frusta.handles, small.cameras, strict=True):
             handle.on_click(partial(self._stand_where, camera.name))
         self._add_controls(defaults)
@@ -206,7 +208,7 @@ class Session:
         with self._lock:
             version = self._version
             self._refined_version = version
-        self._status.content = f"rendering at full size\n\n{self._status.content}"
+        self._come_back()
         self._whole.restart()  # what it saw before was another pose at another time
         picture = self._attempt(self._whole, self._request())
         with self._lock:
@@ -216,8 +218,16 @@ class Session:
 
     def complain(self, reason: str) -> None:
         """Say in the page why there is no picture."""
-        self._message.content = f"**{reason}**"
-        self._message.visible = True
+        self._status.content = f"**{reason}**"
+
+    def _come_back(self) -> None:
+        """Take the window's camera along where it was dragged out of reach, once it rests; the picture stays the one it has."""
+        place = np.asarray(self.client.camera.position)
+        within = self._leash.keep(place)
+        if np.array_equal(within, place):
+            self._was_within = True
+        elif self._was_within:
+            self.client.camera.position = within
 
     def _request(self) -> ViewRequest:
         label = self._label.value.strip() or self._method.value
@@ -233,7 +243,7 @@ class Session:
         focal = height / (2 * np.tan(state.fov / 2))
         world_to_camera = np.eye(4)
         world_to_camera[:3, :3] = Rotation.from_quat(state.wxyz, scalar_first=True).as_matrix().T
-        world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ state.position
+        world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ self._leash.keep(np.asarray(state.position))
         K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
         return replace(view, name="view", K=K, world_to_camera=world_to_camera, width=width, height=height)
 
@@ -244,8 +254,6 @@ class Session:
         except GgvsError as error:
             self.complain(str(error))
             return None
-        self._message.content = OUTSIDE.format(picture.seen)
-        self._message.visible = picture.is_outside
         return picture
 
     def _send(self, picture: Picture) -> None:
@@ -257,7 +265,6 @@ class Session:
     def _add_controls(self, defaults: ViewDefaults) -> None:
         gui, playback = self.client.gui, self._playback
         instants, names = sorted(set(playback.instants)), [camera.name for camera in playback.capture.cameras]
-        self._message = gui.add_markdown(FIRST)
         gui.add_button("reset view", hint="back to where the window opened (key: R)").on_click(lambda _: self._reset())
         gui.add_command("reset view", hotkey="R").on_trigger(lambda _: self._reset())
         with gui.add_folder("Method"):
@@ -278,7 +285,7 @@ class Session:
             self._points = gui.add_checkbox("points", initial_value=False, hint="the surface that depth says is there")
         self._add_recording(gui)
         with gui.add_folder("Latency"):
-            self._status = gui.add_markdown("the first picture is being rendered")
+            self._status = gui.add_markdown(FIRST)  # the last of all: it grows without moving a control
         method = (self._method, self._label, self._k, self._layer, self._other, self._divider)
         for control in (*method, self._time, self._play, self._cameras):
             control.on_update(self.change)
@@ -330,7 +337,9 @@ class Session:
 
 
 def status_text(picture: Picture, rate: float) -> str:
-    """Pictures per second, the size, the source cameras and the milliseconds of each stage, as Markdown."""
+    """Pictures per second, size, source cameras and milliseconds of each stage, as Markdown; outside of the rig that alone."""
+    if picture.is_outside:
+        return OUTSIDE.format(picture.seen)
     height, width = picture.image.shape[:2]
     lines = [f"{rate:.1f} pictures per second, {width} x {height}, from {', '.join(picture.sources)}"]
     little = "**little**: " if picture.known_depth < LITTLE_DEPTH else ""

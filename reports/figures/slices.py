@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8
@@ -24,8 +25,28 @@ if TYPE_CHECKING:
 SliceKind = Literal["epi", "time"]
 INDICES_AT_MOST = 10  # of frames or poses that are looked at for the row in which methods differ most
 CONTEXT_SHARE = 0.35
+BREAKS_AT_MOST = 3  # of each strip
+BREAK_WIDTH = 9  # columns that one is averaged over
+BREAK_APART = 24  # columns between two at one time
+BREAK_LEAST = 8.0  # levels of 255; noise and codec stay below it
+BREAK_TIMES = 4.0  # times the median of the strip
 NO_PATH = "Imported frames have none; `ggvs-eval figure time` cuts over time, and `ggvs-eval run` renders a path"
 NO_TRUTH = "no truth on a virtual path"
+
+
+@dataclass(frozen=True)
+class Break:
+    """A place at which a slice changes from one sample to the next where the truth does not, or the other way round.
+
+    Attributes:
+        at: number of the later sample, from 0.
+        x: column, pixels.
+        apart: how far its change since the sample before is from the truth's, mean over a few columns, levels of 255.
+    """
+
+    at: int
+    x: int
+    apart: float
 
 
 @dataclass(frozen=True)
@@ -35,6 +56,7 @@ class Strip:
     label: str
     name: str
     image: Image8 | None
+    breaks: tuple[Break, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -96,6 +118,41 @@ def _stack_rows(folder: Path, indices: range, row: int) -> Image8:
 
     with ThreadPoolExecutor(default_workers()) as threads:  # decoding lets go of the interpreter
         return np.stack(list(threads.map(read_row, indices)))
+
+
+def find_breaks(image: Image8, truth: Image8) -> tuple[Break, ...]:
+    """The places at which a slice changes most unlike the truth, the largest first; none where noise would explain them.
+
+    Args:
+        image: slice of a method, (samples, x, 3).
+        truth: the same slice of the truth, same shape.
+
+    Reading:
+        Of the change of each sample to the next the truth's is taken away, channel by channel, and the mean over the channels
+        and over a few columns is what counts: flicker and jumps are in it, what moves in the truth too is not.
+    """
+    if len(image) < 2 or image.shape != truth.shape:
+        return ()
+    changes, true_changes = (np.diff(each.astype(np.float32), axis=0) for each in (image, truth))  # (samples - 1, W, 3)
+    apart = cv2.blur(np.abs(changes - true_changes).mean(axis=2), (BREAK_WIDTH, 1))  # (samples - 1, W)
+    least = max(BREAK_LEAST, BREAK_TIMES * float(np.median(apart)))
+    found: list[Break] = []
+    while len(found) < BREAKS_AT_MOST and float(apart.max()) >= least:
+        at, x = (int(place) for place in np.unravel_index(int(apart.argmax()), apart.shape))
+        found.append(Break(at + 1, x, float(apart[at, x])))
+        apart[max(0, at - 1) : at + 2, max(0, x - BREAK_APART) : x + BREAK_APART + 1] = 0.0
+    return tuple(found)
+
+
+def _with_breaks(strips: Sequence[Strip]) -> tuple[Strip, ...]:
+    """Strips, the truth first, each with the places at which it breaks; none where there is no truth."""
+    truth = strips[0].image
+    if truth is None:
+        return tuple(strips)
+    return tuple(
+        strip if strip.image is None or strip is strips[0] else replace(strip, breaks=find_breaks(strip.image, truth))
+        for strip in strips
+    )
 
 
 def most_changing_row(folder: Path, frames: range) -> int:
@@ -176,7 +233,7 @@ def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
     if not of_truth:
         strips.insert(0, Strip("truth", run.name("truth"), None))
     context = next(iter(middle.values()))
-    return Slices("epi", "", row, chosen_by, tuple(strips), context, f"{n_poses} poses along the camera path")
+    return Slices("epi", "", row, chosen_by, _with_breaks(strips), context, f"{n_poses} poses along the camera path")
 
 
 def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
@@ -197,7 +254,9 @@ def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
         lambda: most_changing_row(folders["truth"], run.frames),
         "the largest change of the truth from frame to frame",
     )
-    strips = tuple(Strip(label, run.name(label), temporal_slice(folder, run.frames, row)) for label, folder in folders.items())
+    strips = _with_breaks(
+        [Strip(label, run.name(label), temporal_slice(folder, run.frames, row)) for label, folder in folders.items()]
+    )
     context = read_image(frame_path(folders["truth"], run.frames[len(run.frames) // 2]))
     title, fps = f"{len(run.frames)} frames of {view}", float(run.capture.get("fps") or 0)
     return Slices("time", view, row, chosen_by, strips, context, title, run.frames[0], fps)

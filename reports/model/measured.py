@@ -24,6 +24,7 @@ FURTHER = "further"  # group of the metrics that belong to no other
 REFERENCES_FILE = "references.json"
 METHODS_FILE = "methods.json"
 FAULTY = " (faulty)"  # behind the name of a method whose renders have a certain fault
+OWN_TRUTH = " (own truth)"  # behind the name of a method that was measured against the truth that came with its renders
 PARTIAL = " (partial)"  # behind the name of a method whose renders lack views or frames
 
 
@@ -219,6 +220,16 @@ class MeasuredRun:
         return self.protocol.dataset if self.is_demo else self.scene
 
     @property
+    def has_own_truth(self) -> bool:
+        """True where the truth came with the renders and no capture was read."""
+        return "truth" in self.results.provenance
+
+    @property
+    def sources_text(self) -> str:
+        """Terms on which methods saw the scene, in short: the number of source views, or whose the truth is."""
+        return "own truth" if self.has_own_truth else f"K = {self.protocol.synthesis.k}"
+
+    @property
     def frames(self) -> range:
         """Numbers of the synthesised frames."""
         return self.protocol.frames.numbers
@@ -247,7 +258,7 @@ class MeasuredRun:
 
     def name(self, label: str) -> str:
         """Name of a method to show; ``truth`` has one too, and renders that are partial or have a certain fault say so."""
-        name = "Truth" if label == "truth" else self.names.get(label, label)
+        name = "Truth" if label == "truth" else f"{self.names.get(label, label)}{OWN_TRUTH if self.has_own_truth else ''}"
         return f"{name}{PARTIAL if label in self.partial else FAULTY if label in self.results.spoilt else ''}"
 
     def row(self, label: str, cells: Sequence[Cell], results: Results | None = None) -> Row:

@@ -71,6 +71,7 @@ class Cell:
         beside: text after the value, such as a percentile.
         unranked: why the value is neither marked as best nor kept from it by others, as it follows the method's name; empty where
             it competes.
+        place: view and frame that the value is of, where it is of one.
     """
 
     text: str
@@ -84,6 +85,7 @@ class Cell:
     bound: str = ""
     beside: str = ""
     unranked: str = ""
+    place: tuple[str, int] | None = None
 
     @property
     def shown(self) -> str:

@@ -13,7 +13,7 @@ from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import evaluate_verdict
 
 FIRST_SCRIPTS = ("theme",)
-SCRIPTS = ("picture_grid", "sortable_table", "leaderboard")
+SCRIPTS = ("picture_grid", "sortable_table", "table_copy", "leaderboard")
 
 
 def write_leaderboard(runs: Sequence[Path], out: Path) -> Path:

@@ -18,7 +18,7 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.geometry.source_views import CHOSEN_AS
 from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE, method_numbers, round_ticks
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, find_regions
-from ggvs_eval.reports.figures.slices import NO_TRUTH, Slices
+from ggvs_eval.reports.figures.slices import NO_TRUTH, Slices, Strip
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.page.heat_map import HeatMap, heat_colours, heat_maps
@@ -36,10 +36,12 @@ from ggvs_eval.reports.page.pictures import (
     shrink,
     webp_uri,
 )
+from ggvs_eval.reports.page.quality_over_time import QualityOverTime, quality_over_time
 from ggvs_eval.reports.page.sweep_section import SweepSection
 from ggvs_eval.reports.run_groups import RunGroup, RunSection
 from ggvs_eval.reports.tables.published import CAVEATS, PAPER
-from ggvs_eval.reports.tables.reproduction import HEADS, MEANING, Reproduction, blocks, count_words, paper_tables
+from ggvs_eval.reports.tables.reproduction import HEADS, MEANING, PAPER_MAP, Reproduction, blocks, count_words, paper_tables
+from ggvs_eval.reports.tables.table_formats import copyable
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict, leaders
 from ggvs_eval.run_folder import JOB_FILE, frame_path, read_json
 
@@ -50,7 +52,8 @@ TEMPLATES = Path(__file__).parent / "templates"
 FIRST_SCRIPTS = ("theme", "loading")  # run before anything is drawn, so that no page flashes in the wrong colours
 SCRIPTS = (
     *("zoom_window", "pointer_gestures", "picture_grid", "curve_cursor", "row_cutter", "linked_slices"),
-    *("full_size", "crop_picker", "heat_map", "sortable_table", "player", "viewer", "opening", "tabs", "place", "start"),
+    *("full_size", "crop_picker", "heat_map", "sortable_table", "table_copy", "player", "methods", "viewer", "opening"),
+    *("tabs", "place", "start"),
 )
 CONTEXT_WIDTH = 480
 UPS_AT_MOST = 2  # folders from a page up to what holds its run
@@ -160,6 +163,8 @@ def render_page(
                 "counts": count_words(reproduced),
                 "meaning": MEANING,
                 "values": len(reproduced),
+                "speaks": any(entry.status != "data absent" for entry in reproduced),
+                "map": PAPER_MAP,
             },
             error_scale=png_uri(error_scale()),
             error_full_scale=int(ERROR_FULL_SCALE),
@@ -184,7 +189,7 @@ def template_environment() -> "Environment":
 
     loader = FileSystemLoader(TEMPLATES)
     made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    made.filters["coded"] = _coded
+    made.filters |= {"coded": _coded, "copyable": copyable}
     return made
 
 
@@ -231,6 +236,8 @@ def _groups(groups: Sequence[RunGroup], folder: Path | None, plot: dict[str, Any
             "sources": _sources([section.run for section in group.sections]),
             "leaders": leaders(group.tables),
             "verdict": verdicts[at],
+            "over_time": _over_time(verdicts[at], group),
+            "methods": {run.name(label): label for run in (one.run for one in group.sections) for label in run.labels},
             "parts": _parts(group),
             "several_datasets": len({table.dataset for table in group.tables}) > 1,
             "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
@@ -239,6 +246,14 @@ def _groups(groups: Sequence[RunGroup], folder: Path | None, plot: dict[str, Any
         }
         for at, group in enumerate(groups)
     ]
+
+
+def _over_time(verdict: Verdict, group: RunGroup) -> QualityOverTime | None:
+    """The headline metric of a group over the time of a frame; None where fewer than two methods have both."""
+    if verdict.column is None:
+        return None
+    values = [(one.name, one.cell.value) for one in (*verdict.contenders, *verdict.parts) if one.cell.value is not None]
+    return quality_over_time(verdict.column, values, [section.timing for section in group.sections])
 
 
 def _sources(runs: Sequence[MeasuredRun]) -> str:
@@ -386,9 +401,23 @@ def _slice_pictures(slices: Slices) -> dict[str, Any]:
         "title": slices.title,
         "context": webp_uri(shrink(slices.context, CONTEXT_WIDTH)),
         "size": (width, height),
-        "strips": [(strip.name, None if strip.image is None else png_uri(_tall(strip.image))) for strip in slices.strips],
+        "strips": [_strip_picture(slices, strip) for strip in slices.strips],
         "no_truth": NO_TRUTH if any(strip.image is None for strip in slices.strips) else "",
     }
+
+
+def _strip_picture(slices: Slices, strip: Strip) -> dict[str, Any]:
+    """A slice as a picture, and its breaks: place in per cent, words, and what of an address leads there (over time alone)."""
+    if strip.image is None:
+        return {"name": strip.name, "picture": None}
+    count, width = strip.image.shape[:2]
+    number, breaks = ("frame" if slices.kind == "time" else "pose"), []
+    for one in strip.breaks:
+        words = f"{number} {slices.first + one.at}, x {one.x}: its change is {one.apart:.0f} levels from the truth's"
+        place = f"{quote(slices.view, safe='')}/{slices.first + one.at}/{one.x},{slices.row}/{quote(strip.label, safe='')},truth"
+        left, top = round(100 * (one.x + 0.5) / width, 2), round(100 * one.at / count, 2)
+        breaks.append({"left": left, "top": top, "words": words, "place": place if slices.kind == "time" else ""})
+    return {"name": strip.name, "picture": png_uri(_tall(strip.image)), "breaks": breaks}
 
 
 def _sample_texts(slices: Slices, at: int) -> tuple[str, str]:

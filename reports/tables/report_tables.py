@@ -31,6 +31,10 @@ from ggvs_eval.results import Results, label_of, without_labels
 from ggvs_eval.statistics.paired import Judgement
 
 OWN_PACKAGE = "ggvs-eval"  # what its version changes is measured again
+OWN_TRUTH_MEANS = (
+    "Own truth: measured against the pictures that came with the renders, not against a capture; how these were made, cropped or "
+    "compressed is unknown, and values of other data or other truth do not compare."
+)
 INTERCHANGE = (
     "A test view is left out of its own rendering only and may be a source of others; `views.sources` of a protocol forbids it."
 )
@@ -190,6 +194,7 @@ def main_captions(
     marks += results.fault_lines(names)
     whole = without_labels(results, partial)
     lacking = [*_fewer_frames(whole, metrics, protocol), *_fewer_views(whole, metrics, names)]
+    marks += [OWN_TRUTH_MEANS] if any(run.has_own_truth for run in runs) else []
     shared = [INTERCHANGE] if sources and may_interchange(protocol) else []
     return [f"{'; '.join(filter(None, (means, sources)))}.", *shared, *lacking, *marks, *_versions(results)]
 

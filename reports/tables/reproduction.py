@@ -39,6 +39,17 @@ MEANING = (
 )
 HEADS = ("Paper's table", "Method", "Metric", "Paper", "This run", "Status", "Why")
 WORDS = (0, 1, 2, 5, 6)  # columns without numbers
+PAPER_MAP = (  # what the paper shows, the part of the page with the same of these runs, the command; as docs/paper.md
+    ("Tables 1 and 2, consistency and novel-view synthesis", "results", "ggvs-eval run OUT --capture DATA --protocol dynerf"),
+    ("Table 3, ablation", "", "ggvs-eval sweep ablations OUT --capture DATA --protocol dynerf"),
+    ("Table 4, time of each stage", "timing", "ggvs-eval run OUT --capture DATA --protocol dynerf --jobs 1"),
+    ("Figure 5, epipolar plane images", "slices", "ggvs-eval figure epi RUN figures/epi"),
+    ("Figure 6, slices over time", "slices", "ggvs-eval figure time RUN figures/time"),
+    ("Figure 7, qualitative comparison", "compare", "ggvs-eval figure crops RUN figures/crops"),
+    ("Figure 8, number of input views", "", "ggvs-eval sweep k OUT --capture DATA"),
+    ("Figure 9, limitations", "", "ggvs-eval figure failures RUN figures/failures"),
+    ("Figure 12, per-scene methods", "", "ggvs-eval sweep offline OUT --capture DATA"),
+)
 CSV_HEAD = ("table", "dataset", "method", "metric", "unit", "paper", "ours", "lo", "hi", "difference", "status", "reason")
 TIMING = "timing"
 METHODS_NAMED = 4  # from this number on a line counts methods

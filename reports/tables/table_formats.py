@@ -145,15 +145,20 @@ def escape_latex(text: str) -> str:
 
 
 def _latex_table(table: Table) -> str:
+    head, rows, foot = latex_parts(table)
+    return "\n".join([head, *rows, foot]) + "\n"
+
+
+def latex_parts(table: Table) -> tuple[str, list[str], str]:
+    """A ``table`` environment: what comes before its rows, each row, and what comes behind them; grey rows follow a rule."""
     heads = [escape_latex(column.head) for column in table.columns]
     body: list[str] = []
     for above, row in zip((None, *table.rows), table.rows, strict=False):
-        if above is not None and row.is_grey and not above.is_grey:
-            body.append(r"\midrule")
-        body.append(" & ".join([_latex_text(row, row.name), *(_latex_cell(row, cell) for cell in row.cells)]) + r" \\")
+        rule = "\\midrule\n" if above is not None and row.is_grey and not above.is_grey else ""
+        body.append(rule + " & ".join([_latex_text(row, row.name), *(_latex_cell(row, cell) for cell in row.cells)]) + r" \\")
     note = _note(table)
     label = re.sub(r"[^a-z0-9-]+", "-", f"{table.key}-{table.dataset}".lower()).strip("-")
-    lines = [
+    head = [
         r"\begin{table}",
         rf"\caption{{\label{{table:{label}}}\textbf{{{escape_latex(_title(table))}.}} {escape_latex(table.caption)}}}",
         r"\centering\small",
@@ -162,13 +167,34 @@ def _latex_table(table: Table) -> str:
         r"\toprule",
         " & ".join(["Method", *heads]) + r" \\",
         r"\midrule",
-        *body,
+    ]
+    foot = [
         r"\bottomrule",
         r"\end{tabular}}",
         *([rf"\par\smallskip\begin{{minipage}}{{\linewidth}}\footnotesize {escape_latex(note)}\end{{minipage}}"] if note else []),
         r"\end{table}",
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(head), body, "\n".join(foot)
+
+
+def copyable(table: Table) -> dict[str, tuple[str, list[str], str]]:
+    """Format -> the text before the rows, of each row, and behind them, so that a page can copy the rows that it shows.
+
+    As CSV a method is a line: its values unrounded, in front of their bounds where the column has intervals.
+    """
+    names, bounded = ["Method"], [any(row.cells[at].low is not None for row in table.rows) for at in range(len(table.columns))]
+    for column, has_bounds in zip(table.columns, bounded, strict=True):
+        name = f"{column.name} ({column.unit})" if column.unit else column.name
+        names += [name, *([f"{name} low", f"{name} high"] if has_bounds else [])]
+    csv_head, lines = csv_text(names, []), []
+    for row in table.rows:
+        cells: list[object] = [row.name]
+        for cell, has_bounds in zip(row.cells, bounded, strict=True):
+            cells.append(cell.shown if cell.value is None else repr(cell.value))
+            cells += ["" if bound is None else repr(bound) for bound in (cell.low, cell.high)] if has_bounds else []
+        lines.append(csv_text(names, [cells]).removeprefix(csv_head).rstrip("\n"))
+    head, rows, foot = latex_parts(table)
+    return {"latex": (f"{LATEX_HEAD}\n{head}", rows, foot), "csv": (csv_head.rstrip("\n"), lines, "")}
 
 
 def _latex_cell(row: Row, cell: Cell) -> str:

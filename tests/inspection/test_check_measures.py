@@ -25,14 +25,7 @@ from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_cap
 from ggvs_eval.pipelines.inspection.capture.colour import camera_gains, check_gain, check_noise
 from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing, seen_share
 from ggvs_eval.pipelines.inspection.capture.epipolar_findings import explain_camera, explain_rig, with_focal
-from ggvs_eval.pipelines.inspection.capture.frames import (
-    check_frames,
-    common_repeats,
-    difference_sigma,
-    frozen_frames,
-    largest_change,
-    record_camera,
-)
+from ggvs_eval.pipelines.inspection.capture.frames import check_frames, common_repeats, frozen_frames
 from ggvs_eval.pipelines.inspection.capture.pairs import (
     accused,
     camera_error,
@@ -51,7 +44,14 @@ from ggvs_eval.pipelines.inspection.capture.poses import (
     roll_angles,
     same_places,
 )
-from ggvs_eval.pipelines.inspection.capture.timing import best_lag, motion_energy, plane_angles
+from ggvs_eval.pipelines.inspection.capture.records import (
+    Recorder,
+    difference_sigma,
+    largest_change,
+    motion_energy,
+    record_camera,
+)
+from ggvs_eval.pipelines.inspection.capture.timing import best_lag, plane_angles
 from ggvs_eval.pipelines.inspection.finding import Finding, graded, worst
 from helpers.captures import make_image, make_rig, write_dynerf, write_folders, write_poses
 
@@ -252,7 +252,8 @@ def test_gains_are_solved_over_the_rig():
         one, other = (np.minimum(colours * gains[k], 255).astype(np.float32) for k in (i, j))
         pairs.append(MatchedPair(i, j, np.zeros((60, 2)), np.zeros((60, 2)), one, other))
 
-    assert camera_gains(5, pairs) == pytest.approx(gains, abs=1e-3)
+    assert camera_gains(5, pairs).factors == pytest.approx(gains, abs=1e-3)
+    assert camera_gains(5, pairs).half_widths.max() < 0.01
     verdicts = [finding.verdict for finding in check_gain("abcde", pairs)]
     assert verdicts == ["ok", "ok", "bad", "warn", "warn", "ok"]
     assert {finding.verdict for finding in check_gain("ab", [])} == {"unknown"}
@@ -447,7 +448,7 @@ def test_reading_goes_on_after_damage():
     assert [(damage.frame, damage.message) for damage in record.damage] == [(7, "room/0007.png: damaged")]
     assert record.n_read == 19
     assert np.flatnonzero(np.isnan(record.change)).tolist() == [0, 7, 8]
-    assert len(record.burst) == 7
+    assert sorted(record.energy) == [*range(1, 7), *range(9, 20)]
 
 
 def test_a_ruined_source_ends_soon():
@@ -457,15 +458,21 @@ def test_a_ruined_source_ends_soon():
     record = record_camera(capture_of(source), "cam00")
 
     assert source.n_started < 10
-    assert (record.n_read, record.features, len(record.burst)) == (0, None, 0)
+    assert (record.n_read, dict(record.instants), len(record.energy)) == (0, {}, 0)
 
 
 def test_memory_of_a_record_does_not_grow_with_the_frames():
-    """A long capture keeps as many pictures as a short one: a burst from its middle."""
-    record = record_camera(capture_of(BreakingSource(300, set())), "cam00")
+    """A long capture keeps the motion of its first and last frames, and the colours of a few instants all over it."""
+    picture = np.kron(np.random.default_rng(2).integers(30, 220, (6, 8, 3)), np.ones((8, 8, 1))).astype(np.uint8)
+    recorder = Recorder("cam00", 1000)
+    for frame in range(1000):
+        recorder.add(frame, picture)
+    record = recorder.record()
 
-    assert record.burst.shape == (64, 48, 64)
-    assert record.burst_start == 118
+    assert list(record.energy) == [*range(1, 384), *range(616, 1000)]
+    assert record.sampled == tuple(range(0, 1000, 32))
+    assert len(record.colours) == 32
+    assert sorted(record.instants) == [0, 500, 999]
 
 
 def test_units_that_are_guessed_or_absurd_are_remarked_on():

@@ -267,7 +267,12 @@ def test_a_reflection_is_the_first_line_and_what_needs_poses_is_unknown(rig):
     assert "cam03" in first.measured
     assert "determinant -1" in first.measured
     assert {finding.question for finding in others} == set(QUESTIONS)
-    assert {finding.question for finding in others if finding.verdict == "ok"} == {"frames", "frozen frames", "noise"}
+    assert {finding.question for finding in others if finding.verdict == "ok"} == {
+        "frames",
+        "frozen frames",
+        "stands still",
+        "noise",
+    }
     assert {finding.measured for finding in others if finding.verdict == "unknown"} == {"the capture does not open"}
     assert not check.is_usable
 

@@ -79,7 +79,7 @@ def test_published_rows_stand_on_the_page_under_their_own_protocol_alone(tmp_pat
     replace(results, provenance={**results.provenance, "protocol_sha256": protocol.sha256}).write(run)
     page = write_leaderboard([run], tmp_path / "board.html").read_text(encoding="utf-8")
 
-    assert '<tr class="published grey">' in page
+    assert '<tr class="published grey"' in page
     assert "4DGS (published, mean of 6 scenes)" in page
     assert "Grey: Wu et al., 4D Gaussian Splatting for Real-Time Dynamic Scene Rendering, CVPR 2024" in page
     assert "published grey" not in other

@@ -135,7 +135,8 @@ def read_csv(report: Path, table: Table) -> Rows:
         if (line["table"], line["dataset"]) == (table.key, table.dataset):
             spread = spreads[line["method"], line["column"]]
             assert bool(spread) <= bool(line["lo"] and line["hi"])
-            found.setdefault(line["method"], []).append((f"{line['shown']} {spread}".strip(), line["best"] == "True"))
+            shown = line["shown"].removeprefix("'")  # before words that a spreadsheet would compute
+            found.setdefault(line["method"], []).append((f"{shown} {spread}".strip(), line["best"] == "True"))
     return found
 
 

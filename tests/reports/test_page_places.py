@@ -155,7 +155,6 @@ def test_a_picture_of_the_first_screen_opens_its_place(shown):
     x, y = (int(word.strip("xy ")) for word in pixel(shown).removeprefix("pixel ").split(","))
     assert abs(x - 40) <= 1
     assert abs(y - 60) <= 1
-    show_part(shown, "results")
     shown.click("[data-role=closer-look]")
     shown.wait("document.querySelector('.stage').checkVisibility()")
     assert shown.run("document.activeElement.className").startswith("stage")

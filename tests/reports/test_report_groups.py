@@ -96,15 +96,15 @@ def test_no_value_of_one_protocol_stands_among_anothers(report, runs):
         assert mine == alone
 
 
-def test_page_has_a_part_for_each_protocol_and_the_papers_values_once(report):
+def test_page_has_a_part_for_each_protocol(report):
     """Every link leads somewhere, no place is there twice, each group has all sections; tabs name the captures in their order."""
     text = (report / "index.html").read_text(encoding="utf-8")
     places = re.findall(r'\bid="([^"]+)"', text)
     assert len(places) == len(set(places))
-    assert set(re.findall(r'href="#([^"]+)"', text)) <= set(places)
+    assert set(re.findall(r'href="#([^"/]+)"', text)) <= set(places)
     sections = ("results", "heat", "compare", "through", "errors", "slices", "curves", "videos", "views", "timing", "measured")
     assert {f"group{at}-{name}" for at in range(2) for name in sections} <= set(places)
-    assert (places.count("reproduction"), places.count("paper")) == (1, 1)
+    assert not {"reproduction", "paper"} & set(places)  # none of these runs is on the paper's terms
     rooms = re.findall(r'<a href="#(\w+)" data-room="(\w+)">([^<]*)</a>', text)
     assert rooms == [("group0", "run0", "room"), ("run1", "run1", "kitchen"), ("group1", "run2", "street")]
     assert re.findall(r'data-address="([^"]*)"', text) == ["room", "kitchen", "street"]
@@ -135,7 +135,7 @@ def test_files_tell_the_groups_apart(report):
     titles = re.findall(r"^## (.*)$", (report / "tables.md").read_text(encoding="utf-8"), re.MULTILINE)
     labels = re.findall(r"\\label\{([^}]*)\}", (report / "tables.tex").read_text(encoding="utf-8"))
     assert len(titles) == len(set(titles)) == len(labels) == len(set(labels))
-    assert sum("street, tiny, K = 2" in title for title in titles) == 2 + 5
+    assert sum("street, tiny, K = 2" in title for title in titles) == 2 + 6
     assert {folder.name for folder in (report / "figures").iterdir()} == {"run0", "run1", "run2"}
     pytest.importorskip("openpyxl", reason="no openpyxl, by which pandas writes workbooks")
     assert len(pd.ExcelFile(report / "tables.xlsx").sheet_names) == len(titles) + 2

@@ -62,11 +62,12 @@ def test_page_loads_nothing(report):
 
 
 def test_places_linked_in_the_page_exist(report):
-    """Each link of the navigation leads to a section."""
+    """Each link leads to a section, or to a place of a viewer: `#room/view/frame/...`."""
     text = (report / "index.html").read_text(encoding="utf-8")
     links = re.findall(r'href="#([^"]+)"', text)
     assert links
-    assert all(f'id="{link}"' in text for link in links)
+    rooms = re.findall(r'data-address="([^"]*)"', text)
+    assert all(f'id="{link}"' in text or link.partition("/")[0] in rooms for link in links)
 
 
 def test_names_are_harmless(tmp_path):

@@ -71,7 +71,7 @@ def test_a_sweep_may_stand_without_its_runs(sweep, tmp_path):
     page = write_report([sweep / "k2"], tmp_path / "report", tables_of=[sweep]).read_text(encoding="utf-8")
 
     assert 'class="group-name"' not in page  # one run, one group, which then has no frame of its own
-    assert page.index('id="videos"') < page.index('id="sweep0"') < page.index('id="paper"')
+    assert page.index('id="videos"') < page.index('id="sweep0"') < page.index("<footer>")
     assert f"ggvs-eval report {sweep}" in page
     assert "protocol tiny: 4 frames of" in page
     assert (tmp_path / "report" / "figures" / "k.png").is_file()

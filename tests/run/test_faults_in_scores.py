@@ -51,9 +51,9 @@ def quick(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def run(quick) -> RunFolder:
     """A scored run of honest renders and three that are spoilt; nobody changes it."""
-    made = run_for(quick / "run", lambda: open_capture(quick / QUICK_ROOM), str(quick / PROTOCOL), 1)
-    for label, folder in (("mine", MENDED), ("late", LATE), ("bgr", "bgr"), ("flipped", "flipped")):
-        import_renders(made, label, quick / folder)
+    with run_for(quick / "run", lambda: open_capture(quick / QUICK_ROOM), str(quick / PROTOCOL), 1) as made:
+        for label, folder in (("mine", MENDED), ("late", LATE), ("bgr", "bgr"), ("flipped", "flipped")):
+            import_renders(made, label, quick / folder)
     score(made)
     return made
 
@@ -161,8 +161,8 @@ def test_renders_better_than_a_perfect_one_have_seen_the_view(quick, tmp_path):
     short = replace(protocol, frames=replace(protocol.frames, count=4))
     with_ceilings = replace(short, measurement=replace(protocol.measurement, metrics=("PSNR",), ceilings=True))
     (tmp_path / "seen.toml").write_text(with_ceilings.to_toml(), encoding="utf-8")
-    made = run_for(tmp_path / "run", lambda: open_capture(quick / QUICK_ROOM), str(tmp_path / "seen.toml"), 1)
-    numbers = short.frames.numbers
+    with run_for(tmp_path / "run", lambda: open_capture(quick / QUICK_ROOM), str(tmp_path / "seen.toml"), 1) as made:
+        numbers = short.frames.numbers
     for file in (frame_path(quick / MENDED / view, frame) for view in short.views.test for frame in numbers):
         truth = read_image(made.truth(file.parent.name) / file.name).astype(np.float32)
         write_image(

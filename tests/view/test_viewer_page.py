@@ -85,10 +85,32 @@ def test_outside_of_the_rig_is_said_and_left_by_a_key(page):
     session.client.camera.position = opened + np.array([4.0, 0.0, 0.0])
     session.change()
     browser.wait("document.body.innerText.includes('outside of what the cameras see')", seconds=60)
+    assert not browser.run("document.body.innerText.includes('of what its sources see')")  # one thing at a time
     browser.run("document.activeElement.blur()")
     browser.press("r")
     browser.wait("!document.body.innerText.includes('outside of what the cameras see')", seconds=60)
     assert np.abs(session.client.camera.position - opened).max() < 1e-3
+
+
+def test_a_camera_that_was_dragged_away_comes_back_within_reach(page):
+    """The picture is of the nearest place within reach, the window's camera follows once it rests; no control moves."""
+    browser, viewer = page
+    session = session_of(viewer)
+    leash, opened = session._leash, session.client.camera.position.copy()
+    fields = "[...document.querySelectorAll('input.mantine-TextInput-input')].map(one => one.getBoundingClientRect().top)"
+    before = browser.run(fields)
+    session.client.camera.position = opened + np.array([0.0, 0.0, -30.0])
+    session.change()
+    assert np.linalg.norm(session._pose().centre - opened) < 31 - leash.reach
+    end = time.monotonic() + 60
+    while (
+        np.abs(leash.keep(session.client.camera.position) - session.client.camera.position).max() > 1e-6
+        and time.monotonic() < end
+    ):
+        time.sleep(0.1)
+    distances = [np.linalg.norm(camera.centre - session.client.camera.position) for camera in viewer._playback.capture.cameras]
+    assert min(distances) <= leash.reach * 1.001
+    assert browser.run(fields) == before
 
 
 def test_an_unknown_method_is_a_message_in_the_page(page):

@@ -21,12 +21,21 @@ from ggvs_eval.datasets.assemble import assemble_capture
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
 from ggvs_eval.datasets.units import GivenUnits, Units
 from ggvs_eval.errors import CaptureError, GgvsError
-from ggvs_eval.geometry.epipolar import neighbour_pairs
 from ggvs_eval.jobs.processes import worker_pool
-from ggvs_eval.pipelines.inspection.capture import colour, depth_range, epipolar_findings, frames, poses, timing
+from ggvs_eval.pipelines.inspection.capture import (
+    colour,
+    colour_drift,
+    depth_range,
+    epipolar_findings,
+    frames,
+    lens,
+    poses,
+    stillness,
+    timing,
+)
 from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
-from ggvs_eval.pipelines.inspection.capture.frames import CameraRecord, record_camera
-from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs, triangulated_depths
+from ggvs_eval.pipelines.inspection.capture.pairs import triangulated_depths
+from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, record_camera
 from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 from ggvs_eval.progress import track
@@ -41,13 +50,17 @@ OPENS = "opens"
 QUESTIONS = (
     frames.FRAMES,
     frames.FROZEN,
+    stillness.QUESTION,
     poses.POSES_QUESTION,
     poses.INTRINSICS_QUESTION,
+    lens.QUESTION,
     depth_range.DEPTH_QUESTION,
     depth_range.OVERLAP_QUESTION,
     epipolar_findings.QUESTION,
     timing.QUESTION,
+    timing.DROPPED,
     colour.GAIN,
+    colour.DRIFT,
     colour.NOISE,
     SIZE_QUESTION,
 )
@@ -164,24 +177,34 @@ def record_cameras(capture: Capture, workers: int) -> list[CameraRecord]:
 
 def examine_frames(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:
     """Answer the questions that need frames alone."""
-    return (*frames.check_frames(capture, records), *frames.check_frozen(records), *colour.check_noise(records))
+    return (
+        *frames.check_frames(capture, records),
+        *frames.check_frozen(records),
+        *stillness.check_stillness(capture.cameras, records, capture.fps),
+        *colour.check_noise(records),
+    )
 
 
 def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:
     """Answer every question from the cameras and what was recorded of their frames."""
-    cameras = capture.cameras
-    verdict = epipolar_findings.check_epipolar(cameras, records, match_pairs(cameras, records, neighbour_pairs(cameras)))
-    depths = triangulated_depths(cameras, verdict.pairs, verdict.trusted)
+    cameras, names = capture.cameras, capture.camera_names
+    instants = {frame: [record.instants.get(frame) for record in records] for frame in sorted({*records[0].instants, 0})}
+    verdict = epipolar_findings.check_clip(cameras, instants)
+    first = verdict.at[0].pairs
+    depths = triangulated_depths(cameras, first, verdict.trusted)
     answers: tuple[Callable[[], tuple[Finding, ...]], ...] = (
         lambda: frames.check_frames(capture, records),
         lambda: frames.check_frozen(records),
+        lambda: stillness.check_stillness(cameras, records, capture.fps),
         lambda: poses.check_poses(cameras, verdict.suspects),
         lambda: poses.check_intrinsics(cameras),
+        lambda: lens.check_lens(capture),
         lambda: depth_range.check_depth_range(cameras, depths, verdict.suspects),
         lambda: depth_range.check_overlap(cameras, capture.sensed_cameras),
         lambda: verdict.findings,
         lambda: timing.check_timing(cameras, records, verdict.suspects, capture.fps),
-        lambda: colour.check_gain(capture.camera_names, verdict.pairs),
+        lambda: colour.check_gain(names, verdict.pairs),
+        lambda: colour_drift.check_drift(names, records, first, capture.fps),
         lambda: colour.check_noise(records),
         lambda: check_scale(capture, depths),
         lambda: depth_range.check_depth_registration(capture),
@@ -271,12 +294,14 @@ def open_uncalibrated(path: Path) -> Capture | None:
 
 def uncalibrated_capture(path: Path, files: Mapping[str, CameraFrames]) -> Capture:
     """Frames by the names of their cameras as a capture; the cameras are placeholders, see `open_uncalibrated`."""
-    cameras = []
-    for name, file in files.items():
-        width, height = file.size
-        K = np.array([[float(width), 0.0, width / 2], [0.0, float(width), height / 2], [0.0, 0.0, 1.0]])
-        cameras.append(Camera(name, K, np.eye(4), width, height, 1.0, 2.0))
+    cameras = [placeholder_camera(name, *file.size) for name, file in files.items()]
     return assemble_capture(path, LAYOUT, cameras, list(files.values()), Units(1.0, LAYOUT))
+
+
+def placeholder_camera(name: str, width: int, height: int) -> Camera:
+    """A camera of which only the size is known."""
+    K = np.array([[float(width), 0.0, width / 2], [0.0, float(width), height / 2], [0.0, 0.0, 1.0]])
+    return Camera(name, K, np.eye(4), width, height, 1.0, 2.0)
 
 
 def ask_for_calibration(path: Path, questions: tuple[str, ...]) -> tuple[Finding, ...]:

@@ -1,10 +1,11 @@
 """Colour gain and noise of each camera against the rig; what timing and colour make of it becomes corrections."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.datasets.corrections import (
@@ -16,51 +17,131 @@ from ggvs_eval.datasets.corrections import (
 )
 from ggvs_eval.geometry.epipolar import MatchedPair
 from ggvs_eval.pipelines.inspection.capture import timing
-from ggvs_eval.pipelines.inspection.capture.frames import CameraRecord
-from ggvs_eval.pipelines.inspection.capture.pairs import solve_differences
+from ggvs_eval.pipelines.inspection.capture.pairs import solve_with_errors
+from ggvs_eval.pipelines.inspection.capture.records import CameraRecord
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding, graded
 
-GAIN, NOISE = "colour gain", "noise"
+GAIN, DRIFT, NOISE = "colour gain", "colour over time", "noise"
 # 4 % is just visible at a seam. Published captures differ by up to 19 % (flame_steak), which costs every method alike; at 25 % no
 # method can reach 20 dB of PSNR in mid grey, and something is wrong with the export.
 WARN_GAIN, BAD_GAIN = 0.04, 0.25
 # Outside, clipping and black levels make a gain look smaller than it is.
 DARKEST, BRIGHTEST = 20.0, 235.0
 FEWEST_COLOURS = 15
+# Half widths of intervals are so many standard errors; what the codec does to a median of colours is never known better.
+SIGMAS, LEAST_SIGMA = 3.0, 0.001
+PARTS_PER_SIDE, FEWEST_IN_PART, FEWEST_PARTS = 4, 3, 4
 # Above 5 levels PSNR against a perfect image is below 34 dB; twice the rig's own noise points at one sensor.
 WARN_SIGMA, BAD_SIGMA, ODD_FACTOR, LEAST_ODD_SIGMA = 5.0, 12.0, 2.0, 2.0
 CHANNELS = ("red", "green", "blue")
 
 
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """Gains of all cameras with their errors.
+
+    Attributes:
+        log: logarithm of the factor on the sRGB values, median 0 over the rig: brightness, the mean of the channels, and what
+            red, green and blue have beyond it, (N, 4); NaN where unknown.
+        error: standard error of each, (N, 4).
+    """
+
+    log: Array
+    error: Array
+
+    @property
+    def factors(self) -> Array:
+        """Factor on red, green and blue as measured, (N, 3)."""
+        return np.asarray(np.exp(self.log[:, :1] + self.log[:, 1:]))
+
+    @property
+    def half_widths(self) -> Array:
+        """Half width of the interval of each factor, relative, (N, 3)."""
+        return SIGMAS * np.hypot(self.error[:, :1], self.error[:, 1:])
+
+    @property
+    def certain(self) -> Array:
+        """Factors without those parts whose interval holds 0, (N, 3)."""
+        log = np.where(np.abs(self.log) > SIGMAS * self.error, self.log, 0.0)
+        return np.asarray(np.where(np.isfinite(self.factors), np.exp(log[:, :1] + log[:, 1:]), np.nan))
+
+
 def check_gain(names: Sequence[str], pairs: Sequence[MatchedPair]) -> tuple[Finding, ...]:
-    """Gain per channel of every camera, median 1 over the rig, from the colours of matched features."""
+    """Gain per channel of every camera, median 1 over the rig, from the colours of matched features at any instants."""
     gains = camera_gains(len(names), pairs)
-    finite = np.isfinite(gains).all(axis=1)
-    evaluated = [_evaluate_gain(name, gain) for name, gain in zip(names, gains, strict=True)]
+    finite = np.isfinite(gains.factors).all(axis=1)
+    evaluated = [
+        _evaluate_gain(name, *each) for name, *each in zip(names, gains.factors, gains.half_widths, gains.certain, strict=True)
+    ]
     if not finite.any():
         reason = "too few matches of medium brightness between neighbours"
         return (Finding(RIG, GAIN, "unknown", reason), *evaluated)
-    spread = np.abs(gains[finite] - 1)
+    spread, width = np.abs(gains.factors[finite] - 1), float(np.median(gains.half_widths[finite]))
     measured = f"median deviation {100 * np.median(spread):.1f} %, largest {100 * spread.max():.1f} %, {finite.sum()} cameras"
+    measured += f", known within {100 * width:.1f} %"
     values = {"median_deviation": round(float(np.median(spread)), 4), "largest_deviation": round(float(spread.max()), 4)}
-    return (Finding(RIG, GAIN, "ok", measured, values), *evaluated)
+    return (Finding(RIG, GAIN, "ok", measured, values | {"half_width": round(width, 4)}), *evaluated)
 
 
-def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Array:
-    """Factor on the sRGB values of each camera and channel, median 1 per channel, (count, 3); NaN where unknown."""
-    logs, weights, measured = [], [], []
+def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Gains:
+    """Gains of all cameras.
+
+    Args:
+        pairs: of two cameras as often as there are instants at which they were matched.
+
+    Reading:
+        Features on one surface share what it reflects to either side, so they are not independent: the error of a pair is at
+        least that of the medians of the picture's parts. Matches at several instants are mostly of the same surfaces: their
+        medians are averaged, but their error is as of one.
+    """
+    logs: dict[tuple[int, int], list[Array]] = {}
+    sigmas: dict[tuple[int, int], list[Array]] = {}
     for pair in pairs:
         first, second = pair.colours_first.astype(np.float64), pair.colours_second.astype(np.float64)
-        usable = ((np.minimum(first, second) > DARKEST) & (np.maximum(first, second) < BRIGHTEST)).all(axis=1)
+        usable = is_usable(first) & is_usable(second)
         if usable.sum() >= FEWEST_COLOURS:
-            ratio = np.log(first[usable] / second[usable])  # (M, 3)
-            logs.append(np.median(ratio, axis=0))
-            weights.append(np.sqrt(usable.sum()))
-            measured.append((pair.first, pair.second))
-    if not measured:
-        return np.full((count, 3), np.nan)
-    columns = [solve_differences(count, measured, column, np.array(weights)) for column in np.array(logs).T]
-    return np.asarray(np.exp(np.stack(columns, axis=1)))
+            parts = brightness_and_casts(np.log(first[usable] / second[usable]))  # (M, 4)
+            middle, sigma = median_and_error(parts)
+            sigma = np.maximum(sigma, [surface_error(parts, uv[usable]) for uv in (pair.uv_first, pair.uv_second)]).max(axis=0)
+            logs.setdefault((pair.first, pair.second), []).append(middle)
+            sigmas.setdefault((pair.first, pair.second), []).append(sigma)
+    solved = np.full((count, 4), np.nan), np.full((count, 4), np.inf)
+    if logs:
+        measured = list(logs)
+        differences, errors = (np.array([np.mean(each[pair], axis=0) for pair in measured]) for each in (logs, sigmas))
+        for part in range(4):
+            solved[0][:, part], solved[1][:, part] = solve_with_errors(count, measured, differences[:, part], errors[:, part])
+    return Gains(*solved)
+
+
+def surface_error(values: Array, uv: Array) -> Array:
+    """Standard error of the median of (M, n) values by how it differs between parts of the picture, (n,)."""
+    low, high = uv.min(axis=0), uv.max(axis=0)
+    column, row = np.minimum((uv - low) / np.maximum(high - low, 1e-9) * PARTS_PER_SIDE, PARTS_PER_SIDE - 1).astype(int).T
+    part = row * PARTS_PER_SIDE + column
+    kept = [number for number in np.unique(part) if (part == number).sum() >= FEWEST_IN_PART]
+    if len(kept) < FEWEST_PARTS:  # all of one surface
+        return np.asarray(1.4826 * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
+    return median_and_error(np.array([np.median(values[part == number], axis=0) for number in kept]))[1]
+
+
+def is_usable(colours: Array) -> NDArray[np.bool_]:
+    """Mask of colours (..., 3) that are neither dark nor clipped in any channel."""
+    return np.asarray(((colours > DARKEST) & (colours < BRIGHTEST)).all(axis=-1))
+
+
+def brightness_and_casts(logs: Array) -> Array:
+    """Mean of the channels (..., 3), and what each has beyond it, (..., 4)."""
+    mean = logs.mean(axis=-1, keepdims=True)
+    return np.concatenate([mean, logs - mean], axis=-1)
+
+
+def median_and_error(values: Array) -> tuple[Array, Array]:
+    """Median over the first axis, NaN left out, and its standard error."""
+    middle = np.nanmedian(values, axis=0)
+    spread = 1.4826 * np.nanmedian(np.abs(values - middle), axis=0)
+    count = np.maximum(np.isfinite(values).sum(axis=0), 1)
+    return middle, np.maximum(1.2533 * spread / np.sqrt(count), LEAST_SIGMA)
 
 
 def check_noise(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
@@ -75,13 +156,19 @@ def check_noise(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
     return (rig, *(_evaluate_noise(record.name, float(record.noise_sigma_255), median) for record in records))
 
 
-def _evaluate_gain(name: str, gain: Array) -> Finding:
-    if not np.isfinite(gain).all():
+def _evaluate_gain(name: str, factors: Array, half_widths: Array, certain: Array) -> Finding:
+    if not np.isfinite(factors).all():
         return Finding(name, GAIN, "unknown", "too few matches of medium brightness with any neighbour")
-    verdict = graded(float(np.abs(gain - 1).max()), WARN_GAIN, BAD_GAIN)
-    measured = ", ".join(f"{channel} x {value:.3f}" for channel, value in zip(CHANNELS, gain, strict=True))
+    verdict = graded(float(np.abs(certain - 1).max()), WARN_GAIN, BAD_GAIN)
+    measured = ", ".join(f"{channel} x {value:.3f}" for channel, value in zip(CHANNELS, factors, strict=True))
+    measured += f" (+- {100 * float(half_widths.max()):.1f} %)"
+    values = {
+        "gain": [round(float(value), 4) for value in certain],
+        "measured_gain": [round(float(value), 4) for value in factors],
+    }
+    values["half_width"] = [round(float(value), 4) for value in half_widths]
     advice = "" if verdict == "ok" else "'check --repair' divides its frames by these gains; or use a colour-corrected metric"
-    return Finding(name, GAIN, verdict, measured, {"gain": [round(float(value), 4) for value in gain]}, advice)
+    return Finding(name, GAIN, verdict, measured, values, advice)
 
 
 def _evaluate_noise(name: str, sigma: float, median: float) -> Finding:
@@ -105,18 +192,19 @@ def propose_corrections(findings: Iterable[Finding], present: Mapping[str, Corre
         All corrections, by camera; `present` where there is nothing to add.
 
     Reading:
-        Half a frame and less cannot be mended by a shift. Gains below the threshold of the check are left alone: they are hardly
-        measured better.
+        Half a frame and less cannot be mended by a shift, nor can an offset that changes within the clip. Of gains only those
+        parts are written whose interval excludes 1, and none of a camera that the check does not warn of, or whose gain drifts.
     """
-    corrections = dict(present)
+    corrections, findings = dict(present), list(findings)
+    drifting = {each.subject for each in findings if each.question == DRIFT and each.verdict in ("warn", "bad")}
     for finding in findings:
         if finding.subject == RIG or finding.verdict not in ("warn", "bad"):
             continue
         before = corrections.get(finding.subject, Correction(finding.subject))
-        if finding.question == timing.QUESTION and round(finding.values["offset_frames"]):
-            total = before.offset_frames + round(finding.values["offset_frames"])
+        if finding.question == timing.QUESTION and timing.whole_shift(finding.values):
+            total = before.offset_frames + timing.whole_shift(finding.values)
             corrections[finding.subject] = replace(before, offset_frames=total)
-        elif finding.question == GAIN:
+        elif finding.question == GAIN and finding.subject not in drifting:
             gain = tuple(round(old * new, 4) for old, new in zip(before.gain, finding.values["gain"], strict=True))
             corrections[finding.subject] = replace(before, gain=gain)
     return corrections
@@ -135,3 +223,14 @@ def repair_capture(path: Path, findings: Iterable[Finding]) -> str:
         return ""
     write_corrections(file, corrections)
     return f"{file}: {describe_corrections(corrections)}"
+
+
+def describe_repair(before: Iterable[Finding], after: Iterable[Finding]) -> list[str]:
+    """One line for each offset and gain that a repair changed: what the check said before it, and what it says after."""
+    now = {(finding.subject, finding.question): finding for finding in after}
+    return [
+        f"{old.subject} {old.question}: {old.measured} -> {now[old.subject, old.question].measured}"
+        for old in before
+        if old.subject != RIG and old.verdict in ("warn", "bad") and old.question in (timing.QUESTION, GAIN)
+        if (old.subject, old.question) in now and now[old.subject, old.question].measured != old.measured
+    ]

@@ -3,15 +3,14 @@
 An explanation of a wrong calibration is one that makes the epipolar errors vanish.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry.epipolar import MatchedPair, tolerances
-from ggvs_eval.pipelines.inspection.capture.frames import CameraRecord
+from ggvs_eval.geometry.epipolar import Features, MatchedPair, neighbour_pairs, tolerances
 from ggvs_eval.pipelines.inspection.capture.pairs import (
     FRONT_SHARE,
     PairError,
@@ -22,7 +21,7 @@ from ggvs_eval.pipelines.inspection.capture.pairs import (
     match_pairs,
     pair_error,
 )
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict, graded
+from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding, Verdict, graded
 
 FOCAL_FACTORS = np.linspace(0.85, 1.15, 31)
 FINE_STEPS = np.linspace(-0.01, 0.01, 9)
@@ -218,8 +217,59 @@ class CalibrationVerdict:
     suspects: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class ClipVerdict:
+    """Verdict on the calibration at several instants.
+
+    Attributes:
+        findings: for the rig and each camera, of the instant where it is worst.
+        at: verdict of each instant, by frame, the first one first.
+        trusted: cameras that agree with their neighbours at every instant at which any does.
+        suspects: cameras that do not at any; one that was moved in mid-clip is none.
+    """
+
+    findings: tuple[Finding, ...]
+    at: Mapping[int, CalibrationVerdict]
+    trusted: tuple[int, ...]
+    suspects: tuple[int, ...]
+
+    @property
+    def pairs(self) -> tuple[MatchedPair, ...]:
+        """Matched pairs of all instants."""
+        return tuple(pair for verdict in self.at.values() for pair in verdict.pairs)
+
+
+def check_clip(cameras: Sequence[Camera], instants: Mapping[int, Sequence[Features | None]]) -> ClipVerdict:
+    """Evaluate the calibration at each instant.
+
+    Args:
+        instants: frame -> features of each camera; None of one without a picture.
+    """
+    pairs, at = neighbour_pairs(cameras), {}
+    for frame, features in instants.items():
+        at[frame] = check_epipolar(cameras, features, match_pairs(cameras, features, pairs))
+    known = {frame: verdict for frame, verdict in at.items() if verdict.findings[0].verdict != "unknown"} or at
+    findings = tuple(
+        _worst_instant(dict(zip(at, group, strict=True))) for group in zip(*(v.findings for v in at.values()), strict=True)
+    )
+    trusted = [index for index in range(len(cameras)) if all(index in verdict.trusted for verdict in known.values())]
+    suspects = [index for index in range(len(cameras)) if all(index in verdict.suspects for verdict in known.values())]
+    return ClipVerdict(findings, at, tuple(trusted), tuple(suspects))
+
+
+def _worst_instant(findings: Mapping[int, Finding]) -> Finding:
+    """The answer of the instant at which it is worst; of the first one that has an answer where all are alike."""
+    known = {frame: finding for frame, finding in findings.items() if finding.verdict != "unknown"} or dict(findings)
+    worst = max(known, key=lambda frame: SEVERITY[known[frame].verdict])
+    first = next(iter(known))
+    if worst == first:
+        return known[first]
+    measured = f"{known[worst].measured} at frame {worst}; {known[first].measured} at frame {first}"
+    return replace(known[worst], measured=measured, values={**known[worst].values, "frame": worst})
+
+
 def check_epipolar(
-    cameras: Sequence[Camera], records: Sequence[CameraRecord], pairs: Sequence[MatchedPair]
+    cameras: Sequence[Camera], features: Sequence[Features | None], pairs: Sequence[MatchedPair]
 ) -> CalibrationVerdict:
     """Evaluate every camera by the matches with its neighbours.
 
@@ -240,17 +290,17 @@ def check_epipolar(
     matched_pairs = {(pair.first, pair.second) for pair in pairs}
     evaluates, tried = trusted[:: len(trusted) // MOST_JUDGES + 1], suspects[:MOST_EXPLAINED]
     missing_pairs = {(min(index, other), max(index, other)) for index in tried for other in evaluates} - matched_pairs
-    added = match_pairs(cameras, records, sorted(missing_pairs))
+    added = match_pairs(cameras, features, sorted(missing_pairs))
     pairs = [*pairs, *(pair for pair in added if has_parallax(cameras[pair.first], cameras[pair.second]))]
     repairs = dict.fromkeys(suspects) | {index: explain_camera(cameras, pairs, index, trusted) for index in tried}
-    evaluated = [_evaluate(cameras, records, pairs, index, trusted, repairs) for index in range(len(cameras))]
+    evaluated = [_evaluate(cameras, features, pairs, index, trusted, repairs) for index in range(len(cameras))]
     rig = _rig_finding(cameras, errors, suspects)
     return CalibrationVerdict((rig, *evaluated), (*all_pairs, *added), tuple(trusted), tuple(suspects))
 
 
 def _evaluate(
     cameras: Sequence[Camera],
-    records: Sequence[CameraRecord],
+    features: Sequence[Features | None],
     pairs: Sequence[MatchedPair],
     index: int,
     trusted: Sequence[int],
@@ -260,7 +310,7 @@ def _evaluate(
     name = cameras[index].name
     own = [pair for pair in pairs if index in (pair.first, pair.second) and pair.seen_from(index)[0] in trusted]
     if not own:
-        reason = "no frame to look at" if records[index].features is None else "too few matches with any neighbour"
+        reason = "no frame to look at" if features[index] is None else "too few matches with any neighbour"
         return Finding(name, QUESTION, "unknown", reason, {}, "look at this camera's picture and pose by eye")
     error_px = camera_error(cameras, own, index)
     values: dict[str, Any] = {

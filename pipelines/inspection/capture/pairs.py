@@ -9,6 +9,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.epipolar import (
     SMALLEST_ANGLE_RAD,
+    Features,
     MatchedPair,
     epipolar_errors,
     match_pair,
@@ -16,7 +17,6 @@ from ggvs_eval.geometry.epipolar import (
     sound_matches,
     tolerances,
 )
-from ggvs_eval.pipelines.inspection.capture.frames import CameraRecord
 from ggvs_eval.progress import track
 
 ITERATIONS = 30
@@ -28,12 +28,12 @@ FRONT_SHARE = 0.5
 
 
 def match_pairs(
-    cameras: Sequence[Camera], records: Sequence[CameraRecord], pairs: Iterable[tuple[int, int]]
+    cameras: Sequence[Camera], features: Sequence[Features | None], pairs: Iterable[tuple[int, int]]
 ) -> list[MatchedPair]:
-    """Match the first frames of each pair; pairs that share too little are left out."""
+    """Match the frames of each pair of cameras; pairs that share too little are left out."""
     matches = []
     for i, j in track(list(pairs), "matching neighbours"):
-        one, other = records[i].features, records[j].features
+        one, other = features[i], features[j]
         if one is not None and other is not None:
             matches.append(match_pair(i, j, one, other, max(*cameras[i].size, *cameras[j].size)))
     return [pair for pair in matches if pair is not None]
@@ -66,6 +66,33 @@ def solve_differences(count: int, pairs: Sequence[tuple[int, int]], differences:
         rows[row, position[i]], rows[row, position[j]] = 1.0, -1.0
     values[group] = _least_absolute(rows, differences[kept], weights[kept])
     return values - np.nanmedian(values)
+
+
+def solve_with_errors(count: int, pairs: Sequence[tuple[int, int]], differences: Array, sigmas: Array) -> tuple[Array, Array]:
+    """What `solve_differences` gives, (count,), and the standard error of each value, infinite where there is none.
+
+    Args:
+        sigmas: standard error of each difference, positive, (P,).
+
+    Reading:
+        Errors add up along a chain of pairs, as the inverse of the normal equations has it. Where residuals are larger than the
+        differences' own errors allow, in the whole rig or among a camera's own pairs, its error grows by as much.
+    """
+    values, errors = solve_differences(count, pairs, differences, 1 / sigmas), np.full(count, np.inf)
+    kept = [row for row, (i, _) in enumerate(pairs) if np.isfinite(values[i])]
+    if not kept:
+        return values, errors
+    group = np.flatnonzero(np.isfinite(values))
+    first, second = np.array([pairs[row] for row in kept]).T
+    rows = (first[:, None] == group).astype(float) - (second[:, None] == group)
+    inverse = np.linalg.pinv(rows.T @ (rows / sigmas[kept, None] ** 2), hermitian=True)
+    strain = np.abs(values[first] - values[second] - differences[kept]) / sigmas[kept]
+    freedom = max(len(kept) - len(group) + 1, 1)
+    common = 1.4826 * float(np.median(strain)) * np.sqrt(len(kept) / freedom)
+    for place, camera in enumerate(group):
+        own = 1.4826 * float(np.median(strain[(first == camera) | (second == camera)]))
+        errors[camera] = np.sqrt(max(inverse[place, place], 0.0)) * max(1.0, common, own)
+    return values, errors
 
 
 def largest_group(count: int, pairs: Sequence[tuple[int, int]]) -> list[int]:

@@ -5,38 +5,51 @@ that same half-plane, whatever its depth. So the motion within each half-plane r
 idea of motion barcodes, Ben-Artzi et al. 2016, with energies in place of bits).
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.epipolar import neighbour_pairs
-from ggvs_eval.pipelines.inspection.capture.frames import CameraRecord
+from ggvs_eval.pipelines.inspection.capture.frames import frozen_frames
 from ggvs_eval.pipelines.inspection.capture.pairs import solve_differences
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict
+from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, robust_sigma
+from ggvs_eval.pipelines.inspection.capture.stillness import describe_when
+from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict, graded
 
-PLANES = 24
+PLANES = 48
 # Share of pixels at the rims that may lie outside the planes compared.
 RIM_SHARE = 0.02
-# Differences below so many times the usual one of that frame are noise, or the pulse of a codec's key frames.
-NOISE_FACTOR, LEAST_LEVELS = 4.0, 1.0
-SMOOTHING_SIGMA = 1.0
 QUESTION = "time offset"
 LARGEST_LAG = 8
 # Fewer frames leave nothing to correlate once they are shifted.
 FEWEST_FRAMES = 8
 # Random signals of 24 planes and 16 frames reach 0.2 at the best of 17 lags; motion seen by two cameras gave 0.6 - 0.98.
 LEAST_CORRELATION = 0.35
-# A whole frame wrong pairs pictures of different instants. Less is usual without genlock, but above a quarter it can be seen.
-BAD_FRAMES, WARN_FRAMES = 0.75, 0.3
+# A whole frame wrong pairs pictures of different instants. Less is usual without genlock, and hard to know, see below.
+BAD_FRAMES, WARN_FRAMES = 0.75, 0.5
 # How far the lags of a camera's pairs may scatter about the solution before it is not believed.
 LARGEST_SCATTER_FRAMES = 0.75
-# One pair cannot tell which of its two cameras is wrong, nor whether it is wrong itself.
-FEWEST_PAIRS = 2
+# One pair cannot tell which of its two cameras is wrong; two can both lead to a camera that hangs on no other.
+FEWEST_PAIRS = 3
+DROPPED = "dropped frames"
+# Frames lost at once; frames on either side of a step.
+LARGEST_STEP, LEAST_SIDE = 3, 3
+# Gain of a step in squared difference, in units of what is left of it in a frame, and of each standard deviation of the motion at
+# that frame. No sound camera of 72 takes of 15 to 24 frames with noise up to 3 levels reaches 1.6; 61 of 66 that lost one do.
+LEAST_GAIN, SPIKE_GAIN, SPIKE_RANGE, LEAST_SPIKE_SIGMA = 1.6, 0.4, (-2.0, 5.0), 0.05
+# Of the picture between two frames.
+JUMP_PX, MOST_JUMPS_SHARE = 0.5, 0.3
+LEAST_RESIDUAL, WORST_ROW, SLOW_FRAMES = 0.01, 4.0, 2.0
+# Half widths of intervals are so many standard errors. Cameras far apart see motion from different sides, which moves the lag of
+# all their pairs alike: of 466 cameras in step the offsets had a standard deviation of 0.13 frames, more where motion
+# correlates less (up to 0.9 frames at 0.64), so the error has a part that goes with the correlation.
+SIGMAS, UNLIKE_SIGMA_FRAMES, LEAST_HALF_WIDTH = 3.0, 0.25, 0.1
 
 
 @dataclass(frozen=True)
@@ -54,17 +67,6 @@ class Lag:
     correlation: float
     margin: float
     at_edge: bool
-
-
-def motion_energy(burst: NDArray[np.uint8]) -> Array32:
-    """Square root of what changes from frame to frame beyond noise, (B - 1, h, w)."""
-    energy = np.empty((max(len(burst) - 1, 0), *burst.shape[1:]), np.float32)
-    for index in range(len(energy)):
-        difference = cv2.absdiff(burst[index + 1], burst[index]).astype(np.float32)
-        difference = cv2.GaussianBlur(difference, (0, 0), SMOOTHING_SIGMA)
-        threshold = max(NOISE_FACTOR * float(np.median(difference)), LEAST_LEVELS)
-        energy[index] = np.sqrt(np.maximum(difference - threshold, 0))
-    return energy
 
 
 def plane_signals(one: Camera, other: Camera, energy_one: Array32, energy_other: Array32) -> tuple[Array, Array] | None:
@@ -133,6 +135,10 @@ def _correlation(one: Array, other: Array, lag: int) -> float:
     frames = one.shape[1]
     first = one[:, max(0, -lag) : frames - max(0, lag)]
     second = other[:, max(0, lag) : frames + min(0, lag)]
+    known = np.isfinite(first).all(axis=0) & np.isfinite(second).all(axis=0)
+    if not known.any():
+        return float("nan")
+    first, second = first[:, known], second[:, known]
     first, second = (signal - signal.mean(axis=1, keepdims=True) for signal in (first, second))
     energy = float((first**2).sum() * (second**2).sum())
     return float((first * second).sum() / np.sqrt(energy)) if energy > 1e-12 else float("nan")
@@ -145,57 +151,122 @@ def _parabola_peak(before: float, at: float, after: float) -> float:
 
 
 Lags = dict[tuple[int, int], Lag]
+Signals = dict[tuple[int, int], tuple[Array, Array]]
 
 
 def check_timing(
     cameras: Sequence[Camera], records: Sequence[CameraRecord], doubtful: Collection[int] = (), fps: float = 0.0
 ) -> tuple[Finding, ...]:
-    """Offsets of all cameras from the motion that neighbours see.
+    """Offsets of all cameras from the motion that neighbours see, and frames that one of them lost or doubled.
 
     Args:
         doubtful: indices of cameras whose calibration is wrong, whose motion can be compared with no other's.
         fps: frames per second, to say offsets in milliseconds too.
 
     Returns:
-        One finding for the rig and one for each camera; ``offset_frames`` is positive for a camera that is ahead: its frame t
-        shows what the others show at t + offset.
+        Of each question one finding for the rig and one for each camera; ``offset_frames`` is positive for a camera that is
+        ahead: its frame t shows what the others show at t + offset. Of a camera that lost frames it is that at the start.
     """
     reason = _why_not(records) or ("the calibration is in doubt, see epipolar error" if len(doubtful) == len(cameras) else "")
     if reason:
-        return tuple(Finding(subject, QUESTION, "unknown", reason) for subject in (RIG, *(camera.name for camera in cameras)))
-    lags = measure_lags(cameras, records, doubtful)
+        subjects = (RIG, *(camera.name for camera in cameras))
+        return tuple(Finding(each, question, "unknown", reason) for question in (QUESTION, DROPPED) for each in subjects)
+    signals = pair_signals(cameras, records, doubtful)
+    lags = _supported(len(cameras), measure_lags(signals))
+    steps = find_steps(len(cameras), signals, lags)
+    if any(steps.values()):
+        signals = {pair: _in_step(pair, both, steps) for pair, both in signals.items()}
+        lags = _supported(len(cameras), measure_lags(signals))
     offsets = solve_offsets(len(cameras), lags)
-    evaluated = [
+    known = [
         _unknown(record, index in doubtful, len(cameras), [lag for pair, lag in lags.items() if index in pair])
-        or _evaluate(record.name, index, offsets, lags)
+        for index, record in enumerate(records)
+    ]
+    evaluated = [
+        Finding(record.name, QUESTION, "unknown", known[index])
+        if known[index]
+        else _evaluate(record.name, index, offsets, lags, steps[index])
+        for index, record in enumerate(records)
+    ]
+    dropped = [
+        Finding(record.name, DROPPED, "unknown", known[index])
+        if known[index]
+        else _dropped(record.name, steps[index], timed_frames(records), fps)
         for index, record in enumerate(records)
     ]
     n_known = int(np.isfinite(offsets).sum())
     if not n_known:
         reason = "nothing moves, or not as neighbours see it"
-        return (Finding(RIG, QUESTION, "unknown", reason, {}, "compare a clap or a flash by eye"), *evaluated)
+        rig = Finding(RIG, QUESTION, "unknown", reason, {}, "compare a clap or a flash by eye")
+        return (rig, *evaluated, Finding(RIG, DROPPED, "unknown", reason), *dropped)
     spread = float(np.nanmax(np.abs(offsets)))
     shown = f"largest {spread:.2f} frames" + (f" ({1000 * spread / fps:.0f} ms)" if fps else "")
     correlation = float(np.median([lag.correlation for lag in lags.values()]))
     values = {"largest_frames": round(spread, 3), "n_cameras": n_known, "correlation": round(correlation, 3)}
     measured = f"{shown} among {n_known} cameras, {len(lags)} pairs, correlation {correlation:.2f}"
-    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated)
+    n_steps = sum(map(len, steps.values()))
+    lost = Finding(RIG, DROPPED, "ok", "none" if not n_steps else f"{n_steps} in the clip", {"n_steps": n_steps})
+    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated, lost, *dropped)
 
 
-def measure_lags(cameras: Sequence[Camera], records: Sequence[CameraRecord], doubtful: Collection[int] = ()) -> Lags:
-    """Lag of each pair of neighbours whose motion agrees at one lag clearly better than at others."""
-    usable = {index for index, record in enumerate(records) if len(record.burst) >= FEWEST_FRAMES} - set(doubtful)
-    energies = {index: motion_energy(records[index].burst) for index in usable}
-    small = {index: cameras[index].resized(*records[index].burst.shape[:0:-1]) for index in usable}
-    lags: Lags = {}
+def timed_frames(records: Sequence[CameraRecord]) -> list[int]:
+    """Frames whose motion any camera knows, ascending; -1 stands in gaps, so that no lag reaches over one."""
+    known = sorted(set().union(*(record.energy for record in records)))
+    frames = []
+    for before, frame in zip([known[0] - 1, *known], known, strict=False):
+        frames += [-1] * min(frame - before - 1, LARGEST_LAG) + [frame]
+    return frames
+
+
+def pair_signals(cameras: Sequence[Camera], records: Sequence[CameraRecord], doubtful: Collection[int] = ()) -> Signals:
+    """Motion per half-plane of each pair of neighbours at `timed_frames`, both (PLANES, T); NaN of frames that were not read."""
+    usable = {index for index, record in enumerate(records) if len(record.energy) >= FEWEST_FRAMES - 1} - set(doubtful)
+    frames, frozen = timed_frames(records), frozen_frames(np.stack([record.change for record in records]))
+    energies, small = {}, {}
+    for index in usable:
+        shape = next(iter(records[index].energy.values())).shape
+        missing = np.full(shape, np.nan, np.float32)
+        repeats = np.flatnonzero(frozen[index])
+        known = records[index].energy.keys() - jumps(records[index]) - {*repeats, *(repeats + 1)}
+        energies[index] = np.stack([records[index].energy[frame] if frame in known else missing for frame in frames]).astype(
+            np.float32
+        )
+        small[index] = cameras[index].resized(*shape[::-1])
+    signals: Signals = {}
     for i, j in neighbour_pairs(cameras):
         if i in usable and j in usable:
-            length = min(len(energies[i]), len(energies[j]))  # damage may have cut one short
-            signals = plane_signals(small[i], small[j], energies[i][:length], energies[j][:length])
-            lag = best_lag(*signals, min(LARGEST_LAG, length // 3)) if signals else None
-            if lag is not None and lag.correlation >= LEAST_CORRELATION and not lag.at_edge:
-                lags[i, j] = lag
+            both = plane_signals(small[i], small[j], energies[i], energies[j])
+            if both is not None:
+                signals[i, j] = both
+    return signals
+
+
+def jumps(record: CameraRecord) -> set[int]:
+    """Frames at which the whole picture jumps, so that everything in it seems to move; none of a camera that always shakes."""
+    steps = np.linalg.norm(np.diff(record.shifts_px, axis=0), axis=1)
+    found = np.flatnonzero(steps > JUMP_PX) + 1
+    return set(found.tolist()) if len(found) < MOST_JUMPS_SHARE * len(steps) else set()
+
+
+def measure_lags(signals: Signals) -> Lags:
+    """Lag of each pair of neighbours whose motion agrees at one lag clearly better than at others."""
+    lags: Lags = {}
+    for pair, (one, other) in signals.items():
+        lag = best_lag(one, other, min(LARGEST_LAG, one.shape[1] // 3))
+        if lag is not None and lag.correlation >= LEAST_CORRELATION and not lag.at_edge:
+            lags[pair] = lag
     return lags
+
+
+def _supported(count: int, lags: Lags) -> Lags:
+    """Lags of cameras that enough others vouch for; one that hangs on a single pair vouches for nobody."""
+    least = min(FEWEST_PAIRS, count - 1)
+    while True:
+        own = {index: sum(index in pair for pair in lags) for index in range(count)}
+        kept = {pair: lag for pair, lag in lags.items() if min(own[index] for index in pair) >= least}
+        if len(kept) == len(lags):
+            return lags
+        lags = kept
 
 
 def solve_offsets(count: int, lags: Lags) -> Array:
@@ -206,8 +277,151 @@ def solve_offsets(count: int, lags: Lags) -> Array:
     return solve_differences(count, list(lags), np.array([lag.frames for lag in lags.values()]), weights)
 
 
+@dataclass(frozen=True)
+class Step:
+    """Frames that a camera lost or doubled.
+
+    Attributes:
+        row: where the signals fit best if its motion is shifted from here on.
+        first: the earliest row that fits about as well.
+        last: the latest.
+        size: frames lost; negative for doubled ones.
+    """
+
+    row: int
+    first: int
+    last: int
+    size: int
+
+
+def find_steps(count: int, signals: Signals, lags: Lags) -> dict[int, list[Step]]:
+    """Steps of each camera in its offset against its neighbours, ascending in time.
+
+    Reading:
+        At each instant a camera's motion is compared with that of every neighbour at every lag. Motion changes slowly, and two
+        views of it differ in strength, so only what is quick in it is compared. Where frames are lost, more motion shows at once.
+        The step that lowers the sum of squared differences most, with what the motion at that frame
+        speaks for it, is taken if it does so by more than those of clean rigs; then each side is searched.
+    """
+    offsets = np.nan_to_num(np.rint(solve_offsets(count, lags))).astype(int)
+    steps: dict[int, list[Step]] = {}
+    for index in range(count):
+        own = [signals[pair] if pair[0] == index else signals[pair][::-1] for pair in lags if index in pair]
+        base = [int(offsets[index] - offsets[sum(pair) - index]) for pair in lags if index in pair]
+        costs = [_lag_costs(*both, lag) for both, lag in zip(own, base, strict=True)]
+        steps[index] = _steps_of(np.stack(costs), _spikes(own, base), 0) if len(costs) >= min(FEWEST_PAIRS, count - 1) else []
+    return steps
+
+
+def _lag_costs(one: Array, other: Array, base: int) -> Array:
+    """Squared difference of what is quick in two motions, at each instant and change of lag, (T, 2 LARGEST_STEP + 1).
+
+    Args:
+        one: (P, T).
+        base: lag without a change.
+    """
+    first, second = (_quick(signal) for signal in (one, other))
+    return np.stack(
+        [((first - _later(second, base + change)) ** 2).mean(axis=0) / 2 for change in range(-LARGEST_STEP, LARGEST_STEP + 1)],
+        axis=1,
+    )
+
+
+def _later(signal: Array, lag: int) -> Array:
+    """The signal (P, T) of `lag` instants later at each; NaN where there is none."""
+    frames = signal.shape[1]
+    moved = np.full_like(signal, np.nan)
+    begin, end = max(0, -lag), frames - max(0, lag)
+    if begin < end:
+        moved[:, begin:end] = signal[:, begin + lag : end + lag]
+    return moved
+
+
+def _quick(signal: Array) -> Array:
+    """A motion (P, T) without its slow part, all planes of about one strength, of mean square 1; NaN stays."""
+    known = np.isfinite(signal)
+    weights = gaussian_filter1d(known.astype(float), SLOW_FRAMES, axis=1)
+    slow = gaussian_filter1d(np.where(known, signal, 0.0), SLOW_FRAMES, axis=1) / np.maximum(weights, 1e-9)
+    quick = np.where(known, signal - slow, 0.0)
+    strength = np.sqrt((quick**2).mean(axis=1, keepdims=True))
+    quick = quick / np.maximum(strength, max(0.3 * float(strength.mean()), 1e-9))
+    scale = float(np.sqrt(np.mean(quick[known] ** 2))) if known.any() else 0.0
+    return np.where(known, quick / max(scale, 1e-9), np.nan)
+
+
+def _spikes(own: Sequence[tuple[Array, Array]], base: Sequence[int]) -> Array:
+    """How much more moves in one camera than in its neighbours at each instant, in standard deviations, (T,); 0 where unknown."""
+    here = np.stack([one.mean(axis=0) for one, _ in own])
+    there = np.stack([_later(other, lag).mean(axis=0) for (_, other), lag in zip(own, base, strict=True)])
+    there = there / np.maximum(np.nanmean(there, axis=1, keepdims=True), 1e-9)
+    known = np.isfinite(here).all(axis=0) & np.isfinite(there).any(axis=0)
+    ratio = np.log(np.maximum(here[:, known].mean(axis=0), 1e-3)) - np.log(
+        np.maximum(np.nanmedian(there[:, known], axis=0), 1e-2)
+    )
+    spikes = np.zeros(here.shape[1])
+    if len(ratio):
+        spikes[known] = (ratio - np.median(ratio)) / max(robust_sigma(ratio), LEAST_SPIKE_SIGMA)
+    return spikes
+
+
+def _steps_of(costs: Array, spikes: Array, start: int) -> list[Step]:
+    """Steps of one camera.
+
+    Args:
+        costs: of each neighbour, instant and change of lag, (N, T, L).
+        spikes: (T,).
+        start: row of the signals that is the first of these.
+    """
+    known = np.isfinite(costs)
+    counts = known.sum(axis=0)
+    mean = np.where(known, costs, 0.0).sum(axis=0) / np.maximum(counts, 1)  # (T, L)
+    some = (counts[:, LARGEST_STEP - 1 : LARGEST_STEP + 2] > 0).all(
+        axis=1
+    )  # elsewhere lags next to each other cannot be compared
+    if some.sum() <= 2 * LEAST_SIDE:
+        return []
+    mean = np.where(some[:, None], np.where(counts > 0, mean, mean.max(axis=1, keepdims=True)), 0.0)
+    mean = np.minimum(mean, WORST_ROW * np.median(mean[some]))
+    unit = max(float(mean[some].min(axis=1).mean()), LEAST_RESIDUAL)
+    before = np.concatenate([np.zeros((1, mean.shape[1])), np.cumsum(mean, axis=0)]) / unit  # (T + 1, L)
+    places = np.arange(mean.shape[1])
+    sizes = places[None] - places[:, None]
+    prices = before[:, :, None] + (before[-1] - before)[:, None, :]  # (T + 1, L, L): one lag before a row, another from it on
+    prices[:-1] -= SPIKE_GAIN * np.where(sizes > 0, np.clip(spikes, *SPIKE_RANGE)[:, None, None], 0.0)
+    prices[:, places, places] = np.inf
+    inner = prices[LEAST_SIDE:-LEAST_SIDE]
+    row, one, other = (int(value) for value in np.unravel_index(inner.argmin(), inner.shape))
+    row += LEAST_SIDE
+    if before[-1].min() - prices[row, one, other] < LEAST_GAIN:
+        return []
+    near = prices[:, one, other] <= prices[row, one, other] + 0.5
+    first = last = row
+    while first > LEAST_SIDE and near[first - 1]:
+        first -= 1
+    while last < len(mean) - LEAST_SIDE and near[last + 1]:
+        last += 1
+    step = Step(start + row, start + first, start + last, other - one)
+    left, right = (slice(None), slice(row)), (slice(None), slice(row, None))
+    return [*_steps_of(costs[left], spikes[left[1]], start), step, *_steps_of(costs[right], spikes[right[1]], start + row)]
+
+
+def _in_step(pair: tuple[int, int], both: tuple[Array, Array], steps: dict[int, list[Step]]) -> tuple[Array, Array]:
+    """The signals of two cameras as they would be had none lost or doubled a frame."""
+    mended = []
+    for index, signal in zip(pair, both, strict=True):
+        shift, place = np.zeros(signal.shape[1], int), np.arange(signal.shape[1])
+        for step in steps[index]:
+            shift[step.row :] += step.size
+        target = place + shift
+        kept = (target >= 0) & (target < len(place))
+        moved = np.full_like(signal, np.nan)
+        moved[:, target[kept]] = signal[:, place[kept]]
+        mended.append(moved)
+    return mended[0], mended[1]
+
+
 def _why_not(records: Sequence[CameraRecord]) -> str:
-    longest = max((len(record.burst) for record in records), default=0)
+    longest = max((len(record.energy) for record in records), default=0) + 1
     if len(records) < 2:
         return "one camera alone has no offset"
     if longest < FEWEST_FRAMES:
@@ -215,34 +429,68 @@ def _why_not(records: Sequence[CameraRecord]) -> str:
     return ""
 
 
-def _unknown(record: CameraRecord, is_doubtful: bool, n_cameras: int, own: Sequence[Lag]) -> Finding | None:
-    """Say why nothing can be said of one camera; None where something can."""
-    reason = ""
+def _unknown(record: CameraRecord, is_doubtful: bool, n_cameras: int, own: Sequence[Lag]) -> str:
+    """Say why nothing can be said of one camera; empty where something can."""
     if is_doubtful:
-        reason = "its calibration is in doubt, see epipolar error"
-    elif len(record.burst) < FEWEST_FRAMES:
-        reason = f"{len(record.burst)} frames in a row, at least {FEWEST_FRAMES} are needed"
-    elif len(own) < min(FEWEST_PAIRS, n_cameras - 1):
-        reason = "no motion that enough neighbours see too"
-    return Finding(record.name, QUESTION, "unknown", reason) if reason else None
+        return "its calibration is in doubt, see epipolar error"
+    if len(record.energy) < FEWEST_FRAMES - 1:
+        return f"{len(record.energy) + 1} frames in a row, at least {FEWEST_FRAMES} are needed"
+    return "no motion that enough neighbours see too" if len(own) < min(FEWEST_PAIRS, n_cameras - 1) else ""
 
 
-def _evaluate(name: str, index: int, offsets: Array, lags: Lags) -> Finding:
+def _evaluate(name: str, index: int, offsets: Array, lags: Lags, steps: Sequence[Step]) -> Finding:
     own = {pair: lag for pair, lag in lags.items() if index in pair}
     offset = float(offsets[index])
     if not np.isfinite(offset):
         return Finding(name, QUESTION, "unknown", "its neighbours share no motion with the rest of the rig")
-    scatter = float(np.median([abs(offsets[i] - offsets[j] - lag.frames) for (i, j), lag in own.items()]))
+    residuals = np.array([offsets[i] - offsets[j] - lag.frames for (i, j), lag in own.items()])
+    scatter = float(np.median(np.abs(residuals)))
     if scatter > LARGEST_SCATTER_FRAMES:
         return Finding(name, QUESTION, "unknown", f"its {len(own)} neighbours contradict each other by {scatter:.1f} frames")
     correlation = float(np.median([lag.correlation for lag in own.values()]))
-    values = {"offset_frames": round(offset, 3), "correlation": round(correlation, 3), "n_pairs": len(own)}
+    usual = float(np.median([abs(offsets[i] - offsets[j] - lag.frames) for (i, j), lag in lags.items()]))
+    unlike = UNLIKE_SIGMA_FRAMES * np.sqrt(1 - correlation**2) / correlation
+    half_width = max(SIGMAS * np.hypot(1.4826 * max(scatter, usual) * 1.2533 / np.sqrt(len(own)), unlike), LEAST_HALF_WIDTH)
+    values = {"offset_frames": round(offset, 3), "half_width_frames": round(half_width, 3)}
+    values |= {"correlation": round(correlation, 3), "n_pairs": len(own), "is_constant": not steps}
     size = abs(offset)
-    verdict: Verdict = "bad" if size > BAD_FRAMES else "warn" if size > WARN_FRAMES else "ok"
-    whole = round(size)
+    verdict: Verdict = "ok" if size <= half_width else graded(size, WARN_FRAMES, BAD_FRAMES)
     direction = "ahead of" if offset > 0 else "behind"
-    measured = f"{size:.2f} frames {direction} the rig, correlation {correlation:.2f} with {len(own)} cameras"
+    measured = f"{size:.2f} +- {half_width:.2f} frames {direction} the rig"
+    measured += f"{' at the start' if steps else ''}, correlation {correlation:.2f} with {len(own)} cameras"
     advice = "" if verdict == "ok" else "shot without genlock? leave the camera out where things move fast"
-    if whole:
-        advice = f"'check --repair' shifts it by {whole} frame{'s' * (whole > 1)}; or leave it out"
+    if whole := whole_shift(values):
+        advice = f"'check --repair' shifts it by {abs(whole)} frame{'s' * (abs(whole) > 1)}; or leave it out"
+    elif verdict == "bad" and steps:
+        advice = f"see {DROPPED}: no shift suits the whole clip"
     return Finding(name, QUESTION, verdict, measured, values, advice)
+
+
+def whole_shift(values: Mapping[str, Any]) -> int:
+    """Frames by which a camera can be shifted into step; 0 where its offset does not lie beyond half a frame for certain.
+
+    Args:
+        values: of a finding on the time offset.
+    """
+    offset = float(values["offset_frames"])
+    is_certain = abs(offset) - values.get("half_width_frames", 0.0) > 0.5 and values.get("is_constant", True)
+    return round(offset) if is_certain else 0
+
+
+def _dropped(name: str, steps: Sequence[Step], frames: Sequence[int], fps: float) -> Finding:
+    """Frames that one camera lost or doubled."""
+    if not steps:
+        return Finding(name, DROPPED, "ok", "none", {"steps": []})
+    parts, values = [], []
+    for step in steps:
+        near = [frame for frame in frames[step.first : step.last + 1] if frame >= 0]
+        first, last = (near[0], near[-1]) if near else (frames[step.row - 1], frames[step.row])
+        count = abs(step.size)
+        how = "lost" if step.size > 0 else "doubled"
+        parts.append(f"{count} frame{'s' * (count > 1)} {how} {describe_when(first, last, fps)}")
+        values.append({"frames": step.size, "first_frame": first, "last_frame": last})
+    end = sum(step.size for step in steps)
+    if end:
+        parts.append(f"from there on {abs(end)} frame{'s' * (abs(end) > 1)} {'ahead' if end > 0 else 'behind'}")
+    advice = "copy or convert this video again; until then evaluate the frames before, or leave this camera out"
+    return Finding(name, DROPPED, "bad", "; ".join(parts), {"steps": values}, advice)

@@ -9,8 +9,8 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -55,6 +55,7 @@ class CalibrationOptions:
         shared_intrinsics: one lens for all cameras, which must then have one size; more exact where all are of one make and
             setting (flame_steak: rotations within 0.04 degrees of the given ones, 0.32 with a lens each). Otherwise lenses begin
             as one for all cameras of one size and are then adjusted one by one.
+        own_lens: cameras that do not share: of another zoom than the others, as a calibration without this option reports them.
         known_intrinsics: ``intrinsics.toml``, ``capture.toml``, a COLMAP model, a calibration of Qualisys, anipose, freemocap or
             OpenCV, or a capture whose lenses are kept fixed.
         known_poses: any of these that has poses; lenses and poses are kept fixed and points triangulated.
@@ -69,6 +70,7 @@ class CalibrationOptions:
     frame: int = 0
     camera_model: CameraModel = "PINHOLE"
     shared_intrinsics: bool = False
+    own_lens: tuple[str, ...] = ()
     known_intrinsics: Path | None = None
     known_poses: Path | None = None
     refine: bool = False
@@ -84,11 +86,40 @@ class CalibrationOptions:
             raise CaptureError(
                 f"calibrate: wanted known intrinsics or known poses (which include intrinsics), got {choice}; give one"
             )
+        if self.own_lens and not self.shared_intrinsics:
+            raise CaptureError(
+                "calibrate: wanted shared intrinsics with --own-lens, got none; add --shared-intrinsics or drop it"
+            )
         if self.refine and self.known_poses is None:
             raise CaptureError("calibrate: wanted poses to refine, got none; give them with --known-poses RIG")
         if self.frame < 0 or self.max_features < 1 or self.max_image_size_px < 1 or not 0 <= self.seed < 1 << 31:
             choice = f"{self.frame}, {self.max_features}, {self.max_image_size_px}, {self.seed}"
             raise CaptureError(f"calibrate: frame, features, image size and seed must not be negative (or zero), got {choice}")
+
+
+@dataclass(frozen=True)
+class OddLens:
+    """A camera that would like another focal length than the one that all share.
+
+    Attributes:
+        factor: on the common focal length.
+        half_width: of the interval of it.
+        common_factor: by which the focal length of the others would change.
+    """
+
+    factor: float
+    half_width: float
+    common_factor: float
+
+    def describe(self) -> str:
+        """The factor with its interval, and what it does to the others."""
+        changed = f"; the others then x {self.common_factor:.3f}"
+        return f"alone would like x {self.factor:.3f} +- {self.half_width:.3f} of the common focal length{changed}"
+
+
+def own_lens_option(odd: Iterable[str]) -> str:
+    """The option of `calibrate` that frees some cameras."""
+    return f"--own-lens {' '.join(odd)}"
 
 
 @dataclass(frozen=True)
@@ -101,6 +132,7 @@ class Calibration:
         mean_reprojection_error_px: over all observations of all points.
         points_seen: how many of them each camera sees. With known poses, a camera that sees a small part of what the others see
             has a wrong pose or another camera's frames.
+        odd_lenses: cameras that disagree with the lens that all share, where one was asked for.
     """
 
     path: Path
@@ -109,6 +141,7 @@ class Calibration:
     mean_reprojection_error_px: float
     n_points: int
     points_seen: Mapping[str, int]
+    odd_lenses: Mapping[str, OddLens] = field(default_factory=dict)
 
 
 def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Calibration:
@@ -133,6 +166,10 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
     if len(files) > MOST_CAMERAS:
         raise CaptureError(f"{frames_folder}: wanted up to {MOST_CAMERAS} cameras, got {len(files)}; calibrate by COLMAP itself")
     files, given = _known(files, options)
+    if strange := [name for name in options.own_lens if name not in files]:
+        raise CaptureError(
+            f"{frames_folder}: wanted cameras for --own-lens, got {', '.join(strange)}; there are {', '.join(files)}"
+        )
     with atomic_folder(out) as unfinished:
         images = write_instant(files, options.frame, unfinished / "work" / "images")
         result = run_worker(unfinished, out, _job(files, images, given, options))
@@ -220,6 +257,7 @@ def _job(
         "groups": [[images[name] for name in names] for names in groups.values()],
         "model": options.camera_model,
         "shared": options.shared_intrinsics,
+        "own_lens": [images[name] for name in options.own_lens],
         "seed": options.seed,
         "threads": min(default_workers(), MOST_THREADS),
         "max_features": options.max_features,
@@ -252,7 +290,8 @@ def _read(unfinished: Path, out: Path, missing: Mapping[str, str], result: Mappi
     views = {Path(view.image_name).stem: view for view in read_model(unfinished / "sparse" / "0")}
     cameras = {camera.name: camera for camera in model_cameras(views, out)}
     counts = {Path(image).stem: count for image, count in result["registered"].items()}
-    return Calibration(out, cameras, missing, result["mean_reprojection_error_px"], result["n_points"], counts)
+    odd = {Path(image).stem: OddLens(**each) for image, each in result["odd_lenses"].items()}
+    return Calibration(out, cameras, missing, result["mean_reprojection_error_px"], result["n_points"], counts, odd)
 
 
 def _record(folder: Path, calibration: Calibration, result: Mapping[str, Any], options: CalibrationOptions) -> dict[str, Any]:
@@ -265,6 +304,7 @@ def _record(folder: Path, calibration: Calibration, result: Mapping[str, Any], o
         "missing": dict(calibration.missing),
         "mean_reprojection_error_px": calibration.mean_reprojection_error_px,
         "n_points": calibration.n_points,
+        "odd_lenses": {name: asdict(lens) for name, lens in calibration.odd_lenses.items()},
         "features": result["features"],
         "matches_with_best_partner": result["matches"],
         "attempt": result["attempt"],

@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ggvs_eval.pipelines.offline.calibration.odd_lenses import adjust_own, find_odd_lenses
 from ggvs_eval.pipelines.offline.calibration.pose_refinement import refined_views
 
 ROUNDS = 2
@@ -37,12 +38,13 @@ def run_job(folder: Path) -> dict[str, Any]:
 
     Args:
         folder: its ``job.json`` holds ``groups`` (names of images below ``images/``, those of one size together), ``model``,
-            ``shared``, ``refine``, ``seed``, ``threads``, ``max_features``, ``max_image_size_px`` and ``known``: null, or
-            image -> ``model``, ``params``, ``width``, ``height`` and ``world_to_camera`` (3 x 4, or null).
+            ``shared``, ``own_lens`` (images that do not share), ``refine``, ``seed``, ``threads``, ``max_features``,
+            ``max_image_size_px`` and ``known``: null, or image -> ``model``, ``params``, ``width``, ``height`` and
+            ``world_to_camera`` (3 x 4, or null).
 
     Returns:
         ``registered``: image -> the number of points it sees; ``features`` and ``matches`` (with the best partner) per image;
-        ``attempt``, ``n_points``, ``mean_reprojection_error_px``, ``versions``.
+        ``attempt``, ``n_points``, ``mean_reprojection_error_px``, ``versions``; ``odd_lenses``, see `find_odd_lenses`.
     """
     import pycolmap
 
@@ -57,8 +59,12 @@ def run_job(folder: Path) -> dict[str, Any]:
         model, attempt = _map(folder, job)
         if model is not None and not job["known"] and not job["shared"]:
             model = release_lenses(folder, _images(job), model, _mapping_options(job, ATTEMPTS[attempt]))
+        elif model is not None and not job["known"] and job["own_lens"]:
+            model = adjust_own(model, job["own_lens"])
     features, matches = _describe_matches(folder)
     registered = _drop_blind(model) if model is not None else {}
+    is_shared = model is not None and registered and job["shared"] and not job["known"] and not job["own_lens"]
+    odd_lenses = find_odd_lenses(model) if is_shared else {}
     if model is not None and registered:
         (folder / "sparse" / "0").mkdir(parents=True)
         model.write_binary(folder / "sparse" / "0")
@@ -67,6 +73,7 @@ def run_job(folder: Path) -> dict[str, Any]:
         "features": features,
         "matches": matches,
         "attempt": attempt,
+        "odd_lenses": odd_lenses,
         "n_points": model.num_points3D() if registered else 0,
         "mean_reprojection_error_px": model.compute_mean_reprojection_error() if registered else 0.0,
         "versions": {"pycolmap": pycolmap.__version__, "ceres": pycolmap.__ceres_version__},

@@ -20,7 +20,10 @@ function makeHeatMaps(root, data, open) {
     cells.setAttribute("role", "group");
     cells.setAttribute("aria-label", `${data.names[label]}: views by frames; arrow keys choose, enter opens`);
     const views = made("div", "view-names", ...data.views.map((view) => made("span", "", view)));
-    grid.append(made("figure", "heat", made("figcaption", "", data.names[label]), views, cells));
+    canvas.setAttribute("role", "img");
+    const figure = made("figure", "heat", made("figcaption", "", data.names[label]), views, cells);
+    figure.dataset.method = data.names[label];
+    grid.append(figure);
     for (const kind of ["pointermove", "click"]) cells.addEventListener(kind, (event) => point(cells, label, event));
     cells.addEventListener("focus", () => tell(label, at));
     cells.addEventListener("keydown", (event) => press(label, event));
@@ -78,6 +81,9 @@ function makeHeatMaps(root, data, open) {
     const { low, high, higher_is_better: rises, unit, values } = data.heat[part("metric").value];
     const worse = (value) => (high === low ? 0 : rises ? (high - value) / (high - low) : (value - low) / (high - low));
     for (const { label, canvas } of maps) {
+      const own = Object.values(values[label] ?? {}).flat().filter((value) => value != null);
+      const span = own.length ? `${Math.min(...own)} to ${Math.max(...own)} ${unit}` : "no finite value";
+      canvas.setAttribute("aria-label", `${part("metric").value} of ${data.names[label]} in ${data.views.length} views and ${data.count} frames: ${span}`);
       const context = canvas.getContext("2d");
       context.clearRect(0, 0, canvas.width, canvas.height);
       for (const [row, view] of data.views.entries()) {

@@ -22,7 +22,9 @@ function makeLinkedSlices(root, data, open) {
     const over = made("div", "cut", path ?? made("p", "absent", key === "truth" ? NO_TRUTH : NOT_ALONG));
     const along = made("div", "cut along", ...(time ? [time, made("span", "mark-frame"), made("span", "mark-column")] : []));
     along.addEventListener("click", (event) => jump(along, event));
-    table.append(made("p", "strip-name", data.names[key]), ...(data.path ? [over] : []), ...(time ? [along] : []));
+    const cells = [made("p", "strip-name", data.names[key]), ...(data.path ? [over] : []), ...(time ? [along] : [])];
+    for (const cell of cells) cell.dataset.method = data.names[key.split("/")[0]];
+    table.append(...cells);
     for (const [canvas, kind] of [[path, "Epipolar plane image"], [time, "x-t slice"]]) label(canvas, `${kind} of ${data.names[key]}`);
     return { key, path, time };
   }
@@ -94,7 +96,9 @@ function makeLinkedSlices(root, data, open) {
     const value = values[label]?.[view]?.[data.frames[frame] - data.start];
     const text = value == null ? "–" : `${value} ${unit}`;
     const line = document.querySelector(`[data-legend="${root.dataset.linked}"] li:nth-child(${number + 1}) svg`)?.cloneNode(true);
-    return made("li", "", ...(line ? [line] : []), `${data.names[label]} `, made("b", "", text));
+    const item = made("li", "", ...(line ? [line] : []), `${data.names[label]} `, made("b", "", text));
+    item.dataset.method = data.names[label];
+    return item;
   }
 
   part("metric").addEventListener("change", () => asked && draw());

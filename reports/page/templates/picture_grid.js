@@ -21,6 +21,7 @@ function addPictures(grid, keys, names) {
     const picture = made("div", "picture", image, ...pixelMarks());
     const figure = made("figure", "", picture, made("figcaption", "", names[key]));
     figure.dataset.key = key;
+    figure.dataset.method = names[key.split("/")[0]];
     grid.append(figure);
     return [key, image, picture];
   });

@@ -1,5 +1,5 @@
-/** Put together everything that shows one run; `reveal` brings an element into sight, `write` keeps the address at its viewer's place. */
-function startRun(id, reveal, write) {
+/** Put together everything that shows one run; `reveal` brings an element into sight, `write` keeps the address at its viewer's place while it `isCurrent`. */
+function startRun(id, reveal, write, isCurrent) {
   const root = document.querySelector(`[data-viewer="${id}"]`);
   const data = JSON.parse(root.querySelector('[data-role="data"]').textContent);
   const linked = document.querySelector(`[data-linked="${id}"]`);
@@ -17,6 +17,13 @@ function startRun(id, reveal, write) {
     root.querySelector(".stage:not([hidden]), [data-role=frame]").focus({ preventScroll: true });
   }
 
+  /** Open a place that an address names and bring the viewer into sight. */
+  function openPlace(place) {
+    viewer.openPlace(place);
+    reveal(root);
+    root.scrollIntoView({ block: "nearest" });
+  }
+
   viewer.listen((view, row, frame) => {
     showSlices(view, row, frame);
     ring(view, data.frames[frame]);
@@ -24,10 +31,10 @@ function startRun(id, reveal, write) {
   });
   for (const plot of plots) openOnClick(plot, openFromAfar);
   for (const video of document.querySelectorAll(`[data-videos="${id}"] video`)) showBeginning(video, data);
-  viewer.show();
+  viewer.offer();
   makeOpening(document.querySelector(`[data-opening][data-of="${id}"]`), data, openFromAfar);
-  viewer.listen(() => write(formatPlace(root.dataset.address, viewer.place())));
-  return { root, press: viewer.press, open: openFromAfar };
+  viewer.onSettled(() => isCurrent(id) && write(formatPlace(root.dataset.address, { ...viewer.place(), hidden: shownMethods.hidden() })));
+  return { root, press: viewer.press, openPlace };
 }
 
 /** Until a video is played it shows the frame that it begins with; browsers leave it black where they only read its length. */
@@ -50,7 +57,7 @@ function start() {
     for (const part of document.querySelector(`[data-viewer="${id}"]`).closest("article").querySelectorAll("[data-of]")) {
       part.hidden = part.dataset.of !== id;
     }
-    if (!runs.has(id)) runs.set(id, startRun(id, reveal, write));
+    if (!runs.has(id)) runs.set(id, startRun(id, reveal, write, (one) => current?.root.dataset.viewer === one));
     current = runs.get(id);
   }
 
@@ -73,11 +80,14 @@ function start() {
       element.scrollIntoView();
     } else if (room) {
       reveal(room);
-      if (place.view !== undefined) current.open(place.view, place.frame, undefined, place.pixel);
+      if (place.hidden) shownMethods.hide(place.hidden);
+      if (place.view !== undefined) current.openPlace(place);
     }
   }
 
   for (const table of document.querySelectorAll("table:not(.leaders, .standings)")) makeSortable(table);
+  makeCopyButtons();
+  shownMethods.start();
   makeThemeSwitch(document.querySelector(".theme"));
   reveal(document.querySelector(".sheet"));
   go();

@@ -12,6 +12,7 @@ function makeTabs(nav) {
       link.toggleAttribute("aria-current", false);
       if (link === chosen) link.setAttribute("aria-current", "true");
     }
+    nav.closest("article")?.classList.toggle("elsewhere", chosen !== nav.querySelector("a")); // the first part alone has the whole first screen
     const { offsetLeft, offsetWidth } = chosen;
     nav.scrollLeft = Math.min(nav.scrollLeft, offsetLeft) || offsetLeft + offsetWidth - nav.clientWidth;
   }

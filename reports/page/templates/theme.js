@@ -1,4 +1,4 @@
-const THEMES = { light: "not all", dark: "screen", system: "(prefers-color-scheme: dark)" }; // -> where the dark colours hold
+const THEMES = { light: "not all", dark: "screen", system: "screen and (prefers-color-scheme: dark)" }; // -> where the dark colours hold
 const THEME_KEY = "ggvs-eval theme";
 
 /** What was chosen last, on any page of this kind; a browser may refuse to tell a page that was opened from disk. */

@@ -7,7 +7,8 @@ const ZOOM_STEP = 1.5;
  * One comparison: state in one object, `show` draws it, every event changes it.
  *
  * @param alongside further elements that the window and the chosen pixel are handed to.
- * Listeners are called with the view, the row of the chosen pixel (fraction of the height) and the index of the frame.
+ * Listeners are called with the view, the row of the chosen pixel (fraction of the height) and the index of the frame; `settled` is
+ * called whenever something of the place may have changed.
  */
 function makeViewer(root, data, alongside) {
   const part = (role) => root.querySelector(`[data-role="${role}"]`);
@@ -21,6 +22,8 @@ function makeViewer(root, data, alongside) {
   const crops = makeCropPicker(root, data, [stage, ...[...all, ...maps].map(([, , picture]) => picture)]);
   const showFrame = makeFullSize(data, (isThere) => { part("full").textContent = isThere ? ", frames at full size" : ""; });
   const listeners = [];
+  const opened = ["left", "right"].map((role) => part(role).value).join();
+  let settled = () => {};
 
   function show() {
     const view = part("view").value;
@@ -47,7 +50,8 @@ function makeViewer(root, data, alongside) {
       if (figure) figure.hidden = state.mode === "two" && key !== left && key !== right;
       if (!figure?.hidden) showFrame(image, view, key, state.frame, player.isPlaying() ? 0 : zoom.seen.zoom);
     }
-    crops.tell(view, data.frames[state.frame], state.mode === "all" ? [] : [left, right]);
+    const every = data.labels.every(shownMethods.isShown) ? [] : data.labels.filter(shownMethods.isShown);
+    crops.tell(view, data.frames[state.frame], state.mode === "all" ? every : [left, right]);
   }
 
   /** Hand divider, window and chosen pixel to the style sheet. */
@@ -58,6 +62,7 @@ function makeViewer(root, data, alongside) {
     const { x, y } = pixelIndices();
     const near = zoom.seen.zoom > 1 ? `, zoom ${zoom.seen.zoom.toFixed(1)}` : "";
     part("place").textContent = `pixel x ${x}, y ${y}${near}`;
+    settled();
   }
 
   function placeIn(element) {
@@ -151,10 +156,35 @@ function makeViewer(root, data, alongside) {
     else show();
   }
 
-  /** What is looked at, in words that an address can hold. */
+  /** Open a place that an address names; what it leaves out, or what does not exist, stays as it is. */
+  function openPlace({ view, frame, pixel, pair, mode, seen }) {
+    for (const [at, role] of ["left", "right"].entries()) if (data.keys.includes(pair?.[at])) part(role).value = pair[at];
+    if (MODES.includes(mode)) setMode(mode);
+    if (seen) zoom.look(...seen);
+    open(view, frame, undefined, pixel);
+  }
+
+  /** What is looked at, in words that an address can hold, and nothing that is as the page opens it. */
   function place() {
     const { x, y } = pixelIndices();
-    return { view: part("view").value, frame: data.frames[state.frame], pixel: [x, y] };
+    const pair = ["left", "right"].map((role) => part(role).value);
+    const { zoom: by, x: left, y: top } = zoom.seen;
+    return {
+      view: part("view").value, frame: data.frames[state.frame], pixel: [x, y], pair: pair.join() === opened ? undefined : pair,
+      mode: state.mode === MODES[0] ? undefined : state.mode, seen: by === 1 ? undefined : [by, left, top].map((one) => +one.toFixed(4)),
+    };
+  }
+
+  /** Offer the methods that are shown alone; a side that shows another one takes the first that is left. */
+  function offer() {
+    for (const role of ["left", "right"]) {
+      const other = part(role === "left" ? "right" : "left").value;
+      const options = [...part(role).options];
+      for (const option of options) option.disabled = option.hidden = !shownMethods.isShown(option.value);
+      const left = options.filter((option) => !option.disabled);
+      if (part(role).selectedOptions[0].disabled) part(role).value = (left.find((option) => option.value !== other) ?? left[0]).value;
+    }
+    show();
   }
 
   function press(event) {
@@ -212,5 +242,7 @@ function makeViewer(root, data, alongside) {
   part("crop").addEventListener("click", markCrop);
   gestures(stage, true);
   for (const [, , picture] of [...all, ...maps]) gestures(picture, false);
-  return { press, open, show, place, listen: (heard) => listeners.push(heard) };
+  shownMethods.listen(offer);
+  const onSettled = (heard) => { settled = heard; };
+  return { press, open, openPlace, offer, place, onSettled, listen: (heard) => listeners.push(heard) };
 }

@@ -40,6 +40,12 @@ function makeZoomWindow() {
     settle();
   }
 
+  /** Look at a part of the picture: its zoom and upper left corner. */
+  function look(zoom, x, y) {
+    Object.assign(seen, { zoom: Math.min(CLOSEST, Math.max(1, zoom)), x, y });
+    settle();
+  }
+
   function reset() {
     Object.assign(seen, { zoom: 1, x: 0, y: 0 });
   }
@@ -58,5 +64,5 @@ function makeZoomWindow() {
     element.classList.toggle("near", seen.zoom >= 4);
   }
 
-  return { seen, by, pan, follow, reset, toPicture, apply };
+  return { seen, by, pan, follow, look, reset, toPicture, apply };
 }

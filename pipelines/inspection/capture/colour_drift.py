@@ -1,0 +1,144 @@
+"""Colours of each camera over time: drift against the rig, as of automatic exposure and white balance, and flicker.
+
+Two cameras see the same surfaces under the same lamps. How the ratio of their colours changes is the cameras' doing, however
+lamps fade; what all share is the lamps'.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from ggvs_eval.arrays import Array
+from ggvs_eval.geometry.epipolar import Features, MatchedPair
+from ggvs_eval.pipelines.inspection.capture.colour import (
+    CHANNELS,
+    DRIFT,
+    FEWEST_COLOURS,
+    SIGMAS,
+    brightness_and_casts,
+    is_usable,
+    median_and_error,
+)
+from ggvs_eval.pipelines.inspection.capture.pairs import solve_with_errors
+from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, robust_sigma
+from ggvs_eval.pipelines.inspection.capture.stillness import BEGUN, DONE, describe_when
+from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict
+
+QUESTION = DRIFT
+# As for constant gains: just visible at a seam; no constant divides a tenth away.
+WARN_DRIFT, BAD_DRIFT = 0.04, 0.10
+# From frame to frame, of the brightness; automatic exposure and people who pass change it more slowly.
+WARN_FLICKER, ODD_FACTOR = 0.01, 2.0
+ADVICE = "lock exposure and white balance; score with a colour-corrected metric, or leave this camera out"
+
+
+def check_drift(
+    names: Sequence[str], records: Sequence[CameraRecord], pairs: Sequence[MatchedPair], fps: float = 0.0
+) -> tuple[Finding, ...]:
+    """Change of each camera's gains against the rig within the clip.
+
+    Args:
+        pairs: matches of the first frames.
+        fps: frames per second, to give times in seconds too.
+    """
+    frames, logs, errors = gains_over_time(records, pairs)
+    if len(frames) < 2 or not np.isfinite(logs).any():
+        reason = "fewer than two frames" if len(frames) < 2 else "too few matches of medium brightness between neighbours"
+        return tuple(Finding(subject, QUESTION, "unknown", reason) for subject in (RIG, *names))
+    flicker = np.array([flicker_of(record.levels) for record in records])
+    usual = float(np.nanmedian(flicker)) if np.isfinite(flicker).any() else float("nan")
+    evaluated = [
+        _evaluate(name, frames, logs[:, index], errors[:, index], float(flicker[index]), usual, fps)
+        for index, name in enumerate(names)
+    ]
+    drifts = [finding.values["drift"] for finding in evaluated if "drift" in finding.values]
+    lamps = float(
+        np.nanmedian(
+            [np.ptp(record.levels[np.isfinite(record.levels)]) for record in records if np.isfinite(record.levels).any()]
+        )
+    )
+    measured = f"median drift {100 * np.median(drifts):.1f} %, largest {100 * max(drifts):.1f} % against the rig; "
+    measured += f"brightness of all changes by {100 * lamps:.0f} %, {100 * usual:.1f} % from frame to frame"
+    values = {"largest_drift": max(drifts), "common_change": round(lamps, 4), "flicker": round(usual, 4)}
+    if usual > WARN_FLICKER:
+        advice = "lamps or shutters flicker in all cameras: match the shutter to the mains (1/50 or 1/60 s), or use steady lamps"
+        return (Finding(RIG, QUESTION, "warn", measured, values, advice), *evaluated)
+    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated)
+
+
+def gains_over_time(records: Sequence[CameraRecord], pairs: Sequence[MatchedPair]) -> tuple[list[int], Array, Array]:
+    """Change of the cameras' gains since the first frame, logarithms: brightness and casts, and their standard errors.
+
+    Returns:
+        Frames, those of which all cameras have colours, (S,); changes, median 0 over the rig, and errors, (S, N, 4).
+    """
+    frames = sorted(set.intersection(*(set(record.sampled) for record in records))) if records else []
+    count = len(records)
+    logs, errors = np.full((len(frames), count, 4), np.nan), np.full((len(frames), count, 4), np.inf)
+    if not frames:
+        return frames, logs, errors
+    colours = [record.colours[np.searchsorted(record.sampled, frames)] for record in records]
+    rows = [_rows_by_place(record.instants.get(0)) for record in records]
+    measured, middles, sigmas = [], [], []
+    for pair in pairs:
+        own = [
+            colours[camera][:, [rows[camera][tuple(at)] for at in uv]].astype(np.float64)  # (S, M, 3)
+            for camera, uv in ((pair.first, pair.uv_first), (pair.second, pair.uv_second))
+        ]
+        usable = is_usable(own[0]) & is_usable(own[1])  # (S, M)
+        ratio = np.where(usable[..., None], np.log(np.maximum(own[0], 1) / np.maximum(own[1], 1)), np.nan)
+        known = usable & usable[:1]
+        if known.sum(axis=1).min() < FEWEST_COLOURS:
+            continue
+        change = brightness_and_casts(ratio - ratio[:1])[:, usable[0]]  # (S, M', 4)
+        middle, sigma = median_and_error(change.swapaxes(0, 1))
+        measured.append((pair.first, pair.second))
+        middles.append(middle)
+        sigmas.append(sigma)
+    for place in range(len(frames) if measured else 0):
+        for part in range(4):
+            differences, spread = (np.array([each[place, part] for each in every]) for every in (middles, sigmas))
+            logs[place, :, part], errors[place, :, part] = solve_with_errors(count, measured, differences, spread)
+    return frames, logs, errors
+
+
+def flicker_of(levels: Array) -> float:
+    """Standard deviation of what changes from frame to frame and back, of logarithms of the brightness, (T,)."""
+    return robust_sigma(np.diff(levels, 2)) / np.sqrt(6) if len(levels) > 2 else float("nan")
+
+
+def _rows_by_place(features: Features | None) -> Mapping[tuple[float, ...], int]:
+    return {} if features is None else {tuple(at): row for row, at in enumerate(features.uv)}
+
+
+def _evaluate(name: str, frames: Sequence[int], logs: Array, errors: Array, flicker: float, usual: float, fps: float) -> Finding:
+    """One camera's changes (S, 4)."""
+    if not np.isfinite(logs).all():
+        return Finding(name, QUESTION, "unknown", "too few matches of medium brightness with any neighbour")
+    series = median_filter(logs, size=(min(3, len(logs)), 1), mode="nearest")
+    ranges = np.ptp(series, axis=0)
+    half_widths = SIGMAS * np.sqrt(2) * np.median(errors, axis=0)
+    part = int(np.where(ranges > half_widths, ranges, 0.0).argmax())
+    size, half_width = float(ranges[part]), float(half_widths[part])
+    values: dict[str, Any] = {"drift": round(size, 4), "half_width": round(half_width, 4), "flicker": round(flicker, 4)}
+    is_odd = flicker > max(ODD_FACTOR * usual, WARN_FLICKER)
+    if size <= max(WARN_DRIFT, half_width) and not is_odd:
+        return Finding(name, QUESTION, "ok", f"{100 * size:.1f} +- {100 * half_width:.1f} %", values)
+    if size <= max(WARN_DRIFT, half_width):
+        measured = f"brightness pulses by {100 * flicker:.1f} % from frame to frame, the rig's by {100 * usual:.1f} %"
+        return Finding(name, QUESTION, "warn", measured, values, ADVICE)
+    verdict: Verdict = "bad" if size > BAD_DRIFT else "warn"
+    course = series[:, part]
+    low, high = int(course.argmin()), int(course.argmax())
+    begin, end = min(low, high), max(low, high)
+    done = np.abs(course[begin : end + 1] - course[begin]) / size
+    first, last = begin + int(np.flatnonzero(done <= BEGUN)[-1]), begin + int(np.flatnonzero(done >= DONE)[0])
+    grows = high > low
+    what = ("brighter" if grows else "darker") if part == 0 else f"{'more' if grows else 'less'} {CHANNELS[part - 1]}"
+    values |= {"first_frame": frames[min(first, last)], "last_frame": frames[last], "part": ("brightness", *CHANNELS)[part]}
+    values["change"] = round(size if grows else -size, 4)
+    when = describe_when(values["first_frame"], values["last_frame"], fps)
+    measured = f"{what} by {100 * np.expm1(size):.1f} +- {100 * half_width:.1f} % {when} against the rig"
+    return Finding(name, QUESTION, verdict, measured, values, ADVICE)

@@ -1,0 +1,93 @@
+"""Quality over the time of a frame: one dot per method, time on a logarithmic axis."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ggvs_eval.reports.figures.curves import MARGIN, SIZE, Panel, with_margin
+from ggvs_eval.reports.model.table import Column, Table
+from ggvs_eval.reports.tables.timing import TOTAL
+
+LINE_PX = 11  # between two names
+NAME_PX = 5.2  # of a sign of a name
+
+
+@dataclass(frozen=True)
+class Dot:
+    """One method.
+
+    Attributes:
+        x: place across, in pixels of the drawing.
+        y: place down.
+        name_x: where its name begins or, left of the dot, ends.
+        name_y: line of its name, which keeps clear of other names.
+        is_left: the name is left of the dot.
+        told: name, time and value in words.
+    """
+
+    name: str
+    x: float
+    y: float
+    name_x: float
+    name_y: float
+    is_left: bool
+    told: str
+
+
+@dataclass(frozen=True)
+class QualityOverTime:
+    """A metric over milliseconds per frame.
+
+    Attributes:
+        axes: metric and its ticks; its places across are decimal logarithms of milliseconds.
+        untimed: names of methods that have a value and no time.
+    """
+
+    axes: Panel
+    dots: tuple[Dot, ...]
+    untimed: tuple[str, ...]
+
+    def time_ticks(self) -> list[tuple[float, str]]:
+        """Places and texts of the horizontal axis: 1, 2, 5, 10, ... within it, milliseconds."""
+        low, high = self.axes.bounds[:2]
+        times = (digit * 10.0**power for power in range(math.floor(low), math.ceil(high) + 1) for digit in (1, 2, 5))
+        return [(self.axes.x(math.log10(time)), f"{time:g}") for time in times if low <= math.log10(time) <= high]
+
+
+def quality_over_time(column: Column, values: Sequence[tuple[str, float]], timings: Sequence[Table]) -> QualityOverTime | None:
+    """Place each method that has a value and a time; None where fewer than two do.
+
+    Args:
+        column: the metric.
+        values: name of a method, and its value.
+        timings: tables of the time per frame, one per run; a method's time is the mean over those that have it.
+    """
+    times_ms = {name: _mean_time(name, timings) for name, _ in values}
+    placed = [(name, value, time) for name, value in values if (time := times_ms[name]) and math.isfinite(value)]
+    if len(placed) < 2:
+        return None
+    logarithms = [math.log10(time) for _, _, time in placed]
+    heights = [value for _, value, _ in placed]
+    bounds = (min(logarithms) - 0.12, max(logarithms) + 0.12, *with_margin(min(heights), max(heights)))
+    better = "higher is better" if column.higher_is_better else "lower is better"
+    axes = Panel(column.name, column.unit, better, "", (), bounds)
+    dots, taken = [], {True: -math.inf, False: -math.inf}  # line of the last name on either side
+    for name, value, time in sorted(placed, key=lambda one: axes.y(one[1])):
+        x, y = axes.x(math.log10(time)), axes.y(value)
+        is_left = x + 7 + NAME_PX * len(name) > SIZE[0] - MARGIN[1]
+        taken[is_left] = min(max(y + 3.5, taken[is_left] + LINE_PX), SIZE[1] - MARGIN[3])
+        told = f"{name}: {value:.4g}{f' {column.unit}' if column.unit else ''} in {time:.4g} ms"
+        dots.append(Dot(name, x, y, x - 7 if is_left else x + 7, round(taken[is_left], 1), is_left, told))
+    return QualityOverTime(axes, tuple(dots), tuple(name for name, _ in values if not times_ms[name]))
+
+
+def _mean_time(name: str, timings: Sequence[Table]) -> float | None:
+    """Milliseconds of a frame of a method, the mean over runs; None where none was recorded."""
+    found = [
+        cell.value
+        for table in timings
+        for row in table.rows
+        for column, cell in zip(table.columns, row.cells, strict=True)
+        if row.name == name and column.name == TOTAL and cell.value
+    ]
+    return sum(found) / len(found) if found else None

@@ -1,0 +1,65 @@
+"""Table of the worst frames: how bad the worst one of each method is, how bad the worst twentieth, and where both are."""
+
+import math
+from typing import cast
+
+from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote
+from ggvs_eval.reports.model.table import Cell, Column, Table, format_value, rank
+from ggvs_eval.reports.tables.verdict import HEADLINES
+from ggvs_eval.results import label_of
+
+TAIL = 5  # per cent of the frames that are at most so good
+CAPTION = (
+    f"Of all frames of all views: the value that {TAIL} % are no better than, and the worst, each with its view and frame. "
+    "Means hide single failures; these do not. Frames without a finite value are left out."
+)
+Value = tuple[float, str, int]  # of a frame of a view
+
+
+def worst_frames_table(run: MeasuredRun) -> Table | None:
+    """Two columns for each metric of the paper's tables that has values per frame; None where there is none."""
+    found = {metric: values for metric in HEADLINES if metric in run.metrics and (values := _values(run, metric))}
+    if not found or len(run.frames) * len(run.protocol.views.test) < 2:
+        return None
+    columns = tuple(column for metric in found for column in _columns(run.metrics[metric]))
+    rows = []
+    for label in run.labels:
+        cells = [cell for metric, values in found.items() for cell in _cells(values.get(label, []), run.metrics[metric])]
+        rows.append(run.row(label, cells))
+    return Table("worst", "Worst frames", CAPTION, columns, rank(columns, rows), run.scene)
+
+
+def _values(run: MeasuredRun, metric: str) -> dict[str, list[Value]]:
+    """Label -> its finite values per frame, of all views, the worst first."""
+    values: dict[str, list[Value]] = {}
+    for view in run.protocol.views.test:
+        table = run.results.per_frame(metric, view)
+        for method, variant in cast("list[tuple[str, str]]", list(table.columns)):
+            series = table[(method, variant)]
+            frames, numbers = series.index.astype(int), map(float, series)
+            finite = [(value, view, frame) for frame, value in zip(frames, numbers, strict=True) if math.isfinite(value)]
+            values.setdefault(label_of(method, variant), []).extend(finite)
+    sign = 1.0 if run.metrics[metric].higher_is_better else -1.0
+    return {label: sorted(own, key=lambda one: sign * one[0]) for label, own in values.items() if own}
+
+
+def _columns(note: MetricNote) -> tuple[Column, Column]:
+    percentile = TAIL if note.higher_is_better else 100 - TAIL
+    told = f"{note.describe.rstrip('.')}, of {{}}."
+    return (
+        Column(f"{note.name}, {percentile}th percentile", note.unit, note.higher_is_better, told.format("the worst twentieth")),
+        Column(f"{note.name}, worst frame", note.unit, note.higher_is_better, told.format("the worst frame")),
+    )
+
+
+def _cells(worst_first: list[Value], note: MetricNote) -> tuple[Cell, Cell]:
+    """The value of the frame at the percentile, no mean of two, and that of the worst frame."""
+    if not worst_first:
+        return Cell("no value per frame"), Cell("no value per frame")
+    at = max(0, math.ceil(len(worst_first) * TAIL / 100) - 1)
+    return _cell(worst_first[at], note), _cell(worst_first[0], note)
+
+
+def _cell(value: Value, note: MetricNote) -> Cell:
+    number, view, frame = value
+    return Cell(format_value(number, note.decimals), number, beside=f"({view}, {frame})", place=(view, frame))
