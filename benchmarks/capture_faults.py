@@ -28,7 +28,7 @@ from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
 
 Frames = list[Image8]
-# What follows from where the cameras of a part of a rig stand, and is so.
+# Consequence of the cameras' places in a part of a rig.
 PLACING = ("units", "poses", "overlap")
 SPARE = 1  # frames at the end that a camera which loses one needs
 LEAST_FRAMES, LEAST_CAMERAS = 16, 6
@@ -222,7 +222,7 @@ def zoomed_rigs(rigs: Sequence[Path]) -> None:
                 try:
                     odd = calibrate(Path(folder) / "table", Path(folder) / "rig", options).odd_lenses
                 except CaptureError:
-                    continue  # a rig whose cameras stand too far apart for features
+                    continue  # a rig whose cameras are too far apart for features
             n_calibrated += 1
             found += camera in odd and zoom != 1
             accused += [f"{name} x {lens.factor:.3f}" for name, lens in odd.items() if name != camera or zoom == 1]

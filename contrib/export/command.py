@@ -23,17 +23,19 @@ def export(
     degree: Literal[0, 1, 2, 3] | None = None,
     layout: Layout = None,
 ) -> None:
-    """Write 3D Gaussians, one cloud or a sequence, as one .glb that viewers open and play (glTF, KHR_gaussian_splatting).
+    """Write 3D Gaussians as one .glb (glTF, KHR_gaussian_splatting).
+
+    A sequence becomes an animation.
 
     Args:
-        splats: what splats:PATH takes: a .ply, a folder with one per instant, output of 4DGS; or a fit, RUN/fits/LABEL/all.
+        splats: .ply, folder with one per instant, output of 4DGS, or a fit (RUN/fits/LABEL/all).
         out: file to write.
-        capture: their capture; supplies frames per second, the up direction, and the clip length of 4DGS output.
-        fps: frames per second; those of the capture, or 30, by default.
-        up: direction in the world that viewers show as up; that of the capture's cameras, or +Y, by default.
-        frames: number of instants, from the first; default all.
-        degree: of the spherical harmonics that are kept, for a smaller file; all by default.
-        layout: of the capture on disk; detected by default.
+        capture: their capture; supplies frame rate, up direction, and clip length of 4DGS output.
+        fps: frame rate, frames per second; the capture's, or 30, by default.
+        up: up direction in the world; that of the capture's cameras, or +Y, by default.
+        frames: number of instants, from the first; all by default.
+        degree: highest degree of spherical harmonics, for a smaller file; all by default.
+        layout: layout of the capture; detected by default.
     """
     from ggvs_eval.contrib.export.gltf import write_glb
     from ggvs_eval.pipelines.methods.sequence import open_sequence

@@ -25,21 +25,21 @@ def metric_study(
     seeds: int = 1,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Plant degradations of known strength in true frames, and find out which metric sees which and what it is blind to.
+    """Measure how each metric responds to known degradations.
 
-    Writes OUT/values.csv, study.json, study.md and study.png. What is measured already is not measured again.
+    Writes OUT/values.csv, study.json, study.md and study.png. A second call resumes.
 
     Args:
-        out: folder to write or to continue with.
+        out: folder to create or resume.
         capture: captures, folders of videos or of pictures, or videos.
-        metrics: names, or all; parts of an image are measured where they are named.
+        metrics: metric names, or all.
         ladders: degradations: blur, noise, shift, colour, compression, flicker, drift, frozen, late, wobble, switch, jump,
             boiling.
-        frames: of a clip, and poses of a stretch of a camera path.
-        size: of the images' shorter side, pixels.
-        on: what the degradations are planted in: the truth, or the method's rendering of it, where its own errors compete.
-        seeds: how often each degradation is planted in each clip.
-        jobs: processes.
+        frames: frames per clip, and poses per stretch of a camera path.
+        size: shorter side of the images, pixels.
+        on: degraded images: captured frames (truth), or a method's rendering of them.
+        seeds: repetitions of each degradation per clip.
+        jobs: parallel processes, at least 1.
     """
     from ggvs_eval.contrib.study.study import run_study
     from ggvs_eval.contrib.study.study_figure import draw_study

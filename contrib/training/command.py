@@ -12,23 +12,23 @@ from ggvs_eval.pipelines.commands.flags import Output
 from ggvs_eval.plugins import missing_part
 
 ABOUT = {
-    BLEND: """Train the blending network on procedural rooms and on captures; rooms and depth are made before the first step.
+    BLEND: """Train the blending network on procedural rooms and captures.
 
-    It takes no more views than it is trained for, and learns from two views on. The samples are kept in blend-samples next to
+    Rooms and depth are made before the first step. It learns from two views on. The samples are stored in blend-samples next to
     the folder.""",
-    STEREO: "Train the compact RAFT-Stereo on pairs of procedural rooms, taken on the fly.",
+    STEREO: "Train the compact RAFT-Stereo on pairs of procedural rooms.",
     **{
-        name: f"Train the baseline {name} on the rooms, captures, targets and sources of the blending network."
+        name: f"Train the baseline {name} on the views of the blending network."
         for name in TRAINED_BASELINES
     },
-    ALL: "Train the blending network with all, no and naive guidance and the baselines, side by side on the same views.",
+    ALL: "Train the blending network (all, no, naive guidance) and all baselines in parallel.",
 }
 ARGUMENTS = """
 
     Args:
-        out: folder for state, weights, logs and model card; of `all` it gets a folder per network, and the samples.
-        training: how the network is trained.
-        jobs: trainings at a time; by default all of them on a GPU, and one per two cores without.
+        out: folder for state, weights, logs and model card; for `all` one per network, and the samples.
+        training: training options.
+        jobs: parallel trainings; by default all on a GPU, one per two cores without.
     """
 
 

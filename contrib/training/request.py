@@ -27,27 +27,24 @@ class TrainingOptions:
     """Options of the training of one network or of all; a field says which trainings use it.
 
     Attributes:
-        steps: of the whole training, those of earlier calls included.
-        seed: of the weights and the scenes.
-        guidance: what the network sees of the fused depth: views registered by it, its channels as the paper prints them, none of
-            it (ablation), or no depth at all (naive).
-        size: of the blending network's U-Net; its first level has 8, 16 or 32 channels.
-        configuration: of baselines: compact (about one CPU-hour) or full (the published architecture).
-        crop: width and height of the crops that a baseline learns from, multiples of 8 pixels; those of the recipe by default. A
-            GPU can afford larger ones.
-        views: the most source views of a sample, K.
-        rooms: rooms to render of each domain, one to four minutes and 50 MB each.
+        steps: total training steps, earlier calls included.
+        seed: seed of the weights and the scenes.
+        guidance: network input from fused depth: registered, channels (as in the paper), none, or naive.
+        size: size of the blending network's U-Net: 8, 16 or 32 channels in its first level.
+        configuration: baseline size: compact (about one CPU-hour) or full (the published architecture).
+        crop: width and height of training crops, multiples of 8 pixels; the recipe's by default.
+        views: maximum number of source views per sample, K.
+        rooms: rooms per domain, one to four minutes and 50 MB each.
         targets: target views per room.
-        domains: kinds of captures to learn from and to choose by (plain, narrow, arc, ...).
-        captures: folders of captures to learn from besides the rooms (RGB-D sequences by ScanNet's rule, Spaces, DyNeRF, rigs of
-            your own), never those that you test on.
-        hold_back: learn from the first half of each RGB-D sequence, and validate on what is new in the rest.
-        start_from: weights to begin with where the folder holds no state, such as those that ship; a lower rate moves them.
-        device: cpu, cuda, or the better one by default.
-        precision: of convolutions; auto takes bfloat16 where the hardware multiplies it faster.
+        domains: kinds of captures for training and validation (plain, narrow, arc, ...).
+        captures: captures to train on besides the rooms; never those that you test on.
+        hold_back: train on the first half of each RGB-D sequence, validate on new content of the rest.
+        start_from: initial weights, if the folder has no state; lowers the learning rate.
+        device: cpu, cuda or auto.
+        precision: precision of convolutions; auto: bfloat16 where it is faster.
         workers: processes that make batches.
-        compile_network: let torch compile it first: some minutes once, a fifth less per step.
-        save_every: steps between checkpoints; the command line does not show it.
+        compile_network: compile with torch first: a few minutes once, a fifth less per step.
+        save_every: steps between checkpoints; not an option of the command line.
         validate_every: steps between validations.
     """
 

@@ -14,13 +14,13 @@ def film(
     seconds: float | None = None,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Film a demo capture: a procedural dynamic room or garden in the layout of a data set, with exact depth.
+    """Film a procedural demo capture in the layout of a data set.
 
     Args:
-        out: folder to write; absent, or holding this very demo.
-        room: the room, the rig and the sensors.
-        seconds: length of the videos, instead of --n-frames.
-        jobs: processes.
+        out: folder to write; absent, or holding this demo.
+        room: room, rig and sensors.
+        seconds: length of the videos, seconds, instead of --n-frames.
+        jobs: parallel processes, at least 1.
     """
     from ggvs_eval.contrib.worlds.demo import write_demo
 

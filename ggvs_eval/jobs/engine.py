@@ -47,10 +47,9 @@ class Engine:
     """Executor of jobs: the place where they run, and how many run at once.
 
     Attributes:
-        jobs: processes.
-        engine: processes of this machine, or workers of dask (install ggvs-eval[cluster]).
-        scheduler: address of a dask scheduler, tcp://HOST:8786, whose workers see the same folders; without one `dask` starts
-            its own workers on this machine.
+        jobs: parallel processes, at least 1.
+        engine: processes of this machine, or dask workers (pip install 'ggvs-eval[cluster]').
+        scheduler: dask scheduler, tcp://HOST:8786, with shared folders; local workers by default.
     """
 
     jobs: int = field(default_factory=default_workers)

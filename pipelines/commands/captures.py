@@ -34,14 +34,14 @@ Calibrating = tyro.conf.OmitArgPrefixes[CalibrationOptions]
 
 
 def demo(out: Output, room: RoomName = MAIN, quick: bool = False) -> None:
-    """Unpack a demo capture that ships: a procedural dynamic room in the layout of a data set.
+    """Unpack a demo capture (a procedural dynamic room) in seconds.
 
-    With any option of `ggvs-eval film` another one is filmed.
+    Any option of `ggvs-eval film` films another room instead.
 
     Args:
-        out: folder to write; absent, or holding this very demo.
-        room: the main one, in DyNeRF's layout, or a small one.
-        quick: the main room, sample renders and a short protocol (a few seconds).
+        out: folder to write; absent, or holding this demo.
+        room: room to unpack: the main one (DyNeRF's layout) or a small one.
+        quick: main room, sample renders and a short protocol (a few seconds); other options are ignored.
     """
     from ggvs_eval.synthetic.shipped import write_quick, write_room
 
@@ -49,13 +49,13 @@ def demo(out: Output, room: RoomName = MAIN, quick: bool = False) -> None:
 
 
 def get(scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET:SCENE")]) -> None:
-    """Fetch a public capture from where its authors publish it; its name then serves as --capture.
+    """Download a public capture; its name then works as --capture.
 
-    n3v:flame_steak, immersive:02_Flames, panoptic:basketball, ... A download that was stopped goes on; size and SHA-256 of the
-    first one are kept, and a later one must be the same.
+    Examples: n3v:flame_steak, immersive:02_Flames, panoptic:basketball. A stopped download resumes. Size and SHA-256 of the first
+    download are stored; a later one must match.
 
     Args:
-        scene: data set and scene; `n3v:` lists those of a data set.
+        scene: data set and scene; `n3v:` lists the scenes of a data set.
     """
     dataset, _ = find_scene(scene)
     print(f"{dataset.title}; licence: {dataset.licence}; {dataset.page}", file=sys.stderr)
@@ -75,26 +75,22 @@ def check(
     page: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Check a capture for problems: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
+    """Check a capture for faults in frames, poses, timing and colour.
 
-    Prints a verdict per question, writes them as JSON, and ends with 1 where a verdict is bad. Videos that have no poses yet are
-    checked for what can be said without.
+    Prints one verdict per question, writes them as JSON, and exits with 1 if a verdict is bad. Videos without poses get the
+    checks that need none.
 
     Args:
-        capture: the capture.
-        layout: on disk; detected by default.
-        units: world units per metre, or a TOML file with a known baseline or two marked points (docs/captures.md).
+        capture: capture, or videos without poses.
+        layout: layout on disk; detected by default.
+        units: world units per metre, or a TOML file with a known distance (docs/captures.md).
         out: JSON file; CAPTURE.check.json in the current folder by default.
-        repair: write CAPTURE/corrections.toml, by which every command shifts cameras that are out of step by whole frames and
-            divides the colours of those that are brighter or darker; then check again. Written is only what lies outside of its
-            interval: no fraction of a frame, no offset or gain that changes within the clip.
-        crop: frames are a part of the pictures that the calibration was made for, and begin with this column and row of them:
-            write it into CAPTURE/crop.toml, which every command obeys, and check.
-        jobs: processes.
-        watch: look every so many seconds at a folder that is being filmed to, and print a line when a camera's state changes:
-            moved, out of step, frames lost or frozen, exposure drifts.
-        rig: with --watch: capture of the same cameras with poses, for time offsets and colours.
-        page: with --watch: HTML file that shows the state and refreshes itself.
+        repair: write CAPTURE/corrections.toml (whole-frame delays, colour gains), which all commands apply.
+        crop: first column and row of cropped frames; written to CAPTURE/crop.toml, which all commands apply.
+        jobs: parallel processes, at least 1.
+        watch: seconds between checks of a folder during capture; prints changes of a camera's state.
+        rig: with --watch: calibrated capture of the same cameras, for time offsets and colours.
+        page: with --watch: HTML file of the state, which refreshes itself.
         json: with --watch: print every round as JSON lines.
     """
     if watch is not None:
@@ -135,12 +131,12 @@ def _watch(frames: Path, every_s: float, rig: Path | None, page: Path | None, as
 
 
 def calibrate(frames: Frames, out: Output, calibration: Calibrating = CalibrationOptions()) -> None:  # noqa: B008 - frozen
-    """Find the cameras of a fixed rig from one instant, with COLMAP, and write them as a capture that every verb reads.
+    """Calibrate a fixed rig from one instant with COLMAP.
 
     Args:
-        frames: videos, folders of images or one image per camera.
+        frames: videos, folders of images, or one image per camera.
         out: capture to write, absent or empty.
-        calibration: what is known and what is assumed.
+        calibration: known and assumed parameters.
     """
     from ggvs_eval.pipelines.offline.calibration.calibrate import calibrate as find_cameras
     from ggvs_eval.pipelines.offline.calibration.calibrate import own_lens_option
@@ -165,20 +161,20 @@ def protocol(
     stream: Annotated[float | None, tyro.conf.arg(metavar="FPS")] = None,
     reading: CaptureFlags = CAPTURE_DEFAULTS,
 ) -> None:
-    """Propose a protocol for a capture, and say of every camera why it is held out as a test view or not.
+    """Propose a protocol for a capture and explain its test views.
 
-    It is the one that `run` takes when none is given; the file is yours to change.
+    `run` uses the same protocol if none is given. The file can be edited.
 
     Args:
-        capture: the capture.
+        capture: capture.
         out: TOML file to write.
-        checked: JSON file that `check` wrote; cameras that it found fault with are not held out, as they would be a wrong truth.
-        test: cameras to hold out as test views, in place of those that a rule chooses.
-        metrics: what to measure, in place of what the protocol of this layout does.
-        frames: evaluate the first so many instants, for a first look; up to 100 by default.
-        path_poses: poses of the camera path on which consistency over views is measured.
-        stream: also score what is on a screen while cameras deliver so many frames per second, see `Stream` in the docs.
-        reading: how the capture is read.
+        checked: JSON file of `check`; faulty cameras are not held out.
+        test: cameras to hold out as test views; chosen by rule by default.
+        metrics: metrics to measure; those of the layout's protocol by default.
+        frames: number of instants to evaluate, from the first; at most 100 by default.
+        path_poses: poses of the camera path for view consistency.
+        stream: frame rate of the cameras, fps, at which the displayed frames are also scored.
+        reading: capture reading.
     """
     from ggvs_eval.metrics.registry import select_metrics
     from ggvs_eval.pipelines.inspection.capture.check import read_doubts
@@ -229,14 +225,15 @@ def undistort(
     lenses: Path | None = None,
     output: tyro.conf.OmitArgPrefixes[UndistortOptions] = UndistortOptions(),  # noqa: B008 - frozen
 ) -> None:
-    """Write raw videos of known lenses as pinhole videos, with the new intrinsics beside them for `calibrate`.
+    """Convert videos of known lenses to pinhole videos.
+
+    Writes the new intrinsics next to them, for `calibrate`.
 
     Args:
-        source: folder of raw videos, with --lenses; or any capture whose layout knows its lenses.
+        source: folder of raw videos, with --lenses; or a capture whose layout includes lenses.
         out: folder to write, absent or empty.
-        lenses: intri.yml (EasyMocap), calib_1080.pkl or calib_2k.pkl (D3DMV; read, never unpickled), .qca.txt (Qualisys), YAML of
-            OpenCV, or a TOML file, of anipose or freemocap too.
-        output: how frames are written.
+        lenses: lens file of EasyMocap, D3DMV, Qualisys, OpenCV, anipose or freemocap (docs/captures.md).
+        output: output format.
     """
     from ggvs_eval.pipelines.offline.calibration.undistort import undistort_videos
 

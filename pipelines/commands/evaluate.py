@@ -31,22 +31,22 @@ def evaluate(
     depth: DepthFlags = captures.DEPTH_DEFAULTS,
     engine: Running = runs.HERE,
 ) -> None:
-    """Calibrate, check and evaluate the videos of a rig, in one command.
+    """Calibrate, check and evaluate the videos of a rig in one command.
 
-    Each step is printed as the command that does the same alone: calibrate, check, protocol, run. Where `check` finds something
-    bad the evaluation stops with its verdict and ends with 1. A second call resumes: finished steps are not repeated.
+    Each step is printed as a command: calibrate, check, protocol, run. A bad verdict of `check` stops the evaluation with exit
+    code 1. A second call resumes.
 
     Args:
-        videos: one video or folder of images per camera; or a capture with poses, which is not calibrated.
-        out: folder to write: capture/ (unless one was given), check.json, protocol.toml, run/ with the page in run/report/.
-        frames: evaluate the first so many instants; up to 100 by default.
-        repair: let `check` correct delays of whole frames and brightness, and check again.
-        methods: which methods.
-        device: where networks compute.
-        calibration: what is known of the cameras and what is assumed.
-        layout: how a capture is read.
-        depth: how depth is found.
-        engine: where jobs run.
+        videos: one video or image folder per camera; or a capture with poses.
+        out: folder to write: capture/, check.json, protocol.toml, run/ with the page.
+        frames: number of instants to evaluate, from the first; at most 100 by default.
+        repair: correct whole-frame delays and brightness by `check`, then check again.
+        methods: methods to evaluate.
+        device: device of networks: cpu, cuda or auto.
+        calibration: known and assumed parameters.
+        layout: capture reading.
+        depth: depth estimation.
+        engine: job execution.
     """
     if not videos.exists():
         raise CaptureError(f"{videos}: wanted videos, or folders of images, of several cameras, there is nothing; check the path")
@@ -64,7 +64,7 @@ def evaluate(
     except SystemExit:
         raise CommandError(
             f"{capture}: stopped, because check found something bad, see above and {verdicts}; put it right and call again "
-            f"(--repair corrects delays and brightness), or go on with `ggvs-eval run {out / 'run'} --capture {capture}`"
+            f"(--repair corrects delays and brightness), or continue with `ggvs-eval run {out / 'run'} --capture {capture}`"
         ) from None
     whole = captures.ReadingOptions(**vars(layout))
     if not terms.exists():
@@ -80,14 +80,14 @@ def evaluate(
 
 
 class _Steps:
-    """Prints each step as a command line of its own."""
+    """Print each step as a separate command line."""
 
     def begin(self, *words: object) -> None:
         print(f"$ {shlex.join(['ggvs-eval', *map(str, words)])}", flush=True)
 
 
 def _needs_poses(path: Path, layout: captures.CaptureOptions) -> bool:
-    """Tell whether a path holds the frames of several cameras and nothing that says where these are."""
+    """Return whether a path holds the frames of several cameras without a calibration."""
     from ggvs_eval.pipelines.inspection.capture.check import open_uncalibrated
 
     return layout.layout is None and open_uncalibrated(path) is not None

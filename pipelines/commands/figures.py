@@ -26,15 +26,16 @@ def report(
     standalone: bool = False,
     columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(all by default)")] = (),
 ) -> None:
-    """Write the page, tables (Markdown, CSV, LaTeX, Excel), figures and the comparison with the paper.
+    """Write the page, tables, figures and the comparison with the paper.
+
+    Tables are written as Markdown, CSV, LaTeX and Excel.
 
     Args:
         runs: run folders; those of one protocol share a section of the page.
-        out: folder to write; RUN/report of the first run by default, the file leaderboard.html, or the folder tracked.
-        to: page with all that belongs to it; leaderboard: the tables alone on one page, for which no frames are needed; or a
-            tracker, whose package must be installed: its files are written without a network.
-        standalone: make a page that loads nothing; otherwise it shows frames at full size from its run folder.
-        columns: of the tables in Markdown, LaTeX and Excel, in this order: PSNR SSIM LPIPS TCC.
+        out: folder to write; RUN/report of the first run, leaderboard.html or tracked/ by default.
+        to: page; leaderboard (tables only, without frames); or a tracker, whose package must be installed.
+        standalone: page without links to frames of the run folder.
+        columns: columns of the Markdown, LaTeX and Excel tables, in order: PSNR SSIM LPIPS TCC.
     """
     if to == "leaderboard":
         from ggvs_eval.reports.page.leaderboard import write_leaderboard
@@ -58,13 +59,15 @@ def table(
     to: Literal["markdown", "latex", "csv"] = "markdown",
     notes: bool = False,
 ) -> None:
-    """Print a table of scored runs for a paper, in seconds; of several scenes a table per metric with a column for each.
+    """Print a table of scored runs for a paper.
+
+    Several scenes give one table per metric, with a column per scene.
 
     Args:
         runs: run folders of one protocol.
-        columns: metrics, in this order: PSNR SSIM LPIPS TCC.
-        to: the format.
-        notes: also what the page says below its tables.
+        columns: metrics, in order: PSNR SSIM LPIPS TCC.
+        to: output format.
+        notes: also print the notes below the page's tables.
     """
     from ggvs_eval.reports.tables_of_runs import tables_of_runs
 
@@ -88,23 +91,23 @@ def figure(
     title: bool = True,
     scores: bool = False,
 ) -> None:
-    """Draw a figure for a paper, labelled, every method beside the truth.
+    """Draw a labelled figure for a paper.
 
     Args:
-        kind: crops: a frame with enlarged squares; failures: the worst squares of a method, one per view; epi: an image row along
-            the camera path; time: an image row of a view along time; k: quality and time over the number of source views; stream:
-            quality on the screen over pictures per second; video: the methods beside each other, for a supplement.
-        run: run folder, rendered and scored; of k the folder of a sweep.
-        out: PNG, PDF or SVG to write, MP4 of a video; a name without a suffix writes a PNG and a PDF.
-        rule: squares of crops: where methods differ most, or where one method is worst.
-        method: label of that one method; ours by default.
+        kind: crops: enlarged squares of a frame; failures: worst squares of a method; epi: an image row along the camera path;
+            time: an image row over time; k: quality and time over K; stream: displayed quality over fps; video: methods side by
+            side.
+        run: run folder, rendered and scored; the folder of a sweep for k.
+        out: PNG, PDF or SVG to write, MP4 for video; a name without suffix writes PNG and PDF.
+        rule: squares of crops: where methods differ most, or where --method is worst.
+        method: method of --rule worst; ours by default.
         boxes: number of squares.
-        view: test view of crops, time and video; the one with the largest score, and the first, by default.
-        frame: frame of crops; the one with the largest score by default.
-        row: image row of epi and time; auto takes the one in which the methods differ most.
-        metrics: panels of k, scores of the others.
-        methods: labels of the methods that are shown, in this order.
-        squares: of crops, in pixels, as the crop button of the page writes them.
+        view: test view of crops, time and video; the highest-scoring one, or the first, by default.
+        frame: frame of crops; the highest-scoring one by default.
+        row: image row of epi and time; auto: the row where methods differ most.
+        metrics: panels of k, scores of the other figures.
+        methods: methods to show, in order.
+        squares: squares of crops, pixels, as the page's crop button writes them.
         width: figure width with unit (in, cm, mm, pt); default 7in, for k by its panels.
         title: draw a title.
         scores: append each method's scores to its label.
@@ -134,14 +137,14 @@ def compare(
     views: bool = False,
     csv: Path | None = None,
 ) -> None:
-    """Say what differs between two runs, method by method, or between two methods of a run, and whether that is significant.
+    """Compare two runs, or two methods of a run, with paired tests.
 
     Args:
-        first: run folder, or with --run the label of a method.
-        second: the other one; differences are the first minus the second.
-        run: run folder that both methods are in.
-        views: also each view alone.
-        csv: file for all differences, each view's too, unrounded.
+        first: run folder, or a method with --run.
+        second: second run or method; differences are first minus second.
+        run: run folder of both methods.
+        views: also compare each view alone.
+        csv: CSV file for all differences, unrounded, per view too.
     """
     from ggvs_eval.reports.tables.compare_runs import write_comparison
 

@@ -53,13 +53,13 @@ class CaptureOptions:
     """Options by which a capture is read and shown.
 
     Attributes:
-        layout: on disk; detected by default.
-        units: world units per metre, or a TOML file with a known baseline or two marked points (docs/captures.md).
-        keep_unsynced: keep cameras that are known to be out of step (cam13 of coffee_martini).
-        hold_frames: hold one instant still for so many instants; 0 lets time go on.
-        hold_frame: the instant that is held still.
-        sensor_noise_255: add sensor noise of this standard deviation, of 255 levels, to every camera and instant, truth included.
-        noise_seed: of that noise.
+        layout: layout on disk; detected by default.
+        units: world units per metre, or a TOML file with a known distance (docs/captures.md).
+        keep_unsynced: keep cameras that are out of step (cam13 of coffee_martini).
+        hold_frames: number of instants for which one instant is repeated; 0: none.
+        hold_frame: the repeated instant, from 0.
+        sensor_noise_255: standard deviation of noise added to all frames, reference included, 0..255.
+        noise_seed: seed of the added noise.
     """
 
     layout: Layout = None

@@ -1,4 +1,4 @@
-"""The command line. Errors of the user and of the machine are one line and exit code 1; our bugs keep their traceback."""
+"""The command line. Errors of the user and of the machine are one line and exit code 1; bugs of the package keep their traceback."""
 
 import codecs
 import inspect
@@ -24,19 +24,19 @@ Commands = Mapping[str, "Command | Commands"]
 
 # A verb is loaded when it is called; `train` has a subcommand for each network.
 COMMANDS: Registry["Command | Commands"] = Registry("commands", {name: verb.target for name, verb in VERBS.items()})
-WIDEST = 100  # of the overview's lines, in signs
+WIDEST = 100  # of the overview's lines, in characters
 PLUGIN = "--plugin"  # of any verb: a file with metrics, methods or layouts of the user's own
 PLAIN, PLAIN_SIGNS = "ggvs-eval-plain", str.maketrans("─━–—−±×·", "-----~x.")  # how stdout writes what it cannot
 CONTINUED = re.compile(r"\n {12,}(?=\S)")  # the second and later lines of an argument in a docstring
 ABOUT = {
     "ggvs-eval": "Evaluate multi-view 3D video synthesis. "
     "Every command also takes --plugin FILE.py: metrics, methods and layouts of your own.",
-    "ggvs-eval train": "Train a network of this package; a second call goes on where the first one stopped.",
+    "ggvs-eval train": "Train a network of this package; a second call resumes.",
 }
 
 
 def run_command(arguments: list[str] | None = None) -> None:
-    """Parse the command line and do what it says."""
+    """Parse the command line and run the command."""
     warnings.showwarning = _show_warning
     codecs.register_error(PLAIN, _plain)
     if isinstance(sys.stdout, io.TextIOWrapper):
@@ -95,7 +95,7 @@ def _forget_output() -> None:
 def call_command(program: str, commands: Commands, words: Sequence[str]) -> None:
     """Call the command that the first word names with the options that follow it.
 
-    Each command has a parser of its own, so that a mistyped option is compared with the options of that command alone.
+    Each command has its own parser, so that a mistyped option is compared with the options of that command alone.
 
     Args:
         program: the words before, for messages.
@@ -132,7 +132,7 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
 
 
 def _is_foreign(command: Callable[..., None], words: Sequence[str]) -> bool:
-    """Tell whether an option is none of a command's, not even a mistyped one."""
+    """Return whether an option is none of a command's, not even a mistyped one."""
     own = ["--help", *(f"--{name.replace('_', '-')}" for name in inspect.signature(command).parameters)]
     asked = {word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")} - set(own)
     return any(not did_you_mean(option, own) for option in asked)

@@ -40,21 +40,20 @@ def play(
     depth: DepthFlags = LIVE_DEPTH,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Render a camera orbit within the rig to a video and report the frame rate.
+    """Render a camera orbit within the rig to a video; print the frame rate.
 
     Args:
-        source: a capture, whose frames and depth are kept beside the video (OUT-cache); or a run folder, which has both.
+        source: capture, with frames and depth cached next to the video (OUT-cache); or a run folder.
         out: MP4 file to write.
-        method: by which method.
-        k: source views; those of the run's protocol, or 4, by default.
-        frames: instants from the first on, in which the camera goes round once; all, or 90 of a single instant, by default.
-        width: of the video in pixels; that of the captured frames by default.
-        sources: which cameras are source views: the nearest, or those that see most of the view (coverage); as the run's protocol
-            says, or the nearest, by default.
-        device: where networks compute, of the method and of a capture's depth (--matcher raft, itermvs).
-        reading: how a capture is read.
-        depth: how depth of a capture is found.
-        jobs: processes that prepare a capture; synthesis takes one instant after the other.
+        method: rendering method.
+        k: number of source views; the run's, or 4, by default.
+        frames: instants of one orbit, from the first; all, or 90 of a single instant, by default.
+        width: width of the video, pixels; that of the captured frames by default.
+        sources: source views: nearest cameras, best coverage, or a triplet; the run's, or nearest, by default.
+        device: device of networks, for the method and a capture's depth (--matcher raft, itermvs).
+        reading: capture reading.
+        depth: depth estimation of a capture.
+        jobs: parallel processes that prepare a capture, at least 1.
     """
     from ggvs_eval.pipelines.play.play import record, require_writable
     from ggvs_eval.pipelines.play.playback import PlayOptions, make_playback
@@ -84,25 +83,24 @@ def view(
     depth: DepthFlags = LIVE_DEPTH,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """View a scene in the browser: drag the camera; a method renders its view as time plays or is paused.
+    """View a scene in the browser: drag the camera, play or pause time.
 
     Needs the package viser: pip install 'ggvs-eval[view]'.
 
     Args:
-        source: a capture, whose frames and depth are kept in OUT/cache; or a run folder, which has both.
-        method: by which method; may be changed in the page.
-        k: source views; may be changed in the page.
-        frames: instants from the first on; all by default.
-        sources: which cameras are source views: the nearest, or those that see most of the view (coverage); as the run's protocol
-            says, or the nearest, by default.
-        host: address to listen at; 0.0.0.0 accepts remote connections; they need the printed URL, which carries a token.
-        port: the next free one is taken where it is in use.
+        source: capture, with frames and depth cached in OUT/cache; or a run folder.
+        method: rendering method; can be changed in the page.
+        k: number of source views; can be changed in the page.
+        frames: number of instants, from the first; all by default.
+        sources: source views: nearest cameras, best coverage, or a triplet; the run's, or nearest, by default.
+        host: address; 0.0.0.0 accepts remote connections; they need the printed URL, which has a token.
+        port: port; the next free one if it is in use.
         out: folder of recorded paths, and of a capture's frames and depth.
-        export: write a page with the cameras and the points of every instant, which needs no server, and stop.
-        device: where networks compute, of the method and of a capture's depth (--matcher raft, itermvs).
-        reading: how a capture is read.
-        depth: how depth of a capture is found.
-        jobs: processes that prepare a capture.
+        export: HTML file of cameras and points, which needs no server; then exit.
+        device: device of networks, for the method and a capture's depth (--matcher raft, itermvs).
+        reading: capture reading.
+        depth: depth estimation of a capture.
+        jobs: parallel processes that prepare a capture, at least 1.
     """
     from ggvs_eval.pipelines.view.viewer import Listener, require_viser
 

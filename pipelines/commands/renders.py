@@ -30,21 +30,21 @@ def doctor(
     reading: CaptureFlags = CAPTURE_DEFAULTS,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Find what is wrong with rendered frames before their numbers are believed.
+    """Find faults in rendered frames before they are scored.
 
-    Frame offset, reversed time, wrong camera, exchanged colour channels, gamma, range of video levels, flicker, shifts down to a
-    quarter of a pixel, wrong resize or focal length, JPEG, frozen frames, truth copied into some frames or blended into all, a
-    PSNR beyond what noise and codec leave a perfect rendering. The last lines say how much of the error IV-PSNR forgives, and
-    whether blur is what makes the renders steady. Ends with 1 where something is certain.
+    Finds frame offsets, reversed time, wrong cameras, swapped channels, gamma, wrong video range, flicker, shifts from a quarter
+    of a pixel, wrong resizing or focal length, JPEG, frozen frames, copied reference frames, and a PSNR above the ceiling of
+    noise and codec. Also reports the error that IV-PSNR forgives, and whether stability is due to blur. Exits with 1 if a fault
+    is certain.
 
     Args:
-        renders: frames in any form that `score` takes, with --capture; or a run folder, whose methods are all examined.
-        capture: what was rendered.
-        protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
-        run: run folder to make or to go on with; a temporary one by default, under the protocol of scores/CAPTURE if any.
-        first_frame: number of the protocol's first frame in the names of the frames, as of `score`.
-        reading: how the capture is read.
-        jobs: processes.
+        renders: frames in any form that `score` accepts, with --capture; or a run folder, for all its methods.
+        capture: rendered capture.
+        protocol: protocol (.toml or packaged name); fitted to the capture by default.
+        run: run folder to create or resume; temporary by default, with the protocol of scores/CAPTURE.
+        first_frame: number of the protocol's first frame in the file names, if ambiguous.
+        reading: capture reading.
+        jobs: parallel processes, at least 1.
     """
     from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
     from ggvs_eval.pipelines.inspection.renders.explain import forgiven_error
@@ -77,19 +77,19 @@ def explain(
     reading: CaptureFlags = CAPTURE_DEFAULTS,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Recompute a number under every convention in use and say which one gives a quoted value, if any does.
+    """Find the metric conventions that give a quoted number.
 
     Args:
-        renders: frames in any form that `score` takes, with --capture; or a run folder.
-        metric: family of the number.
-        quoted: the value as it is printed, with its digits.
-        method: which method of a run folder; needed where it has several.
-        capture: what was rendered.
-        protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
-        run: run folder to make or to go on with; a temporary one by default, under the protocol of scores/CAPTURE if any.
-        first_frame: number of the protocol's first frame in the names of the frames, as of `score`.
-        reading: how the capture is read.
-        jobs: processes.
+        renders: frames in any form that `score` accepts, with --capture; or a run folder.
+        metric: metric family.
+        quoted: value as printed, with its digits.
+        method: method of the run folder, if it has several.
+        capture: rendered capture.
+        protocol: protocol (.toml or packaged name); fitted to the capture by default.
+        run: run folder to create or resume; temporary by default, with the protocol of scores/CAPTURE.
+        first_frame: number of the protocol's first frame in the file names, if ambiguous.
+        reading: capture reading.
+        jobs: parallel processes, at least 1.
     """
     from ggvs_eval.pipelines.inspection.renders.explain import explain as recompute
     from ggvs_eval.pipelines.inspection.renders.explain import explanation_table, metric_family, printed
@@ -111,14 +111,14 @@ def steadiness(
     colmap: bool = False,
     out: Path | None = None,
 ) -> None:
-    """Measure how steady videos or depth maps are over time, without any truth, and how sharp, since blur is steady too.
+    """Measure stability and sharpness of videos without a reference.
 
     Args:
-        videos: NAME=PATH of what each method made: a folder of numbered pictures, an .mp4 or .mov, a .npy or .npz.
-        depth: the paths hold depth maps (or disparity, in any unit): .png, .tif, .pfm, .npy, .npz, or a video of grey levels.
-        mask: a picture that is white where the scene stands still, for a camera that stands still; all pixels by default.
-        colmap: also whether COLMAP finds one scene in a video whose camera moves; takes some seconds per video.
-        out: also write the table there, as .md, .csv or .tex.
+        videos: NAME=PATH per method: folder of numbered pictures, .mp4, .mov, .npy or .npz.
+        depth: paths are depth or disparity maps: .png, .tif, .pfm, .npy, .npz or grey video.
+        mask: picture, white in static areas, for a fixed camera; all pixels by default.
+        colmap: also test whether COLMAP registers a video of a moving camera (a few seconds each).
+        out: file for the table: .md, .csv or .tex.
     """
     from ggvs_eval.pipelines.run.import_renders import named_renders
     from ggvs_eval.pipelines.run.steadiness import measure_steadiness

@@ -54,18 +54,18 @@ def prepare(
     engine: Running = HERE,
     dry_run: bool = False,
 ) -> None:
-    """Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page.
+    """Write reference frames, source views and depth of a capture.
 
     Args:
-        run: run folder to make or to go on with.
+        run: run folder to create or resume.
         capture: folder of the capture; its layout is detected.
-        protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
-        fuse: also fuse the first instant into a point cloud and a mesh, RUN/fused/<frame>/{points,mesh}.ply.
-        dense_workspace: also write the first instant's depth as a COLMAP dense workspace into this folder.
-        device: where the network of depth computes (--matcher raft); the run's depth stays on it.
-        reading: how the capture is read.
-        depth: how depth is found.
-        engine: where jobs run.
+        protocol: protocol (.toml or packaged name); fitted to the capture by default.
+        fuse: also fuse the first instant into RUN/fused/<frame>/{points,mesh}.ply.
+        dense_workspace: folder for the first instant's depth as a COLMAP dense workspace.
+        device: device of depth networks (--matcher raft); stored with the run.
+        reading: capture reading.
+        depth: depth estimation.
+        engine: job execution.
         dry_run: print the remaining work, its disk use and estimated time, then exit.
     """
     from ggvs_eval.pipelines.run.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
@@ -92,14 +92,14 @@ def prepare(
 def render(
     run: Run, methods: Labels = USUAL_METHODS, weights: Weights = (), device: Device = "cpu", engine: Running = HERE
 ) -> None:
-    """Synthesise every test view of a prepared run by each method.
+    """Render all test views of a prepared run by each method.
 
     Args:
-        run: run folder that `prepare` has made.
-        methods: which methods, splats:PATH for 3D Gaussians that others have fitted; what is rendered already is left alone.
-        weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
-        device: where networks of methods compute; GPU results can differ from the CPU's by 1/255 per pixel.
-        engine: where jobs run.
+        run: run folder of `prepare`.
+        methods: methods, or splats:PATH for fitted 3D Gaussians; finished renders are kept.
+        weights: METHOD=FILE, the authors' checkpoint of a method without included weights.
+        device: device of networks; GPU results can differ from the CPU's by 1/255 per pixel.
+        engine: job execution.
     """
     from ggvs_eval.pipelines.run.evaluate import render as synthesise
     from ggvs_eval.pipelines.run.evaluate import reopen
@@ -125,25 +125,21 @@ def score(
     reading: CaptureFlags = CAPTURE_DEFAULTS,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Measure all renders of a run, and frames that others rendered, under one protocol.
+    """Score all renders of a run, and your own, under one protocol.
 
     Args:
-        folder: run folder to score; --run says the same.
-        renders: NAME=PATH of your own frames, which become a method of the run: a folder <view>/<frame>.png or
-            <view>_<frame>.jpg, a video or numpy stack per view, renders/ beside gt/ as 3DGS writes them or rgb/ beside gt-rgb/ as
-            nerfstudio does, a run folder, NerfBaselines output, or an archive.
-        capture: what was rendered; makes a run folder of its captured frames where there is none.
-        protocol: a .toml file or a packaged name; the run's own, or the packaged one that fits the capture, by default.
-        run: run folder to make or to go on with; scores/CAPTURE by default.
-        allow_partial: score what there is of incomplete renders; their row is marked.
-        link: take PNG files as links in place of copies: no space, but they must stay where they are.
-        device: where LPIPS, SSIM, TCC, STED and other metrics of many operations compute; a GPU rounds otherwise than the CPU.
-        first_frame: number of the protocol's first frame in the names of your frames (its place, from 0, in videos and arrays);
-            needed where the numbers can be read in two ways.
-        with_truth: score published renders without a capture, against the truth in them: .npz with arrays `renders` and `gts`
-            (T, H, W, 3), one per view. Rows are marked "own truth"; of --protocol the measures alone are taken.
-        reading: how the capture is read.
-        jobs: processes.
+        folder: run folder to score; the same as --run.
+        renders: your frames as a method NAME: folder, videos, arrays, archive or run (docs/guide.md).
+        capture: rendered capture; creates a run folder of its frames if there is none.
+        protocol: protocol (.toml or packaged name); the run's, else fitted to the capture.
+        run: run folder to create or resume; scores/CAPTURE by default.
+        allow_partial: score incomplete renders; their row is marked.
+        link: link PNG files instead of copying them; the originals must stay.
+        device: device of expensive metrics (LPIPS, SSIM, TCC, STED, ...); rounding differs by device.
+        first_frame: number of the protocol's first frame in your file names, if ambiguous.
+        with_truth: score .npz files (`renders`, `gts`, (T, H, W, 3)) against their own reference, without capture.
+        reading: capture reading.
+        jobs: parallel processes, at least 1.
     """
     from ggvs_eval.pipelines.run.import_renders import import_renders, named_renders, run_for
     from ggvs_eval.pipelines.run.own_truth import compare_published, run_with_truth
@@ -186,15 +182,15 @@ def merge(
     copy: bool = False,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
-    """Put run folders of one capture and protocol, made on several machines, into a new one, and make its table.
+    """Merge run folders of one capture and protocol into a new one.
 
-    The runs may differ in their methods and in the views that were rendered; what two of them both have must be the same.
+    The runs can differ in methods and rendered views; shared results must be equal.
 
     Args:
         out: output run folder; written atomically.
-        runs: run folders; they stay as they are.
-        copy: copy files; otherwise they are linked where the file system can.
-        jobs: processes that measure what no run has measured.
+        runs: run folders; unchanged.
+        copy: copy files instead of linking them.
+        jobs: parallel processes for missing scores, at least 1.
     """
     from ggvs_eval.pipelines.run.score import score
     from ggvs_eval.pipelines.sweep.merging.merge import merge_runs
@@ -224,22 +220,20 @@ def run(
     engine: Running = HERE,
     dry_run: bool = False,
 ) -> None:
-    """Run the whole evaluation (prepare, render, score, report); resumes completed steps.
+    """Run the whole evaluation; a second call resumes.
+
+    Steps: prepare, render, score, report.
 
     Args:
-        run: run folder to make or to go on with.
-        capture: folder of the capture; without one the demo rooms that ship are evaluated, each beside the run folder: the
-            main one, also over K, and small ones in the layouts of ENeRF-Outdoor and D3DMV. One page shows them all. With
-            --protocol the main one alone.
-        protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
-        methods: which methods; by default the demo's smallest room has the baselines too. splats:PATH or NAME=splats:PATH renders
-            3D Gaussians that others have fitted: a .ply, a folder with one per frame, an output folder of 3D Gaussian splatting.
-        weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
-        device: where networks compute, of methods and of depth (--matcher raft); on a GPU pixels may differ by a level from those
-            of the CPU.
-        reading: how the capture is read.
-        depth: how depth is found.
-        engine: where jobs run.
+        run: run folder to create or resume.
+        capture: folder of the capture; the included demo captures by default.
+        protocol: protocol (.toml or packaged name); fitted to the capture by default.
+        methods: methods, or [NAME=]splats:PATH for fitted 3D Gaussians (.ply, or a folder of them).
+        weights: METHOD=FILE, the authors' checkpoint of a method without included weights.
+        device: device of networks; GPU results can differ from the CPU's by 1/255 per pixel.
+        reading: capture reading.
+        depth: depth estimation.
+        engine: job execution.
         dry_run: print the remaining work, its disk use and estimated time, then exit.
     """
     from ggvs_eval.pipelines.run.evaluate import measure, report
@@ -280,24 +274,23 @@ def sweep(
     plan: Path | None = None,
     dry_run: bool = False,
 ) -> None:
-    """Evaluate every row of a sweep under each of its variants and print one table of all.
+    """Evaluate the rows of a sweep in each variant, into one table.
 
-    What fails is listed at the end and does not stop the rest; the same call tries it again, and only it.
+    Failures are listed at the end and do not stop the rest; the same command retries only them.
 
     Args:
-        name: a packaged sweep (ablations, ablations_short, baselines, budget, k, offline, online, readings, stream,
-            switches) or a .toml file.
-        out: folder of the sweep; each variant is a run folder in it, of several captures in a folder called like the capture.
-        capture: folder of the capture, or of several, whose means are then shown too; without one the demo that ships.
-        protocol: what the variants start from; by default the packaged one that fits the capture.
-        weights: METHOD=FILE of a method whose weights do not ship; without, its rows are not computed.
-        device: where networks compute, of methods and of depth (--matcher raft); on a GPU pixels may differ by a level from those
-            of the CPU.
-        reading: how the capture is read.
-        depth: how depth is found.
-        engine: where jobs run.
-        shard: i/n, for the i-th of n machines: every n-th view; 0/n prepares for all. A last call without it makes the table.
-        plan: JSON file to write instead of running: the commands of the sweep, and which waits for which.
+        name: packaged sweep (ablations, ablations_short, baselines, budget, k, offline, online, readings, stream, switches) or a
+            .toml file.
+        out: folder of the sweep; one run folder per variant, within a folder per capture if several.
+        capture: one or more captures; the included demo by default.
+        protocol: base protocol of the variants; fitted to the capture by default.
+        weights: METHOD=FILE, the checkpoint of a method without included weights; else its rows are omitted.
+        device: device of networks; GPU results can differ from the CPU's by 1/255 per pixel.
+        reading: capture reading.
+        depth: depth estimation.
+        engine: job execution.
+        shard: i/n, part i of n machines (every n-th view); 0/n prepares for all. Run once more without it.
+        plan: JSON file for the commands of the sweep and their order, instead of running it.
         dry_run: print the remaining work, its disk use and estimated time, then exit.
     """
     from ggvs_eval.jobs.shard import Shard
@@ -336,7 +329,9 @@ def sweep(
 
 
 def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_OR_SWEEP")]) -> None:
-    """Show progress, failures and disk use of a run or sweep, also while it runs.
+    """Show progress, failures and disk use of a run or sweep.
+
+    Works while the run is in progress.
 
     Args:
         folder: run folder, or folder of a sweep.

@@ -134,7 +134,7 @@ def render_page(
     Args:
         groups: runs by protocol; one alone has no heading of its own.
         sweeps: tables and curves over K; they stand first where their runs follow, else behind the groups.
-        folder: where the page will lie, from which it shows frames at full size; None makes a page that loads nothing.
+        folder: where the page will be, from which it shows frames at full size; None makes a page that loads nothing.
 
     Returns:
         The whole page; equal inputs give equal text.
@@ -203,7 +203,7 @@ def _coded(text: str) -> str:
 def run_address(root: Path, folder: Path | None) -> str:
     """A run folder as an address from a page; empty where the page loads nothing, or they lie too far apart.
 
-    A page lies in its run folder, or in that of a run beside it; an address of more would tell of the machine that made it.
+    A page is in its run folder, or in that of a run beside it; an address of more would tell of the machine that made it.
     """
     if folder is None:
         return ""

@@ -49,7 +49,7 @@ class SweepSection:
 
 
 def is_sweep(root: Path) -> bool:
-    """Tell whether a folder holds a sweep and its table, and is not a run itself."""
+    """Return whether a folder holds a sweep and its table, and is not a run itself."""
     return (root / SWEEP_FILE).is_file() and not RunFolder(root).protocol_file.is_file()
 
 

@@ -37,43 +37,37 @@ class DemoOptions:
     """Options of the demo capture; equal ones give equal bytes.
 
     Attributes:
-        layout: of the files, as the data set of that name is distributed; the scene is the same in each.
-        seed: chooses the room, its contents, the rig's small errors and the noise.
-        width: of the images, pixels, even.
-        height: of the images, pixels, even.
+        layout: file layout of the data set of that name; the scene is the same in each.
+        seed: seed of the room, its contents, the rig's small errors and the noise.
+        width: image width, pixels, even.
+        height: image height, pixels, even.
         n_frames: frames per camera; poses of the hand-held camera of rgbd.
-        fps: frames per second.
+        fps: frame rate, frames per second.
         cameras_per_row: cameras in each of the two rows; rgbd has one camera, cam00.
-        noise_sigma_255: standard deviation of the sensor noise of every pixel and frame, of 255 levels; 0 for none.
-        exposure_spread: standard deviation of the gain of each camera; its colour balance varies by half as much; 0 for none.
-        crf: x264's rate factor of the videos.
+        noise_sigma_255: standard deviation of sensor noise per pixel and frame, 0..255; 0: none.
+        exposure_spread: standard deviation of camera gains; half as much for colour balance; 0: none.
+        crf: x264 rate factor of the videos.
         supersampling: rays per pixel along each side.
-        path_poses: positions of the true camera path next to the videos of dynerf and colmap; 0 for no path.
-        depth_stride: frames per exact depth map; 0 for no depth.
-        camera_gain: a fault, camera and factor: its images are so much brighter.
-        frame_offset: a fault, camera and frames: frame t of the camera shows the instant of frame t + offset.
-        calibration_error_px: a fault: cameras are written down with rotations that are wrong by this standard deviation about
-            each axis, in pixels at the image's centre. Images are not touched.
-        focal_error: a fault, camera and factor: its focal length is written down so much longer. Images are not touched.
-        rig: the two rows of DyNeRF's rig, on an arc; as many cameras in one row on a wide arc, as ENeRF-Outdoor's are; or two
-            rows that look almost straight ahead, as D3DMV's do.
-        scene: the living room, or a garden: thin foliage before a far background.
-        spacing: factor on the distances between the cameras of rows and grids.
-        sway: factor on how far the hand-held camera of rgbd looks about.
-        shutter_s: rgbd: how long the hand-held camera exposes each picture while it moves; 0 for no motion blur.
-        defocus_px: radius of the disc into which the lens spreads every point, pixels; 0 for a sharp picture.
-        processing: how strongly each camera makes its own picture of a mosaic of colours: shot noise, denoising and sharpening
-            at 1 as a telephone's; 0 for none of it.
-        jpeg_quality: at which each camera compresses its pictures, 1 to 100; 0 for no compression.
-        vignetting: how much darker the corners of the pictures are than their middle, share of the sRGB values; of a rig's lenses
-            each differs from it by a fifth; 0 for lenses without fall-off.
-        depth_offset_px: rgbd: shift of the depth sensor's picture, pixels of the colour image, in a
-            direction that the seed chooses. What is written down says nothing of it, nor of the next three.
-        depth_rotation_rad: rgbd: the sensor of depth is turned by so much about an axis that the seed chooses.
-        depth_delay_s: rgbd: the sensor of depth measures so long before the colour camera.
-        depth_noise: rgbd: standard deviation of measured depth at 1 m, metres; it grows with the square of depth, as of sensors
-            that triangulate. Depth at edges is lost with it.
-        noise_seed: another value films the same room again: the noise of every sensor is another, all else is as it was.
+        path_poses: poses of the true camera path next to the videos of dynerf and colmap; 0: none.
+        depth_stride: frames per exact depth map; 0: no depth.
+        camera_gain: fault: camera and brightness factor.
+        frame_offset: fault: camera and offset; its frame t shows instant t + offset.
+        calibration_error_px: fault: standard deviation of rotation errors, pixels at the image centre.
+        focal_error: fault: camera and factor on its recorded focal length.
+        rig: rows: DyNeRF's two rows on an arc; arc: one wide row (ENeRF-Outdoor); grid: two rows (D3DMV).
+        scene: living room, or garden with thin foliage.
+        spacing: factor on the camera distances of rows and grids.
+        sway: factor on the rotation of rgbd's hand-held camera.
+        shutter_s: rgbd: exposure time of the hand-held camera, seconds; 0: no motion blur.
+        defocus_px: radius of the circle of confusion, pixels; 0: sharp.
+        processing: strength of camera processing (shot noise, denoising, sharpening); 0: none, 1: a phone.
+        jpeg_quality: JPEG quality of the cameras' pictures, 1..100; 0: no compression.
+        vignetting: darkening of corners, share of sRGB values; lenses of a rig vary by a fifth; 0: none.
+        depth_offset_px: rgbd: unrecorded shift of the depth sensor, colour pixels, in a random direction.
+        depth_rotation_rad: rgbd: unrecorded rotation of the depth sensor, radians, about a random axis.
+        depth_delay_s: rgbd: unrecorded lead of the depth sensor over the colour camera, seconds.
+        depth_noise: rgbd: standard deviation of depth at 1 m, metres; grows with squared depth, blurs edges.
+        noise_seed: seed of sensor noise alone, for another take of the same room.
     """
 
     layout: LayoutName = "dynerf"

@@ -105,8 +105,8 @@ class CaptureCheck:
 def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = None, workers: int = 1) -> CaptureCheck:
     """Find what would spoil results on a capture.
 
-    Every frame is decoded once. A capture that does not open gives one bad finding, and what frames alone tell; a frame that
-    cannot be read is a finding too, and the other cameras go on.
+    Every frame is decoded once. A capture that does not open gives one bad finding, and the findings of its frames; a frame that
+    cannot be read is a finding too, and the other cameras continue.
     """
     start = time.perf_counter()
     try:
@@ -131,7 +131,7 @@ def run_check(
     units: GivenUnits = None,
     workers: int = 1,
 ) -> tuple[CaptureCheck, str]:
-    """Check a capture and write the outcome beside; nothing is printed.
+    """Check a capture and write the outcome; nothing is printed.
 
     Args:
         out_json: file to write the findings to; none when None.
@@ -214,7 +214,7 @@ def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...
 
 def _examine_unopened(path: Path, message: str, workers: int) -> tuple[Finding, ...]:
     """Report why a capture does not open, and findings on its frames where there are some."""
-    found: tuple[Finding, ...] = (Finding(RIG, OPENS, "bad", message, {}, "mend this first"),)
+    found: tuple[Finding, ...] = (Finding(RIG, OPENS, "bad", message, {}, "fix this first"),)
     try:
         filmed = uncalibrated_capture(path, find_rig_frames(path))
         found += examine_frames(filmed, record_cameras(filmed, workers))
@@ -259,7 +259,7 @@ def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding,
 def _guessed(capture: Capture, depth: float, spacing: float, values: dict[str, object]) -> Finding:
     """Return the finding in world units, for a capture of which nothing is known in metres."""
     near, far = min(camera.near for camera in capture.cameras), max(camera.far for camera in capture.cameras)
-    measured = f"metres are not known; in world units the scene lies within {near:.3g} .. {far:.3g}, {depth:.3g} at the median"
+    measured = f"metres are not known; in world units the scene is within {near:.3g} .. {far:.3g}, {depth:.3g} at the median"
     if np.isfinite(spacing):
         values["spacing_units"] = round(spacing, 4)
         measured += f", neighbours {spacing:.3g} apart"

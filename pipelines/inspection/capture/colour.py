@@ -28,7 +28,7 @@ WARN_GAIN, BAD_GAIN = 0.04, 0.25
 # Outside, clipping and black levels make a gain look smaller than it is.
 DARKEST, BRIGHTEST = 20.0, 235.0
 FEWEST_COLOURS = 15
-# Half widths of intervals are so many standard errors; what the codec does to a median of colours is never known better.
+# Half widths of intervals, in standard errors; the codec's effect on a median of colours is not known better.
 SIGMAS, LEAST_SIGMA = 3.0, 0.001
 PARTS_PER_SIDE, FEWEST_IN_PART, FEWEST_PARTS = 4, 3, 4
 # Above 5 levels PSNR against a perfect image is below 34 dB; twice the rig's own noise points at one sensor.
@@ -192,7 +192,7 @@ def propose_corrections(findings: Iterable[Finding], present: Mapping[str, Corre
         All corrections, by camera; `present` where there is nothing to add.
 
     Reading:
-        Half a frame and less cannot be mended by a shift, nor can an offset that changes within the clip. Of gains only those
+        Half a frame and less cannot be corrected by a shift, nor can an offset that changes within the clip. Of gains only those
         parts are written whose interval excludes 1, and none of a camera that the check does not warn of, or whose gain drifts.
     """
     corrections, findings = dict(present), list(findings)

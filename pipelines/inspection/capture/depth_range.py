@@ -1,6 +1,6 @@
 """Depth of the views: near and far of each camera, how much of its picture neighbours see too, registration of sensor depth.
 
-Near and far are held against the distance of the neighbours and the depths that matches show; the registration of sensor depth
+Near and far are checked against the distance of the neighbours and the depths that matches show; the registration of sensor depth
 with its colour is the displacement of its edges in pixels, and its scale.
 """
 
@@ -20,7 +20,7 @@ from ggvs_eval.pipelines.offline.sensor.registration import Registration
 from ggvs_eval.pipelines.offline.sensor.registration_estimate import Displacement
 
 DEPTH_QUESTION = "depth range"
-# Share of matched points that may lie outside near .. far; percentiles of the scene leave out a few by definition.
+# Share of matched points that may be outside near .. far; percentiles of the scene leave out a few by definition.
 WARN_OUTSIDE, BAD_OUTSIDE = 0.15, 0.5
 # Neighbours between a thousandth of the depth (no parallax) and the depth itself (nothing in common).
 LEAST_BASELINE, LARGEST_BASELINE = 1e-3, 1.5
@@ -31,11 +31,11 @@ SOURCES = 4  # views that the method blends
 LEAST_SHARE, LEAST_VIEWS = 0.4, 2
 GRID, DEPTHS = 24, 5
 REGISTRATION_QUESTION = "depth registration"
-# Of images 480 pixels wide: a pixel beside an edge takes the other surface's colour along; three show at arm's length.
+# Of images 480 pixels wide: a pixel next to an edge mixes in the other surface's colour; three show at arm's length.
 WARN_PX, BAD_PX = 1.0, 3.0
 # A scale error of 1 % moves a neighbour 5 % of the depth away by a quarter of a pixel at 480 pixels.
 WARN_SCALE, BAD_SCALE = 0.01, 0.03
-# What single frames want beside the common registration: poses, blur, or a rolling shutter.
+# Registration of single frames in addition to the common one: poses, blur, or a rolling shutter.
 WARN_FRAME_PX = 2.0
 
 
@@ -144,7 +144,7 @@ def seen_share(camera: Camera, cameras: Sequence[Camera]) -> float:
 
 
 def check_depth_registration(capture: Capture) -> tuple[Finding, ...]:
-    """Measure how far sensor depth lies off its colour; no finding for captures without sensor depth."""
+    """Measure the misregistration of sensor depth and colour; no finding for captures without sensor depth."""
     if not any(extras.depth is not None for extras in capture.extras):
         return ()
     if not is_sequence(capture):
@@ -198,11 +198,11 @@ def _evaluate_registration(measured: Displacement, width_px: int) -> Finding:
 def _advice(measured: Displacement, width_px: int) -> str:
     if measured.applied != Registration():
         return (
-            f"--registration estimated mends it ({measured.applied.describe(width_px)}): warped neighbours "
+            f"--registration estimated corrects it ({measured.applied.describe(width_px)}): warped neighbours "
             f"{measured.psnr_db[1]:.2f} dB; or register the depth maps to the colour camera"
         )
     if measured.frame_px > WARN_FRAME_PX:
-        return "no common registration mends it: poses, motion blur or the sensor's delay differ from frame to frame"
+        return "no common registration corrects it: poses, motion blur or the sensor's delay differ from frame to frame"
     return ""
 
 

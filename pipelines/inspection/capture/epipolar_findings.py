@@ -29,11 +29,11 @@ FINE_STEPS = np.linspace(-0.01, 0.01, 9)
 REMAINING_SHARE = 0.5
 # A fault that all share is half absorbed by the others' same fault, so it is looked for below the tolerance too.
 LEAST_SHARE_OF_TOLERANCE = 0.25
-# Plenty to tell a fault that all share, and one that a single camera has.
+# Enough to distinguish a fault that all share from that of a single camera.
 MOST_PAIRS, MOST_OWN_PAIRS = 80, 10
 Change = Callable[[Camera], Camera]
 QUESTION = "epipolar error"
-# Bounds for sequences that give each of hundreds of pictures a camera of its own.
+# Bounds for sequences that give each of hundreds of pictures a separate camera.
 MOST_JUDGES, MOST_EXPLAINED = 24, 8
 GROSS_FOCAL = 0.03
 REFINE = "refine the poses (calibrate RIG NEW --known-poses RIG --refine)"
@@ -318,7 +318,7 @@ def _evaluate(
         "n_pairs": len(own),
         "n_matches": sum(len(pair.uv_first) for pair in own),
     }
-    shown = f"{error_px:.2f} px" if np.isfinite(error_px) else "matches lie behind the camera"
+    shown = f"{error_px:.2f} px" if np.isfinite(error_px) else "matches are behind the camera"
     repair, verdict = repairs.get(index), graded(error_px, *tolerances(cameras[index]))
     if index not in repairs:
         return Finding(name, QUESTION, verdict, shown, values, "" if verdict == "ok" else RECALIBRATE)

@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 FRAMES, FROZEN = "frames", "frozen frames"
 # A repeated frame differs from its twin by the codec's rounding only; a real one by noise and motion.
 STILL_SHARE = 0.1
-# Below, the picture stands still anyway and nothing can be concluded.
+# Below, the picture is static anyway and nothing can be concluded.
 LEAST_CHANGE = 1.0
 # The other cameras must show at least this share of their usual change at that instant.
 MOVING_SHARE = 0.3
@@ -40,7 +40,7 @@ def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Fin
         values["outside"] = {name: str(path) for name, path in outside.items()}
         name, path = next(iter(outside.items()))
         more = f" and of {len(outside) - 1} more" * (len(outside) > 1)
-        measured += f"; frames of {name}{more} lie outside the capture's folder, in {path}"
+        measured += f"; frames of {name}{more} are outside the capture's folder, in {path}"
     advice = ["make sure that these files are meant; a capture that is moved loses them"] if outside else []
     if hdr := hdr_transfers(capture):
         values["transfer"] = hdr
@@ -60,7 +60,7 @@ def hdr_transfers(capture: Capture) -> dict[str, str]:
 
 
 def frames_outside(capture: Capture) -> dict[str, Path]:
-    """Cameras whose frames do not lie in the capture's folder, and where they do; links are followed."""
+    """Cameras whose frames are outside the capture's folder, and their place; links are followed."""
     root = capture.path.resolve()
     root = root.parent if root.is_file() else root
     outside = {}

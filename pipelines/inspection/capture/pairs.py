@@ -23,7 +23,7 @@ ITERATIONS = 30
 SMALLEST_RESIDUAL = 1e-3
 # Baseline as a share of the depth below which the direction from one camera to the other is mostly noise.
 LEAST_BASELINE = 0.005
-# The same scene lies in front of all cameras; matches behind one mean that its pose is turned away.
+# The same scene is in front of all cameras; matches behind one mean that its pose is turned away.
 FRONT_SHARE = 0.5
 
 
@@ -123,7 +123,7 @@ class PairError:
 
     Attributes:
         percentile90_px: 90th percentile of it.
-        front_share: share of the matches that lie in front of both cameras.
+        front_share: share of the matches that are in front of both cameras.
     """
 
     first: int
@@ -135,7 +135,7 @@ class PairError:
 
 
 def has_parallax(one: Camera, other: Camera) -> bool:
-    """Tell whether two cameras stand far enough apart for their epipolar lines to mean anything."""
+    """Return whether two cameras are far enough apart for meaningful epipolar lines."""
     depth = min(np.sqrt(camera.near * camera.far) for camera in (one, other))
     return float(np.linalg.norm(one.centre - other.centre)) > LEAST_BASELINE * depth
 
@@ -154,7 +154,7 @@ def pair_error(cameras: Sequence[Camera], pair: MatchedPair) -> PairError:
 
 
 def is_wrong(cameras: Sequence[Camera], error: PairError) -> bool:
-    """Tell whether a pair contradicts the calibration."""
+    """Return whether a pair contradicts the calibration."""
     tolerance_px = max(tolerances(cameras[index])[0] for index in (error.first, error.second))
     return error.median_px > tolerance_px or error.front_share < FRONT_SHARE
 

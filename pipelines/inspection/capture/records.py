@@ -1,4 +1,4 @@
-"""Record of one pass over a camera's frames, gathered frame by frame; it is bounded in size, whatever the capture's length.
+"""Record of one pass over a camera's frames, gathered frame by frame; it is bounded in size, regardless of the capture's length.
 
 The questions of the check are answered from these records alone. Frames can be added as they are written, so that a record of
 what is there so far can be had at any time.
@@ -20,19 +20,19 @@ from ggvs_eval.geometry.epipolar import Features, find_features
 # Still fine enough to see an arm move, small enough to cost less than decoding.
 LONGEST_SIDE_PX = 480
 CELLS_PER_SIDE = 16
-# Motion is measured on small pictures and kept in cells, of the first and the last so many frames.
+# Motion is measured on small pictures and kept in cells, of the first and the last N frames.
 MOTION_LONGEST_SIDE_PX, ENERGY_LONGEST_SIDE_PX, TIMED_FRAMES = 240, 80, 384
-# Differences below so many times the usual one of that frame are noise, or the pulse of a codec's key frames.
+# Differences below this multiple of the usual one of that frame are noise, or the pulse of a codec's key frames.
 NOISE_FACTOR, LEAST_LEVELS = 4.0, 1.0
 SMOOTHING_SIGMA = 1.0
 # Pixels looked at singly for noise: averaging would hide it.
 NOISE_SAMPLES_PER_SIDE = 200
-# After damage, reading goes on 1, 2, 4, ... frames later, this often at most.
+# After damage, reading continues 1, 2, 4, ... frames later, this often at most.
 RESTARTS = 6
 # Corners followed from the first frame on, and how many of them must agree on one motion of the picture.
 MOST_CORNERS, CORNER_QUALITY, CORNER_SPACING_PX = 240, 0.01, 8
 CORNER_PX, LEAST_SHARE, FEWEST_CORNERS = 1.0, 0.35, 12
-# Local mean and contrast are taken out over so many pixels before corners are followed: lamps fade.
+# Local mean and contrast are removed over N pixels before corners are followed: lamps fade.
 CONTRAST_PX, LEAST_CONTRAST = 21, 4.0
 # Instants of which the colours around the first frame's features are kept; the blur is of a picture of LONGEST_SIDE_PX.
 MOST_COLOURS, COLOUR_SIGMA = 48, 1.2
@@ -188,7 +188,7 @@ class _Followed:
 
     Reading:
         One similarity of the whole picture is fitted to the corners by RANSAC. What moves in the scene disagrees with what
-        stands, and is in the minority where a camera films a place and not a crowd.
+        is fixed, and is in the minority where a camera films a place and not a crowd.
     """
 
     def __init__(self, small: Image8, colour: Image8, places: Array) -> None:
@@ -312,7 +312,7 @@ def difference_sigma(counts: NDArray[np.int64]) -> float:
     total = counts.sum()
     if not total:
         return float("nan")
-    upto = np.cumsum(counts) / total  # a difference of k stands for all up to k + 1/2
+    upto = np.cumsum(counts) / total  # a difference of k represents all up to k + 1/2
     edges = np.arange(len(counts)) + 0.5
     median = float(np.interp(0.5, np.concatenate([[0.0], upto]), np.concatenate([[0.0], edges])))
     return median / 0.6745 / np.sqrt(2)
@@ -340,6 +340,6 @@ def grey_of(image: Image8) -> Image8:
 
 
 def _sparse(image: Image8) -> Image8:
-    """Every so many pixels of the green channel, not averaged."""
+    """Every Nth pixel of the green channel, not averaged."""
     step = max(min(image.shape[:2]) // NOISE_SAMPLES_PER_SIDE, 1)
     return np.ascontiguousarray(image[::step, ::step, 1])

@@ -1,4 +1,4 @@
-"""Cameras that do not stand still: whether one moved, by how much and when."""
+"""Movement of fixed cameras: whether one moved, by how much and when."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -61,7 +61,7 @@ def _evaluate(camera: Camera, record: CameraRecord, fps: float) -> Finding:
     if lost := _lost(camera, record, frames):
         return lost
     if len(frames) < max(2, record.n_read / 2):
-        return Finding(camera.name, QUESTION, "unknown", "too little of the picture stands still")
+        return Finding(camera.name, QUESTION, "unknown", "too little of the picture is static")
     series = median_filter(shifts[frames], size=(min(3, len(frames)), 1), mode="nearest")
     sizes = np.linalg.norm(series, axis=1)
     farthest = int(sizes.argmax())

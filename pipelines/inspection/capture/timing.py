@@ -1,7 +1,7 @@
 """Time offset of each camera against the rig, by the motion that two views see alike without matching.
 
-Every point of the scene lies in one half-plane that is bounded by the line through the two centres, and both cameras see it in
-that same half-plane, whatever its depth. So the motion within each half-plane rises and falls in both at the same instants (the
+Every point of the scene is in one half-plane that is bounded by the line through the two centres, and both cameras see it in
+that same half-plane, regardless of its depth. So the motion within each half-plane rises and falls in both at the same instants (the
 idea of motion barcodes, Ben-Artzi et al. 2016, with energies in place of bits).
 """
 
@@ -23,7 +23,7 @@ from ggvs_eval.pipelines.inspection.capture.stillness import describe_when
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict, graded
 
 PLANES = 48
-# Share of pixels at the rims that may lie outside the planes compared.
+# Share of pixels at the rims that may be outside the planes compared.
 RIM_SHARE = 0.02
 QUESTION = "time offset"
 LARGEST_LAG = 8
@@ -60,7 +60,7 @@ class Lag:
         frames: lag of the best agreement, with a fraction.
         correlation: at that lag, 1 for equal signals.
         margin: how much better that is than the best lag two or more frames away.
-        at_edge: the best lag is the largest that was tried, so the true one may lie beyond.
+        at_edge: the best lag is the largest that was tried, so the true one may be beyond.
     """
 
     frames: float
@@ -92,7 +92,7 @@ def plane_signals(one: Camera, other: Camera, energy_one: Array32, energy_other:
 
 
 def plane_angles(one: Camera, other: Camera) -> tuple[Array, Array]:
-    """Angle about the line through both centres of the half-plane that each pixel's ray lies in, radians, (H, W) each."""
+    """Angle about the line through both centres of the half-plane that each pixel's ray is in, radians, (H, W) each."""
     baseline = other.centre - one.centre
     baseline /= np.linalg.norm(baseline)
     forward = one.axis + other.axis
@@ -259,7 +259,7 @@ def measure_lags(signals: Signals) -> Lags:
 
 
 def _supported(count: int, lags: Lags) -> Lags:
-    """Lags of cameras that enough others vouch for; one that hangs on a single pair vouches for nobody."""
+    """Lags of cameras that enough others confirm; one that depends on a single pair confirms no other."""
     least = min(FEWEST_PAIRS, count - 1)
     while True:
         own = {index: sum(index in pair for pair in lags) for index in range(count)}
@@ -467,7 +467,7 @@ def _evaluate(name: str, index: int, offsets: Array, lags: Lags, steps: Sequence
 
 
 def whole_shift(values: Mapping[str, Any]) -> int:
-    """Frames by which a camera can be shifted into step; 0 where its offset does not lie beyond half a frame for certain.
+    """Frames by which a camera can be shifted into step; 0 where its offset is not certainly beyond half a frame.
 
     Args:
         values: of a finding on the time offset.

@@ -1,6 +1,6 @@
 """Health of a rig while it films: folders of images or videos that grow, checked anew every few seconds.
 
-What `check` asks of a finished capture is asked of the frames so far: does each camera stand still, is it in step, has it lost or
+The checks of `check` are applied to the frames so far: is each camera static, is it in step, has it lost or
 frozen frames, does its colour drift. What needs poses is answered where the folder has them.
 """
 
@@ -166,7 +166,7 @@ def watch(
         rig: capture of the same cameras with poses.
         page: HTML file that is written anew each round and refreshes itself in a browser.
         as_json: all cameras of every round as one JSON object each, in place of sentences.
-        rounds: to stop after; 0 goes on until it is interrupted.
+        rounds: to stop after; 0 continues until it is interrupted.
         clock: seconds since 1970.
     """
     watched, number = Watch(path, rig), 0

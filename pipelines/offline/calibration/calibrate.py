@@ -36,7 +36,7 @@ from ggvs_eval.run_folder import write_json
 
 LOG = "calibration.log"
 WORKER = "ggvs_eval.pipelines.offline.calibration.calibration_worker"
-# Lines of COLMAP's log that stand for one more image whose features, or whose pose, have been found.
+# Lines of COLMAP's log that represent one more image whose features, or whose pose, have been found.
 PROGRESS = re.compile(r"Processed file \[|Registering image #")
 CameraModel = Literal["PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV"]
 RECORD = "calibration.json"
@@ -49,22 +49,17 @@ class CalibrationOptions:
     """Options of a calibration.
 
     Attributes:
-        frame: the instant, from 0.
-        camera_model: of the lenses: PINHOLE and SIMPLE_PINHOLE for undistorted frames, SIMPLE_RADIAL and OPENCV for raw ones,
-            which are then undistorted whenever the result is read. Known lenses bring their own.
-        shared_intrinsics: one lens for all cameras, which must then have one size; more exact where all are of one make and
-            setting (flame_steak: rotations within 0.04 degrees of the given ones, 0.32 with a lens each). Otherwise lenses begin
-            as one for all cameras of one size and are then adjusted one by one.
-        own_lens: cameras that do not share: of another zoom than the others, as a calibration without this option reports them.
-        known_intrinsics: ``intrinsics.toml``, ``capture.toml``, a COLMAP model, a calibration of Qualisys, anipose, freemocap or
-            OpenCV, or a capture whose lenses are kept fixed.
-        known_poses: any of these that has poses; lenses and poses are kept fixed and points triangulated.
-        refine: known poses are nearly right: poses, focal lengths and principal points move to where the features are, camera by
-            camera; the world, its scale and the lenses' distortion stay.
-        allow_missing: go on without cameras that cannot be registered.
-        max_features: SIFT features per image.
-        max_image_size_px: larger images are reduced to this for finding features.
-        seed: of every random choice.
+        frame: instant to calibrate from, from 0.
+        camera_model: lens model; SIMPLE_RADIAL and OPENCV for raw frames, which are then undistorted on reading.
+        shared_intrinsics: one lens for all cameras of one size; more accurate for equal cameras and settings.
+        own_lens: cameras that do not share the lens (another zoom).
+        known_intrinsics: file or capture with fixed lenses: TOML, COLMAP, Qualisys, anipose, freemocap or OpenCV.
+        known_poses: one of these with poses; lenses and poses stay fixed, points are triangulated.
+        refine: adjust approximate known poses, focal lengths and principal points; scale and distortion stay.
+        allow_missing: continue without cameras that cannot be registered.
+        max_features: maximum number of SIFT features per image.
+        max_image_size_px: maximum image side for features, pixels; larger images are reduced.
+        seed: seed of random choices.
     """
 
     frame: int = 0
@@ -280,9 +275,9 @@ def _unregistered(folder: Path, missing: Mapping[str, str], n_cameras: int, log:
     """The error of a model that lacks cameras; leaving them out is offered only where two others remain."""
     listed = ", ".join(f"{name} ({reason})" for name, reason in missing.items())
     mend = "give these cameras more texture, light or overlap with others, another frame, or known intrinsics"
-    mend += "" if n_cameras - len(missing) < 2 else ", or go on without them (--allow-missing)"
+    mend += "" if n_cameras - len(missing) < 2 else ", or continue without them (--allow-missing)"
     if known_poses is not None and find_calibration_files(known_poses):
-        mend += f", or put {known_poses.name} beside the frames, which makes a capture of them as it stands"
+        mend += f", or put {known_poses.name} next to the frames, which makes a capture of them as it stands"
     return CaptureError(f"{folder}: wanted a pose of all {n_cameras} cameras, found none of {listed}; {mend}; log: {log}")
 
 
@@ -407,7 +402,7 @@ def describe_known(path: Path, known_cameras: Mapping[str, KnownCamera], *, with
 
 
 def _steps(output: "IO[str] | tuple[str, ...]", log: IO[str], most: int) -> Iterator[None]:
-    """Copy the child's output into the log; yields, at most so many times, as it goes on."""
+    """Copy the child's output into the log; yields, at most so many times, as it continues."""
     count = 0
     for line in output:
         log.write(line)

@@ -1,4 +1,4 @@
-"""Calibrates the images of one instant with pycolmap, in a process of its own: pycolmap breaks the writing of PNG files.
+"""Calibrates the images of one instant with pycolmap, in a separate process: pycolmap breaks the writing of PNG files.
 
 With every lens free from the start, the mapper can settle far from the truth and still register every camera below a pixel or so
 (seen on flame_steak: focal lengths wrong by a factor of three). Runs in the process of `calibration_worker` alone.

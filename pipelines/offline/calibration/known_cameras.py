@@ -72,7 +72,7 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
         sizes: (width, height) of each camera's frames, for files that do not say for which they are.
 
     Reading:
-        Lenses are those of the frames as they lie on disk: of a capture that is undistorted as it is read, the distorting ones.
+        Lenses are those of the frames as they are on disk: of a capture that is undistorted as it is read, the distorting ones.
         Cameras are called as their frames are, however the umlauts of the file's names are written.
     """
     spelled = {same_name(name): name for name in sizes or {}}
@@ -103,7 +103,7 @@ def write_intrinsics(path: Path, lenses: Mapping[str, Lens]) -> None:
     Args:
         lenses: by camera name; their coefficients are not written.
     """
-    lines = ["# Pinhole intrinsics in pixels, pixel centres at halves (column i lies at u = i + 0.5)."]
+    lines = ["# Pinhole intrinsics in pixels, pixel centres at halves (column i is at u = i + 0.5)."]
     for name, lens in lenses.items():
         rows = ", ".join("[" + ", ".join(f"{float(value)!r}" for value in row) + "]" for row in lens.K)
         quoted = name.replace("\\", "\\\\").replace('"', '\\"')

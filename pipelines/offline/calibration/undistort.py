@@ -161,8 +161,8 @@ class UndistortOptions:
     """Options of writing undistorted frames.
 
     Attributes:
-        lossless: PNG folders instead of videos.
-        crf: x264's rate factor of the videos; 8 loses less than resampling does.
+        lossless: write PNG folders instead of videos.
+        crf: x264 rate factor of the videos, 0..51; at 8 the loss is below that of resampling.
     """
 
     lossless: bool = False
@@ -171,7 +171,7 @@ class UndistortOptions:
     def __post_init__(self) -> None:
         """Refuse a rate factor that x264 does not know."""
         if not 0 <= self.crf <= 51:
-            raise CaptureError(f"undistort: the rate factor must lie in 0..51, got {self.crf:g}")
+            raise CaptureError(f"undistort: the rate factor must be in 0..51, got {self.crf:g}")
 
 
 @dataclass(frozen=True)

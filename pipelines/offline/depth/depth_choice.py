@@ -59,17 +59,14 @@ def find_matcher(name: str, device: str = "cpu", *, dense: bool = False) -> Ster
 
 @dataclass(frozen=True)
 class DepthRunOptions:
-    """Options of depth estimation, as the command line takes them and a run folder keeps them.
+    """Options of depth estimation on the command line and in a run folder.
 
     Attributes:
-        matcher: sgbm, live (images of at most 928 pixels, for play and view), sweep, raft (compact, ships with the package),
-            raft:CHECKPOINT or itermvs:CHECKPOINT; sgbm+itermvs:CHECKPOINT or sgbm+raft takes the network where sgbm is not
-            confirmed.
-        stereo_weights: a checkpoint of RAFT-Stereo's authors, e.g. raftstereo-middlebury.pth; the same as raft:CHECKPOINT.
-        sensor: take the depth that a sensor measured where the capture has it (RGB-D), filtered, instead of stereo.
-        registration: estimated: align sensor depth with its colour where the images of a sequence show that it is clearly off;
-            given: leave it as it is.
-        reuse_static: compute depth again only where the picture changes, everything again every 16 instants.
+        matcher: sgbm, live, sweep, raft[:FILE], itermvs:FILE; sgbm+raft or sgbm+itermvs:FILE fill gaps of sgbm.
+        stereo_weights: checkpoint of RAFT-Stereo's authors; the same as --matcher raft:FILE.
+        sensor: filtered depth of a sensor instead of stereo, if the capture has it (RGB-D).
+        registration: estimated: align sensor depth with colour, if clearly off; given: leave it.
+        reuse_static: recompute depth only where the picture changes, and all every 16 instants.
     """
 
     matcher: str = field(default_factory=default_matcher)
