@@ -34,7 +34,7 @@ def tables_of_runs(roots: Sequence[Path], columns: Sequence[str], to: TableForma
     groups = runs_by_protocol(roots, read_scores)
     if len(groups) > 1:
         called = ", ".join(f"{runs[0].protocol.name} ({runs[0].protocol.sha256[:HASH_DIGITS]})" for runs in groups)
-        raise ResultsError(f"wanted runs of one protocol, got {called}; values of different protocols share no table")
+        raise ResultsError(f"wanted runs of one protocol, got {called}; values of different protocols cannot share a table")
     (runs,) = groups
     protocol, results = runs[0].protocol, merge_results([run.results for run in runs])
     names = list(dict.fromkeys(columns or protocol.measurement.metrics))

@@ -68,7 +68,7 @@ def only_methods(run: MeasuredRun, labels: Sequence[str]) -> MeasuredRun:
     unknown = [label for label in labels if label not in run.pictured]
     if unknown:
         known = ", ".join(run.pictured)
-        raise ResultsError(f"{run.folder.root}: no whole renders of {', '.join(map(repr, unknown))}; use one of {known}")
+        raise ResultsError(f"{run.folder.root}: no complete renders of {', '.join(map(repr, unknown))}; use one of {known}")
     return replace(run, labels=tuple(dict.fromkeys(labels))) if labels else run
 
 

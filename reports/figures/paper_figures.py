@@ -82,7 +82,7 @@ def write_figure(
         ResultsError: as of the single figures, or no boxes.
     """
     if boxes < 1:
-        raise ResultsError(f"wanted at least one box, got {boxes}")
+        raise ResultsError(f"--boxes: wanted at least 1, got {boxes}")
     if kind == "video":
         return (
             write_side_by_side(only_methods(read_run(folder), methods), out if out.suffix else out.with_suffix(".mp4"), view),
@@ -100,13 +100,13 @@ def write_figure(
     if not run.pictured:
         why = "; ".join(f"{label} {reason}" for label, reason in run.results.set_aside.items())
         raise ResultsError(
-            f"{run.folder.root}: no method has every frame, and only such are shown: {why}; render what is missing"
+            f"{run.folder.root}: wanted a method with every frame, got none: {why}; render the missing frames"
         )
     label = method or run.ours_first[0]
     if kind == "failures":
         return draw_failures(run, files, label, boxes, look)
     if squares:
-        return draw_crops(run, files, given_regions(run, squares, view, frame), "chosen by eye", look, scores)
+        return draw_crops(run, files, given_regions(run, squares, view, frame), "chosen manually", look, scores)
     regions = find_regions(run, rule, label, boxes, view=view, frame=frame)
     return draw_crops(run, files, regions, RULES[rule].format(name=run.name(label)), look, scores)
 

@@ -218,6 +218,6 @@ def _check_place(run: MeasuredRun, view: str, frame: int) -> None:
 def _check(run: MeasuredRun, rule: Rule, label: str, views: Sequence[str], frames: Sequence[int]) -> None:
     _check_place(run, views[0], frames[0])
     if label not in run.pictured:
-        raise ResultsError(f"{run.folder.root}: no whole renders of {label!r}; use one of {', '.join(run.pictured)}")
+        raise ResultsError(f"{run.folder.root}: no complete renders of {label!r}; use one of {', '.join(run.pictured)}")
     if rule == "different" and len(run.pictured) < 2:
-        raise ResultsError(f"{run.folder.root}: one method alone differs from none; use --rule worst")
+        raise ResultsError(f"{run.folder.root}: wanted at least two methods, got one; use --rule worst")

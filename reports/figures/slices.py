@@ -30,8 +30,8 @@ BREAK_WIDTH = 9  # columns that one is averaged over
 BREAK_APART = 24  # columns between two at one time
 BREAK_LEAST = 8.0  # levels of 255; noise and codec stay below it
 BREAK_TIMES = 4.0  # times the median of the strip
-NO_PATH = "Imported frames have none; `ggvs-eval figure time` cuts over time, and `ggvs-eval run` renders a path"
-NO_TRUTH = "no truth on a virtual path"
+NO_PATH = "Imported renders have no path; use `ggvs-eval figure time`, or render a path by `ggvs-eval run`"
+NO_TRUTH = "no reference on a virtual path"
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
         return None
     middle = {label: read_image(frame_path(folder, n_poses // 2)) for label, folder in folders.items()}
     of_truth = "truth" in folders
-    chosen_by = f"the strongest horizontal gradients in the middle pose of {'the truth' if of_truth else 'all methods together'}"
+    chosen_by = f"the strongest horizontal gradients in the middle pose of {'the reference' if of_truth else 'all methods together'}"
     row, chosen_by = _choose_row(
         row, folders, range(n_poses), lambda: most_textured_row([middle["truth"]] if of_truth else middle.values()), chosen_by
     )
@@ -252,7 +252,7 @@ def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
         folders,
         run.frames,
         lambda: most_changing_row(folders["truth"], run.frames),
-        "the largest change of the truth from frame to frame",
+        "the largest change of the reference from frame to frame",
     )
     strips = _with_breaks(
         [Strip(label, run.name(label), temporal_slice(folder, run.frames, row)) for label, folder in folders.items()]
@@ -267,7 +267,7 @@ def _choose_row(
 ) -> tuple[int, str]:
     """The row, and who chose it in words: anyone who asked for one, the methods' differences, or else a rule on the pictures."""
     if asked is not None:
-        return asked, "asked for"
+        return asked, "given"
     if (row := most_different_row(folders, indices)) is not None:
         return row, "where the methods differ most"
     return otherwise(), words

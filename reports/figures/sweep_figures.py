@@ -244,7 +244,7 @@ def draw_rates(panels: Sequence[RatePanel], out: Path, numbers: Mapping[str, int
             for mark in family.marks:
                 axes.plot([mark.per_second] * 2, [mark.seen, mark.waited], color=colour, linewidth=0.5, alpha=0.5)
         unit = f" ({panel.axes.unit})" if panel.axes.unit else ""
-        axes.set_ylabel(f"{panel.axes.metric}{unit} on the screen", fontsize=7)
+        axes.set_ylabel(f"{panel.axes.metric}{unit} as displayed", fontsize=7)
         axes.set_xlabel("pictures per second", fontsize=7)
         texts = [text for _, text in panel.rate_ticks()]
         axes.set_xticks([float(text) for text in texts], texts)

@@ -132,8 +132,8 @@ def render_page(
     """Fill the templates.
 
     Args:
-        groups: runs by protocol; one alone has no heading of its own.
-        sweeps: tables and curves over K; they stand first where their runs follow, else behind the groups.
+        groups: runs by protocol; a single one has no heading.
+        sweeps: tables and curves over K; first where their runs follow, else after the groups.
         folder: where the page will be, from which it shows frames at full size; None makes a page that loads nothing.
 
     Returns:
@@ -174,7 +174,7 @@ def render_page(
 
 
 def page_numbers(groups: Sequence[RunGroup], sweeps: Sequence[SweepSection]) -> dict[str, int]:
-    """Number of each method of a page by its name, the same on all tabs and in the figures beside the page."""
+    """Number of each method of a page by its name, the same on all tabs and in the figures next to the page."""
     sections = [section for group in groups for section in group.sections]
     rates = [*(panel for one in sections for panel in one.rate_panels), *(panel for one in sweeps for panel in one.rates)]
     names = [section.run.name(label) for section in sections for label in section.run.labels]
@@ -194,16 +194,16 @@ def template_environment() -> "Environment":
 
 
 def _coded(text: str) -> str:
-    """Text for HTML in which what stands between backticks is code."""
+    """Return text for HTML with code between backticks."""
     from markupsafe import Markup, escape
 
     return Markup(re.sub(r"`([^`]*)`", r"<code>\1</code>", str(escape(text))))
 
 
 def run_address(root: Path, folder: Path | None) -> str:
-    """A run folder as an address from a page; empty where the page loads nothing, or they lie too far apart.
+    """A run folder as an address from a page; empty where the page loads nothing, or they are too far apart.
 
-    A page is in its run folder, or in that of a run beside it; an address of more would tell of the machine that made it.
+    A page is in its run folder, or in that of a run next to it; a longer address would reveal the machine that made it.
     """
     if folder is None:
         return ""
@@ -273,7 +273,7 @@ def _parts(group: RunGroup) -> list[Part]:
 
 
 def _tab_names(groups: Sequence[RunGroup]) -> list[str]:
-    """Name each run for the run selector: its title, with as much more as it takes to tell all runs apart."""
+    """Name each run for the run selector: its title, with as much more as needed to distinguish all runs."""
     runs = [(group, section.run) for group in groups for section in group.sections]
     names = [
         [run.title for _, run in runs],
@@ -298,7 +298,7 @@ def _without_empty_rows(table: Table) -> Table:
 
 
 def reproduce(run: MeasuredRun, capture: str) -> list[str]:
-    """The commands that make these numbers again; folders by their last name only, so that a page tells nothing of a machine."""
+    """Return the commands that reproduce these numbers; folders by their last name only, so that a page reveals nothing of a machine."""
     root = run.folder.root.name
     ours = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
     foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in ours]
@@ -413,7 +413,7 @@ def _strip_picture(slices: Slices, strip: Strip) -> dict[str, Any]:
     count, width = strip.image.shape[:2]
     number, breaks = ("frame" if slices.kind == "time" else "pose"), []
     for one in strip.breaks:
-        words = f"{number} {slices.first + one.at}, x {one.x}: its change is {one.apart:.0f} levels from the truth's"
+        words = f"{number} {slices.first + one.at}, x {one.x}: its change differs by {one.apart:.0f} levels from the reference's"
         place = f"{quote(slices.view, safe='')}/{slices.first + one.at}/{one.x},{slices.row}/{quote(strip.label, safe='')},truth"
         left, top = round(100 * (one.x + 0.5) / width, 2), round(100 * one.at / count, 2)
         breaks.append({"left": left, "top": top, "words": words, "place": place if slices.kind == "time" else ""})

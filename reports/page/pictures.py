@@ -30,10 +30,10 @@ from ggvs_eval.run_folder import DIAGNOSTICS, frame_path, missing_frames
 WEBP_QUALITY = 80
 WEBP_WIDTHS = (960, 800, 720, 640, 560, 480, 400, 320, 256, 192)
 MEANINGS = {
-    "depth": ("depth", "the fused depth, near yellow, far dark blue, chequered where none was found"),
-    "weights": ("weights", "one colour per source view, mixed by its share in the pixel, dark where the background fills in"),
-    "coverage": ("coverage", "how far the splatted views cover the pixel, none dark blue, fully yellow"),
-    "motion": ("motion", "where the past is forgotten because something moves, yellow; kept, dark blue"),
+    "depth": ("depth", "fused depth, near yellow, far dark blue, chequered where missing"),
+    "weights": ("weights", "one colour per source view, mixed by its share of the pixel, dark where filled from the background"),
+    "coverage": ("coverage", "coverage by the splatted views, none dark blue, full yellow"),
+    "motion": ("motion", "motion, which resets temporal blending, yellow; none dark blue"),
 }
 FRAME_BYTES = 10_000_000
 FRAMES_AT_MOST = 900
@@ -128,7 +128,7 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
 
 
 def _fit(run: MeasuredRun, samples: list[Image8], byte_budget: int) -> tuple[int, int]:
-    """Frames that are shown, every so many-th, and their width in pixels: all of them, unless fewer can be seen better."""
+    """Frames that are shown, every Nth, and their width in pixels: all of them, unless fewer are clearer."""
     n_pictures = len(run.protocol.views.test) * (1 + len(run.pictured))
     stride = math.ceil(len(run.frames) * n_pictures / FRAMES_AT_MOST)
     while True:
@@ -267,7 +267,7 @@ class PathPictures:
     """Path frames from which the page can cut epipolar plane images.
 
     Attributes:
-        poses: numbers of the poses shown, every so many-th one.
+        poses: numbers of the poses shown, every Nth one.
         keys: ``truth``, where the path has one, the labels that have a path, and what one of them decided inside.
         images: key -> one picture per pose shown.
     """
@@ -368,7 +368,7 @@ def shrink(image: Image8, width: int) -> Image8:
 
 
 def fitting_width(samples: Sequence[Image8], bytes_each: float) -> int:
-    """The largest width, at most the samples' own, at which they take no more than so many bytes on average.
+    """The largest width, at most the samples' own, at which they take at most N bytes on average.
 
     Args:
         bytes_each: what one may take as WebP, before base64; the narrowest width of `WEBP_WIDTHS` is taken where nothing fits.

@@ -16,8 +16,8 @@ from ggvs_eval.reports.model.measured import MetricNote, read_scores
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value
 from ggvs_eval.run_folder import RunFolder
 
-CAPTION = "As `ggvs-eval sweep` has written it. Each variant is a protocol of its own, so nothing is ranked here"
-RUNS_FOLLOW = "; intervals stand in the tables of the single runs below."
+CAPTION = "Table of `ggvs-eval sweep`. Each variant is a separate protocol, so nothing is ranked here"
+RUNS_FOLLOW = "; intervals are in the tables of the single runs below."
 RUNS_ELSEWHERE = "; intervals and pictures of the single runs: `ggvs-eval report {}`."
 
 

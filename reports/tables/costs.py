@@ -39,11 +39,11 @@ ELSEWHERE = (
 UNKNOWN = Cell("unknown: others made it")
 UNRECORDED = Cell("not recorded")
 COST_COLUMNS = (
-    Column("cameras used", describe="of how many the capture has; a fit uses all except those of its fold"),
-    Column("images seen", describe="captured images, for the clip of one test view: cameras times instants"),
+    Column("cameras used", describe="of the capture's cameras; a fit uses all except its fold"),
+    Column("images used", describe="captured images, for the clip of one test view: cameras times instants"),
     Column("look-ahead", describe="instants of the future that a frame depends on"),
     Column("fitting", "s/frame", describe="of one fold, over its instants"),
-    Column("whole fit", "s", describe="of one fold: what passes before the first picture of a method that sees the whole clip"),
+    Column("whole fit", "s", describe="of one fold: time before the first frame of a method that uses the whole clip"),
     Column("fitted on"),
     Column("rendering", "ms/frame", describe="median, as in the table of times"),
     Column(
@@ -62,7 +62,7 @@ POINTS = (
 DIFFERENCE_COLUMNS = (
     Column("depth", describe="whether the method is given depth of its sources"),
     Column("learned from", describe="what its weights or its scene were learned from"),
-    Column("not as published", describe="what the implementation does not do as the authors of the method"),
+    Column("not as published", describe="differences of the implementation from the authors'"),
 )
 UNKNOWN_DIFFERENCE = "unknown: others made it"
 
@@ -100,11 +100,11 @@ def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> T
     if fits:
         folds = " · ".join(", ".join(fold) for fold in run.protocol.views.folds)
         caption = (
-            f"Fitted methods render each test view from a fit that has not seen its fold ({folds}); the others from K sources. "
+            f"Fitted methods render each test view from a fit without its fold ({folds}); the others from K sources. "
             f"Fitting: mean over the folds, depth excluded as for all methods. {caption} {ELSEWHERE}"
         )
     columns = tuple(COST_COLUMNS[at] for at in kept)
-    return Table("costs", "What each method sees and costs", caption, columns, tuple(rows), run.scene)
+    return Table("costs", "Input and cost of each method", caption, columns, tuple(rows), run.scene)
 
 
 def _fit_cells(run: MeasuredRun, label: str, fits: Sequence[dict[str, Any]], n_cameras: int) -> tuple[Cell, ...]:
@@ -208,7 +208,7 @@ def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, 
         columns = tuple(Column(f"{note.name} {note.arrow}", note.unit, None, note.describe) for note in notes)
         name, k = runs[0].name(ours[0]), runs[0].protocol.synthesis.k
         caption = (
-            f"Each fitted method minus {name}, which sees {k} views and nothing of the future; "
+            f"Each fitted method minus {name}, which uses {k} views and no future frames; "
             f"±: {100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted method is better; "
             f"bold: significantly, among all fits. {SHORT_MEANS}"
         )
@@ -318,15 +318,15 @@ def _winners(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db
         best = next((label for label, one in judged.items() if one.outcome == "better"), "")
         ahead = difference_cell(run.metrics["PSNR"], judged.get(best))
     columns = (
-        Column("fitting", "s", None, "Seconds of one fold's fit that this method needs: the budget from which it is the best."),
+        Column("fitting", "s", None, "Seconds of one fold's fit: the budget from which this method is best."),
         Column("PSNR", "dB", None, "Mean of the held-out views."),
         Column("ahead of the line above", "dB", None, "Paired difference with its interval."),
     )
     caption = (
-        "The best method for what one waits before the first picture. Left out: dearer, and not better, or the clip is too short "
-        f"to call it. {POINTS}"
+        "Best method for each waiting time before the first frame. Omitted: slower methods that are not better, or clips too short "
+        f"to decide. {POINTS}"
     )
-    return Table("budget", "The best under a budget", caption, columns, tuple(rows), run.scene)
+    return Table("budget", "Best method per budget", caption, columns, tuple(rows), run.scene)
 
 
 def differences_table(run: MeasuredRun) -> Table | None:
@@ -338,8 +338,8 @@ def differences_table(run: MeasuredRun) -> Table | None:
         run.row(label, [Cell(declared.get(label, {}).get(column.name, UNKNOWN_DIFFERENCE)) for column in DIFFERENCE_COLUMNS])
         for label in run.labels
     ]
-    caption = f"What no protocol can make alike. The same for all: {_same(run.protocol)}."
-    return Table("differences", "What differs between the methods", caption, DIFFERENCE_COLUMNS, tuple(rows), run.scene)
+    caption = f"Differences that no protocol can remove. The same for all: {_same(run.protocol)}."
+    return Table("differences", "Differences between the methods", caption, DIFFERENCE_COLUMNS, tuple(rows), run.scene)
 
 
 def _same(protocol: Protocol) -> str:

@@ -27,8 +27,8 @@ from ggvs_eval.statistics.decomposition import TwoWay, decompose_metric
 METRIC = "L1"
 UNIT = "grey levels of 255"
 VARIANCE_CAPTION = (
-    "L1 of every view and frame taken apart: mean + view effect + time effect + rest; shares of the variance about the mean. "
-    "SDT sees time and rest, SDV sees views and rest."
+    "L1 of every view and frame decomposed: mean + view effect + time effect + rest; shares of the variance about the mean. "
+    "SDT contains time and rest, SDV views and rest."
 )
 VARIANCE_COLUMNS: tuple[tuple[Column, str, Callable[[TwoWay], float]], ...] = (
     (Column("mean L1", UNIT, False), "{:.2f}", lambda parts: parts.mean),
@@ -48,13 +48,13 @@ MOST_LEFT = 0.5  # of a window's error, where moving it explains it
 BUDGET_KEY = "error_budget"  # of the table
 FRAMES_AT_MOST = 4  # of each view, evenly spaced
 CAPTION = (
-    "Mean squared error of single frames, taken apart. Unseen: pixels that no source view covers, where methods must invent. "
-    "Colour: what a smooth colour map of the whole picture removes (gain, offset, a slope and a curve over the picture, in each "
-    "channel), as of cameras that differ. Wrong surface: what would then be gone without the error's mean over "
+    "Mean squared error of single frames, decomposed. Unseen: pixels that no source view covers, which methods must invent. "
+    "Colour: error that a smooth colour map of the image removes (gain, offset, linear and quadratic terms, per "
+    "channel), due to camera differences. Wrong surface: further error removed by subtracting the mean over "
     f"{100 * WIDE_SHARE:.0f} % of the width: missing or replaced content. "
-    "Misplaced: what would be gone if windows of 2 % of the width moved by up to 1 %, or of 1 % by .5 %, where that halves "
-    "their error: edges in the wrong place, by wrong depth, poses or motion. Detail: the rest: blur, noise, what belongs "
-    "elsewhere altogether."
+    "Misplaced: error removed if windows of 2 % of the width move by up to 1 %, or of 1 % by .5 %, where that halves "
+    "their error: edges in the wrong place, by wrong depth, poses or motion. Detail: the rest: blur, noise, small "
+    "misplaced objects."
 )
 COLUMNS = (
     Column("squared error", "grey levels² of 255", higher_is_better=False),
@@ -64,13 +64,13 @@ COLUMNS = (
     Column("misplaced", "%"),
     Column("detail", "%"),
 )
-NOT_TOLD = Cell("not measured: wants PSNR_disoccluded among the protocol's metrics")
+NOT_TOLD = Cell("not measured: add PSNR_disoccluded to the protocol's metrics")
 CAUSES = {
-    "unseen": "places that no source camera sees",
-    "colour": "colour and light, which a smooth colour map would remove: cameras that differ",
+    "unseen": "areas that no source camera sees",
+    "colour": "colour and exposure, which a smooth colour map would remove",
     "wrong surface": "wrong surfaces: missing or replaced content",
-    "misplaced": "in the wrong place, by wrong depth, poses or motion",
-    "detail": "detail: blur, noise, and small things that belong elsewhere",
+    "misplaced": "misplaced content, by wrong depth, poses or motion",
+    "detail": "detail: blur, noise, and small misplaced objects",
 }
 GRADES = ("good", "fair", "poor")
 
@@ -81,7 +81,7 @@ def decomposition_table(run: MeasuredRun) -> Table | None:
         return None
     rows = [run.row(label, _variance_cells(run, label)) for label in run.labels]
     columns = tuple(column for column, _, _ in VARIANCE_COLUMNS)
-    return Table("decomposition", "Where the error varies", VARIANCE_CAPTION, columns, tuple(rows), run.scene)
+    return Table("decomposition", "Variation of the error", VARIANCE_CAPTION, columns, tuple(rows), run.scene)
 
 
 def _variance_cells(run: MeasuredRun, label: str) -> tuple[Cell, ...]:
@@ -294,7 +294,7 @@ def describe_absolute(
     published = [row.cells[at] for row in table.rows if row.kind == "published" and row.cells[at].value is not None]
     if published:
         low, high = (end(published, key=lambda one: one.value or 0.0).shown for end in (min, max))
-        beside.append(f"published methods have {low}{f' to {high}' if high != low else ''}{unit} on this data set")
+        beside.append(f"published methods reach {low}{f' to {high}' if high != low else ''}{unit} on this data set")
     sentences = [f"{name} has {cell.shown}{unit}; {', and '.join(beside)}."] if beside else []
     conditions = next(filter(None, map(describe_conditions, runs)), "")
     return " ".join(filter(None, [*sentences, conditions, largest_cause(name, budgets)]))

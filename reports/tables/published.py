@@ -19,9 +19,9 @@ from ggvs_eval.results import Results
 
 SOURCE = "Ha et al., Geometry-guided Online 3D Video Synthesis with Multi-View Temporal Consistency, CVPR 2025"
 CAVEATS = (
-    "The paper blends with a trained network and takes depth from RAFT-Stereo; the methods measured here need not.",
-    "It gives the number of test views (9 on DyNeRF), not which; the choice moves PSNR by more than a decibel.",
-    "It leaves the backbone of LPIPS and the variants of STED and SSIM open; those used here are in the protocol.",
+    "The paper blends with a trained network and takes depth from RAFT-Stereo; the methods measured here can differ.",
+    "It gives the number of test views (9 on DyNeRF) but does not name them; the choice moves PSNR by more than 1 dB.",
+    "It leaves the backbone of LPIPS and the variants of STED and SSIM open; the protocol states those used here.",
 )
 PAPER = " (paper)"  # ends the name of the paper's rows, which are not the only published ones
 UNITS = {"PSNR": "dB"}
@@ -238,7 +238,7 @@ class PaperTerms:
             f"{counted(frames, 'frame')}, not {self.frames}": frames != self.frames,
             f"{counted(views, 'test view')}, not {self.test_views}": views != self.test_views,
             f"K = {protocol.synthesis.k}, not {self.k}": protocol.synthesis.k != self.k,
-            "source views chosen by coverage, not the nearest": protocol.synthesis.sources != "nearest",
+            "source views chosen by coverage, not by distance": protocol.synthesis.sources != "nearest",
             f"{_size(size)} pixels, not {_size(self.size)}": size != self.size,
             f"measured at {_size(measured)}, not {_size(self.metric_size)}": size == self.size and measured != self.metric_size,
             "a frame held still or noise added": bool(capture.get("edit")),
@@ -324,7 +324,7 @@ def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> Comparabl
     missing = terms.missing_scenes({run.scene for run in alike})
     if missing:
         return NotComparable(
-            f"{_name(alike[0])} is part of {dataset} alone; the paper's means hold {' and '.join(missing)} too", alike[0]
+            f"{_name(alike[0])} is only part of {dataset}; the paper's means also include {' and '.join(missing)}", alike[0]
         )
     return ComparableRuns(tuple(alike), merge_results([run.results for run in alike]), _words(terms, alike))
 
@@ -354,4 +354,4 @@ def _name(run: MeasuredRun) -> str:
 
 def _words(terms: PaperTerms, runs: Sequence[MeasuredRun]) -> str:
     scenes = ", ".join(dict.fromkeys(run.scene for run in runs))
-    return f"on {scenes}" + ("" if terms.scenes else ", chosen by us, for the paper names no scenes")
+    return f"on {scenes}" + ("" if terms.scenes else ", selected here, since the paper names no scenes")

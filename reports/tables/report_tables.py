@@ -32,11 +32,11 @@ from ggvs_eval.statistics.paired import Judgement
 
 OWN_PACKAGE = "ggvs-eval"  # what its version changes is measured again
 OWN_TRUTH_MEANS = (
-    "Own truth: measured against the pictures that came with the renders, not against a capture; how these were made, cropped or "
-    "compressed is unknown, and values of other data or other truth do not compare."
+    "Own truth: measured against the images included with the renders, not against a capture; their cropping and "
+    "compression are unknown, and values of other data or other references are not comparable."
 )
 INTERCHANGE = (
-    "A test view is left out of its own rendering only and may be a source of others; `views.sources` of a protocol forbids it."
+    "A test view is left out of its own rendering only and can be a source of others; set `views.sources` in the protocol to forbid it."
 )
 PUBLISHED_GROUPS = ("quality", "consistency")
 ALONG_PATH = "path"  # table whose reference row is the captured images
@@ -118,7 +118,7 @@ def view_tables(run: MeasuredRun) -> tuple[Table, ...]:
         rows = rank(columns, measured_rows([run], values, views, (note,) * len(views), run.results))
         unit = f", {note.unit}" if note.unit else ""
         caption = f"Mean over frames in each test view; {'higher' if note.higher_is_better else 'lower'} is better. "
-        caption += "Shaded by the numbers alone; `ggvs-eval compare --views` tests single views."
+        caption += "Shading shows the numbers only; `ggvs-eval compare --views` tests single views."
         tables.append(Table(f"view-{metric}", f"{metric}{unit}", caption, columns, rows, run.scene))
     return tuple(tables)
 
@@ -259,4 +259,4 @@ def _versions(results: Results) -> list[str]:
     """Name the packages of which more than one version made these values."""
     versions = results.versions
     mixed = [f"{name} {version}" for name, version in versions.items() if BETWEEN in version and name != OWN_PACKAGE]
-    return [f"Values here were made under several versions: {', '.join(mixed)}."] if mixed else []
+    return [f"Values were computed by several versions: {', '.join(mixed)}."] if mixed else []

@@ -34,8 +34,8 @@ NOT_MEASURED = Cell("not measured")
 RETRAINED = "(retrained"  # in the name of a method whose weights we trained, which are not the paper's
 MEANING = (
     f"reproduced: the paper's value is in the {100 * LEVEL:.0f} % interval of this run, or both print the same digits; "
-    "differs: neither; data absent: no run on the paper's data and terms; weights absent: those of the method do not ship; "
-    "not run: this run could hold it and does not. The views of these runs were chosen here; the paper does not name its own."
+    "differs: neither; data absent: no run on the paper's data and terms; weights absent: the method's weights are not included; "
+    "not run: missing from this run, which could include it. The views were selected here; the paper does not name its own."
 )
 HEADS = ("Paper's table", "Method", "Metric", "Paper", "This run", "Status", "Why")
 WORDS = (0, 1, 2, 5, 6)  # columns without numbers
@@ -137,7 +137,7 @@ def _evaluate(comparable: ComparableRuns, method: PaperMethod, metric: str, pape
         return (
             NOT_MEASURED,
             "weights absent",
-            f"wanted {method.weights}, which does not ship; give it by --weights {method.label}=FILE",
+            f"wanted {method.weights}, which is not included; pass it by --weights {method.label}=FILE",
         )
     if label is None:
         root = comparable.runs[0].folder.root.name
@@ -157,7 +157,7 @@ def _evaluate_metric(comparable: ComparableRuns, label: str, metric: str, paper:
     marked = comparable.results.set_aside.get(label)
     interval = None if marked else intervals(comparable.results, metric, name).get(label)
     if interval is None or math.isnan(interval.value):
-        reason = f"{label} {marked}" if marked else comparable.results.why_absent(metric, label) or f"{metric} was not asked for"
+        reason = f"{label} {marked}" if marked else comparable.results.why_absent(metric, label) or f"{metric} is not in the protocol"
         return NOT_MEASURED, "not run", f"no value: {reason}"
     digits = comparable.runs[0].metrics[metric].decimals
     cell = measured_cell(interval.value, "", interval, digits)
@@ -199,7 +199,7 @@ def _shown(value: float | None, digits: int | None) -> str:
 
 def _remark(missing: NotComparable, method: PaperMethod, metric: str) -> str:
     """Closest measured value (not comparable), and whether weights are available."""
-    remarks = [f"weights of {method.name} do not ship either"] if method.weights else []
+    remarks = [f"weights of {method.name} are not included either"] if method.weights else []
     if missing.near is not None and metric not in TIMINGS:
         label = method.find_label(missing.near)
         table = missing.near.results.summary()
@@ -210,7 +210,7 @@ def _remark(missing: NotComparable, method: PaperMethod, metric: str) -> str:
         if len(values):
             note = missing.near.metrics.get(metric)
             value = format_value(float(values.iloc[0]), note.decimals if note else None)
-            remarks.insert(0, f"{method.name} has {value} there, which does not compare")
+            remarks.insert(0, f"{method.name} has {value} there (not comparable)")
     return "; ".join(remarks)
 
 
@@ -279,7 +279,7 @@ def reproduction_markdown(entries: Sequence[Reproduction]) -> str:
     """One table of the paper's values, those grouped that are not measured for one reason; what the words mean at the end."""
     head = f"# The paper's values and this run's\n\n{len(entries)} published values: {count_words(entries)}."
     rows = [_words(block.title, line) for block in blocks(entries) for line in block.lines]
-    notes = (MEANING, "Every value alone: reproduction.csv", f"Published values: {SOURCE}", *CAVEATS)
+    notes = (MEANING, "All values: reproduction.csv", f"Published values: {SOURCE}", *CAVEATS)
     closing = "\n".join(f"- {escape_markdown(note)}" for note in notes)
     return "\n\n".join([head, markdown_table(HEADS, rows, words=WORDS), closing]) + "\n"
 
@@ -325,7 +325,7 @@ def _table(entries: Sequence[Reproduction]) -> Table:
         here = tuple(_our_cell(entry_of.get((name, column.name))) for column in columns)
         rows += [replace(row, name=f"{name} (paper)", kind="published"), Row(f"{name}, this run", here)]
     summary = count_words(entries)
-    caption = f"{summary[0].upper()}{summary[1:]}; reproduction.csv says why. Paper: {SOURCE}."
+    caption = f"{summary[0].upper()}{summary[1:]}; reproduction.csv has the reasons. Paper: {SOURCE}."
     return Table(f"reproduction-{table}", f"{TABLES[table]}, the paper and this run", caption, columns, tuple(rows), dataset)
 
 

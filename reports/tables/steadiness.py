@@ -11,7 +11,7 @@ from ggvs_eval.reports.tables.report_tables import metric_column
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
 
 FORMATS = (".md", ".csv", ".tex")
-UNLIKE = "Not alike in number or size of their frames: the values do not compare"
+UNLIKE = "Different number or size of frames: the values are not comparable"
 
 
 def steadiness_table(

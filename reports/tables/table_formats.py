@@ -51,9 +51,9 @@ HELD_BACK = 40  # tables; LaTeX keeps those that no text follows, and stops at t
 LATEX_HEAD = r"""% \usepackage{booktabs}
 % \usepackage[table]{xcolor}
 % \usepackage{graphicx}
-% Blue: the better half of each column, proportional to its standing, on the scale of the paper's tables.
-% Bold: the best, and what is not significantly worse.
-% Grey: published values, measured by others on other terms.
+% Blue: the better half of each column, on the scale of the paper's tables.
+% Bold: best, or not significantly worse.
+% Grey: published values, measured by others under other conditions.
 \providecommand{\fittowidth}[1]{\sbox0{#1}\ifdim\wd0>\linewidth\resizebox{\linewidth}{!}{\usebox0}\else\usebox0\fi}
 """
 LONGEST_NAME = 31  # of a sheet, set by Excel

@@ -23,14 +23,14 @@ from ggvs_eval.statistics.intervals import LEVEL
 
 TOTAL = "total"
 SCREEN_COLUMNS = (
-    Column("time of a picture", "ms", False, "Sum of the median times of its stages; of which depth, where its time counts."),
-    Column("rate", "pictures/s", True, "Pictures that the method can make in a second."),
-    Column("latency", "ms", False, "From the capture of a frame to its picture: mean (95th percentile), waiting included."),
-    Column("behind", "frames", False, "The latency in frames of the cameras."),
-    Column("shown", "frames", None, "Frames whose picture was on the screen at some instant."),
-    Column("repeated", "instants", None, "Instants at which the picture of the instant before still stood there."),
-    Column("dropped", "frames", None, "Frames between those that were shown whose picture never was."),
-    Column("nothing yet", "instants", None, "Instants at the beginning of the clip without any picture, which are not scored."),
+    Column("time of a picture", "ms", False, "Sum of the median times of its stages, depth included where its time counts."),
+    Column("rate", "pictures/s", True, "Frames per second that the method can render."),
+    Column("latency", "ms", False, "From capture to display: mean (95th percentile), waiting included."),
+    Column("behind", "frames", False, "Latency in frames of the cameras."),
+    Column("shown", "frames", None, "Frames that were displayed at some instant."),
+    Column("repeated", "instants", None, "Instants at which the previous frame was still displayed."),
+    Column("dropped", "frames", None, "Frames between displayed ones that were never displayed."),
+    Column("nothing yet", "instants", None, "Instants at the beginning of the clip without a frame, which are not scored."),
 )
 SCREEN_COUNTS = ("shown", "repeated", "dropped", "dark")
 LEAST_FRAMES = 100  # of a clip of which it is asked
@@ -125,7 +125,7 @@ def evaluate_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: f
     ratio = f"{value / paper_ms:.2g} times the paper's" if paper_ms else "the paper has 0"
     return Cell(
         f"{value:.1f}", value
-    ), f"{ratio}; median of a frame on the machine of this run, the paper's on a GPU it does not name"
+    ), f"{ratio}; median of a frame on the machine of this run, the paper's on an unnamed GPU"
 
 
 def _stage_ms(run: MeasuredRun, label: str, stage: str) -> float | None:
@@ -146,7 +146,7 @@ def stream_table(run: MeasuredRun) -> Table | None:
         f"{run.protocol.frames.count} frames of one view at {stream.fps:g} per second, {_scored(stream)}. {_policy(stream)} "
         f"Times are medians of this run (stated ones where the protocol states them), {record['depth']}."
     )
-    return Table("on_time", "What reaches the screen, and when", caption, SCREEN_COLUMNS, rank(SCREEN_COLUMNS, rows), run.scene)
+    return Table("on_time", "Displayed frames and their delay", caption, SCREEN_COLUMNS, rank(SCREEN_COLUMNS, rows), run.scene)
 
 
 def _scored(stream: Stream) -> str:
@@ -156,8 +156,8 @@ def _scored(stream: Stream) -> str:
 def _policy(stream: Stream) -> str:
     """Sentence on the order in which frames are worked on."""
     stages = "stages work on different frames at once" if stream.pipelined else "one frame at a time"
-    late = f" A picture later than {stream.deadline_ms:g} ms is not shown." if stream.policy == "deadline" else ""
-    return f"A method takes the newest frame whenever it is free ({stages}); what it passes over is dropped.{late}"
+    late = f" A frame later than {stream.deadline_ms:g} ms is not shown." if stream.policy == "deadline" else ""
+    return f"A method processes the newest frame when it is free ({stages}); skipped frames are dropped.{late}"
 
 
 def _screen_cells(record: dict[str, Any], stream: Stream) -> tuple[Cell, ...]:

@@ -18,9 +18,9 @@ EVENNESS = ("SDT", "SDV")  # deviations of the error, which are small too where 
 COMPARABLE_DB = 1.0  # PSNR behind the best within which evenness says something of quality
 HEADLINES = ("PSNR", "SSIM", "LPIPS", "TCC", "STED", "SDT", "SDV")  # those of the paper's tables
 PLAIN = {
-    "PSNR": "how close each picture comes to the recorded one",
-    "SSIM": "how alike the structure of each picture is to the recorded one",
-    "LPIPS": "how different each picture looks from the recorded one",
+    "PSNR": "closeness of each frame to the recorded one",
+    "SSIM": "structural similarity of each frame to the recorded one",
+    "LPIPS": "perceived difference of each frame from the recorded one",
 }
 RIM = 4.0  # per cent of the drawing that stay free on either side
 
@@ -34,7 +34,7 @@ def judge_metric(
         whole = without_labels(results, results.set_aside)
         psnr_db = {label: one.value for label, one in intervals(whole, "PSNR", dataset).items() if not math.isnan(one.value)}
         least_db = max(psnr_db.values(), default=math.inf) - COMPARABLE_DB
-        why = f"is not known to be within {COMPARABLE_DB:g} dB of the best PSNR, and evenly bad is even too"
+        why = f"is not known to be within {COMPARABLE_DB:g} dB of the best PSNR, and evenly bad frames are stable too"
         incomparable = {label: why for label in dict.fromkeys(whole.row_labels) if not psnr_db.get(label, -math.inf) >= least_db}
     return judge(results, note.name, note.higher_is_better, dataset, captured=captured, own=own, incomparable=incomparable)
 
@@ -97,7 +97,7 @@ def certainty_captions(
     captions = [f"Intervals are by the correlation over time that each clip allows{given}."] if bounded else []
     captions += [SHORT_MEANS] if any(one.is_short for one in bounded) else []
     if any(judgement.marked for judgement in judgements.values()):
-        brief.append(f"Bold: best, and what is not significantly worse (paired, {level}).")
+        brief.append(f"Bold: best, or not significantly worse (paired, {level}).")
     said: dict[str, list[str]] = defaultdict(list)  # sentence with a gap -> what fills it
     for metric, one in judgements.items():
         if one.rivals and not one.marked:
@@ -209,7 +209,7 @@ def _set_aside(runs: Sequence[MeasuredRun], results: Results) -> tuple[list[str]
     here = {label: results.set_aside[label] for label in names if label in results.set_aside}
     faults = {one.label: one for one in reversed(results.faults) if one.is_certain}
     remedies = [
-        faults[label].remedy if label in faults else f"Render what is missing of {names[label]} and score again."
+        faults[label].remedy if label in faults else f"Render the missing frames of {names[label]} and score again."
         for label in here
     ]
     return [f"{names[label]} {why}" for label, why in here.items()], list(dict.fromkeys(filter(None, remedies)))
@@ -218,7 +218,7 @@ def _set_aside(runs: Sequence[MeasuredRun], results: Results) -> tuple[list[str]
 def _nothing(results: Results) -> str:
     """Why there is no number, where no method is to blame."""
     reasons = [f"{metric} was not computed, {why}" for metric, why in results.not_computed.items()]
-    return reasons[0] if reasons else "nothing was measured; score the run"
+    return reasons[0] if reasons else "no metric was measured; score the run"
 
 
 def _worth(one: Comparison, decimals: int | None) -> str:
@@ -255,7 +255,7 @@ def _words(
         rivals = rival.name if len(leader.ties) == 1 else f"{len(leader.ties)} others"
         return (
             f"{best.name} and {rivals} tie",
-            f"{by} between {best.name} and {second} is too little to distinguish them{interval}",
+            f"{by} between {best.name} and {second} is not significant{interval}",
         )
     return f"{best.name} is best", f"{by} ahead of {second}, the next best{interval}"
 

@@ -10,8 +10,8 @@ from ggvs_eval.results import label_of
 
 TAIL = 5  # per cent of the frames that are at most so good
 CAPTION = (
-    f"Of all frames of all views: the value that {TAIL} % are no better than, and the worst, each with its view and frame. "
-    "Means hide single failures; these do not. Frames without a finite value are left out."
+    f"Of all frames of all views: the value at the worst {TAIL} %, and the worst, each with its view and frame. "
+    "Unlike means, these show single failures. Frames without a finite value are omitted."
 )
 Value = tuple[float, str, int]  # of a frame of a view
 
