@@ -34,7 +34,7 @@ def compute_device(name: str) -> torch.device:
         raise DeviceError(f"device {name!r}: wanted cpu, cuda, cuda:N or auto") from error
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         raise DeviceError(
-            f"device {name}: torch {torch.__version__} finds {torch.cuda.device_count()} GPUs; take cpu, or install torch "
+            f"device {name}: torch {torch.__version__} finds {torch.cuda.device_count()} GPUs; use cpu, or install torch "
             f"{torch.__version__.partition('+')[0]} for CUDA into this environment"
         )
     if device.type not in ("cpu", "cuda"):

@@ -88,8 +88,8 @@ def require_imported(run: RunFolder, labels: Sequence[str]) -> None:
     for label in labels:
         frames = (run.root / "renders" / label).glob("*/*.png")
         if lost := next((frame for frame in frames if not frame.exists()), None):
-            mend = f"put them back, or `ggvs-eval score {run.root} --renders {label}=NEWPLACE`"
-            raise RenderError(f"{run.root}: frames of {label} were read from {lost.readlink().parent} and are gone; {mend}")
+            mend = f"restore them, or run `ggvs-eval score {run.root} --renders {label}=NEWPLACE`"
+            raise RenderError(f"{run.root}: wanted the frames of {label} in {lost.readlink().parent}, got none; {mend}")
 
 
 def _refusals(run: RunFolder, label: str, views: Sequence[str]) -> dict[str, str]:

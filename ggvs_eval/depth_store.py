@@ -154,13 +154,13 @@ class DepthStore:
         """
         path = self.path(key, frame)
         if not path.is_file():
-            raise DepthError(f"{path}: this depth map is not stored; prepare the capture first (ggvs-eval prepare)")
+            raise DepthError(f"{path}: wanted a stored depth map, got none; run `ggvs-eval prepare`")
         try:
             with np.load(path, allow_pickle=False) as members:
                 maps = unpack(members)
             depth, confidence, guess = maps["depth"], maps["confidence"], maps.get("guess")
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise DepthError(f"{path}: not a readable depth map ({error}); delete this file and prepare again") from error
+            raise DepthError(f"{path}: not a readable depth map ({error}); move this file away and run `ggvs-eval prepare` again") from error
         for each in (depth, depth if guess is None else guess):
             _check(path, each, confidence)
         return DepthMap(depth, confidence.astype(np.float32) / np.float32(CONFIDENCE_STEPS), guess)
@@ -170,7 +170,7 @@ def _check(path: Path, depth: NDArray[np.generic], confidence: NDArray[np.generi
     if depth.dtype != np.float32 or confidence.dtype != np.uint8 or depth.ndim != 2 or depth.shape != confidence.shape:
         raise DepthError(
             f"{path}: wanted float32 depth and uint8 confidence of one (H, W), got {depth.dtype} {depth.shape} and "
-            f"{confidence.dtype} {confidence.shape}; delete this file and prepare again"
+            f"{confidence.dtype} {confidence.shape}; move this file away and run `ggvs-eval prepare` again"
         )
     if not np.isfinite(depth).all() or depth.min(initial=0) < 0:
-        raise DepthError(f"{path}: depth must be finite and not negative; delete this file and prepare again")
+        raise DepthError(f"{path}: depth must be finite and not negative; move this file away and run `ggvs-eval prepare` again")

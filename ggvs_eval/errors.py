@@ -13,10 +13,10 @@ LONGEST_NAME = 100  # for which another is suggested: likeness takes time
 MENDS = {
     (errno.ENOSPC, errno.EDQUOT, errno.EFBIG): "make room",
     (errno.EROFS,): "choose a folder that can be written",
-    (errno.EACCES, errno.EPERM): "get the right to it or choose another place",
+    (errno.EACCES, errno.EPERM): "ask for access or choose another place",
     (errno.EEXIST, errno.ENOTDIR, errno.EISDIR): "choose another path",
     (errno.EMFILE, errno.ENFILE): "raise the limit of open files (ulimit -n) or use fewer --jobs",
-    (errno.ECONNREFUSED, errno.ECONNRESET, errno.EPIPE, errno.ETIMEDOUT): "see whether the other side still runs",
+    (errno.ECONNREFUSED, errno.ECONNRESET, errno.EPIPE, errno.ETIMEDOUT): "check that the other side still runs",
 }
 GO_ON = "finished work is kept; run the same command to resume"
 

@@ -68,7 +68,7 @@ def _fetch_weights() -> None:
         try:
             fetch()
         except WeightsError as error:
-            print(f"{name} will be reported as not computed: {error}", file=sys.stderr)
+            print(f"{name} will be listed as not computed: {error}", file=sys.stderr)
 
 
 if __name__ == "__main__":

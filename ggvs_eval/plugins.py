@@ -131,10 +131,10 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         if name not in self.shipped:
             return ""
         if self._needs and not is_installed(self._needs):
-            return f"{name} wants the module {self._needs}, which is not installed; install it or leave {name} out"
+            return f"{name} wants the module {self._needs}, which is not installed; install it or remove {name}"
         module = self.root(name)
         part = module and missing_part(module)
-        return f"{name} is part of {part}, which is not installed; reinstall ggvs-eval or leave it out" if part else ""
+        return f"{name} is part of {part}, which is not installed; reinstall ggvs-eval or omit it" if part else ""
 
     def root(self, name: str) -> str | None:
         """The module that an entry that ships is loaded from, for the identity of its code; None of an object."""
@@ -192,7 +192,7 @@ def use_file(path: Path) -> None:
     """
     file = path.resolve()
     if os.pathsep in str(file):
-        raise PluginError(f"{file}: wanted a path without {os.pathsep!r}, by which such files are listed; move or rename it")
+        raise PluginError(f"{file}: wanted a path without {os.pathsep!r}, the separator of such paths; move or rename it")
     module = _module_of(file)
     if not any(isinstance(getattr(module, kind.upper(), None), Mapping) for kind in get_args(Kind)):
         raise PluginError(
@@ -252,7 +252,7 @@ def _offered(kind: str, taken: frozenset[str]) -> dict[str, Plugin]:
     offered: dict[str, Plugin] = {}
     for plugin in (*_of_packages(kind), *_of_files(kind)):
         if plugin.name in taken or plugin.name in offered:
-            _say_once(f"plug-in {plugin.origin}: {kind} {plugin.name!r} is taken and left out; give it another name")
+            _say_once(f"plug-in {plugin.origin}: {kind} {plugin.name!r} is in use, so the plug-in's is ignored; rename it")
         else:
             offered[plugin.name] = plugin
     return offered
@@ -274,7 +274,7 @@ def _of_files(kind: str) -> Iterator[Plugin]:
 def _module_of(file: Path) -> ModuleType:
     """Import a file under its own name, by which worker processes find what is sent to them."""
     if not file.is_file():
-        raise PluginError(f"{file}: wanted a Python file with plug-ins, there is none; check the path")
+        raise PluginError(f"{file}: wanted a Python file with plug-ins, got no such file; check the path")
     if file.suffix != ".py" or not file.stem.isidentifier():
         raise PluginError(f"{file}: wanted a Python file whose name can be imported, such as my_metrics.py; rename it")
     if str(file.parent) not in sys.path:

@@ -33,11 +33,11 @@ TABLE_FILE = "results.parquet"
 PROVENANCE_FILE = "results.json"
 # Fault of renders -> what it looks like, to follow the method's name.
 SYMPTOMS = {
-    "reversed time": "shows the frames in reversed order",
-    "channel order": "has its colour channels in another order",
+    "reversed time": "has its frames in reversed order",
+    "channel order": "has swapped colour channels",
     "mirrored": "is mirrored",
-    "blank frames": "has frames that show nothing",
-    "test view seen": "has seen the test view",
+    "blank frames": "has blank frames",
+    "test view seen": "was trained on the test view",
 }
 
 

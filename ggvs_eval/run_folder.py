@@ -135,7 +135,7 @@ class RunFolder:
 
     def _require_run(self) -> None:
         if not self.protocol_file.is_file():
-            raise ResultsError(f"{self.root}: not a run folder, it has no protocol.toml; make one with `ggvs-eval run`")
+            raise ResultsError(f"{self.root}: wanted a run folder with protocol.toml, got none; create one by `ggvs-eval run`")
 
     def capture_path(self) -> Path:
         """Return the capture's folder: where it lay when the run was prepared, or where it moved together with the run."""
@@ -183,7 +183,7 @@ def require_frames(folders: dict[str, Path], indices: range) -> None:
     listed = [f"{name} lacks {as_ranges(missing)}" for name, missing in gaps.items() if missing]
     if listed:
         root = next(iter(folders.values())).parents[1]
-        raise RenderError(f"{root}: frames are missing: {'; '.join(listed)}; ggvs-eval render makes them")
+        raise RenderError(f"{root}: wanted all frames, got none of {'; '.join(listed)}; run `ggvs-eval render`")
 
 
 def as_ranges(indices: list[int]) -> str:
@@ -212,6 +212,6 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ResultsError(f"{path}: there is no such file; run the step that writes it") from None
+        raise ResultsError(f"{path}: wanted this file, got none; run the step that writes it") from None
     except (OSError, ValueError) as error:
-        raise ResultsError(f"{path}: cannot be read ({error}); delete it and run the step again") from None
+        raise ResultsError(f"{path}: wanted a readable file, got: {error}; move it away and run the step again") from None

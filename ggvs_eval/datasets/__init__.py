@@ -94,9 +94,9 @@ def open_capture(
     """
     path = locate(Path(path))
     if not path.exists():
-        raise CaptureError(f"{path}: wanted a folder with a capture, there is none; check the path")
+        raise CaptureError(f"{path}: wanted a folder with a capture, got no such path; check it")
     if path.is_dir() and not list_entries(path):
-        raise CaptureError(f"{path}: wanted a capture, the folder is empty; put frames and poses there, or try 'ggvs-eval demo'")
+        raise CaptureError(f"{path}: wanted a capture, got an empty folder; add frames and poses, or try 'ggvs-eval demo'")
     spec = DATASETS[detect_layout(path, layout)]
     capture = spec.load(path, units)
     corrections = corrections_file(path)
@@ -112,7 +112,7 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
     """
     if layout is not None and layout not in DATASETS:
         layouts = ", ".join(DATASETS)
-        raise CaptureError(f"{path}: no layout {layout!r}, there are {layouts}{did_you_mean(layout, DATASETS)}")
+        raise CaptureError(f"{path}: wanted a layout of {layouts}, got {layout!r}{did_you_mean(layout, DATASETS)}")
     candidates = DATASETS.working() if layout is None else [(layout, DATASETS[layout])]
     refusals: dict[str, str] = {}
     for name, spec in candidates:

@@ -99,7 +99,7 @@ def assemble_capture(
 def check_rig_size(path: Path, n_cameras: int) -> None:
     """Refuse an implausibly large rig before anything is computed of it."""
     if n_cameras > LARGEST_RIG:
-        raise CaptureError(f"{path}: wanted at most {LARGEST_RIG} cameras, got {n_cameras}; leave some out")
+        raise CaptureError(f"{path}: wanted at most {LARGEST_RIG} cameras, got {n_cameras}; remove some")
 
 
 def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
@@ -108,7 +108,7 @@ def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[st
     if slanted:
         largest = max(camera.deviation for camera in slanted)
         of = listed([camera.name for camera in slanted])
-        notes.append(f"rotations of {of} are off by up to {largest:.1e}: the nearest ones are taken")
+        notes.append(f"rotations of {of} are off by up to {largest:.1e}: replaced by the nearest rotations")
     notes += uneven_notes({camera.name: source for camera, source in zip(cameras, sources, strict=True)})
     return [*notes, *_exif_notes(cameras, sources), *_conversion_notes(cameras, sources)]
 
@@ -121,9 +121,9 @@ def _exif_notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> li
         if isinstance(inner, ImageFrames) and inner.orientations:
             names.setdefault(inner.as_stored, []).append(f"{camera.name} ({', '.join(map(str, inner.orientations))})")
     how = {
-        True: "taken as their pixels are stored, which the calibration is of",
-        False: "turned as it says; a calibration of the stored pixels, as COLMAP's are, would be of other pictures: see that "
-        "`check` finds matched features in place, else remove the tag (exiftool -Orientation= FILES)",
+        True: "read as stored, which the calibration matches",
+        False: "turned accordingly; a calibration of the stored pixels (COLMAP) would not fit: check by "
+        "`ggvs-eval check`, else remove the tag (exiftool -Orientation= FILES)",
     }
     return [f"pictures with an EXIF orientation, {listed(some)}, are {how[as_stored]}" for as_stored, some in names.items()]
 
@@ -268,11 +268,11 @@ def describe_crop(frames: Size, calibrated: Size, path: Path) -> str:
     """
     columns, rows = calibrated[0] - frames[0], calibrated[1] - frames[1]
     if min(columns, rows) < 0:
-        return "give the frames this calibration was made for, scaled but not cropped"
+        return "use the calibrated frames, scaled but not cropped"
     counts = [f"{count} {noun}" for count, noun in ((columns, "columns"), (rows, "rows")) if count]
     centred = f"{columns // 2} {rows // 2}"
     return (
-        f"{' and '.join(counts)} of it are missing. If they were cut off, say which column and row the frames begin with: "
+        f"{' and '.join(counts)} of it are missing. If they were cut off, give the first column and row of the frames: "
         f"'ggvs-eval check {path} --crop 0 0' where they are cut at the right and the bottom, as codecs do, {centred} where on "
         "all sides ('crop' in capture.toml); if the frames were scaled unevenly, give those that were not"
     )

@@ -102,7 +102,7 @@ def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFil
     if not names:
         there = listed([file.name for file in files]) or "no file"
         raise CaptureError(
-            f"{path}: wanted cameras, got {there}, whose form is not read; see docs/your_rig.md for those that are"
+            f"{path}: wanted cameras, got {there}, of an unknown form; see docs/your_rig.md for the known forms"
         )
     if not all(names) or len(set(names)) < len(names):
         raise CaptureError(
@@ -128,7 +128,7 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
         missing = [name for name in file.cameras if name not in frames]
         content = f"those of {listed(frames)} alone" if frames else instead_of_frames(folder, missing)
         raise CaptureError(
-            f"{folder}: wanted frames of two or more of {listed(file.cameras)}, got {content}; call videos and cameras alike"
+            f"{folder}: wanted frames of two or more of {listed(file.cameras)}, got {content}; rename videos like their cameras"
         )
     filmed = [camera for camera in file.cameras.values() if camera.name in frames]
     chosen = [camera for camera in filmed if camera.world_to_camera is not None]
@@ -150,14 +150,14 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     sources = undistorted_sources([frames[camera.name] for camera in chosen], lenses, cameras)
     left = {
         "calibrated, but without frames": [name for name in file.cameras if name not in frames],
-        "calibrated, but not placed": [camera.name for camera in filmed if camera.world_to_camera is None],
+        "calibrated, but without a pose": [camera.name for camera in filmed if camera.world_to_camera is None],
     }
     notes = [f"{listed(names)} left out: {why}" for why, names in left.items() if names]
     cut = [
         camera.name for camera, lens in zip(chosen, lenses, strict=True) if camera.size not in (None, (lens.width, lens.height))
     ]
     if cut and crop:
-        notes.append(f"frames of {listed(cut)} begin at {crop.left} {crop.top} of the calibrated picture, as {CROP_FILE} says")
+        notes.append(f"frames of {listed(cut)} begin at {crop.left} {crop.top} of the calibrated picture, by {CROP_FILE}")
     return assemble_capture(
         folder, kind, cameras, sources, choose_units(folder, units, cameras, of_data_set=file.units), notes=notes
     )

@@ -85,7 +85,7 @@ def require_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
     if missing:
         kept = next(iter(found.sources.values())).path
         unread = _unread(path, missing)
-        mend = f"but {unread}" if unread else "restore them or take them off the model"
+        mend = f"but {unread}" if unread else "restore them or remove these cameras from the model"
         raise CaptureError(f"{path}: wanted frames of every camera, got none for {listed(missing)} beside {kept}; {mend}")
     return FoundFrames({name: found.sources[name] for name in image_names}, found.beside)
 
@@ -106,7 +106,7 @@ def find_rig_frames(path: Path) -> dict[str, CameraFrames]:
             return dict(sorted(_one_each(path, found).items()))
     raise CaptureError(
         f"{path}: wanted the frames of two cameras or more, got {instead_of_frames(path)} "
-        "(a capture that keeps them otherwise: 'ggvs-eval undistort' writes its frames as videos)"
+        "(for a capture of another layout, 'ggvs-eval undistort' writes its frames as videos)"
     )
 
 

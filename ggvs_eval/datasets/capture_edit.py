@@ -129,9 +129,9 @@ def _check(capture: Capture, edit: CaptureEdit) -> None:
     if edit.hold_frame >= capture.n_frames:
         raise CaptureError(f"{capture.path}: wanted frame {edit.hold_frame} held still, the capture has {capture.n_frames}")
     if edit.hold_frame and not edit.hold_frames:
-        raise CaptureError(f"{capture.path}: frame {edit.hold_frame} is to be held still, but not for how long; give hold_frames")
+        raise CaptureError(f"{capture.path}: wanted hold_frames with hold_frame {edit.hold_frame}, got 0; give hold_frames")
     if capture.edit is not None:
-        raise CaptureError(f"{capture.path}: wanted a capture as it was taken, got one that is held still or noisy; open it anew")
+        raise CaptureError(f"{capture.path}: wanted an unmodified capture, got one with held frames or noise; open it again")
 
 
 def _edited(name: str, source: FrameSource, edit: CaptureEdit) -> FrameSource:

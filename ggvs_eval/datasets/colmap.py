@@ -44,7 +44,7 @@ def load_colmap(path: Path, units: GivenUnits) -> Capture:
     frames = require_frames(path, {name: view.image_name for name, view in views.items()})
     chosen = choose_units(path, units, cameras, median_depths=median_depths(views.values()))
     pinhole = undistorted_sources(list(frames.sources.values()), [view.lens for view in views.values()], cameras)
-    unregistered = f"{listed(frames.beside)} left out: on disk, but not registered in the COLMAP model"
+    unregistered = f"{listed(frames.beside)} omitted: on disk, but not registered in the COLMAP model"
     return assemble_capture(path, "colmap", cameras, pinhole, chosen, notes=[unregistered] if frames.beside else [])
 
 
@@ -75,7 +75,7 @@ def refuse_frame_folders(path: Path) -> str | None:
     if find_model(path) or find_model(next(iter(instants.values()))):
         return None
     first = next(iter(instants.values())).name
-    return f"{first}/, but no COLMAP model in it: 'ggvs-eval calibrate {path / first} RIG' finds one, put its sparse/ there"
+    return f"{first}/, but no COLMAP model in it: 'ggvs-eval calibrate {path / first} RIG' creates one; copy its sparse/ there"
 
 
 def load_frame_folders(path: Path, units: GivenUnits) -> Capture:
@@ -96,7 +96,7 @@ def load_frame_folders(path: Path, units: GivenUnits) -> Capture:
     chosen = choose_units(path, units, cameras, median_depths=median_depths(views.values()))
     pinhole = undistorted_sources(sources, [view.lens for view in views.values()], cameras)
     left = sorted(set(pictures) - set(views))
-    notes = [f"{listed(left)} left out: on disk, but not registered in the COLMAP model"] if left else []
+    notes = [f"{listed(left)} omitted: on disk, but not registered in the COLMAP model"] if left else []
     return assemble_capture(path, "3dgstream", cameras, pinhole, chosen, notes=notes)
 
 

@@ -99,7 +99,7 @@ def read_model(folder: Path) -> list[CalibratedView]:
     if done.returncode:
         reason = (done.stderr.strip().splitlines() or [f"the reader ended with {done.returncode}"])[-1]
         reason = reason.removeprefix("ValueError: ")
-        raise CaptureError(f"{folder}: damaged COLMAP model, its reader says '{reason:.200}'; copy or export the model again")
+        raise CaptureError(f"{folder}: damaged COLMAP model, the reader reports '{reason:.200}'; copy or export the model again")
     images = json.loads(done.stdout)
     check_rig_size(folder, len(images))
     if not images:

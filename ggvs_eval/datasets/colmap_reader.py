@@ -138,7 +138,7 @@ def _check_count(file: Path) -> None:
     """Refuse a number of cameras, at least 48 bytes each, that the file cannot hold: pycolmap would count up to it."""
     content = file.read_bytes()
     if len(content) < 8 or 8 + 48 * unpack_from("<Q", content)[0] > len(content):
-        raise ValueError(f"{file.name} is cut or damaged, its {len(content)} bytes do not fit the cameras it claims")
+        raise ValueError(f"{file.name} is cut or damaged, its {len(content)} bytes do not fit its number of cameras")
 
 
 def _check_length(file: Path, find_end: Callable[[bytes], int]) -> None:

@@ -22,9 +22,9 @@ FILE = "corrections.toml"
 LARGEST_OFFSET = 100_000
 NO_GAIN = (1.0, 1.0, 1.0)
 HEAD = """\
-# What every command corrects of this capture as it reads it; without this file frames are as they were filmed.
-# offset_frames: frame t of the camera shows what the others show at t + offset_frames; it is shifted by as many.
-# gain: how much brighter red, green and blue are than the others'; frames are divided by it.
+# Corrections that every command applies when it reads this capture; without this file frames stay unchanged.
+# offset_frames: frame t of the camera shows the instant t + offset_frames of the others; it is shifted back.
+# gain: brightness of red, green and blue relative to the others; frames are divided by it.
 """
 
 

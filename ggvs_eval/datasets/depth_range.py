@@ -23,7 +23,7 @@ from ggvs_eval.geometry.rectification import can_rectify
 
 DEPTH_RANGE_FILE = "depth_range.toml"
 RANGE_MEND = (
-    f"{DEPTH_RANGE_FILE} with near and far in the capture's folder says it, 'ggvs-eval calibrate --known-poses' measures it"
+    f"{DEPTH_RANGE_FILE} with near and far in the capture's folder sets it; 'ggvs-eval calibrate --known-poses' measures it"
 )
 # The scene is assumed to be between these multiples of the distance to the point that the rig looks at.
 NEAR_FACTOR, FAR_FACTOR = 0.25, 4.0
@@ -215,7 +215,7 @@ def settle_depth_ranges(capture: Capture, measure: bool = True) -> Capture:
     """
     if given := given_depth_range(capture.path if capture.path.is_dir() else capture.path.parent):
         ranges = {camera.name: given for camera in capture.cameras}
-        return _ranged(capture, ranges, "given", [], f"depth range {_shown([given])}, as {DEPTH_RANGE_FILE} says")
+        return _ranged(capture, ranges, "given", [], f"depth range {_shown([given])}, by {DEPTH_RANGE_FILE}")
     guessed = [camera for camera in capture.cameras if camera.range_origin == "guessed"]
     if not guessed:
         return capture
@@ -236,7 +236,7 @@ def settle_depth_ranges(capture: Capture, measure: bool = True) -> Capture:
     capture = replace(capture, cameras=tuple(by_name.get(camera.name, camera) for camera in capture.cameras))
     guess = _shown([(camera.near, camera.far) for camera in left])
     return capture.noted(
-        f"depth range of {_cameras(capture, [camera.name for camera in left])} guessed from where the cameras look: {guess}; "
+        f"depth range of {_cameras(capture, [camera.name for camera in left])} guessed from the viewing directions: {guess}; "
         f"{RANGE_MEND}"
     )
 

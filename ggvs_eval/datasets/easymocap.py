@@ -176,7 +176,7 @@ def _filmed(path: Path) -> tuple[list[EasyMocapView], dict[str, CameraFrames], l
     if len(views) < 2:
         raise CaptureError(
             f"{path}: wanted two or more cameras with a pose and frames in images/XX/ or videos/XX.mp4, got "
-            f"{listed([view.name for view in views]) or 'none'} ({'; '.join(notes)}); call frames and cameras alike"
+            f"{listed([view.name for view in views]) or 'none'} ({'; '.join(notes)}); rename frames like their cameras"
         )
     return views, frames, notes
 

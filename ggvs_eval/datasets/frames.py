@@ -190,6 +190,6 @@ def _read_header(file: Path) -> PictureHeader:
         raise CaptureError(f"{file}: wanted an image, got {error}; restore this frame") from error
     except Exception as error:  # the parsers raise any exception on a damaged header
         is_large = isinstance(error, DecompressionBombError)
-        reason = "whose header claims more pixels than any camera has" if is_large else "that do not open"
+        reason = "whose header states too many pixels" if is_large else "that do not open"
         content = f"{file.stat().st_size} bytes {reason}" if file.is_file() else "no such file"
         raise CaptureError(f"{file}: wanted an image, got {content}; restore this frame") from error

@@ -199,7 +199,7 @@ def _read_path(path: Path, model: dict[str, Any], usual: str, where: str) -> Pat
 
 def _image(view: _SpacesView) -> ImageFrames:
     if not view.file.is_file():
-        raise CaptureError(f"{view.file}: wanted the image of {view.name}, there is none; restore it or copy the scene again")
+        raise CaptureError(f"{view.file}: wanted the image of {view.name}, got none; restore it or copy the scene again")
     return as_calibrated(ImageFrames(view.file), round(view.model.width), round(view.model.height))
 
 
@@ -281,7 +281,7 @@ def _read_immersive_view(file: Path, index: int, model: Any) -> _ImmersiveView:
         content = f"{model.get('projection_type')!r:.60}"
         raise CaptureError(
             f"{file}: wanted {FISHEYE!r} as projection_type of {name}, got {content}; no other lens of this data set is "
-            "documented: undistort its frames and describe them in capture.toml"
+            "documented; undistort its frames and list them in capture.toml"
         )
     k1, k2, third = read_numbers(file, model, "radial_distortion", 3, name)
     if third:

@@ -80,8 +80,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
     times = {frame.get("time") for frame in frames.values()}
     if len(times) > 1:
         raise CaptureError(
-            f"{files[0]}: wanted all cameras at one instant, got {len(times)} times: one camera that moves through a "
-            "moving scene is no rig; give videos of several cameras"
+            f"{files[0]}: wanted all cameras at one instant, got {len(times)} times: a single camera that moves through a "
+            "dynamic scene; give videos of several cameras"
         )
     names = sorted(frames)
     found = require_frames(path, {name: _image(path, frames[name]["file_path"]) for name in names})
@@ -92,7 +92,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
     cameras = ranged_cameras(placed, files[0])
     pinhole = undistorted_sources(sources, lenses, cameras)
     unknown = sorted({key for frame in frames.values() for key in frame} - USED - HARMLESS)
-    notes = [f"{', '.join(each.name for each in files)}: {listed(unknown)} not known here, passed over"] if unknown else []
+    notes = [f"{', '.join(each.name for each in files)}: {listed(unknown)} unknown here, ignored"] if unknown else []
     return assemble_capture(
         path, "nerfstudio", cameras, pinhole, choose_units(path, units, cameras), notes=notes, test_views=sorted(test_views)
     )

@@ -99,7 +99,7 @@ def locate(path: Path) -> Path:
     dataset, scene = find_scene(name)
     place = dataset.place(scene)
     if not place.is_dir():
-        raise CaptureError(f"{name}: not on this machine yet; 'ggvs-eval get {name}' fetches it, {place} is where it belongs")
+        raise CaptureError(f"{name}: wanted the capture in {place}, got none; run 'ggvs-eval get {name}'")
     return place
 
 

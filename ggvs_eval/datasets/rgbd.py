@@ -186,8 +186,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
     cameras = [_make_camera(path, number, sequence, size, limits) for number in kept]
     extras = [Extras(depth=_depth_source(sequence, number, size)) for number in kept]
     lost = [_name(number) for number in sequence.poses if number not in kept]
-    notes = [f"{listed(lost)} left out: no finite pose, tracking was lost there"] if lost else []
-    notes += [f"{unknown:.1%} of the depth unknown: 0 and {LARGEST_STEP} are taken for that"] if unknown else []
+    notes = [f"{listed(lost)} omitted: no finite pose (tracking lost)"] if lost else []
+    notes += [f"{unknown:.1%} of the depth unknown: values 0 and {LARGEST_STEP}"] if unknown else []
     notes += [sequence.note] if sequence.note else []
     units_per_metre = choose_units(path, units, cameras, of_data_set=METRIC)
     return assemble_capture(path, "rgbd", cameras, sources, units_per_metre, extras=extras, notes=notes)

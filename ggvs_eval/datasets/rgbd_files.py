@@ -223,7 +223,7 @@ def _read_tum(path: Path) -> RgbdSequence:
             images[index], depths[index], poses[index] = colour[stamp], depth[nearest_depth], np.eye(4)
             poses[index][:3, :3], poses[index][:3, 3] = Rotation.from_quat(row[4:]).as_matrix(), row[1:4]
     left = len(colour) - len(images)
-    note = f"{left} of {len(colour)} frames left out: no depth and pose within {SAME_INSTANT_S:g} s" if left else ""
+    note = f"{left} of {len(colour)} frames omitted: no depth and pose within {SAME_INSTANT_S:g} s" if left else ""
     K = _stated_K(path, images.values(), TUM_K, "TUM RGB-D")
     return RgbdSequence(images, depths, poses, K, None, metres_per_step=TUM_STEP, note=note)
 

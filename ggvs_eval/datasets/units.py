@@ -30,7 +30,7 @@ class Units:
 
 
 METRIC = Units(1.0, "the data set is metric")
-GUESSED = "guess: median scene depth taken for 2 m"
+GUESSED = "guess: median scene depth assumed to be 2 m"
 
 
 def choose_units(
@@ -144,7 +144,7 @@ def _from_points(table: Mapping[str, Any], cameras: Mapping[str, Camera], file: 
 def _marked_point(table: Mapping[str, Any], point: str, cameras: Mapping[str, Camera], file: Path) -> tuple[Array, float]:
     marks = dict(table[point])
     if len(marks) < 2:
-        raise CaptureError(f"{file}: points.{point} wants marks in at least two cameras, got {len(marks)}; mark it in another")
+        raise CaptureError(f"{file}: points.{point} wanted in at least two cameras, got {len(marks)}; mark it in another")
     seen_by = [cameras[name] for name in marks]
     if "size" in table:
         seen_by = [camera.resized(*map(int, table["size"])) for camera in seen_by]

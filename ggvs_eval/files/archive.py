@@ -110,14 +110,14 @@ def _write(members: Iterator[_Member], folder: Path, limits: Limits) -> None:
 def _safe(member: PurePosixPath) -> PurePosixPath:
     """The member's path if it stays inside and has no signs in it that some system takes for more than a name."""
     if member.is_absolute() or ".." in member.parts or UNSAFE_PATH.search(str(member)):
-        raise _RefusedError(f"holds {str(member)!r}, which leads outside of it; nothing of it is used, pack it again")
+        raise _RefusedError(f"holds {str(member)!r}, which leads outside of it; nothing was unpacked, pack it again")
     return member
 
 
 def _too_much(limits: Limits) -> _RefusedError:
     return _RefusedError(
-        f"holds more than {limits.n_files} files or {limits.n_bytes / 1e6:.0f} MB, which nothing asked for here needs and this "
-        "disk may lack; unpack it yourself and give the folder"
+        f"holds more than {limits.n_files} files or {limits.n_bytes / 1e6:.0f} MB, more than this command needs and this "
+        "disk may hold; unpack it manually and give the folder"
     )
 
 

@@ -72,7 +72,7 @@ def download(url: str, file: Path, record: Path) -> Fetched:
     if (first.n_bytes, first.sha256) != (fetched.n_bytes, fetched.sha256):
         raise DownloadError(
             f"{file}: wanted the {first.n_bytes} bytes of {first.date} (SHA-256 {first.sha256[:12]}...), got {fetched.n_bytes} "
-            f"({fetched.sha256[:12]}...); delete it to fetch it again, or {record} where the new one is wanted"
+            f"({fetched.sha256[:12]}...); move it away to download it again, or {record} to accept the new one"
         )
     return first
 
@@ -82,7 +82,7 @@ def read_record(record: Path) -> Fetched | None:
     try:
         return Fetched(**json.loads(record.read_text(encoding="utf-8"))) if record.is_file() else None
     except (OSError, ValueError, TypeError) as error:
-        raise DownloadError(f"{record}: wanted the record of a download, got {error!r:.100}; delete it") from error
+        raise DownloadError(f"{record}: wanted the record of a download, got {error!r:.100}; move it away") from error
 
 
 def _fetch(url: str, file: Path) -> None:

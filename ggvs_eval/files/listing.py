@@ -77,7 +77,7 @@ def unread_pictures(folder: Path) -> str:
     """Pictures in a folder whose format is not read, and what to do; empty where there are none."""
     counts = Counter(file.suffix.lower() for file in list_files(folder, UNREAD_PICTURES))
     listed = " and ".join(f"{count} {suffix}" for suffix, count in counts.most_common())
-    return f"{listed} pictures, which are not read: convert them to .png" if listed else ""
+    return f"{listed} unsupported pictures: convert them to .png" if listed else ""
 
 
 def unread_videos(folder: Path, stems: tuple[str, ...] = ()) -> str:
@@ -88,4 +88,4 @@ def unread_videos(folder: Path, stems: tuple[str, ...] = ()) -> str:
         return ""
     names = ", ".join(file.name for file in files[:LISTED]) + (", ..." if len(files) > LISTED else "")
     command = f"ffmpeg -i {shlex.quote(files[0].name)} -crf 8 {shlex.quote(files[0].stem + VIDEO_SUFFIXES[0])}"
-    return f"{names} {'are' if len(files) > 1 else 'is'} there, which {'are' if len(files) > 1 else 'is'} not read: {command}"
+    return f"{names} {'are' if len(files) > 1 else 'is'} there but not supported: {command}"

@@ -41,7 +41,7 @@ def check_plain(path: Path, most_bytes: int | None = None) -> int:
         kind = next((kind for is_kind, kind in KINDS if is_kind(status.st_mode)), "a device")
         raise _refused(path, f"{kind} instead of a regular file")
     if most_bytes is not None and status.st_size > most_bytes:
-        raise _refused(path, f"{status.st_size / 1e6:.0f} MB, where {most_bytes / 1e6:.0f} MB are the most that makes sense")
+        raise _refused(path, f"{status.st_size / 1e6:.0f} MB, above the limit of {most_bytes / 1e6:.0f} MB")
     on_disk = status.st_blocks * BLOCK_BYTES
     if status.st_size > SPARSE_FROM and on_disk < SPARSE_SHARE * status.st_size:
         raise _refused(path, f"{status.st_size / 1e6:.0f} MB, of which {on_disk / 1e6:.0f} MB are on the disk: a sparse file")
@@ -55,7 +55,7 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
     with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
         content = file.read(most_bytes + 1)
     if len(content) > most_bytes:  # files below /proc have no size
-        raise _refused(path, f"more than the {most_bytes / 1e6:.0f} MB that make sense")
+        raise _refused(path, f"more than the limit of {most_bytes / 1e6:.0f} MB")
     return content
 
 

@@ -25,7 +25,7 @@ def parse_toml(text: str, file: str, error: type[GgvsError]) -> dict[str, Any]:
     try:
         return load_toml(text)
     except (ValueError, RecursionError) as reason:
-        raise error(f"{file}: not valid TOML: {reason}; correct it, or put a whole copy in its place") from None
+        raise error(f"{file}: not valid TOML: {reason}; correct it, or restore a complete copy") from None
 
 
 def load_toml(text: str) -> dict[str, Any]:

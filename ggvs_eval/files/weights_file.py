@@ -106,7 +106,7 @@ def _checkpoint(path: Path, of: str) -> Any:
         raise _unreadable(path, of, error) from error
     except Exception as error:  # a damaged pickle makes torch stumble anywhere: IndexError, AssertionError, struct.error, ...
         reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise WeightsError(f"{path}: not a file of tensors alone ({reason}); a checkpoint holds a state dict") from error
+        raise WeightsError(f"{path}: wanted a file of tensors only, got {reason}; give a checkpoint with a state dict") from error
 
 
 def _unreadable(path: Path, of: str, error: OSError) -> WeightsError:
@@ -124,7 +124,7 @@ def _state_dict(values: Any, keys: tuple[str, ...], path: Path) -> dict[str, Ten
         isinstance(name, str) and isinstance(value, Tensor) for name, value in values.items()
     ):
         raise WeightsError(
-            f"{path}: wanted a state dict (name -> tensor){_under(keys)}, got {type(values).__name__} of other things"
+            f"{path}: wanted a state dict (name -> tensor){_under(keys)}, got a {type(values).__name__} with non-tensor values"
         )
     return dict(values)
 

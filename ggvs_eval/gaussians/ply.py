@@ -135,11 +135,11 @@ def read_ply(path: Path) -> GaussianCloud:
             if count > MOST_GAUSSIANS or head + n_bytes > size:
                 raise RenderError(
                     f"{path}: its header says {count} Gaussians in {n_bytes} bytes, the file has {max(size - head, 0)} "
-                    f"for them (at most {MOST_GAUSSIANS} Gaussians are read); copy or save it again"
+                    f"for them (at most {MOST_GAUSSIANS} Gaussians are supported); copy or save it again"
                 )
             tables = [np.fromfile(file, each.row, each.n_rows) for each in wanted]
     except OSError as error:
-        raise RenderError(f"{path}: wanted a cloud of Gaussians (.ply), it cannot be read: {why_unread(error)}") from error
+        raise RenderError(f"{path}: wanted a cloud of Gaussians (.ply), got an unreadable file: {why_unread(error)}") from error
     if any(len(table) < each.n_rows for table, each in zip(tables, wanted, strict=True)):
         raise RenderError(f"{path}: wanted {count} Gaussians, the file ended after {len(tables[-1])}; copy or save it again")
     return _cloud(decompressed(*tables) if is_compressed else tables[0], path)
@@ -251,14 +251,14 @@ def _require_properties(names: list[str], path: Path) -> None:
     absent = [name for name in (*MEANS, *COLOURS, "opacity", *SCALES, *TURNS) if name not in names]
     if absent:
         raise RenderError(
-            f"{path}: no cloud of Gaussians: it lacks {', '.join(absent[:4])}{'...' * (len(absent) > 4)}, its properties are "
+            f"{path}: wanted a cloud of Gaussians, got a file without {', '.join(absent[:4])}{'...' * (len(absent) > 4)}, got "
             f"{', '.join(names[:12])}{'...' * (len(names) > 12)}; {MEND}"
         )
     for kind, pattern in OTHER_GAUSSIANS.items():
         if foreign := [name for name in names if pattern.fullmatch(name)]:
             raise RenderError(
-                f"{path}: {', '.join(foreign[:3])}{'...' * (len(foreign) > 3)} are of {kind}, which are drawn otherwise; render "
-                "them by their own code and 'ggvs-eval score --renders' the frames"
+                f"{path}: {', '.join(foreign[:3])}{'...' * (len(foreign) > 3)} are of {kind}, which are rendered differently; render "
+                "them by their own code and score the frames by 'ggvs-eval score --renders'"
             )
     rest = sum(name.startswith("f_rest_") for name in names)
     counts = [3 * ((degree + 1) ** 2 - 1) for degree in range(HIGHEST_DEGREE + 1)]

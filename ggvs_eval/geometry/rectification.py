@@ -254,7 +254,7 @@ def _canvas(
         (H, W); least and largest disparity, pixels; origin and size of the window, pixels.
     """
     if min(rays[..., 2].min(), rays_partner[..., 2].min()) < MIN_RAY_Z:
-        raise DepthError(f"cameras {reference.name} and {partner.name} look too far apart to be matched; choose another partner")
+        raise DepthError(f"cameras {reference.name} and {partner.name} have too different directions for matching; choose another partner")
     focal_px = reference.focal_px
     depth_scale = focal_px * baseline / rays[..., 2]
     low, high = _bounds(rays, focal_px)
@@ -267,7 +267,7 @@ def _canvas(
     width, height = np.ceil([right + 0.5, bottom + 0.5]) - origin
     if width <= d_max or height < 1 or d_max < d_min:
         overlap = f"{width - d_max:g} x {height:g} pixels"
-        raise DepthError(f"two rectified images overlap by {overlap}, too little to be matched; choose another partner")
+        raise DepthError(f"two rectified images overlap by {overlap}, too little for matching; choose another partner")
     return depth_scale, (d_min, d_max), origin, (int(width), int(height))
 
 

@@ -65,7 +65,7 @@ def describe_sight(target: Camera, sources: Sequence[Camera], share: float) -> s
     angles = [float(np.rad2deg(np.median(ray_angles(target, source, sample_view(target))))) for source in sources]
     nearest = sources[int(np.argmin(angles))].name
     apart = f"{min(angles):.0f} degrees away ({nearest}) or more"
-    return f"its {len(sources)} sources look from {apart} and show {share:.0%} of its view at a depth that can be found"
+    return f"its {len(sources)} sources are {apart} and show {share:.0%} of its view with recoverable depth"
 
 
 def advise_sight(target: Camera, k: int, cameras: Sequence[Camera], sensed: Collection[str] = ()) -> str:
@@ -77,7 +77,7 @@ def advise_sight(target: Camera, k: int, cameras: Sequence[Camera], sensed: Coll
         share = 0.0
     if share >= LEAST_SHOWN:
         return f'set synthesis.sources = "coverage", whose sources see {share:.0%}'
-    return f"add cameras between, {APART_DEG} degrees apart or less, or leave it out of the test views"
+    return f"add cameras between, {APART_DEG} degrees apart or less, or remove it from the test views"
 
 
 def _matchable(source: Camera, partners: Sequence[Camera], points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -116,7 +116,7 @@ def _unit(vector: Array) -> Array:
 SourceChoice = Literal["nearest", "coverage", "triplet"]
 CHOSEN_AS: dict[SourceChoice, str] = {
     "nearest": "the nearest",
-    "coverage": "chosen for what they see of the target",
+    "coverage": "chosen by their coverage of the target",
     "triplet": "the corners of the triangle of cameras around the target",
 }  # in words
 
@@ -224,7 +224,7 @@ def _coverage_shares(target: Camera, others: Sequence[Camera], k: int) -> dict[i
     pool, worth = _pool(worth, k)
     if not len(pool):
         raise CameraError(
-            f"camera {target.name}: wanted sources that look its way, none of {len(others)} cameras is turned by less than "
+            f"camera {target.name}: wanted sources that face its view, none of {len(others)} cameras is turned by less than "
             f"{np.rad2deg(MOST_TURN_RAD):.0f} degrees and sees any of its view; leave it out or add cameras"
         )
     k = min(k, len(pool))

@@ -132,7 +132,7 @@ def _common_channels(sources: Sequence[SourceView], extras: Sequence[Map | None]
     for source, extra in zip(sources, extras, strict=True):
         image = source.image
         if extra is not None and image.dtype != np.uint8:
-            raise RenderError(f"splat: an extra feature goes with an 8-bit image, got features of {image.dtype}")
+            raise RenderError(f"splat: wanted an 8-bit image with an extra feature, got {image.dtype}")
         if image.dtype == np.uint8 and image.shape[2:] != (3,):
             raise RenderError(f"splat: wanted an 8-bit image (H, W, 3), got {image.shape}")
         channels.add((image.shape[2] if image.ndim == 3 else 0) + (extra is not None))

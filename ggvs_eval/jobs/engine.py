@@ -33,8 +33,8 @@ TRIES_ALONE = 2
 LOOK_AGAIN_S = 0.5  # while a job waits for memory
 STDERR = 2  # its file descriptor
 MESSAGE_LETTERS = 300
-GUARD = 'a script that works in processes calls its functions below `if __name__ == "__main__":`'
-FEWER = "use fewer --jobs, and see how much memory and how many processes this machine allows (ulimit -a)"
+GUARD = 'a script that starts processes must call its functions below `if __name__ == "__main__":`'
+FEWER = "use fewer --jobs, and check the limits of memory and processes (ulimit -a)"
 COMMAND_LINE = ("ggvs-eval", "ggvs-eval.exe", "__main__.py")  # the file of the main module
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -70,7 +70,7 @@ class Engine:
             on_dask: Iterator[tuple[int, Result | LostJob]] = ENGINES["dask"](work, items, self.jobs, self.scheduler)
             return on_dask
         if self.scheduler:
-            raise RenderError(f"--scheduler {self.scheduler}: processes need none; add --engine dask")
+            raise RenderError(f"--scheduler {self.scheduler}: wanted --engine dask with it, got processes; add it")
 
         return run_in_processes(work, items, self.jobs)
 

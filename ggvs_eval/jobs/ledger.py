@@ -169,7 +169,7 @@ def read_status(root: Path) -> list[StageStatus]:
     """
     ledgers = _ledgers(root)
     if not ledgers:
-        raise ResultsError(f"{root}: neither a run nor a sweep in which anything was rendered; begin with `ggvs-eval run`")
+        raise ResultsError(f"{root}: wanted a run or a sweep with renders, got neither; start with `ggvs-eval run`")
     return [_stage_status(ledger, root) for ledger in ledgers]
 
 

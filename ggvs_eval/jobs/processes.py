@@ -35,7 +35,7 @@ def worker_pool(workers: int) -> Executor:
     except (OSError, NotImplementedError) as error:
         if isinstance(error, OSError) and error.errno not in NO_SEMAPHORES:
             raise
-        print(f"ggvs-eval: {error or 'no semaphores'} (/dev/shm): one process does the work of all", file=sys.stderr)
+        print(f"ggvs-eval: {error or 'no semaphores'} (/dev/shm): running in one process", file=sys.stderr)
         return _ThisProcess()
 
 

@@ -46,7 +46,7 @@ def refuse_easyvolcap(path: Path, request: FrameRequest) -> str | None:
     if not places:
         return f"no {EASYVOLCAP_FOLDER}/frame0000_camera0000.png"
     if len(places) > 1:
-        return f"several sets: give one of {', '.join(str(place.relative_to(path)) for place in places)}"
+        return f"several sets; give one of {', '.join(str(place.relative_to(path)) for place in places)}"
     return None
 
 
@@ -83,7 +83,7 @@ def find_easyvolcap(path: Path, request: FrameRequest, is_temporary: bool) -> Re
     items = {view: by_view[view] for view in request.views if view in by_view}
     renders = picture_set(path, items, extras, request, is_temporary)
     claims = {where: copy for where, file in placed_pictures(renders).items() if (copy := _copy(file)).is_file()}
-    notes = (f"cameras are taken by their place among the sorted names: {places}", _compared(place, claims, request))
+    notes = (f"cameras are identified by their place in the sorted names: {places}", _compared(place, claims, request))
     return replace(renders, notes=notes)
 
 
@@ -132,7 +132,7 @@ def refuse_flat_set(path: Path, request: FrameRequest) -> str | None:
     if len(pairs) > 1:
         places = [pair.rendered.parent for pair in pairs]
         shown = [pair.rendered if places.count(place) > 1 else place for pair, place in zip(pairs, places, strict=True)]
-        return f"several sets: give one of {', '.join(str(place.relative_to(path)) for place in shown)}"
+        return f"several sets; give one of {', '.join(str(place.relative_to(path)) for place in shown)}"
     return None
 
 
@@ -159,8 +159,8 @@ def find_flat_set(path: Path, request: FrameRequest, is_temporary: bool) -> Rend
     if not copies:
         first = next(iter(names)).relative_to(pair.rendered.parent)
         raise RenderError(
-            f"{pair.rendered.parent}: wanted names with a view, got {first}, and {pair.truth.name}/ lacks pictures to find their order "
-            "by; name them <view>/<frame>.png"
+            f"{pair.rendered.parent}: wanted names with a view, got {first}, and {pair.truth.name}/ lacks pictures to determine their order "
+            "from; name them <view>/<frame>.png"
         )
     if set(rendered) != set(copies):
         listed = ", ".join(str(key) for key in sorted(set(rendered) ^ set(copies), key=str)[:20])
@@ -183,7 +183,7 @@ def _found_in_order(
     for index, (view, frame) in order.places.items():
         by_view.setdefault(view, {})[frame] = rendered[index]
     views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in by_view.items()}
-    compared = f"order found by comparing {pair.truth.name}/ with the captured frames ({level:.1f} levels of 255 apart)"
+    compared = f"order determined by comparing {pair.truth.name}/ with the captured frames ({level:.1f} levels of 255 apart)"
     unused = len(rendered) - len(order.places)
     left = [f"{unused} pictures of other frames of the capture are not used"] if unused else []
     return RenderSet(views, (), (f"{compared}: {order.describe}", *left))

@@ -90,7 +90,7 @@ def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item
     """
     if len(request.frames) == 1 and all(len(items) == 1 and _means_nothing(items[0][0], request) for items in views.values()):
         alone = {view: {request.frames[0]: items[0][1]} for view, items in views.items()}
-        return Numbered(alone, {}, {}, 0, f"the only frame of each view is taken as the instant {request.frames[0]}")
+        return Numbered(alone, {}, {}, 0, f"the only frame of each view is assumed to be instant {request.frames[0]}")
     numbers = {view: {number for number, _ in items if number is not None} for view, items in views.items()}
     try:
         first, note = _decide(numbers, request)
@@ -125,7 +125,7 @@ def _decide(numbers: Mapping[str, Numbers], request: FrameRequest) -> tuple[int,
         return 0, "no frame has a number in its name"
     if request.first_frame is not None:
         first = request.first_frame - request.frames.start
-        return first, f"numbered as --first-frame {request.first_frame} says: {_taken(used, first, request)}"
+        return first, f"numbered by --first-frame {request.first_frame}: {_taken(used, first, request)}"
     _refuse_unlike(numbers, request)
     first = _first_number(used, request)
     origin = f"numbered from {first}:" if first else "frames" if len(used) > 1 else "frame"
@@ -141,8 +141,8 @@ def _first_number(used: Sequence[int], request: FrameRequest) -> int:
     ends_past = used[-1] == request.n_frames  # the last of a capture that is numbered from 1
     if _is_run(used, len(request.frames)) and lacks_0 and lacks_1:
         raise RenderError(
-            f"frames are numbered {as_ranges(list(used))}, the protocol asks for the instants "
-            f"{as_ranges(list(request.frames))} of 0-{request.n_frames - 1}; render these, or give --first-frame {used[0]} "
+            f"frames are numbered {as_ranges(list(used))}, the protocol uses the instants "
+            f"{as_ranges(list(request.frames))} of 0-{request.n_frames - 1}; render those, or give --first-frame {used[0]} "
             f"if number {used[0]} shows instant {request.frames.start}"
         )
     if used[0] == 0 or (from_0 and not lacks_0):
@@ -169,7 +169,7 @@ def _beyond(used: Sequence[int], request: FrameRequest) -> int:
         return used[0]
     raise RenderError(
         f"frames are numbered {as_ranges(list(used))}, the capture has the instants 0-{request.n_frames - 1}; number them by "
-        f"instant, or say with --first-frame which number shows instant {request.frames.start}"
+        f"instant, or give by --first-frame the number of instant {request.frames.start}"
     )
 
 
@@ -177,8 +177,8 @@ def _ambiguous(used: Sequence[int], request: FrameRequest) -> RenderError:
     """Numbers that may be counted from 0 or from 1."""
     start = request.frames.start
     return RenderError(
-        f"frames are numbered {as_ranges(list(used))}, which may be the instants {as_ranges(list(used))} or, counted from 1, "
-        f"{as_ranges([number - 1 for number in used])}, and the protocol asks for {as_ranges(list(request.frames))}; name them "
+        f"frames are numbered {as_ranges(list(used))}, which can be the instants {as_ranges(list(used))} or, counted from 1, "
+        f"{as_ranges([number - 1 for number in used])}, and the protocol uses {as_ranges(list(request.frames))}; name them "
         f"by instant, or give --first-frame {start} if number {start} shows instant {start}, --first-frame {start + 1} if number "
         f"{start + 1} does"
     )
@@ -211,13 +211,13 @@ def _taken(used: Sequence[int], first: int, request: FrameRequest) -> str:
     inside = [number for number in used if number - first in request.frames]
     instants = as_ranges([number - first for number in inside])
     if not inside:
-        return f"{as_ranges(list(used))} are taken as the instants {as_ranges(sorted(_shifted(used, first)))} of the capture"
+        return f"{as_ranges(list(used))} are used as the instants {as_ranges(sorted(_shifted(used, first)))} of the capture"
     if len(inside) == 1 == len(used):
-        return f"{inside[0]} is taken as the instant {instants} of the capture"
+        return f"{inside[0]} is used as the instant {instants} of the capture"
     if _shifted(used, first) == set(range(request.n_frames)) and len(inside) < len(used):
         of = f"of {as_ranges(list(used))}, the whole capture, {as_ranges(inside)} are used"
         return f"{of} as the instants {instants}" if first else of
-    return f"{as_ranges(inside)} are taken as the instants {instants} of the capture"
+    return f"{as_ranges(inside)} are used as the instants {instants} of the capture"
 
 
 def number_streams(path: Path, counts: Mapping[str, int], request: FrameRequest) -> Numbered[int]:
@@ -241,16 +241,16 @@ def number_streams(path: Path, counts: Mapping[str, int], request: FrameRequest)
         listed = ", ".join(f"{view} {count}" for view, count in counts.items())
         raise RenderError(
             f"{path}: wanted {n_wanted} frames of each view (the protocol's) or {n_frames} (the whole capture), got {listed}; "
-            "cut them to the protocol's frames, or say with --first-frame which frame of each, counted from 0, shows instant "
+            "cut them to the protocol's frames, or give by --first-frame the frame, counted from 0, of instant "
             f"{start}"
         )
     first = asked - start if asked is not None else 0 if is_whole else -start  # index of the capture's first instant
     frames = {v: {frame: frame + first for frame in request.frames if 0 <= frame + first < count} for v, count in counts.items()}
     unused = {view: [] if is_whole or asked is not None else list(range(n_wanted, count)) for view, count in counts.items()}
     used = as_ranges(list(request.frames))
-    note = f"the frames of each view are taken, in order, as the instants {used}"
+    note = f"the frames of each view are used, in order, as the instants {used}"
     if asked is not None:
-        note = f"as --first-frame {asked} says, frame {asked} of each view (counted from 0) shows instant {start}"
+        note = f"by --first-frame {asked}, frame {asked} of each view (counted from 0) shows instant {start}"
     elif is_whole:
         note = f"each view has the {n_frames} frames of the whole capture, of which {used} are used"
     return Numbered(frames, unused, {}, 0, note)

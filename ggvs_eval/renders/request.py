@@ -98,7 +98,7 @@ def request_of(run: RunFolder, label: str, first_frame: int | None = None) -> Fr
     for view in views:
         file = frame_path(run.truth(view), frames.start)
         if not file.is_file():
-            raise RenderError(f"{file}: wanted a captured frame to compare with, there is none; run `ggvs-eval prepare`")
+            raise RenderError(f"{file}: wanted a captured frame to compare with, got none; run `ggvs-eval prepare`")
         sizes[view] = read_header(file).size
     return FrameRequest(
         label, views, frames, record["n_frames"], sizes, tuple(record["cameras"]), run.root / "truth", first_frame
@@ -164,7 +164,7 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
     if listed:
         numbered = [numbering] if numbering else []
         raise RenderError(
-            f"{path}: {'; '.join([*numbered, *listed])}; put this right, or give --allow-partial to score what fits"
+            f"{path}: {'; '.join([*numbered, *listed])}; fix these, or add --allow-partial to score the rest"
         )
 
 
@@ -172,7 +172,7 @@ def partial_text(fitted: Fit, request: FrameRequest) -> str:
     """Describe the frames behind a row of these renders; empty where none is missing."""
     if not fitted.usable:
         raise RenderError(
-            f"{request.label}: not a single frame fits the protocol: {_listed((*fitted.missing, *fitted.faulty))}; "
+            f"{request.label}: wanted frames of the protocol, got none: {_listed((*fitted.missing, *fitted.faulty))}; "
             "check views, frames and size"
         )
     n_whole = sum(len(frames) == len(request.frames) for frames in fitted.usable.values())
@@ -193,7 +193,7 @@ def read_header(path: Path) -> PictureHeader:
     try:
         check_plain(path, LARGEST_PICTURE)
     except OSError as error:
-        raise RenderError(f"{path}: wanted a picture, it cannot be read ({why_unread(error)}); restore it") from error
+        raise RenderError(f"{path}: wanted a picture, got an unreadable file ({why_unread(error)}); restore it") from error
     try:
         return read_picture_header(path)
     except Exception as error:  # the parser raises any exception on a damaged header
@@ -235,7 +235,7 @@ class PixelRemarks:
     def notes(self) -> list[str]:
         """A line for each kind of remarkable frame; none where there are none."""
         black, grey = (f"{counted(len(some), 'frame')} ({as_ranges(some)})" for some in (self._black, self._grey))
-        notes = [f"{black} all zero: did rendering fail? scored as it is"] if self._black else []
+        notes = [f"{black} all zero (failed rendering?); scored anyway"] if self._black else []
         return notes + ([f"{grey} grey: the same level is measured in all three channels"] if self._grey else [])
 
 
@@ -271,7 +271,7 @@ class PictureView:
             header, image = read_header(source), read_image(source)
             remarks.add(number, image)
             if header.form == "JPEG":
-                converted["of JPEG, decoded once to PNG: what it lost counts against the method"].append(number)
+                converted["of JPEG, decoded once to PNG: coding errors count against the method"].append(number)
             for conversion in header._replace(colours=header.colours.replace("grey", "")).conversions:  # seen from its pixels
                 converted[f"read {conversion}"].append(number)
             if header.form == "JPEG" or header.colours:

@@ -75,7 +75,7 @@ def _numbered(folder: Path, suffixes: tuple[str, ...], noun: str) -> list[Path]:
     """Files of a folder in the order of the last numbers of their names."""
     files = [path for path in list_files(folder, suffixes) if path.is_file()]
     if not files:
-        raise RenderError(f"{folder}: wanted {noun} ({', '.join(suffixes)}), there are none; name the folder that they are in")
+        raise RenderError(f"{folder}: wanted {noun} ({', '.join(suffixes)}), got none; name the folder that holds them")
     try:
         numbers = numbers_in([file.stem for file in files])
     except ValueError as error:
@@ -83,7 +83,7 @@ def _numbered(folder: Path, suffixes: tuple[str, ...], noun: str) -> list[Path]:
     if len(set(numbers)) < len(files):
         twice = next(file for file, number in zip(files, numbers, strict=True) if numbers.count(number) > 1)
         raise RenderError(
-            f"{folder}: wanted {noun} with a number each, {twice.name} shares its with another; keep one kind of file"
+            f"{folder}: wanted {noun} with a number each, {twice.name} repeats one; keep one kind of file"
         )
     ordered = sorted(zip(numbers, files, strict=True), key=lambda each: (each[0] is not None, each[0] or 0))
     return [file for _, file in ordered]
@@ -109,7 +109,7 @@ def _one_channel(path: Path, picture: NDArray[np.generic]) -> Map:
         return values
     colours = values[..., :3]
     if (np.ptp(colours, axis=-1) > 2).any():
-        raise RenderError(f"{path}: wanted depth in one channel, got colours; write the numbers, not the picture of a colour map")
+        raise RenderError(f"{path}: wanted depth in one channel, got colours; save the values, not a colour map")
     return np.ascontiguousarray(colours[..., 0])
 
 
@@ -139,5 +139,5 @@ def _member(path: Path) -> str:
 
 
 def _nothing(path: Path, kinds: str) -> RenderError:
-    contents = "this is none of them" if path.exists() else "there is nothing"
+    contents = "got another kind" if path.exists() else "got no such path"
     return RenderError(f"{path}: wanted {kinds}, {contents}; check the path")

@@ -139,7 +139,7 @@ def find_order(copies: Sequence[Path], request: FrameRequest) -> Order:
     best = scored[0][0]  # where nothing fits, `check_truth` says how far it is
     if len(scored) > 1 and best <= LARGEST_DIFFERENCE and scored[1][0] <= 1.25 * best + VISIBLE_DIFFERENCE:
         raise RenderError(
-            f"two orders fit the captured frames alike: {scored[0][1].describe} ({best:.1f} levels) and "
+            f"two orders fit the captured frames equally: {scored[0][1].describe} ({best:.1f} levels) and "
             f"{scored[1][1].describe} ({scored[1][0]:.1f}); name the files <view>/<frame>.png"
         )
     return scored[0][1]

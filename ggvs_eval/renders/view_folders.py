@@ -135,7 +135,7 @@ def refuse_run(path: Path, request: FrameRequest) -> str | None:
     if not labels:
         return "its renders/ is empty"
     if len(labels) > 1 and request.label not in labels:
-        return f"several methods; call it by one of their names: {', '.join(labels)}"
+        return f"several methods; use one of their names: {', '.join(labels)}"
     return refuse_folders(_method_folder(path, request), request)
 
 
@@ -150,7 +150,7 @@ def find_run(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet
     if request.first_frame is not None:
         return find_folders(folder, request, is_temporary)
     renders = find_folders(folder, replace(request, first_frame=request.frames.start), is_temporary)
-    return replace(renders, numbering="frames of a run folder bear the numbers of their instants")
+    return replace(renders, numbering="frames of a run folder are numbered by instant")
 
 
 def _method_folder(path: Path, request: FrameRequest) -> Path:
@@ -166,7 +166,7 @@ def instead_of(path: Path, view: str, request: FrameRequest) -> str:
     if unread or list_images(folder):
         return unread and f"{view}/ holds {unread}"
     if (path / view).is_symlink() and not (path / view).exists():
-        return f"{view} is a link to nothing: restore what it leads to"
+        return f"{view} is a broken link; restore its target"
     names = {file.name if file.is_dir() else file.stem: file.name for file in list_entries(path)}
     return unread_videos(path, (view,)) or respelled(view, names, request)
 
@@ -177,7 +177,7 @@ def instead_of_all(path: Path, request: FrameRequest) -> str:
     others = [name for name in request.cameras if name in present]
     if others and present.isdisjoint(request.views):
         return (
-            f"{path.name} has {', '.join(others)}, cameras that the protocol does not test; write one that does: "
+            f"{path.name} has {', '.join(others)}, cameras that are not test views of the protocol; write a protocol with them: "
             f"ggvs-eval protocol CAPTURE mine.toml --test {' '.join(others)}"
         )
     hints = [hint for view in request.views if (hint := instead_of(path, view, request))]
@@ -193,10 +193,10 @@ def respelled(view: str, names: Mapping[str, str], request: FrameRequest) -> str
     others = {name: shown for name, shown in names.items() if name not in request.cameras}
     for name, shown in others.items():
         if name.casefold() == view.casefold():
-            return f"there is {shown}: upper and lower case are distinguished, write {view}"
+            return f"there is {shown}: names are case-sensitive, write {view}"
     number = _only_number(view)
     alike = [shown for name, shown in others.items() if number is not None and _only_number(name) == number]
-    return f"there is {alike[0]}: if this is {view}, call it so" if len(alike) == 1 else ""
+    return f"there is {alike[0]}: rename it if it is {view}" if len(alike) == 1 else ""
 
 
 def _only_number(name: str) -> int | None:

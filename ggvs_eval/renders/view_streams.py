@@ -33,7 +33,7 @@ ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedE
 SAFE_CODINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 ARRAY_SUFFIXES = (".npy", ".npz")
 OWN_RENDERS, OWN_TRUTH = "renders", "gts"  # members of an archive of renders with their truth, as 4DGV publishes them
-VIDEO_NOTE = "decoded from video: what its coding lost counts against the method"
+VIDEO_NOTE = "decoded from video; coding errors count against the method"
 ARRAY_NOTE = "written to PNG from an array"
 
 
@@ -174,7 +174,7 @@ def npz_members(path: Path) -> list[str]:
         with zipfile.ZipFile(path) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
     except ZIP_ERRORS as error:
-        raise RenderError(f"{path}: wanted an .npz archive, it cannot be opened ({error}); save it with numpy.savez") from error
+        raise RenderError(f"{path}: wanted an .npz archive, got an unreadable file ({error}); save it with numpy.savez") from error
 
 
 def read_small_array(path: Path, member: str) -> np.ndarray:
@@ -184,7 +184,7 @@ def read_small_array(path: Path, member: str) -> np.ndarray:
         with np.load(path, allow_pickle=False) as archive:
             return archive[member]
     except (*ZIP_ERRORS, KeyError) as error:
-        raise RenderError(f"{path}[{member}]: wanted an array of numbers, it cannot be read ({error}); save it again") from error
+        raise RenderError(f"{path}[{member}]: wanted an array of numbers, got an unreadable one ({error}); save it again") from error
 
 
 class FrameStream(Protocol):
@@ -328,7 +328,7 @@ def _compare_truth(stack: ArrayStack, indices: Mapping[int, int], view: str, req
     truth, numbers = ArrayStack(stack.path, OWN_TRUTH), {index: number for number, index in indices.items()}
     if (truth.n_frames, truth.size) != (stack.n_frames, stack.size):
         sizes = [f"{one.n_frames} frames of {one.size[0]} x {one.size[1]}" for one in (stack, truth)]
-        raise RenderError(f"{stack.path}: wanted {OWN_RENDERS} and {OWN_TRUTH} alike, got {' and '.join(sizes)}; save again")
+        raise RenderError(f"{stack.path}: wanted {OWN_RENDERS} and {OWN_TRUTH} of one shape, got {' and '.join(sizes)}; save again")
     if size_fault(truth.size, request.sizes[view]):
         return f"{truth.path.name}[{OWN_TRUTH}] was not compared with the captured frames, which have another size"
     levels = [

@@ -131,11 +131,11 @@ def describe_short(frames: int, worth: float, wanted: float = FEWEST_CALLED) -> 
     """
     independent = max(1, math.floor(worth))
     if independent >= frames:
-        return f"clip too short: it has {counted(frames, 'frame')}, and {wanted:g} independent ones are wanted"
+        return f"clip too short: it has {counted(frames, 'frame')}, of {wanted:g} independent ones needed"
     ones = "one" if independent == 1 else "ones"
     return (
-        f"clip too short: its {frames} frames are worth {independent} independent {ones}, as errors last, "
-        f"and {wanted:g} are wanted"
+        f"clip too short: its {frames} frames are worth {independent} independent {ones}, since errors are correlated, "
+        f"of {wanted:g} needed"
     )
 
 

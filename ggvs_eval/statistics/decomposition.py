@@ -107,7 +107,7 @@ def decompose(values: ArrayLike, views: tuple[str, ...] = (), frames: tuple[int,
         raise ResultsError(f"a decomposition wants values of shape (views, frames), got {matrix.shape}; give one row per view")
     if not np.isfinite(matrix).all():
         view, frame = np.argwhere(~np.isfinite(matrix))[0]
-        raise ResultsError(f"a decomposition wants every cell, row {view} column {frame} is {matrix[view, frame]}; fill it")
+        raise ResultsError(f"a decomposition wants every cell, row {view} column {frame} is {matrix[view, frame]}; provide it")
     mean = float(matrix.mean())
     view, time = matrix.mean(axis=1) - mean, matrix.mean(axis=0) - mean
     rest = matrix - mean - view[:, None] - time
@@ -126,7 +126,7 @@ def decompose_metric(
     panel = read_panel(results, metric, scene, method, variant, dataset)
     views = tuple(view for view in panel.views if view is not None)
     if not views or panel.frames[0] < 0:
-        raise ResultsError(f"{metric} has no value for each view and frame; take apart one that has, such as L1")
+        raise ResultsError(f"{metric} has no value for each view and frame; decompose another, such as L1")
     return decompose(panel.values, views, panel.frames)
 
 
@@ -166,7 +166,7 @@ def read_panel(results: Results, metric: str, scene: str, method: str, variant: 
     for column, value in selection.items():
         table = table[table[column] == value]
     if table["dataset"].nunique() > 1:
-        raise ResultsError(f"{metric}: values of {' and '.join(sorted(table['dataset'].unique()))}; say which data set")
+        raise ResultsError(f"{metric}: values of {' and '.join(sorted(table['dataset'].unique()))}; name one data set")
     return make_panel(table, f"{metric} of {label_of(method, variant)} in {scene}")
 
 
@@ -184,7 +184,7 @@ def make_panel(cells: "pd.DataFrame", what: str) -> Panel:
     views = cells["view"].astype(object).where(cells["view"].notna(), "")  # one key for "the whole rig"
     cells = cells.assign(view=views)
     if cells.duplicated(["view", "frame"]).any():
-        raise ResultsError(f"{what}: two values for one view and frame; score again into an empty folder")
+        raise ResultsError(f"{what}: two values for one view and frame; score again into a new folder")
     matrix = cells.pivot(index="view", columns="frame", values="value").sort_index().sort_index(axis=1)
     _check_cells(matrix, {(view, frame) for view, frame in zip(views, cells["frame"], strict=True)}, what)
     names = tuple(None if view == "" else str(view) for view in matrix.index)
@@ -202,4 +202,4 @@ def _check_cells(matrix: "pd.DataFrame", present: set[tuple[str, int]], what: st
     more = f" and {len(missing or bad) - NAMED} more" if len(missing or bad) > NAMED else ""
     if missing:
         raise ResultsError(f"{what}: wanted a value for each view and frame, {named}{more} missing; score all frames of each")
-    raise ResultsError(f"{what}: wanted finite values, {named}{more} not finite; leave this metric out")
+    raise ResultsError(f"{what}: wanted finite values, {named}{more} not finite; omit this metric")

@@ -17,7 +17,7 @@ OUTCOMES: Mapping[Outcome, str] = {
     **{"too short": "too short to call", "untested": "not tested"},
 }
 NOT_WORSE: tuple[Outcome, ...] = ("better", "as good", "equal")
-BEYOND = "is better than the captured images, as blur is"
+BEYOND = "is better than the captured images, a sign of blur"
 ELSEWHERE = "was measured on other views or frames than the others"
 
 

@@ -51,7 +51,7 @@ class PooledScene:
         """The difference to another method under the same weights."""
         if (self.views, self.frames) != (other.views, other.frames):
             sizes = " and ".join(f"{len(scene.views)} x {len(scene.frames)}" for scene in (self, other))
-            raise ResultsError(f"{self.scene}: not the same views and frames ({sizes}); score both methods alike")
+            raise ResultsError(f"{self.scene}: not the same views and frames ({sizes}); score both methods on the same frames")
         return replace(self, pool=lambda v, f: self.pool(v, f) - other.pool(v, f))
 
 
@@ -116,7 +116,7 @@ def pool_table(results: Results, metric: str, dataset: str) -> PooledTable:
     cells = _cells(results, metric, () if pooling is None else pooling.parts, dataset)
     values = {label: _mean(by_scene, metric) for label, by_scene in cells.items()}
     if pooling is None:
-        return PooledTable(values, {}, dict.fromkeys(values, f"the results do not say how {metric} is pooled; score again"))
+        return PooledTable(values, {}, dict.fromkeys(values, f"the results lack the pooling of {metric}; score again"))
     scenes: dict[str, tuple[PooledScene, ...]] = {}
     refusals: dict[str, str] = {}
     for label, by_scene in cells.items():

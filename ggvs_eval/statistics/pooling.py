@@ -31,7 +31,7 @@ class Pooling:
     def __post_init__(self) -> None:
         """Refuse an unknown rule."""
         if self.rule not in RULES:
-            raise ResultsError(f"no rule of pooling {self.rule!r}, there are {', '.join(RULES)}; read it with what scored it")
+            raise ResultsError(f"wanted a pooling rule of {', '.join(RULES)}, got {self.rule!r}; use the version that scored it")
 
     @property
     def no_interval(self) -> str:
@@ -42,7 +42,7 @@ class Pooling:
             85 to 95 % for normal errors and 80 to 85 % for heavy-tailed ones at any length. In the difference of two methods both
             cancel: 3 to 7 % of false alarms (`benchmarks/interval_coverage.py`).
         """
-        return "a deviation of correlated frames, whose intervals cover too seldom" if self.squares else ""
+        return "a deviation of correlated frames, whose intervals have too low coverage" if self.squares else ""
 
     @property
     def squares(self) -> bool:
