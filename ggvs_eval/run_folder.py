@@ -183,7 +183,7 @@ def require_frames(folders: dict[str, Path], indices: range) -> None:
     listed = [f"{name} lacks {as_ranges(missing)}" for name, missing in gaps.items() if missing]
     if listed:
         root = next(iter(folders.values())).parents[1]
-        raise RenderError(f"{root}: wanted all frames, got none of {'; '.join(listed)}; run `ggvs-eval render`")
+        raise RenderError(f"{root}: wanted all frames, got gaps: {'; '.join(listed)}; run `ggvs-eval render`")
 
 
 def as_ranges(indices: list[int]) -> str:

@@ -110,11 +110,11 @@ def _of_coded(
 ) -> Ceilings:
     """Of a coded video: renderings and truth are filmed from its clean frames."""
     if coding.unknown:
-        raise MetricError(f"ceilings: what the codec took is unknown: {coding.unknown}")
+        raise MetricError(f"ceilings: the codec's loss is unknown: {coding.unknown}")
     height, width = next(iter(frames())).shape[:2]
     if (width, height) != tuple(coding.size):
         coded = "{} x {}".format(*coding.size)
-        raise MetricError(f"ceilings: what the codec took is unknown: coded at {coded}, measured at {width} x {height}")
+        raise MetricError(f"ceilings: the codec's loss is unknown: coded at {coded}, measured at {width} x {height}")
     with tempfile.TemporaryDirectory() as folder:
         recorder = Recorder(frames, coding, seed, Path(folder))
         doubt = recorder.doubt()

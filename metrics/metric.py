@@ -31,7 +31,7 @@ QUALITY = Group("quality", "Image quality")
 CONSISTENCY = Group("consistency", "Temporal and view consistency")
 REGION = Group("regions", "Quality by region")
 NO_REFERENCE = Group("no_reference", "Stability without reference, with sharpness")
-ALONG_PATH = Group("path", "View consistency along the camera path, without truth")
+ALONG_PATH = Group("path", "View consistency along the camera path, without reference")
 FURTHER = Group("further", "Further measures")
 
 

@@ -68,7 +68,7 @@ def initial_points(footage: Footage, indices: Sequence[int], most: int) -> Point
     if not len(means):
         raise DepthError(
             f"depth of {len(footage.views)} cameras at {len(indices)} instants: no point on which {AGREEING} others agree; "
-            f"look at the depth page, or take another matcher"
+            f"check the depth page, or use another --matcher"
         )
     thinned = None
     low, high = 1e-5, 0.2  # voxel, shares of the diagonal of what is there

@@ -336,7 +336,7 @@ def _notes(path: Path) -> Any:
             return json.loads((file.metadata() or {})[NOTE])
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise WeightsError(
-            f"{path}: wanted a fitted scene, got {type(error).__name__} ({error}); delete it and fit again"
+            f"{path}: wanted a fitted scene, got {type(error).__name__} ({error}); move it away and fit again"
         ) from error
 
 

@@ -130,5 +130,5 @@ class FitState:
             state.gradient_sum, state.visits = values["gradient_sum"], values["visits"]
         except (RuntimeError, KeyError, ValueError, TypeError, EOFError, AttributeError, pickle.UnpicklingError) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise TrainingError(f"{path}: not the state of this fit ({reason}); delete it, and the fit begins anew") from error
+            raise TrainingError(f"{path}: wanted the state of this fit, got {reason}; move it away to restart the fit") from error
         return state

@@ -12,7 +12,7 @@ BASELINE = LearnedBaseline(
         Rendition("GPS-Gaussian", "Gaussians of the nearest pair by its own stereo"),
         Rendition(
             "GPS-Gaussian, Given Depth",
-            "Gaussians of the nearest pair by the depth that the others get",
+            "Gaussians of the nearest pair by the depth of the other methods",
             retrained="compact",
             variant="given-depth",
             options={"depth": "given"},

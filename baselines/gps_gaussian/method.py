@@ -163,7 +163,7 @@ def _corners(camera: Camera, axes: Array, focal_px: float) -> Array:
     corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]], np.float64)
     rays = (camera.unproject(corners, np.ones(4)) - camera.centre) @ axes.T  # (4, 3)
     if rays[:, 2].min() < MIN_RAY_Z:
-        raise RenderError(f"camera {camera.name} looks too far away from its partner: no stereo pair")
+        raise RenderError(f"camera {camera.name} wanted a stereo pair, its direction differs too much from its partner's")
     corners_px: Array = rays[:, :2] / rays[:, 2:] * focal_px
     return corners_px
 

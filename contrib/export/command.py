@@ -42,7 +42,7 @@ def export(
     from ggvs_eval.pipelines.view.scene import up_direction
 
     if out.suffix.lower() != ".glb":
-        raise RenderError(f"{out}: wanted a name that ends in .glb, which is how viewers know it; {out.with_suffix('.glb')}?")
+        raise RenderError(f"{out}: wanted a .glb file name; use {out.with_suffix('.glb').name}")
     if not (fps is None or 0 < fps < float("inf")) or not (frames is None or frames > 0):
         raise CommandError(f"wanted --fps above 0 and --frames of at least 1, got {fps} and {frames}")
     opened = open_capture(capture, layout) if capture else None

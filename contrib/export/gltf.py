@@ -127,7 +127,7 @@ def _rows(cloud: GaussianCloud, degree: int | None, name: str) -> dict[str, Arra
     if degree is None and cloud.degree > HIGHEST_DEGREE:
         raise RenderError(f"{name}: wanted harmonics of degree 0 to {HIGHEST_DEGREE}, got {cloud.degree}; keep degree 3 of them")
     if not len(cloud):
-        raise RenderError(f"{name}: wanted Gaussians, the cloud has none, which glTF cannot say; leave this instant out")
+        raise RenderError(f"{name}: wanted at least one Gaussian, got an empty cloud; omit this instant")
     values = {key: tensor.detach().cpu().numpy() for key, tensor in cloud.parameters().items()}
     sh = values.pop("sh")
     values = {key: each.astype(np.float64) for key, each in values.items()}  # so that activations are rounded once
@@ -142,7 +142,7 @@ def _rows(cloud: GaussianCloud, degree: int | None, name: str) -> dict[str, Arra
         rows = {key: each.astype(np.float32) for key, each in wide.items()}
     broken = [key for key, each in rows.items() if not np.isfinite(each).all()]
     if broken:
-        raise RenderError(f"{name}: wanted finite numbers, some of its {broken[0]} are not; the fit has diverged")
+        raise RenderError(f"{name}: wanted finite numbers, got others in {broken[0]}; the fit diverged, fit again")
     return rows
 
 
@@ -196,7 +196,7 @@ def _rotation_to_y(up: Sequence[float]) -> list[float]:
     direction = np.asarray(up, np.float64)
     length = float(np.linalg.norm(direction))
     if direction.shape != (3,) or not 0 < length < np.inf:
-        raise RenderError(f"wanted a direction that is up, three numbers that are not all 0, got {' '.join(map(str, up))}")
+        raise RenderError(f"--up: wanted three numbers that are not all 0, got {' '.join(map(str, up))}")
     x, y, z = direction / length
     if y < -1 + 1e-9:
         return [1.0, 0.0, 0.0, 0.0]  # half a turn around x
@@ -208,5 +208,5 @@ def _too_large(path: Path, fit: int, count: int) -> RenderError:
     fewer = f"fewer (--frames {fit}) or " if fit else ""
     return RenderError(
         f"{path}: a .glb holds {(MOST_BYTES + 1) / 2**30:.3g} GiB, wanted {count} instants, of which {fit} fit; write {fewer}"
-        "colours that are the same from everywhere (--degree 0)"
+        "view-independent colours (--degree 0)"
     )

@@ -112,7 +112,7 @@ def _open(path: Path) -> _Opened:
     except (OSError, struct.error, ValueError, RecursionError) as error:
         raise _unlike(path, why_unread(error) if isinstance(error, OSError) else f"{type(error).__name__} {error}") from error
     if kind != BINARY_CHUNK or 28 + length + n_bytes > size or not isinstance(document, dict):
-        raise _unlike(path, f"{size} bytes where its headers say {28 + length + n_bytes}")
+        raise _unlike(path, f"{size} bytes instead of {28 + length + n_bytes}")
     return _Opened(document, 28 + length, n_bytes)
 
 

@@ -49,7 +49,7 @@ def track_results(roots: Sequence[Path], tracker: Tracker, out: Path) -> Path:
     """
     if importlib.util.find_spec(PACKAGES[tracker]) is None:
         raise ResultsError(
-            f"--to {tracker}: wanted the package {PACKAGES[tracker]}, it is not installed; pip install 'ggvs-eval[{tracker}]'"
+            f"--to {tracker}: wanted the package {PACKAGES[tracker]}, got none; run pip install 'ggvs-eval[{tracker}]'"
         )
     runs = [read_scores(root) for root in roots]
     out.mkdir(parents=True, exist_ok=True)

@@ -178,7 +178,7 @@ def _in_order(poses: dict[int, Any], n_views: int) -> NDArray[np.bool_]:
 
 def _measure(path: RenderedPath) -> list[Value]:
     if path.folder is None:
-        raise MetricError("COLMAP consistency: the images of the path were not kept; name its metrics when the path is scored")
+        raise MetricError("COLMAP consistency: wanted the images of the path, got none; add its metrics to the protocol")
     measured = solve_views(path.folder, len(path.cameras), path.cameras)
     return whole_path(NAMES, measured.registered, measured.track_length, measured.matches)
 
@@ -190,7 +190,7 @@ COLMAP_REGISTERED = PathMetric(
     function=colmap_consistency,
     higher_is_better=True,
     decimals=3,
-    describe="share of the poses at which COLMAP finds the camera again, from the images alone",
+    describe="share of the poses at which COLMAP recovers the camera from the images alone",
     reference=_REFERENCE,
     scorer=_SCORER,
     beside=PATH_SHARPNESS.name,
@@ -201,7 +201,7 @@ COLMAP_TRACK_LENGTH = PathMetric(
     unit="views",
     higher_is_better=True,
     decimals=2,
-    describe="views, found where they belong, per point of COLMAP's model of the path; blur raises it",
+    describe="correctly placed views per point of COLMAP's model of the path; blur raises it",
     reference=_REFERENCE,
     scorer=_SCORER,
     beside=PATH_SHARPNESS.name,

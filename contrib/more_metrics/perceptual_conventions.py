@@ -45,7 +45,7 @@ def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
         "YCbCr of BT.709 in 16..235, full chroma": of_video("BT.709", headroom=True, chroma=1),
         "YCbCr of BT.709 in 16..235, chroma 4:2:0 (video)": of_video("BT.709", headroom=True, chroma=2),
         "YCbCr of BT.601 in 16..235, chroma 4:2:0 (video)": of_video("BT.601", headroom=True, chroma=2),
-        "PSNR of YCbCr 4:1:1, BT.709, which forgives nothing": psnr_ycbcr,
+        "PSNR of YCbCr 4:1:1, BT.709, without tolerance": psnr_ycbcr,
     }
     return frame_means(views, measures, OUR_IV_PSNR)
 

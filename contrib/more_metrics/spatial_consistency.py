@@ -241,7 +241,7 @@ def _stride(cameras: Sequence[Camera], look: Look, points: NDArray[np.float32]) 
     if not enough:
         raise MetricError(
             f"SGC: the path has no parallax: its cameras move the picture by at most {max(shifts.values()):.2g} px, wanted "
-            f"{LEAST_SHIFT_PX:g}; take a longer path or larger images"
+            f"{LEAST_SHIFT_PX:g}; use a longer path or larger images"
         )
     return enough[0]
 
@@ -257,7 +257,7 @@ def _step(cameras: Sequence[Camera], look: Look, points: NDArray[np.float32], fi
     kept &= known & (column >= 0) & (column < after.width) & (row >= 0) & (row < after.height)
     points_3d, found, start, column, row = points_3d[kept], found[kept], points[kept], column[kept], row[kept]
     if not kept.any():
-        return "no point with a depth is found again"
+        return "no point with a depth is matched"
     motion = rigid_between(before, after)
     asked = np.median(np.linalg.norm(project(after.K, transformed(motion, points_3d)) - start, axis=1))
     if np.median(np.linalg.norm(found - start, axis=1)) < STILL * asked:
@@ -298,7 +298,7 @@ SGC_ROTATION = PathMetric(
     unit="°²",
     higher_is_better=False,
     decimals=4,
-    describe="variance of the rotations that layers of the picture show from pose to pose: where they differ, the path bends",
+    describe="variance of the rotations of image layers between poses: differences are geometric inconsistency",
     reference=_REFERENCE,
     scorer=_SCORER,
     beside=PATH_SHARPNESS.name,

@@ -131,7 +131,7 @@ VMAF_V0, VMAF_V1 = (
         higher_is_better=True,
         group=FURTHER,
         decimals=2,
-        describe=f"fused measure of the video industry, 0 to 100, {scorer.model}; trained on compression, little of geometry",
+        describe=f"fused measure of the video industry, 0 to 100, {scorer.model}; trained on compression, not on geometry",
         reference="Li et al. 2016, Netflix",
         scorer=scorer,
     )

@@ -97,7 +97,7 @@ class Take:
         """Open the clips of `write_take`."""
         files = sorted(folder.glob("*.npz"))
         if not files:
-            raise CaptureError(f"{folder}: wanted clips of a metric study, there are none; delete the folder and run it again")
+            raise CaptureError(f"{folder}: wanted clips of a metric study, got none; choose a new folder")
         return cls(folder, name, digest_files(files))
 
     def clips(self) -> Iterator[Clip]:
@@ -133,7 +133,7 @@ def _read_clip(file: Path) -> Clip:
             arrays = dict(stored)
         record = json.loads(str(arrays["record"]))
     except (OSError, ValueError, EOFError, KeyError) as error:
-        raise CaptureError(f"{file}: wanted a clip of a metric study, got: {error}; delete it and run the study again") from error
+        raise CaptureError(f"{file}: wanted a clip of a metric study, got: {error}; move it away and run the study again") from error
     cameras = tuple(Camera.from_json(f"{record['name']}.{index}", each) for index, each in enumerate(record["cameras"]))
     sources = tuple(
         SourceClip(

@@ -56,7 +56,7 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
     select_metrics(named)
     if screened := [metric.name for metric in scored_on_screen(named)]:
         raise MetricError(
-            f"{', '.join(screened)}: of what is on a screen, which takes times; a study's frames have none, name others"
+            f"{', '.join(screened)}: wanted metrics without display times, got metrics of displayed frames; name others"
         )
     if named and ALL not in names:
         return tuple(named)

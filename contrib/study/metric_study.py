@@ -16,7 +16,7 @@ def read_study(folder: Path) -> Study:
     file = folder / STUDY_FILE
     if not file.is_file():
         raise ResultsError(
-            f"{folder}: wanted the folder of a metric study, it has no {STUDY_FILE}; `ggvs-eval metric-study` makes one"
+            f"{folder}: wanted the folder of a metric study, got no {STUDY_FILE}; run `ggvs-eval metric-study`"
         )
     record: Study = read_json(file)
     return record

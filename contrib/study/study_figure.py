@@ -34,7 +34,7 @@ def draw_study(folders: Mapping[str, Path], out: Path) -> Path:
     rows = answered_metrics(list(studies.values()))
     if not rows:
         raise ResultsError(
-            f"{', '.join(map(str, folders.values()))}: no metric has an answer to any degradation; nothing to draw"
+            f"{', '.join(map(str, folders.values()))}: wanted responses of metrics to draw, got none; run the study with more metrics"
         )
     counts = [len(study["ladders"]) for study in studies.values()]
     width = LABELS_IN + sum(counts) * CELL_IN[0] + len(counts) * GAP_IN

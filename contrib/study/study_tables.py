@@ -35,7 +35,7 @@ def verdict_table(studies: Sequence[Study], metrics: Sequence[str] | None = None
 def by_ladder_table(studies: Sequence[Study]) -> str:
     """Each degradation with the number of metrics that see it, and the names of those that do not."""
     verdicts = {metric: _verdicts(studies, metric) for metric in answered_metrics(studies)}
-    lines = ["| degradation | see it | blind to it | better with strength | depends on the capture |"]
+    lines = ["|  see it | blind to it|degradation | detected by | missed by| see it | blind to it | better with strength | depends on the capture |"]
     lines.append("| --- | ---: | --- | --- | --- |")
     for ladder in dict.fromkeys(name for study in studies for name in study["ladders"]):
         found = {metric: of_metric[ladder] for metric, of_metric in verdicts.items() if ladder in of_metric}
@@ -60,7 +60,7 @@ def _verdicts(studies: Sequence[Study], metric: str) -> dict[str, str]:
 
 def ladder_table(study: Study) -> str:
     """The degradations, their strengths and units."""
-    lines = ["| degradation | strengths | unit | what it is |", "| --- | --- | --- | --- |"]
+    lines = ["| degradation |  unit | what it is|strengths | unit | description| unit | what it is |", "| --- | --- | --- | --- |"]
     for name, ladder in study["ladders"].items():
         strengths = ", ".join(f"{strength:g}" for strength in ladder["strengths"])
         lines.append(f"| {name} | {strengths} | {ladder['unit']} | {ladder['describe']} |")
@@ -84,7 +84,7 @@ def study_text(study: Study) -> str:
         "Rank correlation with strength, 95 % interval over clips": correlation_table(study),
         "Least strength distinguished from the original": sensitivity_table(study),
         "Blind to": verdict_table([study]),
-        "Not computed": absence_list(study) or "Everything that was asked for is computed.",
+        "Not computed": absence_list(study) or "All requested values are computed.",
     }
     sections = (f"{'#' if not number else '##'} {title}\n\n{part}\n" for number, (title, part) in enumerate(parts.items()))
     return "\n".join(sections)

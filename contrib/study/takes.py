@@ -56,7 +56,7 @@ def prepare_views(root: Path, capture: Capture, names: Sequence[str], frames: ra
     try:
         return prepare_run(plan_run(RunRequest(root, capture, protocol)), workers)
     except (CameraError, DepthError) as error:
-        print(f"{capture.path}: nothing can be rendered of it, so that nothing boils or switches: {error}", file=sys.stderr)
+        print(f"{capture.path}: cannot be rendered; boiling and switch are omitted: {error}", file=sys.stderr)
         return None
 
 
@@ -196,7 +196,7 @@ def _drafts(root: Path, capture: Capture, options: StudyOptions, workers: Worker
     if capture.n_frames < options.frames:
         raise CaptureError(
             f"{capture.path}: wanted at least {options.frames} frames for a clip, the capture has {capture.n_frames}; "
-            "take shorter clips by --frames"
+            "use shorter clips by --frames"
         )
     names = _spread(capture.camera_names, VIEWS)
     last = capture.n_frames - options.frames
@@ -249,7 +249,7 @@ def _hand_held(root: Path, capture: Capture, options: StudyOptions, workers: Wor
     if len(capture.cameras) < 2 * options.frames:
         raise CaptureError(
             f"{capture.path}: wanted at least {2 * options.frames} images of a camera that moves, the capture has "
-            f"{len(capture.cameras)} of one instant; take shorter clips by --frames"
+            f"{len(capture.cameras)} of one instant; use shorter clips by --frames"
         )
     names = capture.camera_names[:needed]
     poses = names[: len(names) // (2 * options.frames) * 2 * options.frames : 2]

@@ -73,7 +73,7 @@ def require_perceptual(width: int, height: int) -> None:
     if min(width, height) < MIN_SIDE_PX[NET]:
         raise TrainingError(
             f"the perceptual term wants crops of at least {MIN_SIDE_PX[NET]} pixels a side, got {width} x {height}; "
-            "learn from larger ones, or without it (perceptual=0)"
+            "use larger crops, or perceptual=0"
         )
     load_weights(NET)
 
@@ -298,7 +298,7 @@ class BlendTask:
     @property
     def data(self) -> str:
         """Sentence of the model card on the training data."""
-        return f"{self.training.data}; the target takes no part in depth"
+        return f"{self.training.data}; depth excludes the target"
 
     @property
     def evaluated_on(self) -> str:

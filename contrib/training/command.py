@@ -60,4 +60,4 @@ TRAININGS: dict[str, Callable[..., None]] = {what: _training(what) for what in A
 
 def _require_rooms() -> None:
     if part := missing_part("ggvs_eval.contrib.worlds"):
-        raise AbsentPartError(f"train wants rooms of {part}, which is not installed; reinstall ggvs-eval or leave it out")
+        raise AbsentPartError(f"train: wanted {part} for its rooms, got no such part; reinstall ggvs-eval")

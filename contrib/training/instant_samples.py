@@ -36,7 +36,7 @@ def stored_arrays(path: Path) -> Iterator[dict[str, Any]]:
         yield arrays
     except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise TrainingError(f"{path}: wanted a training sample, got none ({reason}); delete it and prepare again") from error
+        raise TrainingError(f"{path}: wanted a training sample, got none ({reason}); move it away and prepare again") from error
 
 
 def camera_arrays(cameras: Sequence[Camera]) -> dict[str, Any]:

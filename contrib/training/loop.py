@@ -79,7 +79,7 @@ def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> Trai
         fresh.step, fresh.pixels = int(values["step"]), int(values.get("pixels", 0))
     except (RuntimeError, KeyError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
         reason = str(error).splitlines()[0]
-        raise TrainingError(f"{path}: not a state of this training ({reason}); choose another folder") from error
+        raise TrainingError(f"{path}: wanted a state of this training, got {reason}; choose another folder") from error
     return fresh
 
 
@@ -129,7 +129,7 @@ def write_card(task: Task, folder: Path, command: str, note: str = "", device: s
         "",
         f"- Command: `{command}`",
         f"- Steps: {steps}, {hours:.1f} hours on {platform.machine()} ({platform.system()}){cost}",
-        f"- Pixels of target views: {pixels / 1e6:.0f} million, with those of the weights that it began with, as far as they say",
+        f"- Pixels of target views: {pixels / 1e6:.0f} million, including those of the initial weights, if known",
         f"- Weights: `{weights.name}`, {weights.stat().st_size / 2**20:.1f} MB, half precision, averaged over the last steps,",
         f"  sha256 {hashlib.sha256(weights.read_bytes()).hexdigest()}",
         f"- Data: {task.data}",

@@ -106,7 +106,7 @@ class StereoTask:
     @property
     def data(self) -> str:
         """Sentence of the model card on the training data."""
-        return "pairs of procedural rooms and gardens (contrib/training), taken on the fly, each seen once; none captured"
+        return "pairs of procedural rooms and gardens (contrib/training), generated on the fly, each used once; no real data"
 
     @property
     def evaluated_on(self) -> str:

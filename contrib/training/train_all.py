@@ -126,7 +126,7 @@ def _lock(training: Training, log: IO[bytes]) -> None:
         fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         raise TrainingError(
-            f"{training.name}: another call is still training it into {training.folder}; wait for it, or end it, and call again "
+            f"{training.name}: another call trains it in {training.folder}; wait for it or stop it, and run this again "
             f"(log: {training.log})"
         ) from error
 
@@ -248,7 +248,7 @@ def train_all(
         print(*failures.values(), sep="\n", file=sys.stderr)
         raise TrainingError(
             f"train all: wanted {len(trainings)} trained networks, {', '.join(failures)} failed, the others are trained; fix "
-            "what their logs say and call again to continue"
+            "the errors in their logs and run this again to resume"
         )
     return [training.folder / f"{training.name}{end}" for training in trainings for end in (".safetensors", ".md")]
 

@@ -168,8 +168,8 @@ class BaselineTask:
                 loss, terms = self.recipe.sample_loss(network, sample.recoloured(tuple(order)), step)
                 if loss.requires_grad:  # as it does not where no source has depth of what the window shows
                     return loss, {**terms, "passed_over": torch.tensor(float(passed_over))}
-        reason = refusal or "no source has depth of what they show"
-        raise TrainingError(f"{self.name}: wanted views to learn from, got none that it can render: {reason}; give others")
+        reason = refusal or "no source has depth in these views"
+        raise TrainingError(f"{self.name}: wanted training views, got none that it can render: {reason}; give others")
 
     def _crop(self, sample: InstantSample, place: Sequence[float]) -> InstantSample:
         """The window at a place of a sample, regardless of the sample's size."""
@@ -204,7 +204,7 @@ class BaselineTask:
                 view = self.recipe.validated_view(network, sample.instant).float()
             scores.append(self._scores(view.permute(1, 2, 0).numpy(force=True), sample.truth))
         if not scores:
-            raise TrainingError(f"{self.name}: wanted views to validate by, got none that it can render: {self._refusals[0]}")
+            raise TrainingError(f"{self.name}: wanted validation views, got none that it can render: {self._refusals[0]}")
         return {name: sum(each[name] for each in scores) / len(scores) for name in scores[0]}
 
     def _scores(self, view: Map, truth: Image8) -> dict[str, float]:

@@ -52,7 +52,7 @@ DOMAINS: dict[str, Domain] = {
     "arc": Domain("wide arc", "one row on a wide arc", {"rig": "arc", "cameras_per_row": 9}, USUAL),
     "grid": Domain(
         "tiny grid",
-        "two rows that look straight ahead, a few centimetres apart",
+        "two parallel rows, a few centimetres apart",
         {"rig": "grid", "cameras_per_row": 6, "spacing": 0.3},
         {**USUAL, "spacing": (0.15, 0.5)},
     ),
@@ -60,12 +60,12 @@ DOMAINS: dict[str, Domain] = {
         "1344 x 1008", "large images", {"cameras_per_row": 5, "spacing": 2.0}, {**USUAL, "spacing": (1.2, 2.4)}, (1344, 1008)
     ),
     "exposure": Domain(
-        "exposure spread", "cameras that expose differently", {"exposure_spread": 0.07}, {**USUAL, "exposure_spread": (0.04, 0.1)}
+        "exposure spread", "cameras of different exposure", {"exposure_spread": 0.07}, {**USUAL, "exposure_spread": (0.04, 0.1)}
     ),
     "noise": Domain("noise", "noisy sensors", {"noise_sigma_255": 5.0}, {**USUAL, "noise_sigma_255": (3.0, 7.0)}),
     "misplaced_depth": Domain(
         "misplaced depth",
-        "a hand-held camera whose sensor of depth sits off its colour, is turned, and measures earlier",
+        "a hand-held camera whose depth sensor is shifted, rotated and early relative to colour",
         {
             "layout": "rgbd",
             "n_frames": 24,
@@ -88,20 +88,20 @@ DOMAINS: dict[str, Domain] = {
     "foliage": Domain("thin foliage", "a garden: thin foliage before a far background", {"scene": "garden"}, USUAL),
     "handheld": Domain(
         "hand-held, blurred",
-        "a hand-held camera that looks about, with motion blur, a few pictures per second",
+        "a rotating hand-held camera with motion blur, a few frames per second",
         {"layout": "rgbd", "n_frames": 32, "fps": 4.0, "sway": 6.0, "shutter_s": 0.03, "depth_noise": 0.004},
         {**USUAL, "sway": (3.0, 8.0), "shutter_s": (0.012, 0.045), "depth_noise": (0.001, 0.008)},
         span=10,
     ),
     "camera": Domain(
         "picture-making",
-        "cameras that make their own pictures: mosaic, demosaicing, denoising, sharpening, JPEG, a lens out of focus",
+        "cameras with full image processing: mosaic, demosaicing, denoising, sharpening, JPEG, a lens out of focus",
         {"processing": 1.0, "defocus_px": 0.8, "jpeg_quality": 88, "noise_sigma_255": 0.0},
         {"processing": (0.5, 1.5), "defocus_px": (0.0, 1.6), "jpeg_quality": (80, 95), "exposure_spread": (0.0, 0.03)},
     ),
     "vignetting": Domain(
         "vignetting",
-        "lenses that darken the corners of their pictures, each a little differently",
+        "lenses with vignetting, each slightly different",
         {"vignetting": 0.2},
         {**USUAL, "vignetting": (0.05, 0.3)},
     ),

@@ -251,7 +251,7 @@ def _require_properties(names: list[str], path: Path) -> None:
     absent = [name for name in (*MEANS, *COLOURS, "opacity", *SCALES, *TURNS) if name not in names]
     if absent:
         raise RenderError(
-            f"{path}: wanted a cloud of Gaussians, got a file without {', '.join(absent[:4])}{'...' * (len(absent) > 4)}, got "
+            f"{path}: wanted a cloud of Gaussians with {', '.join(absent[:4])}{'...' * (len(absent) > 4)}, got "
             f"{', '.join(names[:12])}{'...' * (len(names) > 12)}; {MEND}"
         )
     for kind, pattern in OTHER_GAUSSIANS.items():

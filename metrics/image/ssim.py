@@ -100,7 +100,7 @@ class SsimVariant:
 
 SSIM_VARIANTS: dict[SsimName, SsimVariant] = {
     "gaussian-valid": SsimVariant(11, True, False, 1.0, False, "Wang et al. 2004; this project's default"),
-    "gaussian-zero": SsimVariant(11, True, True, 1.0, False, "3D Gaussian splatting and what descends from it"),
+    "gaussian-zero": SsimVariant(11, True, True, 1.0, False, "3D Gaussian splatting and derivatives"),
     "uniform7": SsimVariant(7, False, False, 1.0, True, "scikit-image's defaults with data_range=1"),
     "uniform7-range2": SsimVariant(7, False, False, 2.0, True, "ENeRF's and EasyVolcap's evaluators; too large a range"),
 }

@@ -155,7 +155,7 @@ class NoiseEstimator:
     def finish(self) -> NoiseModel:
         """The noise of all frames."""
         if self._frames < 2:
-            raise MetricError(f"noise is seen in the change between frames: {self._frames} frame; needs 2")
+            raise MetricError(f"noise: wanted 2 frames or more, got {self._frames}")
         limits = (self._long if self._long.n_blocks >= MIN_BLOCKS else self._short).limits()
         used, n_blocks = self._short.n_within(limits), self._short.n_blocks
         if used < max(MIN_BLOCKS, MIN_STATIC_SHARE * n_blocks):

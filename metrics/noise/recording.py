@@ -252,7 +252,7 @@ class Recorder:
         weakest = KEEPING_STEPS * self._coding.step_255
         if self.sigma_255 < weakest:
             hidden = f"below {weakest:.1f} grey levels x264 hides it at crf {self._coding.crf:g}"
-            return f"noise of the sensor is too weak to be seen behind the codec: {hidden}"
+            return f"sensor noise is too weak to measure after the codec: {hidden}"
         film = self._film(self._start, self.sigma_255, TRIAL)
         again = estimate_noise(film.frames(0, film.n_frames))
         captured = estimate_noise(islice(self._frames(), TRIAL_FRAMES))
@@ -261,7 +261,7 @@ class Recorder:
         strength, by_level = np.log(sums[0] / sums[1]), 2 * np.log(levels[0] / levels[1])
         grain = again.spatial_correlation - captured.spatial_correlation
         if max(abs(strength), np.median(np.abs(by_level))) > LARGEST_MISMATCH or abs(grain) > LARGEST_GRAIN:
-            return "noise is not white and of one strength at every brightness"
+            return "noise is not white, or depends on brightness"
         return ""
 
     def _film(self, clean: Iterable[CleanFrame], sigma_255: float, number: int) -> VideoFrames:

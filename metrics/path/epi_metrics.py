@@ -222,16 +222,16 @@ def _even_step(offsets: NDArray[np.float64], camera: Camera, near: float) -> flo
     """Step in world units along x of centres (V, 3) in the first pose's frame."""
     step = float(offsets[-1, 0]) / (len(offsets) - 1)
     if step == 0 or not np.isfinite(step):
-        raise MetricError(f"pose {camera.name}: the camera ends where it began along its rows; an EPI wants a moving camera")
+        raise MetricError(f"pose {camera.name}: wanted a camera that moves along its rows, got no displacement; move it")
     down_px, ahead_px = np.abs(offsets[:, 1:]).max(axis=0) * (camera.K[1, 1], max(camera.size) / 2) / near
     if max(down_px, ahead_px) > STRAIGHT_PX:
         raise MetricError(
-            f"pose {camera.name}: points leave their row by up to {max(down_px, ahead_px):.2f} px along the path, at most "
-            f"{STRAIGHT_PX:g} px make an epipolar plane image; move the camera along its own rows"
+            f"pose {camera.name}: points leave their row by up to {max(down_px, ahead_px):.2f} px along the path, with at most "
+            f"{STRAIGHT_PX:g} px allowed for an epipolar plane image; move the camera along its rows"
         )
     uneven_px = float(np.abs(np.diff(offsets[:, 0]) - step).max() * camera.K[0, 0] / near)
     if uneven_px > EVEN_PX:
-        raise MetricError(f"pose {camera.name}: steps differ by {uneven_px:.2f} px, at most {EVEN_PX:g} px; use equal steps")
+        raise MetricError(f"pose {camera.name}: steps differ by {uneven_px:.2f} px, with at most {EVEN_PX:g} px allowed; use equal steps")
     return step
 
 
@@ -283,7 +283,7 @@ def epi_coherence(epis: Iterable[Image], path: HorizontalPath) -> EpiCoherence:
     if texture_255 < LEAST_TEXTURE_255:
         raise MetricError(
             f"EPI coherence: {texture_255:.2f} grey levels per pixel of texture, wanted {LEAST_TEXTURE_255:g}; an image "
-            "without texture draws no lines"
+            "without texture has no lines"
         )
     return EpiCoherence((across - along) / (across + along), (max(across - along, 0.0) / pixels) ** 0.5)
 
@@ -298,7 +298,7 @@ EPI_COHERENCE = PathMetric(
     name="EPI_coherence",
     function=epi_coherence,
     higher_is_better=True,
-    describe="how straight the lines of epipolar plane images are",
+    describe="straightness of lines in epipolar plane images",
     scorer=_COHERENCE_SCORER,
 )
 EPI_LINE_TEXTURE = PathMetric(
@@ -405,7 +405,7 @@ EPI_SLOPE_ERROR = PathMetric(
     function=slope_agreement,
     unit="px per pose",
     higher_is_better=False,
-    describe="their slope against that of the fused depth",
+    describe="deviation of the lines' slope from that of the fused depth",
     scorer=_SLOPE_SCORER,
 )
 EPI_SLOPE_AGREEING = PathMetric(

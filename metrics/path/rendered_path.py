@@ -218,7 +218,7 @@ class RenderedPath:
             MetricError: they were not kept.
         """
         if self.folder is None:
-            raise MetricError("the images of the path were not kept; name the metrics that want them when the path is scored")
+            raise MetricError("wanted the images of the path, got none; name metrics of images when the path is scored")
         depth = _depth_file(self.folder, index)
         return read_image(_view_file(self.folder, index)), np.load(depth) if depth.is_file() else None
 

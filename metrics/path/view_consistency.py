@@ -125,7 +125,7 @@ def mean_reprojection(steps: Sequence[StepError]) -> Reprojection:
         raise MetricError(f"reprojection: at none of {len(steps)} steps do the poses see a surface in common; check the depths")
     error_255, texture_255 = np.array(measured, dtype=np.float64).mean(axis=0).tolist()
     if not texture_255:
-        raise MetricError("reprojection: images without texture look the same from everywhere; nothing to compare")
+        raise MetricError("reprojection: wanted images with texture, got none; nothing to compare")
     return Reprojection(error_255, float(np.mean([step.visible_share for step in steps])), error_255 / texture_255)
 
 
@@ -214,7 +214,7 @@ def switch_score(step_errors_255: Sequence[float | None], sources: Sequence[Coll
 
 def _measure_switches(path: RenderedPath) -> list[Value]:
     if not any(path.sources):
-        raise MetricError("switch score: no one says which cameras the images are made of; name the sources of each pose")
+        raise MetricError("switch score: wanted the source cameras of each pose, got none; name them")
     measured = switch_score([step.error_255 for step in path.steps], path.sources)
     path.n_switches = measured.n_switches
     return whole_path(SWITCH_NAMES, measured.ratio, measured.excess_255)
@@ -225,7 +225,7 @@ SWITCH_RATIO = PathMetric(
     name="switch_ratio",
     function=switch_score,
     higher_is_better=False,
-    describe="change where the source cameras switch over change elsewhere",
+    describe="change at switches of source cameras, relative to change elsewhere",
     scorer=_SWITCH_SCORER,
 )
 SWITCH_EXCESS = PathMetric(
@@ -233,6 +233,6 @@ SWITCH_EXCESS = PathMetric(
     function=switch_score,
     unit="grey levels of 255",
     higher_is_better=False,
-    describe="change where the source cameras switch minus elsewhere",
+    describe="change at switches of source cameras, minus change elsewhere",
     scorer=_SWITCH_SCORER,
 )

@@ -93,7 +93,7 @@ class FlickerMeter:
     def finish(self) -> Flicker:
         """The measures of all instants."""
         if self._pairs < 1:
-            raise MetricError(f"flicker is a change between frames: {int(self._previous is not None)} frame; needs 2")
+            raise MetricError(f"flicker: wanted 2 frames or more, got {int(self._previous is not None)}")
         has_static = self._static[:, 0].sum() >= MIN_BLOCKS
         if not has_static:
             self._moving, self._static = self._moving + self._static, np.zeros((N_LEVELS, 4))
@@ -187,7 +187,7 @@ FLICKER = ViewMetric(
     unit="grey levels of 255",
     higher_is_better=False,
     group=CONSISTENCY,
-    describe="change over time that the scene does not have, and lack of it",
+    describe="change over time that the scene lacks, or missing change",
     reference="docs/metrics.md",
     scorer=FlickerScorer,
 )

@@ -18,7 +18,7 @@ from ggvs_eval.metrics.metric import Group, Metric, MetricOptions, ViewMetric
 from ggvs_eval.protocol import ON_SCREEN, Stream
 from ggvs_eval.statistics.pooling import Pooling
 
-STREAM = Group("stream", "On the screen: what a viewer sees while frames keep coming")
+STREAM = Group("stream", "Displayed frames during live capture")
 TIE = 1e-6  # frames: what is ready that much after an instant was ready at it, and sums of rounded times make no difference
 
 
@@ -130,7 +130,7 @@ def metric_on_screen(metric: ViewMetric) -> ScreenMetric:
         group=STREAM,
         decimals=metric.decimals,
         pooling=partial(_pooling, metric),
-        describe=f"{metric.name} of what a viewer sees at each instant: the newest picture that was ready",
+        describe=f"{metric.name} of the displayed frame at each instant: the newest finished one",
         note=metric.note,
         reference="after Li et al. 2020 (streaming perception)",
         of=metric,

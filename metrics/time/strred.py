@@ -264,7 +264,7 @@ def _sp5_filters() -> dict[str, Array]:
     """The filters of that set from the source of pyrtools, whose import takes a second and loads scipy.signal and matplotlib."""
     package = find_spec("pyrtools")
     if package is None or package.origin is None:
-        raise MetricError("STED needs pyrtools, which has its filters; pip install pyrtools")
+        raise MetricError("STED: wanted pyrtools for its filters, got none; run pip install pyrtools")
     source = ast.parse(Path(package.origin).with_name("pyramids").joinpath("filters.py").read_text(encoding="utf-8"))
     functions: list[ast.stmt] = [
         node for node in source.body if isinstance(node, ast.FunctionDef) and node.name == "_sp5_filters"

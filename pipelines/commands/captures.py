@@ -101,7 +101,7 @@ def check(
 
     capture = locate(capture)
     if not capture.exists():
-        raise CaptureError(f"{capture}: wanted a folder or a file with a capture, there is none; check the path")
+        raise CaptureError(f"{capture}: wanted a folder or a file with a capture, got no such path; check it")
     out = out or Path(f"{capture.resolve().name}.check.json")
     if crop is not None:
         print(write_crop(capture if capture.is_dir() else capture.parent, Crop(*crop)))
@@ -182,7 +182,7 @@ def protocol(
     from ggvs_eval.pipelines.run.suggest_protocol import hold_out, propose_protocol, published_protocols
 
     if out.exists():
-        raise ProtocolError(f"{out}: wanted a new file for the protocol, it is there already; choose another name")
+        raise ProtocolError(f"{out}: wanted a new file for the protocol, got an existing one; choose another name")
     opened = reading.open(capture)
     doubts = read_doubts(checked) if checked else {}
     proposal = propose_protocol(opened, doubts)
@@ -198,7 +198,7 @@ def protocol(
         chosen = checked_protocol(chosen.streamed(Stream(fps=stream)), "--stream")
     with atomic_file(out) as unfinished:
         unfinished.write_text(chosen.to_toml(), encoding="utf-8")
-    print(text_table({"cameras": 0, "why they are held out, or not": 1}, _together(proposal.reasons)))
+    print(text_table({"cameras": 0, "reason for holding out, or not": 1}, _together(proposal.reasons)))
     print(f"{out}: {len(chosen.views.test)} test views, K = {chosen.synthesis.k}, {chosen.frames.count} frames")
     published: dict[str, list[str]] = {}
     for other in published_protocols(opened):

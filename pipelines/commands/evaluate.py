@@ -49,7 +49,7 @@ def evaluate(
         engine: job execution.
     """
     if not videos.exists():
-        raise CaptureError(f"{videos}: wanted videos, or folders of images, of several cameras, there is nothing; check the path")
+        raise CaptureError(f"{videos}: wanted videos, or folders of images, of several cameras, got no such path; check it")
     shown = _Steps()
     capture = out / "capture" if _needs_poses(videos, layout) else videos
     if capture != videos and not (capture / CALIBRATED).is_file():
@@ -63,7 +63,7 @@ def evaluate(
         captures.check(capture, layout, verdicts, repair, jobs=engine.jobs)
     except SystemExit:
         raise CommandError(
-            f"{capture}: stopped, because check found something bad, see above and {verdicts}; put it right and call again "
+            f"{capture}: stopped: check found faults, see above and {verdicts}; fix them and run this again "
             f"(--repair corrects delays and brightness), or continue with `ggvs-eval run {out / 'run'} --capture {capture}`"
         ) from None
     whole = captures.ReadingOptions(**vars(layout))
@@ -72,7 +72,7 @@ def evaluate(
         shown.begin("protocol", capture, terms, "--check", verdicts, *count, *reading)
         captures.protocol(capture, terms, verdicts, frames=frames, reading=whole)
     elif frames is not None:
-        print(f"{terms} stays as it is, --frames {frames} changes nothing; choose another OUT for other frames", file=sys.stderr)
+        print(f"{terms} is kept, --frames {frames} is ignored; choose another OUT for other frames", file=sys.stderr)
     named = [] if methods == runs.USUAL_METHODS else ["--methods", *methods]
     flags = [*named, *(["--device", device] if device != "cpu" else []), *reading, *runs._flags(depth, captures.DEPTH_DEFAULTS)]
     shown.begin("run", out / "run", "--capture", capture, "--protocol", terms, *flags, *runs._flags(engine, Engine()))

@@ -47,7 +47,7 @@ def report(
 
         for run in runs:
             if outdated := describe_outdated([RunFolder(run)]):
-                print(f"{run}: {outdated}; shown as measured, `ggvs-eval run` makes them again", file=sys.stderr)
+                print(f"{run}: {outdated}; shown as measured; run `ggvs-eval run` to update", file=sys.stderr)
         print(write(runs, out, standalone=standalone, columns=columns))
     else:
         print(TRACKERS[to](runs, to, out or Path("tracked")))

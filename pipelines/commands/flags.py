@@ -87,7 +87,7 @@ def given_units(words: str | None) -> GivenUnits:
     try:
         return float(words)
     except ValueError as error:
-        raise CaptureError(f"--units wants a number or a .toml file, got {words!r}") from error
+        raise CaptureError(f"--units: wanted a number or a .toml file, got {words!r}") from error
 
 
 CaptureFlags = tyro.conf.OmitArgPrefixes[CaptureOptions]

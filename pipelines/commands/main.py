@@ -81,7 +81,7 @@ def _without_plugins(words: Sequence[str]) -> list[str]:
     while PLUGIN in left:
         at = left.index(PLUGIN)
         if at + 1 == len(left):
-            raise CommandError(f"{PLUGIN}: wanted a file behind it, such as my_metrics.py")
+            raise CommandError(f"{PLUGIN}: wanted a file after it, such as my_metrics.py")
         use_file(Path(left[at + 1]))
         del left[at : at + 2]
     return left
@@ -116,7 +116,7 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
         command = commands[name]
     except KeyError:
         suggestion = did_you_mean(name, commands)
-        raise CommandError(f"no command {name!r} of {program}; there are {', '.join(commands)}{suggestion}") from None
+        raise CommandError(f"{program}: no command {name!r}; commands are {', '.join(commands)}{suggestion}") from None
     if isinstance(command, Mapping):
         call_command(f"{program} {name}", command, words[1:])
     elif commands is COMMANDS and name in VERBS and VERBS[name].wider and _is_foreign(command, words[1:]):

@@ -123,7 +123,7 @@ def view(
         return
     online = tuple(label for label, spec in METHODS.built_in().items() if spec.online)
     with Viewer(playback, ViewDefaults(method, online, k, protocol, out), listener, device) as viewer:
-        print(f"{listener.address} - open it in a browser; Ctrl-C ends it", flush=True)
+        print(f"{listener.address} - open it in a browser; Ctrl-C stops the server", flush=True)
         viewer.wait()
 
 

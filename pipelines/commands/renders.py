@@ -99,7 +99,7 @@ def explain(
     printed(quoted)
     with _rendered(renders, capture, protocol, run, first_frame, reading, jobs) as (folder, labels):
         if method is None and len(labels) != 1:
-            raise RenderError(f"{folder.root}: has {', '.join(labels)}; say which with --method")
+            raise RenderError(f"{folder.root}: wanted one method, got {', '.join(labels)}; name one with --method")
         views = views_of_run(folder, method or labels[0], as_measured=True)
         print(explanation_table(metric, quoted, recompute(metric, quoted, views)))
 
@@ -126,12 +126,12 @@ def steadiness(
     from ggvs_eval.reports.tables.table_formats import to_markdown
 
     if depth and colmap:
-        raise MetricError("COLMAP finds no features in depth maps; leave out --depth or --colmap")
+        raise MetricError("wanted --depth or --colmap, got both; COLMAP needs pictures, omit one")
     if out is not None and out.suffix not in FORMATS:
-        raise RenderError(f"{out}: wanted a name that ends in {', '.join(FORMATS)}; change it")
+        raise RenderError(f"{out}: wanted a file name with {', '.join(FORMATS)}, got {out.suffix or 'none'}; change it")
     paths = named_renders(videos)
     if not paths:
-        raise RenderError("no videos to measure; name them, e.g. `ggvs-eval steadiness ours=renders/cam00 theirs=video.mp4`")
+        raise RenderError("wanted NAME=PATH of a video, got none; run e.g. `ggvs-eval steadiness ours=renders/cam00 theirs=video.mp4`")
     measured = measure_steadiness(paths, depth=depth, mask=mask, with_colmap=colmap)
     where = "in all pixels" if mask is None else f"where {mask.name} is white"
     table, remarks = (

@@ -150,7 +150,7 @@ def score(
         raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")
     named = named_renders(renders)
     if with_truth and capture:
-        raise ProtocolError(f"wanted --capture or --with-truth, got both; without --with-truth {capture} is the truth")
+        raise ProtocolError(f"wanted --capture or --with-truth, got both; omit --with-truth to use {capture} as the reference")
     opened = partial(reading.open, capture) if capture else None
     root = run or folder
     with run_with_truth(root, named, protocol) if with_truth else run_for(root, opened, protocol, jobs) as target:
@@ -161,7 +161,7 @@ def score(
     results = measure(target, jobs, device=checked_device(device))
     print(results.summary().droplevel("dataset").round(4).to_string())
     if with_truth:
-        print("own truth: measured against the pictures that came with the renders, not against a capture")
+        print("own truth: measured against the images included with the renders, not against a capture")
         print(*compare_published(named, results), sep="\n", end="\n" if named else "")
     for label, mark in results.partial.items():
         print(f"{label} is {mark}")
@@ -201,7 +201,7 @@ def merge(
     def finish(merged: RunFolder) -> None:
         missing = _missing_renders(merged)
         if missing:
-            print(f"{out}: no table yet, {missing}; merge the runs that have them, or render them here", file=sys.stderr)
+            print(f"{out}: no table yet, {missing}; merge the runs with these, or render them here", file=sys.stderr)
         else:
             print(score(merged, jobs).summary().droplevel("dataset").round(4).to_string())
 
@@ -318,7 +318,7 @@ def sweep(
     planned = plan_cells(engine.place(out), starts, definition, depth, networks, part)
     print_plan(planned.plans, engine.jobs, engine.place(out), dry_run)
     if dry_run:
-        _end_with(planned.failures, "the rest can be made")
+        _end_with(planned.failures, "the rest can be computed")
         return
     result = run_sweep(planned, engine)
     if not result.table.empty:
@@ -341,7 +341,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
 
     print(describe_status(folder))
     if outdated := describe_outdated([RunFolder(folder)]):
-        print(f"{folder}: {outdated}; `ggvs-eval run` makes them again")
+        print(f"{folder}: {outdated}; run `ggvs-eval run` to update")
 
 
 def _flags(options: Any, default: Any) -> list[str]:
@@ -360,7 +360,7 @@ def _flags(options: Any, default: Any) -> list[str]:
     return words
 
 
-def _end_with(failures: tuple[Failure, ...], rest: str = "the rest is done, the same call tries only these again") -> None:
+def _end_with(failures: tuple[Failure, ...], rest: str = "the rest is finished; run the same command to retry these") -> None:
     """List what failed, our own bugs with their tracebacks, and end with 1."""
     for failure in failures:
         print(failure.traceback or "", f"failed: {failure}", sep="", file=sys.stderr)

@@ -65,7 +65,7 @@ class FittedMethod(SceneMethod):
         """
         fit = self._fit(unit)
         if not fit.is_done():
-            raise RenderError(f"{fit.name}: its scene is not in {fit.folder}; render again, which fits it first")
+            raise RenderError(f"{fit.name}: wanted its scene in {fit.folder}, got none; render again, which fits it first")
         if reason := read_json(fit.folder / JOB_FILE).get(REFUSED):
             raise ViewRefusedError(reason)
         return self.make_fitter().load(fit.folder)
@@ -88,7 +88,7 @@ class FittedMethod(SceneMethod):
 
     def _fit(self, unit: RenderUnit) -> Entry:
         if unit.fit is None:
-            raise RenderError(f"{self.title} is fitted, and this run was planned without it; prepare the run with this method")
+            raise RenderError(f"{self.title} is fitted per scene, got a run planned without it; prepare the run with this method")
         return unit.fit
 
 
@@ -106,7 +106,7 @@ FITTED: dict[str, FittedMethod] = {
     ),
     "3dgs-per-instant": fitted_method(
         "3DGS per Instant",
-        "a cloud of Gaussians fitted to each instant alone: the best of one instant, with nothing that ties it to the next",
+        "a cloud of Gaussians fitted to each instant alone: no temporal coupling",
         "ggvs_eval.baselines.fitted.per_instant:PerInstant",
         online=True,
         departs="starts from estimated depth; fewer steps; harmonics of degree 1; opacity never reset",
@@ -134,7 +134,7 @@ class StoredSplats(SceneMethod):
     @classmethod
     def of(cls, label: str, path: Path) -> "StoredSplats":
         """The method of a label, which is its title too."""
-        describe = f"3D Gaussians that others have fitted, {path.name}, rendered by the splat of this package"
+        describe = f"fitted 3D Gaussians, {path.name}, rendered by this package"
         return cls(label, describe, reading_modules(path), path.resolve(), online=False, usual=False, uses_depth=False)
 
     @property

@@ -55,7 +55,7 @@ def _learned(options: Any = None, guidance: "Guidance" = "registered", device: s
 OURS: dict[str, OnlineMethod] = {
     "naive": OnlineMethod(
         "Naive Network",
-        "splatted views alone: the network was trained without any depth, be it fused or of the views",
+        "splatted views alone: the network was trained without any depth, neither fused nor of the views",
         LEARNED,
         _learned,
         given={"guidance": "naive", "fused": False},
@@ -132,7 +132,7 @@ OURS: dict[str, OnlineMethod] = {
     ),
     "ours-geometric+no-background": OnlineMethod(
         "GGVS (online), geometric weights, no background blending",
-        "what no view shows stays black",
+        "areas without a source view stay black",
         GEOMETRIC,
         _geometric,
         given={"background": False},
@@ -142,7 +142,7 @@ OURS: dict[str, OnlineMethod] = {
     ),
     "ours-geometric+offline": OnlineMethod(
         "GGVS (offline), geometric weights",
-        "a reference that sees the whole sequence: depth filtered backwards in time, then forwards",
+        "a reference that uses the whole sequence: depth filtered backwards in time, then forwards",
         OFFLINE,
         _offline,
         departs=ADDED,

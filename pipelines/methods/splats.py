@@ -133,9 +133,9 @@ def splats_files(path: Path) -> list[Path]:
         place = iterations[max(iterations)] if iterations else path
         files = [place / CLOUD] if (place / CLOUD).is_file() else list_files(place, (".ply",))
     except OSError as error:
-        raise RenderError(f"{path}: wanted {KINDS}; it cannot be listed: {why_unread(error)}") from error
+        raise RenderError(f"{path}: wanted {KINDS}; got an unreadable path: {why_unread(error)}") from error
     if not files:
-        raise RenderError(f"{path}: wanted {KINDS}; there is {'none of them' if path.is_dir() else 'no such file or folder'}")
+        raise RenderError(f"{path}: wanted {KINDS}; got {'none of them' if path.is_dir() else 'no such path'}")
     return [*files, place / DEFORMATION] if (place / DEFORMATION).is_file() else files
 
 
@@ -145,7 +145,7 @@ def splats_notes(path: Path) -> list[str]:
 
     file = splats_files(path)[0]
     names = [] if _is_glb(file) else unknown_properties(file)
-    return [f"{file}: {', '.join(names)} of its Gaussians not known here, passed over"] if names else []
+    return [f"{file}: {', '.join(names)} of its Gaussians are unknown and ignored"] if names else []
 
 
 def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, tuple[Path, int]]:

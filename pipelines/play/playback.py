@@ -204,7 +204,7 @@ def _instants(capture: Capture, frames: range, n_frames: int | None) -> list[int
     if len(frames) == 1:
         return [frames.start] * (n_frames or FRAMES_OF_STILLS)
     if n_frames is not None and n_frames > len(frames):
-        raise RenderError(f"{capture.path}: wanted {n_frames} frames to play, there are {len(frames)}; ask for fewer")
+        raise RenderError(f"{capture.path}: wanted {n_frames} frames to play, got {len(frames)}; reduce --frames")
     return list(frames)[:n_frames]
 
 

@@ -110,7 +110,7 @@ class OnlineSynthesizer:
     @k.setter
     def k(self, count: int) -> None:
         if not 1 <= count <= len(self.cameras):
-            raise CameraError(f"rig: wanted 1 to {len(self.cameras)} source views, as many as there are cameras, got {count}")
+            raise CameraError(f"rig: wanted 1 to {len(self.cameras)} source views, got {count}")
         self._k = count
 
     def restart(self) -> None:
@@ -211,7 +211,7 @@ def online_method(method: str | Callable[[], Method], device: str = "cpu") -> Ca
     networks = NetworkOptions(device=checked_device(device))
     make = find_method(method, networks).make if isinstance(method, str) else method
     if isinstance(make(), LookaheadMethod):
-        raise RenderError(f"method {method!r} looks at the whole sequence before its first step; choose one that is online")
+        raise RenderError(f"method {method!r} needs the whole sequence before its first step; choose an online method")
     return make
 
 
@@ -220,7 +220,7 @@ def _check_names(given: Mapping[str, object], names: Sequence[str], target: Came
     if missing:
         raise RenderError(
             f"camera {target.name}: wanted {what} of each of its sources {', '.join(names)}, got none "
-            f"of {', '.join(missing)}; give those of the whole rig, or leave cameras without out of it"
+            f"of {', '.join(missing)}; give those of the whole rig, or exclude cameras without"
         )
 
 

@@ -27,7 +27,7 @@ def require_owner(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
         _refuse(run, f"other cameras: {', '.join(sorted(before.keys() ^ now.keys()))} on one side only")
     changed = [name for name in before if before[name] != now[name]]
     if changed:
-        _refuse(run, f"other frames: those of {', '.join(changed)} were not as {capture.path} has them now")
+        _refuse(run, f"other frames: those of {', '.join(changed)} differ from those of {capture.path}")
 
 
 def require_protocol(run: RunFolder, protocol: Protocol) -> None:

@@ -33,7 +33,7 @@ def write_disocclusions(
     """
     plans = [(mask_files(root / view, capture, target, keys), target, keys) for view, (target, keys) in views.items()]
     missing = [plan for plan in plans if plan[0].missing_frames(frames)]
-    run_all(partial(_write, capture, frames, store), missing, workers, "what no camera sees")
+    run_all(partial(_write, capture, frames, store), missing, workers, "areas without a source camera")
 
 
 def mask_files(folder: Path, capture: Capture, target: Camera, keys: Mapping[str, str]) -> MadeFiles:

@@ -248,8 +248,8 @@ def _left_unfinished(plan: RunPlan) -> set[str]:
     rendered_here = {*others}.difference(coverage.partial, coverage.imported)
     lacking |= {label for label in rendered_here if lacks_path(run, label)}
     for label in sorted(lacking):
-        words = f"its frames are incomplete, --methods {label} continues with them"
-        print(f"{run.root}: {label} left out, an earlier call did not finish it: {words}", file=sys.stderr)
+        words = f"its frames are incomplete; --methods {label} resumes it"
+        print(f"{run.root}: {label} omitted, an earlier call did not finish it: {words}", file=sys.stderr)
     return lacking
 
 

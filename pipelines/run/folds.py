@@ -156,7 +156,7 @@ def _rig_depth(capture: Capture, name: str, held_out: Sequence[str], options: De
     if len(training.cameras) < FEWEST_CAMERAS:
         raise CameraError(
             f"{name} holds out {', '.join(held_out)} and leaves {len(training.cameras)} training cameras, wanted "
-            f"{FEWEST_CAMERAS} or more; make the folds smaller (views.folds) or let more cameras be seen (views.sources)"
+            f"{FEWEST_CAMERAS} or more; make the folds smaller (views.folds) or add cameras (views.sources)"
         )
     return plan_rig_depth(training, options)
 

@@ -76,11 +76,11 @@ def import_renders(
     request = request_of(run, label, first_frame)
     target = run.root / "renders" / label
     if not path.exists():
-        raise RenderError(f"{path}: wanted renders, there is no such folder or file; check the path")
+        raise RenderError(f"{path}: wanted renders, got no such path; check it")
     if target.exists() and path.resolve() in (run.root.resolve(), target.resolve()):
-        raise RenderError(f"{path}: these renders are in the run {run.root} already; score it without --renders")
+        raise RenderError(f"{path}: these renders are already in the run {run.root}; score it without --renders")
     if target.exists() and not target.is_symlink() and read_import(run, label) is None:
-        raise RenderError(f"{target} exists already; choose another name for these renders")
+        raise RenderError(f"{target}: wanted a new name, got an existing one; choose another name for these renders")
     remove_leftovers(target)
     with scratch_folder(target.with_name(f"{label}.unpacked")) as unpacked, _named_as_given(unpacked, path):
         return _import(run, request, path, unpacked, allow_partial, workers, link)
@@ -155,7 +155,7 @@ def _copy_linked(folder: Path, label: str) -> None:
     links = [file for file in sorted(folder.rglob("*.png")) if file.is_symlink()]
     size = sum(file.stat().st_size for file in links)
     if size >= TOLD_BYTES:
-        told = f"{label}: copying {size / 1e6:,.0f} MB of frames into the run (--link takes them as links)"
+        told = f"{label}: copying {size / 1e6:,.0f} MB of frames into the run (--link links them instead)"
         print(told, file=sys.stderr, flush=True)
     for file in track(links, f"copying frames of {label}"):
         source = file.resolve()
@@ -182,7 +182,7 @@ def _is_taken(label: str) -> bool:
 def _check_label(label: str) -> None:
     if NAME.fullmatch(label) and not _is_taken(label):
         return
-    reason = "which is the name of a built-in method" if _is_taken(label) else "which is no plain name"
+    reason = "which is the name of a built-in method" if _is_taken(label) else "which is not a plain name"
     reason = "which is the captured frames" if label == "truth" else reason
     raise RenderError(f"renders cannot be called {label!r}, {reason}; give another: --renders {plain_label(label)}=PATH")
 

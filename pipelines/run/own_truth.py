@@ -43,14 +43,14 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
         RenderError: no archives with their truth, or truths that differ.
     """
     if not renders:
-        raise RenderError("wanted --renders NAME=ARCHIVE.npz beside --with-truth, got none; name the archives")
+        raise RenderError("wanted --renders NAME=ARCHIVE.npz with --with-truth, got none; name the archives")
     sets = {label: own_truths(path) for label, path in renders.items()}
     first, stacks = next(iter(sets.items()))
     for label, others in sets.items():
         if others.keys() != stacks.keys():
             listed = f"{', '.join(stacks)} of {first}, {', '.join(others)} of {label}"
             raise RenderError(
-                f"{renders[label]}: wanted archives of the same views, got {listed}; score them in runs of their own"
+                f"{renders[label]}: wanted archives of the same views, got {listed}; score them in separate runs"
             )
     counts = {stack.n_frames for stack in stacks.values()}
     if len(counts) > 1:
@@ -92,7 +92,7 @@ def own_truths(path: Path) -> dict[str, ArrayStack]:
             held = ", ".join(npz_members(file)[:9]) if file.suffix.lower() == ".npz" else f"a {file.suffix or 'folder'}"
             raise RenderError(
                 f"{file}: wanted arrays {OWN_RENDERS} and {OWN_TRUTH}, got {held or 'none'}; save them by numpy.savez, or give "
-                "--capture and leave out --with-truth"
+                "--capture without --with-truth"
             )
     return {file.stem: ArrayStack(file, OWN_TRUTH) for file in files}
 
@@ -107,7 +107,7 @@ def _write_truth(run: RunFolder, stacks: Mapping[str, ArrayStack], protocol: Pro
         "path": str(source),
         "scene": source.name.removesuffix(".npz"),
         "layout": "truth beside renders",
-        "truth": "came with the renders",
+        "truth": "included with the renders",
         "fps": 0,
         "n_frames": protocol.frames.count,
         "notes": [],
@@ -128,14 +128,14 @@ def _require_same(run: RunFolder, view: str, stack: ArrayStack, frames: range) -
     """Refuse an archive whose truth is not that of the run."""
     if stack.n_frames != len(frames):
         raise RenderError(
-            f"{stack.name}: wanted the {len(frames)} frames of this run's truth, got {stack.n_frames}; choose another --run"
+            f"{stack.name}: wanted the {len(frames)} frames of this run's reference, got {stack.n_frames}; choose another --run"
         )
     for number, frame in enumerate(stack.frames(0, stack.n_frames)):
         levels = difference(to_8_bit(frame), read_image(frame_path(run.truth(view), number)))
         if levels > ROUNDING:
             found = f"{levels:.2f} levels of 255 away" if np.isfinite(levels) else "of another size"
             raise RenderError(
-                f"{stack.name}: wanted the truth of this run, frame {number} is {found}; score it with another --run"
+                f"{stack.name}: wanted the reference of this run, frame {number} is {found}; score it with another --run"
             )
 
 

@@ -89,7 +89,7 @@ def _fill_store(prepared: RunPlan, store: DepthStore, workers: Workers) -> None:
             prepare_depth(prepared.capture, jobs, frames, store, prepared.depth_options, workers)
     except DeviceError as error:
         record = f"{prepared.run.depth_record}: this run's depth is found on {prepared.depth_device}"
-        raise DeviceError(f"{record}: {error}; or begin a new run folder") from error
+        raise DeviceError(f"{record}: {error}; or use a new run folder") from error
 
 
 def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Workers = 1) -> RunFolder:

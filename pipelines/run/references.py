@@ -26,12 +26,12 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 NOISE_FREE, SECOND = "Ceiling: perfect and noise-free", "Ceiling: second recording"
 NOTES = {
-    NOISE_FREE: "estimate of what the scene without the camera's noise and codec would score against this capture.",
-    SECOND: "estimate of what another recording by the same camera, with independent noise, would score.",
+    NOISE_FREE: "estimated score of the scene without the camera's noise and codec against this capture.",
+    SECOND: "estimated score of another recording by the same camera, with independent noise.",
 }
 LEAST_DB = 30.0
-UNRECORDED = "this run folder does not say; prepare it again"
-PATH_NOTE = "what a camera on the path would have seen, measured like the methods."
+UNRECORDED = "not recorded in this run folder; prepare it again"
+PATH_NOTE = "ground truth of a camera on the path, measured like the methods."
 
 
 def ceiling_jobs(run: RunFolder, protocol: Protocol, views: Sequence[str]) -> list[Job]:

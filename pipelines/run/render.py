@@ -119,7 +119,7 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
         try:
             for (number, _, target), rendering in zip(unit.shots, spec.renderings(unit), strict=True):
                 if not np.isfinite(rendering.image).all():
-                    raise RenderError(f"{label}, frame {number}: wanted a picture of numbers, some are none")
+                    raise RenderError(f"{label}, frame {number}: wanted an image of finite numbers, got others")
                 write_image(frame_path(folder, number), quantise(rendering.image))
                 with spec.guard(f"its diagnostics of frame {number} are none"):
                     maps = {name: diagnostics_picture(name, each, target) for name, each in rendering.diagnostics.items()}

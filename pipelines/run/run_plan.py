@@ -70,7 +70,7 @@ def _shows_its_instant(capture: Capture, path: CameraPath) -> bool:
 
 
 # What a refusal for want of depth adds.
-WITHOUT_DEPTH = "methods that look at no depth, such as enerf and ibrnet, run anyway"
+WITHOUT_DEPTH = "methods without depth, such as enerf and ibrnet, still run"
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ def plan_run(request: RunRequest) -> RunPlan:
             unseen[target.name] = error
     if unseen:
         (_, first), *others = unseen.items()
-        more = f"; the same is true of {listed(name for name, _ in others)}" if others else ""
+        more = f"; the same holds for {listed(name for name, _ in others)}" if others else ""
         raise CameraError(f"{first}{more}; {WITHOUT_DEPTH}") from first
     blind = [
         target.name for target in targets if not any(partners.has_depth(each.camera, target) for each in chosen[target.name])
@@ -317,13 +317,13 @@ def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
         absent = [name for name in names if name not in capture.camera_names]
         if absent:
             raise CaptureError(
-                f"{capture.path}: protocol {protocol.name} {doing} {', '.join(absent)}, the capture has "
+                f"{capture.path}: protocol {protocol.name} {doing} {', '.join(absent)}, got "
                 f"{', '.join(capture.camera_names)}; choose another protocol or edit views.{key}"
             )
     frames = protocol.frames.numbers
     if frames.stop > capture.n_frames:
         raise CaptureError(
-            f"{capture.path}: protocol {protocol.name} wants frames {frames.start}..{frames.stop - 1}, the capture has "
+            f"{capture.path}: protocol {protocol.name} wanted frames {frames.start}..{frames.stop - 1}, the capture has "
             f"{capture.n_frames}; lower frames.count"
         )
     synthesis = protocol.synthesis

@@ -14,8 +14,8 @@ from ggvs_eval.protocol import Protocol, Stream
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 DEPTH, FIT, STATED = "depth", "fit", "stated"  # stages besides those of the method
-UNTIMED = "the time of these pictures is unknown; state it in the protocol: [[stream.stated]] method, ms"
-WHOLE_CLIP = "offline: it has seen the whole clip before its first picture, and a viewer cannot wait for that"
+UNTIMED = "unknown render time; state it in the protocol: [[stream.stated]] method, ms"
+WHOLE_CLIP = "offline: it needs the whole clip before its first frame, which is not live"
 Clock = dict[str, float]  # stage -> seconds of a picture
 
 
@@ -24,7 +24,7 @@ def read_clocks(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: 
     stream = protocol.stream
     if stream is None:
         return {}
-    partial = dict.fromkeys(coverage.partial, "partial renders: some pictures are missing")
+    partial = dict.fromkeys(coverage.partial, "partial renders: some frames are missing")
     return {label: partial.get(label) or _clock(run, stream, protocol.views.test, label) for label in labels}
 
 
@@ -52,8 +52,8 @@ def _screen(protocol: Protocol, clock: Clock) -> Screen | str:
         return screen
     stream, seconds = protocol.stream, sum(clock.values())
     if stream.policy == "deadline" and seconds > stream.deadline_ms / 1000:
-        return f"no picture in time: one takes {seconds:.3g} s, the deadline is {stream.deadline_ms:g} ms"
-    return f"no picture within the clip: one takes {seconds:.3g} s, the clip {protocol.frames.count / stream.fps:.3g} s"
+        return f"no frame in time: one takes {seconds:.3g} s, the deadline is {stream.deadline_ms:g} ms"
+    return f"no frame within the clip: one takes {seconds:.3g} s, the clip {protocol.frames.count / stream.fps:.3g} s"
 
 
 def _clock(run: RunFolder, stream: Stream, views: Sequence[str], label: str) -> Clock | str:
@@ -95,17 +95,17 @@ def _depth_seconds(run: RunFolder, stream: Stream) -> float:
     if not _is_live(run):
         return 0.0
     if not run.live_depth_record.is_file():
-        raise RenderError(f"{run.live_depth_record}: wanted the time of live depth, got no file; `ggvs-eval run` measures it")
+        raise RenderError(f"{run.live_depth_record}: wanted the time of live depth, got no file; run `ggvs-eval run`")
     return float(np.median(read_json(run.live_depth_record)["seconds"]))
 
 
 def _depth_note(run: RunFolder, stream: Stream) -> str:
     """Say in words whose time the depth is."""
     if stream.depth_ms is not None:
-        return f"{stream.depth_ms:g} ms of a picture for the depth of its sources, as the protocol states"
+        return f"{stream.depth_ms:g} ms per frame for the depth of its sources, by the protocol"
     if _is_live(run):
-        return "with the depth of its sources, found live and measured here"
-    return "without depth, which was computed before (depth_ms of the protocol's [stream] states a time for it)"
+        return "with live depth of its sources, measured here"
+    return "without depth, which was precomputed (set its time by depth_ms in [stream] of the protocol)"
 
 
 def _is_live(run: RunFolder) -> bool:

@@ -52,7 +52,7 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
     doubts = doubts or {}
     if len(capture.cameras) < FEWEST_CAMERAS:
         raise CaptureError(
-            f"{capture.path}: wanted two cameras or more, got {len(capture.cameras)}: nothing can be held out; add cameras"
+            f"{capture.path}: wanted two cameras or more, got {len(capture.cameras)}; add cameras"
         )
     for name in (DEMO, f"{DEMO}-{capture.layout}", capture.layout):
         if name in packaged_protocols() and _fits(capture, load_protocol(name)):
@@ -124,7 +124,7 @@ def hold_out(proposal: Proposal, capture: Capture, names: Sequence[str], doubts:
     synthesis = proposal.protocol.synthesis
     synthesis = replace(synthesis, k=min(synthesis.k, len(capture.cameras) - 1))
     reasons = dict.fromkeys(capture.camera_names, "stays a source") | {
-        name: f"held out, as asked: {_classify_view(capture, name, synthesis, doubts)[1]}" for name in names
+        name: f"held out, as requested: {_classify_view(capture, name, synthesis, doubts)[1]}" for name in names
     }
     protocol = replace(proposal.protocol, views=Views(tuple(names), "chosen by the user"), synthesis=synthesis)
     return Proposal(replace(protocol, name=f"{capture.scene}, {', '.join(names)}"), reasons)
@@ -151,9 +151,9 @@ def _views(capture: Capture, synthesis: Synthesis, doubts: Mapping[str, str]) ->
             break
     if not test:
         test = [stretch[0] for stretch in _stretches(names[1::2])]
-        reasons |= dict.fromkeys(test, "held out: by rule, though no camera can serve well")
+        reasons |= dict.fromkeys(test, "held out: by rule, although no camera is well covered")
         return Views(tuple(test), f"by rule: {rule}"), reasons
-    without = "" if len(test) == len(stretches) else ", without those in doubt and those that the other cameras hardly show"
+    without = "" if len(test) == len(stretches) else ", without doubtful ones and those that other cameras barely cover"
     return Views(tuple(test), f"by rule: {rule}{without}"), reasons
 
 
@@ -175,7 +175,7 @@ def _classify_view(capture: Capture, name: str, synthesis: Synthesis, doubts: Ma
         return False, str(error)
     sources = [each.camera for each in chosen]
     share = shown_share(target, sources, capture.cameras, capture.sensed_cameras)
-    shown = f"{', '.join(camera.name for camera in sources)} can show {100 * share:.0f} % of its view"
+    shown = f"{', '.join(camera.name for camera in sources)} cover {100 * share:.0f} % of its view"
     return share >= LEAST_SHOWN, shown
 
 

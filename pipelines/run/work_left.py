@@ -158,7 +158,7 @@ class Workload:
         unknown = sum(stage.unknown for stage in stages)
         more = f", and {counted(unknown, 'piece')} of unknown time" if unknown else ""
         return [
-            f"time: about {duration(whole_s)} on {counted(self.jobs, 'core')}{more}; most of it is {longest.name}, shorter by "
+            f"time: about {duration(whole_s)} on {counted(self.jobs, 'core')}{more}; mostly {longest.name}; to shorten: "
             f"{STAGES[longest.name]}",
             *(stage.describe() for stage in stages),
         ]
@@ -187,7 +187,7 @@ class Workload:
         if needed > free:
             raise ProtocolError(
                 f"{self.folder}: this run needs about {_size(needed)}, the disk has {_size(free)} free; free the difference, "
-                "choose a folder on another disk, or ask for less (frames.count, views.test, synthesis.width, methods)"
+                "choose a folder on another disk, or reduce the run (frames.count, views.test, synthesis.width, methods)"
             )
 
 
@@ -217,12 +217,12 @@ def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool 
     if not plans:
         return
     if outdated := describe_outdated([plan.run for plan in plans]):
-        print(f"{folder}: {outdated}; they are made again", file=sys.stderr)
+        print(f"{folder}: {outdated}; they are recomputed", file=sys.stderr)
     work = count_work(plans, folder, jobs)
     notes = [note for plan in plans for note in plan.capture.notes if note not in plan.request.capture.notes]
     lines = [*dict.fromkeys(notes), *work.describe().splitlines()]
     if lines or dry_run:
-        print("\n".join(lines) or f"{folder}: nothing is left to do", file=sys.stdout if dry_run else sys.stderr)
+        print("\n".join(lines) or f"{folder}: no work left", file=sys.stdout if dry_run else sys.stderr)
     work.require_disk()
 
 
@@ -246,7 +246,7 @@ def describe_outdated(runs: Iterable[RunFolder]) -> str:
             scored += any(known["code"] != metric_code(METRICS[name]) for name, known in metrics.items())
         depth += _has_old_depth(run)
     parts = [f"{counted(len(renders), 'render')} ({', '.join(dict.fromkeys(renders))})"] if renders else []
-    parts += ["the depth that renders are made from"] if depth else []
+    parts += ["the depth of renders"] if depth else []
     parts += [counted(scored, "scored view")] if scored else []
     return f"{', '.join(parts)} are of another version of the code" if parts else ""
 

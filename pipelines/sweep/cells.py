@@ -69,7 +69,7 @@ def sweep_cells(
     cells = []
     for folder, (capture, protocol) in captures.items():
         cameras, common = len(capture.cameras), shared or root / folder
-        absent |= {f"K = {k}": f"the capture has {cameras} cameras, one of them is synthesised" for k in sweep.k if k >= cameras}
+        absent |= {f"K = {k}": f"the capture has {cameras} cameras, including the synthesised one" for k in sweep.k if k >= cameras}
         for variant, variant_protocol in sweep.protocols(protocol, cameras).items():
             rows = tuple(row for row in sweep.rows(variant_protocol, protocol) if row.title not in absent)
             if rows:
@@ -112,7 +112,7 @@ def _why_not(row: SweepRow, captures: Sequence[str], networks: NetworkOptions) -
     """Return why a row cannot be computed; None where it can, as far as is known before it is tried."""
     label = row.label
     if row.path is not None and len(captures) > 1 and CAPTURE not in row.path:
-        return f"{row.path}: wanted {CAPTURE} in the path, as there are {len(captures)} captures"
+        return f"{row.path}: wanted {CAPTURE} in the path, got none, with {len(captures)} captures"
     if row.rendered is not None:
         return None
     if reason := METHODS.why_absent(label):

@@ -124,7 +124,7 @@ def evaluate_demos(
             show(report(roots, with_figures=False))
     page = report(roots, tables_of=tables)
     if failures:
-        raise RenderError(f"{k_root(roots[0])}: {len(failures)} failed, first {failures[0]}; the same call tries again")
+        raise RenderError(f"{k_root(roots[0])}: {len(failures)} failed, first {failures[0]}; run the same command to retry")
     return page
 
 
@@ -154,7 +154,7 @@ def run_demos(
         return each
 
     def show(page: Path) -> None:
-        print(f"{page} can be opened; it grows with each further run", file=sys.stderr, flush=True)
+        print(f"{page} can be opened; each further run is added", file=sys.stderr, flush=True)
 
     announced = map(announce, planned)
     if dry_run:
@@ -178,7 +178,7 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
     core_seconds = {name: seconds * probe() for name, seconds in CORE_SECONDS.items()}
     whole, first = sum(core_seconds.values()) / jobs, core_seconds[MAIN] / jobs
     return (
-        f"demo: about {duration(whole)} in all on {jobs} cores; in about {duration(first)} open {page}, which grows with each run"
+        f"demo: about {duration(whole)} in all on {jobs} cores; in about {duration(first)} open {page}, to which each run is added"
     )
 
 

@@ -84,7 +84,7 @@ def plan_cells(
     """
     kinds = {protocol.measurement for _, protocol in captures.values()}
     if len(kinds) != 1:
-        raise ProtocolError(f"{root}: wanted captures that are measured alike, got {len(kinds)} kinds; name one with --protocol")
+        raise ProtocolError(f"{root}: wanted captures with one protocol, got {len(kinds)}; choose one with --protocol")
     cells, absent = sweep_cells(root, captures, sweep, depth, networks, shared)
     failures: list[Failure] = []
     tried = [attempt(f"prepare {cell.name}", partial(plan_run, cell.request), failures) for cell in shard_cells(cells, shard)]

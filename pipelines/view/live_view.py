@@ -218,7 +218,7 @@ def layer_image(rendering: Rendering, layer: Layer, target: Camera, label: str) 
     if rendering.depth is not None:
         maps["depth"] = rendering.depth
     if layer not in maps:
-        raise RenderError(f"{label} shows no {layer}; it has {', '.join(['picture', *sorted(maps)])}")
+        raise RenderError(f"{label} has no {layer}; choose {', '.join(['picture', *sorted(maps)])}")
     return cv2.resize(diagnostics_picture(layer, maps[layer], target), target.size, interpolation=cv2.INTER_NEAREST_EXACT)
 
 

@@ -91,7 +91,7 @@ class Recording:
 
     def _poses(self) -> list[Camera]:
         if not self.requests:
-            raise RenderError("nothing is recorded yet; press record, move the camera or let time play, and press stop")
+            raise RenderError("wanted a recorded path, got none; press record, move the camera or let time play, and press stop")
         return [recorded_pose(request, self.view, index) for index, request in enumerate(self.requests)]
 
     def _free_name(self, ending: str) -> Path:
@@ -104,10 +104,10 @@ class Recording:
 NOTHING = "-"
 MOST_SOURCES = 8
 JPEG_QUALITY = 85
-FIRST = "rendering the first picture ..."
+FIRST = "rendering the first frame ..."
 OUTSIDE = (
-    f"**outside of what the cameras see**: {{:.0%}} of this view is seen from within {SEEN_FROM_DEG:g} degrees, the rest is "
-    "guessed; *reset view* goes back"
+    f"**outside the cameras' coverage**: {{:.0%}} of this view is covered from within {SEEN_FROM_DEG:g} degrees, the rest is "
+    "extrapolated; press *reset view*"
 )
 LITTLE_DEPTH = 0.5  # of the sources' pixels, below which the window notes that most of the picture is based on little
 REST_SECONDS = 0.25  # without a change, before the picture is made at full size
@@ -265,7 +265,7 @@ class Session:
     def _add_controls(self, defaults: ViewDefaults) -> None:
         gui, playback = self.client.gui, self._playback
         instants, names = sorted(set(playback.instants)), [camera.name for camera in playback.capture.cameras]
-        gui.add_button("reset view", hint="back to where the window opened (key: R)").on_click(lambda _: self._reset())
+        gui.add_button("reset view", hint="back to the initial view (key: R)").on_click(lambda _: self._reset())
         gui.add_command("reset view", hotkey="R").on_trigger(lambda _: self._reset())
         with gui.add_folder("Method"):
             self._method = gui.add_dropdown("method", tuple(defaults.methods), initial_value=defaults.method)
@@ -282,7 +282,7 @@ class Session:
         with gui.add_folder("Scene"):
             self._go_to = gui.add_dropdown("go to camera", (NOTHING, *names))
             self._cameras = gui.add_checkbox("cameras", initial_value=True, hint="click one to go there")
-            self._points = gui.add_checkbox("points", initial_value=False, hint="the surface that depth says is there")
+            self._points = gui.add_checkbox("points", initial_value=False, hint="surface points from depth")
         self._add_recording(gui)
         with gui.add_folder("Latency"):
             self._status = gui.add_markdown(FIRST)  # the last of all: it grows without moving a control
@@ -341,9 +341,9 @@ def status_text(picture: Picture, rate: float) -> str:
     if picture.is_outside:
         return OUTSIDE.format(picture.seen)
     height, width = picture.image.shape[:2]
-    lines = [f"{rate:.1f} pictures per second, {width} x {height}, from {', '.join(picture.sources)}"]
+    lines = [f"{rate:.1f} frames per second, {width} x {height}, from {', '.join(picture.sources)}"]
     little = "**little**: " if picture.known_depth < LITTLE_DEPTH else ""
-    lines.append(f"depth {little}known in {picture.known_depth:.0%} of what its sources see")
+    lines.append(f"depth {little}known in {picture.known_depth:.0%} of its sources' pixels")
     for label, seconds in picture.seconds.items():
         stages = ", ".join(f"{stage} {1000 * each:.0f}" for stage, each in seconds.items())
         lines.append(f"{label}: {stages} ms")

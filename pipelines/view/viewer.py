@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
 
 PORTS_TRIED = 100
-MISSING = "the viewer wants the package viser; install it by `pip install 'ggvs-eval[view]'`"
+MISSING = "view: wanted the package viser, got none; run `pip install 'ggvs-eval[view]'`"
 # No packet is sent there (RFC 5737): the route that one would take says by which address others reach this machine.
 ELSEWHERE = ("192.0.2.1", 9)
 HEADERS = {"Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY", "Cache-Control": "no-store"}
@@ -85,11 +85,11 @@ class Listener:
         """Return why a request is not let in; empty where it is."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_own(hosts[0]):
-            return "this name is not known to be this machine's; use its address, or localhost"
+            return "unknown host name; use this machine's address, or localhost"
         if any(origin.partition("://")[2].lower() != hosts[0].lower() for origin in origins):
-            return "a page of another site asks"
+            return "request from another site"
         if not secrets.compare_digest(_first_part(request.path).encode(errors="replace"), self._token.encode()):
-            return "open the whole address that was printed, with the token at its end"
+            return "open the full printed address, including the token"
         return ""
 
     def _is_own(self, host: str) -> bool:
@@ -128,7 +128,7 @@ def start_guarded(listener: Listener, start: Callable[[], "viser.ViserServer"]) 
         server.serve = serve  # type: ignore[misc]
     if not is_guarded:
         started.stop()
-        raise CommandError("this version of viser cannot be guarded; install another by `pip install 'ggvs-eval[view]'`")
+        raise CommandError("wanted a supported version of viser, got another; run `pip install 'ggvs-eval[view]'`")
     return started
 
 
@@ -168,7 +168,7 @@ def _listening(host: str, port: int) -> socket.socket:
         code = error.errno if isinstance(error, OSError) else None
         reason = os.strerror(code) if code and code > 0 else error
         raise CommandError(
-            f"--host {host} --port {port}: nothing can listen there ({reason}); give an address of this machine, such as "
+            f"--host {host} --port {port}: cannot listen there ({reason}); use an address of this machine, such as "
             "127.0.0.1, and a free port from 1024 to 65535"
         ) from error
 

@@ -35,7 +35,7 @@ class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
         """Refuse a configuration part of which would not be taught."""
         if CONFIGURATIONS[self.configuration].stereo:
             raise TrainingError(
-                f"gps-gaussian: {self.configuration} has a stereo network, which is not taught here; take compact"
+                f"gps-gaussian: {self.configuration} has a stereo network, which cannot be trained here; use compact"
             )
 
     def terms(self, network: GpsGaussianNetwork, sample: InstantSample, step: int) -> dict[str, Tensor]:

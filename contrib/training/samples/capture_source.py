@@ -231,7 +231,7 @@ def capture_sources(captures: Iterable[Capture], plan: CapturePlan) -> list[Capt
     sources = [CaptureSource(capture, plan) for capture in captures]
     if len({source.name for source in sources}) < len(sources):
         listed = ", ".join(str(source.capture.path) for source in sources)
-        raise TrainingError(f"captures to learn from: wanted each once, got {listed}")
+        raise TrainingError(f"--captures: wanted each once, got {listed}")
     return sources
 
 
@@ -272,7 +272,7 @@ def _refuse_tests(capture: Capture) -> None:
         raise TrainingError(f"{file}: wanted the seed of a demo capture, got none ({error}); write it again") from error
     if seed < FIRST_TRAINING_SEED and seed not in VALIDATION_SEEDS:
         raise TrainingError(
-            f"{capture.path}: the demo capture of seed {seed} is for tests and must not be learned from; make another by "
+            f"{capture.path}: the demo capture of seed {seed} is for tests, not for training; film another by "
             f"`ggvs-eval film --seed {FIRST_TRAINING_SEED}`"
         )
 

@@ -227,7 +227,7 @@ class SamplePool(Generic[Sample]):
         jobs = self.jobs()
         if jobs:
             with worker_pool(min(workers, len(jobs))) as pool:
-                finish_all(pool, [pool.submit(job) for job in jobs], "views to learn from")
+                finish_all(pool, [pool.submit(job) for job in jobs], "training views")
 
 
 def make_samples(source: SampleSource, kind: SampleKind[Sample], capture: Capture, paths: Mapping[int, Path]) -> None:
@@ -248,5 +248,5 @@ def require_room(samples: SamplePool[Sample], width: int, height: int) -> None:
         least = source.least_size
         if least[0] < width or least[1] < height:
             raise TrainingError(
-                f"crops of {width} x {height} do not fit samples of {least[0]} x {least[1]}; take larger samples or smaller crops"
+                f"crops of {width} x {height} do not fit samples of {least[0]} x {least[1]}; use larger samples or smaller crops"
             )

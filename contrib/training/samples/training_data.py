@@ -252,7 +252,7 @@ def sample_pools(cache: Path, data: TrainingOptions, kind: SampleKind[Sample]) -
     training: list[SampleSource] = [*_training_rooms(data, views, domains), *learned]
     validation: list[SampleSource] = [*(domain_validation_plan(name, views, VALIDATION_TARGETS) for name in domains), *held_back]
     if not training:
-        raise TrainingError("training: wanted rooms or captures to learn from, got neither; give --rooms or --captures")
+        raise TrainingError("training: wanted rooms or captures, got neither; give --rooms or --captures")
     return SamplePool(cache, kind, training), SamplePool(cache, kind, validation)
 
 

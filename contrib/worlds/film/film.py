@@ -79,7 +79,7 @@ def read_exact_depth(folder: Path, camera: str, frame: int) -> Array32:
 
     path = depth_path(folder, camera)
     if not path.is_file():
-        raise CaptureError(f"{path}: no exact depth here; only a demo capture has it, written with depth_stride > 0")
+        raise CaptureError(f"{path}: wanted exact depth, got none; film a demo capture with depth_stride > 0")
     with h5py.File(path) as file:
         frames = file["frames"][:].tolist()
         if frame not in frames:

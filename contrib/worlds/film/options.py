@@ -116,7 +116,7 @@ class DemoOptions:
         if self.width * height != self.height * width:
             raise CaptureError(
                 f"demo: pictures of {self.layout} have the shape of {width} x {height}, got {self.width} x {self.height}; "
-                f"take {width // 4} x {height // 4}"
+                f"use {width // 4} x {height // 4}"
             )
         if self.fps <= 0 or self.noise_sigma_255 < 0 or self.exposure_spread < 0:
             values = f"{self.fps:g}, {self.noise_sigma_255:g}, {self.exposure_spread:g}"
@@ -137,7 +137,7 @@ class DemoOptions:
         if self.layout != "rgbd":
             for name in RGBD_ONLY:
                 if getattr(self, name):
-                    raise CaptureError(f"demo: {name} wants the hand-held camera of rgbd, got layout {self.layout}; drop it")
+                    raise CaptureError(f"demo: {name} needs layout rgbd, got {self.layout}; drop it")
 
     def _check_faults(self) -> None:
         for option in ("camera_gain", "frame_offset", "focal_error"):

@@ -157,7 +157,7 @@ def read_doubts(file: Path) -> dict[str, str]:
     try:
         findings = [Finding(**each) for each in json.loads(file.read_text(encoding="utf-8"))["findings"]]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CaptureError(f"{file}: wanted what 'ggvs-eval check' wrote, got {error!r:.120}; check the capture again") from error
+        raise CaptureError(f"{file}: wanted a file of 'ggvs-eval check', got {error!r:.120}; check the capture again") from error
     doubtful = [finding for finding in findings if finding.subject != RIG and finding.verdict in ("warn", "bad")]
     worst_last = sorted(doubtful, key=lambda finding: SEVERITY[finding.verdict])
     return {finding.subject: f"{finding.question}: {finding.measured}" for finding in worst_last}
@@ -259,11 +259,11 @@ def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding,
 def _guessed(capture: Capture, depth: float, spacing: float, values: dict[str, object]) -> Finding:
     """Return the finding in world units, for a capture of which nothing is known in metres."""
     near, far = min(camera.near for camera in capture.cameras), max(camera.far for camera in capture.cameras)
-    measured = f"metres are not known; in world units the scene is within {near:.3g} .. {far:.3g}, {depth:.3g} at the median"
+    measured = f"unknown scale; in world units the scene is within {near:.3g} .. {far:.3g}, {depth:.3g} at the median"
     if np.isfinite(spacing):
         values["spacing_units"] = round(spacing, 4)
         measured += f", neighbours {spacing:.3g} apart"
-    measured += f"; {capture.units_per_metre:.4g} units are taken for a metre ({capture.units_origin})"
+    measured += f"; {capture.units_per_metre:.4g} units per metre assumed ({capture.units_origin})"
     advice = "measure one baseline or two points and give it (units.toml); thresholds in metres depend on it"
     return Finding(RIG, SIZE_QUESTION, "warn", measured, values, advice)
 

@@ -31,7 +31,7 @@ QUESTION = DRIFT
 WARN_DRIFT, BAD_DRIFT = 0.04, 0.10
 # From frame to frame, of the brightness; automatic exposure and people who pass change it more slowly.
 WARN_FLICKER, ODD_FACTOR = 0.01, 2.0
-ADVICE = "lock exposure and white balance; score with a colour-corrected metric, or leave this camera out"
+ADVICE = "lock exposure and white balance; score with a colour-corrected metric, or drop this camera"
 
 
 def check_drift(

@@ -99,7 +99,7 @@ def check_overlap(cameras: Sequence[Camera], sensed: Collection[str] = ()) -> tu
             evaluated.append(blind[camera.name])
             continue
         is_little = share < LEAST_SHARE
-        advice = "add cameras between, or leave it out of the test views" if is_little else ""
+        advice = "add cameras between, or remove it from the test views" if is_little else ""
         measured = f"{100 * share:.0f} % of the picture seen by {LEAST_VIEWS} of {SOURCES} neighbours"
         evaluated.append(
             Finding(

@@ -37,7 +37,7 @@ QUESTION = "epipolar error"
 MOST_JUDGES, MOST_EXPLAINED = 24, 8
 GROSS_FOCAL = 0.03
 REFINE = "refine the poses (calibrate RIG NEW --known-poses RIG --refine)"
-RECALIBRATE = f"{REFINE}, or leave this camera out"
+RECALIBRATE = f"{REFINE}, or drop this camera"
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _transposed(camera: Camera) -> Camera:
 
 
 POSE_CHANGES: dict[str, Change] = {
-    "a pose turned by 180 degrees about its x axis (OpenGL axes taken for OpenCV's?)": _turned(1.0, -1.0, -1.0),
+    "a pose turned by 180 degrees about its x axis (OpenGL axes used as OpenCV's?)": _turned(1.0, -1.0, -1.0),
     "a pose turned by 180 degrees about its y axis": _turned(-1.0, 1.0, -1.0),
     "a pose turned by 180 degrees about its z axis (picture upside down?)": _turned(-1.0, -1.0, 1.0),
     "a centre mirrored in x": _reflected_centre(-1.0, 1.0, 1.0),
@@ -195,7 +195,7 @@ POSE_CHANGES: dict[str, Change] = {
     "a pose mirrored in x": _reflected_world(-1.0, 1.0, 1.0),
     "a pose mirrored in y": _reflected_world(1.0, -1.0, 1.0),
     "a pose mirrored in z": _reflected_world(1.0, 1.0, -1.0),
-    "the inverse pose (camera-to-world taken for world-to-camera?)": _inverted,
+    "the inverse pose (camera-to-world used as world-to-camera?)": _inverted,
     "the transposed rotation": _transposed,
 }
 
@@ -310,8 +310,8 @@ def _evaluate(
     name = cameras[index].name
     own = [pair for pair in pairs if index in (pair.first, pair.second) and pair.seen_from(index)[0] in trusted]
     if not own:
-        reason = "no frame to look at" if features[index] is None else "too few matches with any neighbour"
-        return Finding(name, QUESTION, "unknown", reason, {}, "look at this camera's picture and pose by eye")
+        reason = "no readable frame" if features[index] is None else "too few matches with any neighbour"
+        return Finding(name, QUESTION, "unknown", reason, {}, "inspect this camera's picture and pose")
     error_px = camera_error(cameras, own, index)
     values: dict[str, Any] = {
         "error_px": _finite(error_px),
@@ -338,7 +338,7 @@ def _advice(cameras: Sequence[Camera], index: int, repair: Repair, repairs: dict
         other = cameras[repair.other].name
         if back is not None and back.other == index:
             return f"exchange the frames of {cameras[index].name} and {other}, or their poses"
-        return f"give it the pose that {other} has now"
+        return f"give it the pose of {other}"
     if repair.focal_factor is not None:
         return f"multiply its focal length by {repair.focal_factor:.3f}, or calibrate again"
     return "correct the pose as named, or calibrate again"
@@ -361,7 +361,7 @@ def _doubtful_rig(
     if not errors:
         reason = "too few matches between neighbours (far apart, dark or bare of texture)"
         unknown = [Finding(camera.name, QUESTION, "unknown", reason) for camera in cameras]
-        rig = Finding(RIG, QUESTION, "unknown", reason, {}, "compare the pictures and poses by eye")
+        rig = Finding(RIG, QUESTION, "unknown", reason, {}, "compare pictures and poses manually")
         return CalibrationVerdict((rig, *unknown), tuple(pairs), (), ())
     each = [camera_error(cameras, pairs, index) for index in range(len(cameras))]
     verdicts = [graded(error, *tolerances(camera)) for error, camera in zip(each, cameras, strict=True)]
@@ -374,12 +374,12 @@ def _doubtful_rig(
     if repair is None:
         measured, advice = (
             f"{measured}; no camera agrees with most others",
-            f"{REFINE}; if that does not help, check that poses and frames belong together, or calibrate without them",
+            f"{REFINE}; else check that poses and frames match, or calibrate without poses",
         )
     else:
         measured, advice = f"{measured}; {repair.meaning}: {repair.error_px:.2f} px", "correct all cameras as named"
         values |= {"repair": repair.kind, "focal_factor": repair.focal_factor}
-    reason = "no neighbour can be trusted"
+    reason = "no neighbour is reliable"
     unknown = [
         Finding(camera.name, QUESTION, "unknown", reason, {"error_px": _finite(error)})
         for camera, error in zip(cameras, each, strict=True)

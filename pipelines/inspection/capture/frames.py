@@ -41,11 +41,11 @@ def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Fin
         name, path = next(iter(outside.items()))
         more = f" and of {len(outside) - 1} more" * (len(outside) > 1)
         measured += f"; frames of {name}{more} are outside the capture's folder, in {path}"
-    advice = ["make sure that these files are meant; a capture that is moved loses them"] if outside else []
+    advice = ["check that these files are intended; moving the capture breaks the links"] if outside else []
     if hdr := hdr_transfers(capture):
         values["transfer"] = hdr
         measured += f"; levels of {', '.join(list(hdr)[:LISTED])}{', ...' * (len(hdr) > LISTED)} are {next(iter(hdr.values()))}"
-        measured += " (high dynamic range), not those of a display, and metrics want those"
+        measured += " (high dynamic range), not those of a display, which metrics need"
         advice.append(f"convert these videos: {TO_SDR}")
     return (
         Finding(RIG, FRAMES, "warn" if advice else "ok", measured, values, "; ".join(advice)),
@@ -130,13 +130,13 @@ def _evaluate_damage(record: CameraRecord, n_frames: int) -> Finding:
     if not record.damage and record.black:
         values["black"] = list(record.black)
         frames = f"frame{'s' * (len(record.black) > 1)} {_listed(list(record.black))}"
-        advice = "a lens cap, or a damaged recording? leave these instants out of the protocol"
+        advice = "a lens cap, or a damaged recording? exclude these instants from the protocol"
         return Finding(record.name, FRAMES, "warn", f"{frames} all zero", values, advice)
     if not record.damage:
         return Finding(record.name, FRAMES, "ok", f"{record.n_read} frames read", values)
     first = record.damage[0]
     measured = f"frame {first.frame} cannot be read, {n_frames - record.n_read} of {n_frames} missing: {first.message}"
-    return Finding(record.name, FRAMES, "bad", measured, values, "restore the file, or leave this camera out")
+    return Finding(record.name, FRAMES, "bad", measured, values, "restore the file, or drop this camera")
 
 
 def _evaluate_frozen(name: str, frames: list[int]) -> Finding:

@@ -21,9 +21,9 @@ def check_lens(capture: Capture) -> tuple[Finding, ...]:
     record = _record(capture)
     options, odd = record.get("options", {}), record.get("odd_lenses")
     if not options.get("shared_intrinsics") or options.get("known_poses") or options.get("known_intrinsics") or odd is None:
-        return (Finding(RIG, QUESTION, "ok", "no lens was taken for that of several cameras by 'calibrate'"),)
+        return (Finding(RIG, QUESTION, "ok", "no lens was shared by 'calibrate'"),)
     own = ", ".join(options.get("own_lens", ()))
-    measured = f"one for all cameras but {own}" if own else "one for all cameras"
+    measured = f"one for all cameras except {own}" if own else "one for all cameras"
     lenses = {name: OddLens(**each) for name, each in odd.items() if name in capture.camera_names}
     findings = [
         Finding(

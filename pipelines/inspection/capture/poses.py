@@ -51,11 +51,11 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
     ]
     values = {"extent": round(rig_extent(cameras), 4), "target": None if target is None else [round(float(x), 4) for x in target]}
     gaze = (
-        "look the same way" if target is None else f"look at one region, {np.degrees(np.median(away)):.0f} deg off at the median"
+        "face the same direction" if target is None else f"look at one region, {np.degrees(np.median(away)):.0f} deg off at the median"
     )
     if n_outside > len(cameras) / 3:
         measured = (
-            f"no region that all look at: {n_outside} of {len(cameras)} cameras do not have the common point in the picture"
+            f"no common region: {n_outside} of {len(cameras)} cameras do not see the common point"
         )
         advice = "a moving or outward-looking camera? else the poses may be inverted or in other axes"
         return (Finding(RIG, POSES_QUESTION, "warn", measured, values, advice), *evaluated)
@@ -131,7 +131,7 @@ def _evaluate_pose(camera: Camera, away_rad: float, roll_rad: float, doubles: li
     slant = max(camera.deviation, float(np.abs(camera.rotation @ camera.rotation.T - np.eye(3)).max()))
     values = {"away_deg": round(np.degrees(away_rad), 2), "roll_deg": round(np.degrees(roll_rad), 2), "not_orthonormal": slant}
     if doubles:
-        advice = "one pose was written twice; restore this camera's own or leave it out"
+        advice = "one pose was written twice; restore this camera's own or drop it"
         return Finding(camera.name, POSES_QUESTION, "bad", f"same place as {', '.join(doubles)}", values, advice)
     if away_rad > TURNED_AWAY_RAD:
         measured = f"looks away from the others' scene, by {np.degrees(away_rad):.0f} deg"
@@ -141,11 +141,11 @@ def _evaluate_pose(camera: Camera, away_rad: float, roll_rad: float, doubles: li
     if roll_rad > UPSIDE_DOWN_RAD:
         measured = f"upside down against the others, by {np.degrees(roll_rad):.0f} deg"
         return Finding(
-            camera.name, POSES_QUESTION, "warn", measured, values, "mounted on its head? else its y axis is turned round"
+            camera.name, POSES_QUESTION, "warn", measured, values, "mounted upside down? else its y axis is inverted"
         )
     if away_rad > half_view_rad(camera):
-        measured = f"the others' common point is out of its picture, {np.degrees(away_rad):.0f} deg off its axis"
-        return Finding(camera.name, POSES_QUESTION, "warn", measured, values, "look whether it films the same scene")
+        measured = f"the others' common point is outside its picture, {np.degrees(away_rad):.0f} deg off its axis"
+        return Finding(camera.name, POSES_QUESTION, "warn", measured, values, "check that it films the same scene")
     if roll_rad > ROLLED_RAD:
         measured = f"rolled by {np.degrees(roll_rad):.0f} deg against the others"
         return Finding(camera.name, POSES_QUESTION, "warn", measured, values, "check that its frames are turned like its pose")
@@ -154,7 +154,7 @@ def _evaluate_pose(camera: Camera, away_rad: float, roll_rad: float, doubles: li
             camera.name,
             POSES_QUESTION,
             "warn",
-            f"rotation off by {slant:.1e}, the nearest is taken",
+            f"rotation off by {slant:.1e}, the nearest one is used",
             values,
             "store poses with more digits",
         )
@@ -211,7 +211,7 @@ def _evaluate_intrinsics(camera: Camera, focal_ratio: float) -> Finding:
             graded(off, WARN_OFF_CENTRE, BAD_OFF_CENTRE),
             f"principal point {100 * off:.0f} % of the side off centre",
         )
-        advice = "cropped frames? shift the principal point alike"
+        advice = "cropped frames? shift the principal point too"
     elif abs(ratio - 1) > WARN_ASPECT:
         verdict, measured = graded(abs(ratio - 1), WARN_ASPECT, BAD_ASPECT), f"fx / fy = {ratio:.3f}"
         advice = "calibrated for frames of another aspect? scale both axes; by COLMAP? 'calibrate --camera-model SIMPLE_RADIAL'"

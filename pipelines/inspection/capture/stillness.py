@@ -22,7 +22,7 @@ LEAST_SIGMA_PX = 0.05
 SIGMAS = 3.0
 # A movement begins and ends where this share of it is left to do, or done.
 BEGUN, DONE = 0.15, 0.85
-ADVICE = "calibrate it again from where it stood still, and evaluate those frames alone; or leave this camera out"
+ADVICE = "calibrate it again from its static frames, and evaluate only those; or drop this camera"
 
 
 def check_stillness(cameras: Sequence[Camera], records: Sequence[CameraRecord], fps: float = 0.0) -> tuple[Finding, ...]:
@@ -37,7 +37,7 @@ def check_stillness(cameras: Sequence[Camera], records: Sequence[CameraRecord], 
         reason = (
             evaluated[0].measured
             if len({finding.measured for finding in evaluated}) == 1
-            else "too little stands in the pictures"
+            else "too little of the pictures is static"
         )
         return (Finding(RIG, QUESTION, "unknown", reason), *evaluated)
     sizes = [finding.values["moved_px"] for finding in moved]
@@ -45,7 +45,7 @@ def check_stillness(cameras: Sequence[Camera], records: Sequence[CameraRecord], 
     measured = f"largest displacement {max(sizes):.2f} px, median {np.median(sizes):.2f} px, {len(moved)} cameras"
     values = {"largest_px": max(sizes), "n_moved": len(odd)}
     if len(odd) > max(len(moved) / 2, 1):
-        advice = "a moving rig, or stabilised videos? poses of one instant hold for no other"
+        advice = "a moving rig, or stabilised videos? poses of one instant are wrong for others"
         return (
             Finding(RIG, QUESTION, "warn", f"{len(odd)} of {len(moved)} cameras move; {measured}", values, advice),
             *evaluated,

@@ -196,8 +196,8 @@ def check_timing(
     ]
     n_known = int(np.isfinite(offsets).sum())
     if not n_known:
-        reason = "nothing moves, or not as neighbours see it"
-        rig = Finding(RIG, QUESTION, "unknown", reason, {}, "compare a clap or a flash by eye")
+        reason = "no motion that neighbours share"
+        rig = Finding(RIG, QUESTION, "unknown", reason, {}, "compare a clap or a flash manually")
         return (rig, *evaluated, Finding(RIG, DROPPED, "unknown", reason), *dropped)
     spread = float(np.nanmax(np.abs(offsets)))
     shown = f"largest {spread:.2f} frames" + (f" ({1000 * spread / fps:.0f} ms)" if fps else "")
@@ -458,9 +458,9 @@ def _evaluate(name: str, index: int, offsets: Array, lags: Lags, steps: Sequence
     direction = "ahead of" if offset > 0 else "behind"
     measured = f"{size:.2f} +- {half_width:.2f} frames {direction} the rig"
     measured += f"{' at the start' if steps else ''}, correlation {correlation:.2f} with {len(own)} cameras"
-    advice = "" if verdict == "ok" else "shot without genlock? leave the camera out where things move fast"
+    advice = "" if verdict == "ok" else "shot without genlock? drop the camera for fast motion"
     if whole := whole_shift(values):
-        advice = f"'check --repair' shifts it by {abs(whole)} frame{'s' * (abs(whole) > 1)}; or leave it out"
+        advice = f"'check --repair' shifts it by {abs(whole)} frame{'s' * (abs(whole) > 1)}; or drop it"
     elif verdict == "bad" and steps:
         advice = f"see {DROPPED}: no shift suits the whole clip"
     return Finding(name, QUESTION, verdict, measured, values, advice)
@@ -492,5 +492,5 @@ def _dropped(name: str, steps: Sequence[Step], frames: Sequence[int], fps: float
     end = sum(step.size for step in steps)
     if end:
         parts.append(f"from there on {abs(end)} frame{'s' * (abs(end) > 1)} {'ahead' if end > 0 else 'behind'}")
-    advice = "copy or convert this video again; until then evaluate the frames before, or leave this camera out"
+    advice = "copy or convert this video again; until then evaluate the frames before, or drop this camera"
     return Finding(name, DROPPED, "bad", "; ".join(parts), {"steps": values}, advice)

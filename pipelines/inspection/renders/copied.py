@@ -208,13 +208,13 @@ def _blend(name: str, noise: Sequence[NoiseSums]) -> list[Finding]:
         return []
     measured = (
         f"{one.share:.0%} of the truth's sensor noise is in the rendering, {one.deviations:.0f} standard errors from none: "
-        "the truth was blended in, or copied and changed"
+        "the reference was blended in, or copied and changed"
     )
     return [_finding(name, verdict_of(one.share > CERTAIN_SHARE), measured, {"share": one.share, "share_error": one.error})]
 
 
 def _named(frames: Sequence[int], view: ViewFrames) -> str:
-    return "all frames are those" if len(frames) == len(view.frames) else f"frames {as_ranges(list(frames))} are those"
+    return "all frames are as" if len(frames) == len(view.frames) else f"frames {as_ranges(list(frames))} are as"
 
 
 def worst_patches(rendered: Image8, truth: Image8) -> float:
@@ -239,5 +239,5 @@ def _patches(image: Image8) -> Array32:
 
 
 def _finding(name: str, verdict: Verdict, measured: str, values: Mapping[str, float]) -> Finding:
-    advice = "take the test view out of the method's inputs; are truth and render folders mixed up?"
+    advice = "exclude the test view from the method's inputs; are reference and render folders swapped?"
     return Finding(name, QUESTION, verdict, measured, values, advice)

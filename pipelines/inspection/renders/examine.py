@@ -231,7 +231,7 @@ def examine(
 def faults_table(findings: Sequence[Finding], width: int = WIDTH) -> str:
     """Write the findings as text; views with word for word the same finding share a line."""
     if not findings:
-        return "nothing found: no sign of any of the known faults"
+        return "no known fault found"
     return findings_table(findings, width, ("fault", "view"), most_lines=len(findings))
 
 
@@ -289,7 +289,7 @@ def find_seen(view: str, psnr_db: float, ceiling_db: float) -> list[Finding]:
     beyond_db = psnr_db - ceiling_db
     if not beyond_db > LIKELY_DB:
         return []
-    measured = f"PSNR {psnr_db:.1f} dB, a perfect rendering without the camera's noise and codec has {ceiling_db:.1f} dB"
-    advice = "was the view among what the method was trained on, fitted to or started from? hold it out there too"
+    measured = f"PSNR {psnr_db:.1f} dB, above the ceiling of a perfect rendering without noise and codec, {ceiling_db:.1f} dB"
+    advice = "was the method trained on, fitted to or initialised by this view? hold it out there too"
     values = {"psnr_db": psnr_db, "ceiling_db": ceiling_db}
     return [Finding(view, QUESTION, verdict_of(beyond_db > CERTAIN_DB), measured, values, advice)]

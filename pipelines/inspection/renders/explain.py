@@ -70,7 +70,7 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
     """
     family = metric_family(metric)
     if not views:
-        raise MetricError("no views to recompute the number from; name at least one")
+        raise MetricError("wanted at least one view, got none; name one")
     number, _ = printed(quoted)
     rows = FAMILIES[family](views, masks or {})
     conventions = [
@@ -94,13 +94,13 @@ def metric_family(metric: str) -> str:
         name = of_other[family]
         one = METRICS[name] if name in METRICS else DEPTH_METRICS[name]
         raise MetricError(
-            f"{one.name} is of {OF_NO_VIEW[one.kind]}, and numbers are recomputed from test views; see {one.reference}"
+            f"{one.name} is of {OF_NO_VIEW[one.kind]}, wanted a metric of test views; see {one.reference}"
         )
     if reason := FAMILIES.why_absent(family):
         raise AbsentPartError(reason)
     if family not in FAMILIES:
         families = ", ".join(FAMILIES)
-        raise MetricError(f"no conventions known of {metric!r}; there are {families}{did_you_mean(family, FAMILIES)}")
+        raise MetricError(f"wanted a metric with known conventions, got {metric!r}; known are {families}{did_you_mean(family, FAMILIES)}")
     return family
 
 
@@ -115,12 +115,12 @@ def printed(quoted: str) -> tuple[float, float]:
     try:
         number = Decimal(found["number"].replace(",", ".")) if found else Decimal(quoted.strip())
     except InvalidOperation:
-        raise MetricError(f"wanted a number as it was printed, e.g. 0.936, got {quoted!r}") from None
+        raise MetricError(f"wanted a number as printed, e.g. 0.936, got {quoted!r}") from None
     if found and found["unit"] == "%":
         number = number.scaleb(-2)
     exponent = number.as_tuple().exponent
     if not isinstance(exponent, int) or max(abs(exponent), abs(number.adjusted())) > MOST_DIGITS:
-        raise MetricError(f"wanted a finite number as it was printed, e.g. 0.936, got {quoted!r}")
+        raise MetricError(f"wanted a finite number as printed, e.g. 0.936, got {quoted!r}")
     return float(number), 0.5 * 10.0**exponent
 
 
@@ -184,13 +184,13 @@ def _matching(metric: str, quoted: str, matching: Sequence[Convention], share: f
         names = _full_name(matching[0]) if len(matching) == 1 else f"{len(matching)} conventions"
         return f"only chance matches for {metric} {quoted}: {names}; quote more digits"
     if len(matching) == 1:
-        return f"{metric} {quoted} is {_full_name(matching[0])}{', as this tool measures' if is_ours else ''}"
-    return f"{metric} {quoted} is what {len(matching)} conventions give; more digits or other frames would distinguish them"
+        return f"{metric} {quoted} is {_full_name(matching[0])}{', the convention of this tool' if is_ours else ''}"
+    return f"{metric} {quoted} fits {len(matching)} conventions; quote more digits or other frames to distinguish them"
 
 
 def _share_text(share: float) -> str:
     shown = f"{share:.0%}" if share >= 0.01 else "less than 1 %"
-    return f"{shown} of the numbers within {NEIGHBOURHOOD:.0%} of it would meet one by chance"
+    return f"{shown} of the numbers within {NEIGHBOURHOOD:.0%} of it would match one by chance"
 
 
 def _full_name(convention: Convention) -> str:

@@ -254,14 +254,14 @@ def _evaluate(
         return [], view
     verdict = verdict_of(ratio < CERTAIN_RATIO)
     values = {"correlation": float(best.mean()), "own_correlation": float(own.mean()), "instants": float(len(own))}
-    shown = f"structure correlates {best.mean():.2f}, as it should be {own.mean():.2f}, at all {len(own)} instants"
+    shown = f"structure correlates {best.mean():.2f}, without the change {own.mean():.2f}, at all {len(own)} instants"
     findings: list[Finding] = []
     if camera != name:
         advice = f"check names and order of the cameras: render {name}, or score these as {camera}"
         findings.append(Finding(name, "wrong camera", verdict, f"shows {camera}: {shown}", values, advice))
         view = view.with_truth(cameras[camera].read)
     if axes := MIRRORS[mirror]:
-        advice = "flip the frames before they are written, or correct the sign of the camera's axes"
+        advice = "flip the frames before writing, or correct the sign of the camera's axes"
         findings.append(Finding(name, "mirrored", verdict, f"{mirror}: {shown}", values, advice))
         view = view.with_rendered(lambda image: np.ascontiguousarray(np.flip(image, axes)))
     return findings, view

@@ -261,9 +261,9 @@ def _evaluate_zoom(name: str, placed: list[Placement], view: ViewFrames) -> list
         return []
     if float(np.ptp(zooms, axis=0).max()) > 0.3 * abs(zoom):
         return []
-    measured = f"picture is {'enlarged' if zoom > 0 else 'reduced'} by {abs(zoom):.1%} about its centre, alike in all parts"
+    measured = f"picture is {'enlarged' if zoom > 0 else 'reduced'} by {abs(zoom):.1%} about its centre, equally in all parts"
     values = {"scale_x": 1 + zoom_x, "scale_y": 1 + zoom_y, "unevenness_px": uneven}
-    advice = "check fx and fy: intrinsics of another size or before undistortion, or is the true camera's calibration off?"
+    advice = "check fx and fy: intrinsics of another size or before undistortion, or wrong calibration of the captured camera?"
     return [Finding(name, "focal length", "likely", measured, values, advice)]
 
 
@@ -285,5 +285,5 @@ def _shift_advice(x: float, y: float) -> str:
     if abs(max(abs(x), abs(y)) - 0.5) < NEAR_HALF_PX:
         return "pixel centres are at +0.5: check cx, cy and the resize convention (align_corners)"
     if max(abs(x), abs(y)) < 0.5:
-        return "check cx and cy, and resizes without antialiasing; or is the true camera's calibration off by that?"
+        return "check cx and cy, and resizes without antialiasing; or calibration error of the captured camera?"
     return "check cx, cy, the origin of pixel coordinates and crops by a few pixels"

@@ -287,7 +287,7 @@ def _wrong_size(name: str, view: ViewFrames, sizes: dict[tuple[int, int], list[i
 def _blank(name: str, blank: list[int], count: int) -> list[Finding]:
     if not blank:
         return []
-    measured = f"frames {as_ranges(blank)} show nothing ({len(blank)} of {count})"
+    measured = f"frames {as_ranges(blank)} are blank ({len(blank)} of {count})"
     advice = "render them again; black frames: is the camera inside something, or near and far wrong?"
     return [Finding(name, "blank frames", "certain", measured, {"n_frames": float(len(blank))}, advice)]
 
@@ -304,7 +304,7 @@ def _repeated(name: str, view: ViewFrames, candidates: list[int]) -> list[Findin
     measured = f"frames {as_ranges(repeats)} repeat the one before while the truth moves"
     measured = f"all {len(view.frames)} frames show one instant while the truth moves" if whole else measured
     values = {"n_frames": float(len(repeats)), "truth_change_255": typical.largest}
-    advice = "is time handed to the renderer? a converted frame rate or frames skipped under load repeat some"
+    advice = "is time passed to the renderer? converted frame rates or dropped frames repeat some"
     return [Finding(name, "repeated frames", "certain", measured, values, advice)]
 
 

@@ -134,4 +134,4 @@ def steadiness_line(views: Mapping[str, ViewFrames]) -> str:
         f"capture with its noise by {true_change:.3f} %; their sharpness is {sharp:.2f} %, its own {true_sharp:.2f} %"
     )
     is_blurred = change < true_change and sharp < BLURRED_BELOW * true_sharp
-    return told + (": steadier and blurrier, do not take the one without the other" if is_blurred else "")
+    return told + (": more stable but blurrier than the capture" if is_blurred else "")

@@ -138,7 +138,7 @@ def _power_law(name: str, fits: list[ToneFit]) -> list[Finding]:
     if weakest < LEAST_POWER or not agree or rest > LIKELY_TONE or of_gain > OF_GAIN:
         return []
     measured = (
-        f"rendered = truth^{power:.2f} in each channel, levels in 0..1; leaves {rest:.2f} of what the best affine map leaves"
+        f"rendered = truth^{power:.2f} in each channel, levels in 0..1; leaves {rest:.2f} of the best affine map's residual"
     )
     verdict = verdict_of(strength > CERTAIN_POWER and rest < CERTAIN_TONE)
     return [Finding(name, QUESTION, verdict, measured, {"power": power, "rest_ratio": rest}, _power_advice(power))]
@@ -146,10 +146,10 @@ def _power_law(name: str, fits: list[ToneFit]) -> list[Finding]:
 
 def _power_advice(power: float) -> str:
     if max(power, 1 / power) < CERTAIN_POWER:
-        return "write with the transfer function that the capture has; sRGB is not a power of 2.2, nor is BT.709"
+        return "write with the capture's transfer function; neither sRGB nor BT.709 is a power of 2.2"
     if power > 1:
         return "encode linear light as sRGB before writing"
-    return "write the image as it is: it was encoded as sRGB twice, or the truth was"
+    return "write the image unchanged: it, or the reference, was encoded as sRGB twice"
 
 
 def _video_range(name: str, sample: Sample, fits: list[ToneFit]) -> list[Finding]:
@@ -160,7 +160,7 @@ def _video_range(name: str, sample: Sample, fits: list[ToneFit]) -> list[Finding
     if _is_squeezed(sample) and _nearness(fits, VIDEO_SLOPE, VIDEO_BLACK) < LIKELY_BLACK_255:
         what, black = "squeezed into 16..235", _nearness(fits, VIDEO_SLOPE, VIDEO_BLACK)
     elif _is_stretched(sample) and _nearness(fits, 1 / VIDEO_SLOPE, -VIDEO_BLACK / VIDEO_SLOPE) < LIKELY_BLACK_255 / VIDEO_SLOPE:
-        what = "stretched from 16..235 to 0..255 although they were not within"
+        what = "stretched from 16..235 to 0..255 although they were full range"
         black = _nearness(fits, 1 / VIDEO_SLOPE, -VIDEO_BLACK / VIDEO_SLOPE) * VIDEO_SLOPE
     else:
         return []

@@ -109,7 +109,7 @@ class OddLens:
     def describe(self) -> str:
         """The factor with its interval, and what it does to the others."""
         changed = f"; the others then x {self.common_factor:.3f}"
-        return f"alone would like x {self.factor:.3f} +- {self.half_width:.3f} of the common focal length{changed}"
+        return f"alone fits x {self.factor:.3f} +- {self.half_width:.3f} of the common focal length{changed}"
 
 
 def own_lens_option(odd: Iterable[str]) -> str:
@@ -159,7 +159,7 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
     files = find_rig_frames(frames_folder)
     common_count(frames_folder, files)
     if len(files) > MOST_CAMERAS:
-        raise CaptureError(f"{frames_folder}: wanted up to {MOST_CAMERAS} cameras, got {len(files)}; calibrate by COLMAP itself")
+        raise CaptureError(f"{frames_folder}: wanted up to {MOST_CAMERAS} cameras, got {len(files)}; calibrate directly with COLMAP")
     files, given = _known(files, options)
     if strange := [name for name in options.own_lens if name not in files]:
         raise CaptureError(
@@ -233,7 +233,7 @@ def _known(
     cameras = fit_known(path, known, {name: file.size for name, file in files.items()})
     without = [name for name in cameras if cameras[name].world_to_camera is None]
     if options.known_poses is not None and without:
-        raise CaptureError(f"{path}: wanted poses, got intrinsics alone of {', '.join(without)}; give it as known intrinsics")
+        raise CaptureError(f"{path}: wanted poses, got only intrinsics of {', '.join(without)}; pass it by --known-intrinsics")
     return files, cameras
 
 
@@ -277,7 +277,7 @@ def _unregistered(folder: Path, missing: Mapping[str, str], n_cameras: int, log:
     mend = "give these cameras more texture, light or overlap with others, another frame, or known intrinsics"
     mend += "" if n_cameras - len(missing) < 2 else ", or continue without them (--allow-missing)"
     if known_poses is not None and find_calibration_files(known_poses):
-        mend += f", or put {known_poses.name} next to the frames, which makes a capture of them as it stands"
+        mend += f", or put {known_poses.name} next to the frames, which makes them a capture"
     return CaptureError(f"{folder}: wanted a pose of all {n_cameras} cameras, found none of {listed}; {mend}; log: {log}")
 
 
@@ -376,7 +376,7 @@ def run_worker(unfinished: Path, out: Path, job: Mapping[str, Any]) -> dict[str,
     if child.returncode or not result.is_file():
         kept = keep_log(unfinished, out)
         reason = f"was ended by signal {-child.returncode}" if child.returncode < 0 else f"said '{_last_line(kept)}'"
-        raise CaptureError(f"{out}: wanted a calibration, but the process of pycolmap {reason}; see its log {kept}")
+        raise CaptureError(f"{out}: wanted a calibration, the pycolmap process {reason}; see its log {kept}")
     return dict(json.loads(result.read_text(encoding="utf-8")))
 
 

@@ -121,7 +121,7 @@ def fit_known(path: Path, cameras: Mapping[str, KnownCamera], sizes: Mapping[str
     if missing:
         raise CaptureError(
             f"{path}: wanted intrinsics of {', '.join(missing)}, it has {', '.join(cameras) or 'none'}; "
-            "call the cameras alike in both places"
+            "use the same camera names in both places"
         )
     fitted = {}
     for name, (width, height) in sizes.items():

@@ -84,7 +84,7 @@ def _from_easymocap(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndT
     missing = [name for name in sizes if not file.has(f"K_{name}")]
     if missing:
         content = f"it has {', '.join(file.texts('names')) or 'no names'}"
-        raise CaptureError(f"{path}: wanted lenses of {', '.join(missing)}, {content}; call the cameras alike in both places")
+        raise CaptureError(f"{path}: wanted lenses of {', '.join(missing)}, {content}; use the same camera names in both places")
     found_lenses = {}
     for name, size in sizes.items():
         K = file.matrix(f"K_{name}", (3, 3))

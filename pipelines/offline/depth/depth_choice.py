@@ -53,7 +53,7 @@ def find_matcher(name: str, device: str = "cpu", *, dense: bool = False) -> Ster
         return MATCHERS[kind](checkpoint, device, dense)
     if name not in MATCHERS:
         known = (*MATCHERS, *FORMS)
-        raise DepthError(f"no stereo matcher {name!r}; there are {', '.join(known)}{did_you_mean(name, known)}")
+        raise DepthError(f"wanted a matcher, got {name!r}; known are {', '.join(known)}{did_you_mean(name, known)}")
     return MATCHERS[name]()
 
 
@@ -85,12 +85,12 @@ class DepthRunOptions:
     def options(self, device: str = "cpu") -> DepthOptions:
         """All parameters of the depth estimation."""
         if self.stereo_weights is not None and self.matcher not in (FREE_MATCHER, default_matcher(), LIVE_MATCHER, RAFT):
-            raise DepthError(f"--stereo-weights are for the matcher raft, got the matcher {self.matcher}")
+            raise DepthError(f"--stereo-weights: wanted --matcher raft, got {self.matcher}")
         name = self.matcher if self.stereo_weights is None else f"{RAFT}:{self.stereo_weights}"
         name, *fillers = FILLER.split(name, maxsplit=1)
         matcher = find_matcher(name, device)
         if fillers and isinstance(matcher, LiveMatcher | IterMvs):
-            raise DepthError(f"matcher {self.matcher}: wanted sgbm, sweep or raft before the +, got {name}; take one of them")
+            raise DepthError(f"matcher {self.matcher}: wanted sgbm, sweep or raft before the +, got {name}; use one of these")
         filler = cast(IterMvs | StereoMatcher, find_matcher(fillers[0], device, dense=True)) if fillers else None
         keyframe_every = KEYFRAME_EVERY if self.reuse_static else 1
         sensor = self.registration if self.sensor else None

@@ -219,7 +219,7 @@ def _share_pairs(
     groups = max(-(-len(ordered) // MOST_TOGETHER), min(-(-processes // len(frames)), len(ordered)))
     spans = min(-(-processes // groups), len(frames))
     items = [(span, group) for span in _split(frames, spans) for group in _split(ordered, groups)]
-    run_all(partial(_run_together, capture, store, options), items, workers, "depth maps of some cameras and instants")
+    run_all(partial(_run_together, capture, store, options), items, workers, "depth maps of single cameras and instants")
 
 
 def _split(items: Sequence[Item], parts: int) -> list[Sequence[Item]]:

@@ -65,7 +65,7 @@ def choose_partners(
     if not chosen:
         degrees = np.rad2deg(MAX_VIEW_ANGLE_RAD if views else MAX_ANGLE_RAD)
         raise DepthError(
-            f"camera {camera.name}: none of {len(others)} other cameras sees {MIN_OVERLAP:.0%} of its view, {camera.near:.3g} .. "
+            f"camera {camera.name}: wanted a partner that sees {MIN_OVERLAP:.0%} of its view, got none of {len(others)} cameras, {camera.near:.3g} .. "
             f"{camera.far:.3g} deep ({camera.range_origin}), from less than {degrees:.0f} degrees away; add cameras, "
             f"or correct the depth range: {RANGE_MEND}"
         )

@@ -51,7 +51,7 @@ def read_array(path: Path) -> NDArray[np.float32]:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise DepthError(f"{path}: wanted a map of COLMAP's, got: {error}; export the workspace again") from None
+        raise DepthError(f"{path}: wanted a map of COLMAP, got: {error}; export the workspace again") from None
     header = HEADER.match(content)
     if header is None:
         raise DepthError(f"{path}: wanted a map that begins with width&height&channels&, got {content[:24]!r}; export it again")
@@ -103,13 +103,13 @@ def write_dense_workspace(
 
 def _check(cameras: Sequence[Camera], images: Sequence[Image8], depth_maps: Sequence[DepthMap], folder: Path) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise DepthError(f"{folder}: wanted a folder to make, or an empty one, found files; choose another")
+        raise DepthError(f"{folder}: wanted a new or empty folder, got one with files; choose another")
     for camera, image, depth_map in zip(cameras, images, depth_maps, strict=True):
         as_image8(image, camera, DepthError)
         as_image(depth_map.depth, camera, "depth", DepthError)
         if TELLING.search(camera.name):
             raise DepthError(
-                f"camera {camera.name!r}: wanted a name without blanks, commas and strokes, which COLMAP's files cannot hold; "
+                f"camera {camera.name!r}: wanted a name without blanks, commas and slashes, which COLMAP's files cannot hold; "
                 "rename its frames"
             )
 

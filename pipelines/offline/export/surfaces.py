@@ -221,13 +221,13 @@ def fuse_instant(
     if not any(view.depth.any() for view in views):
         raise DepthError(
             f"{folder}: wanted pixels with a confidence of {LEAST_CONFIDENCE:g} or more, {len(cameras)} depth maps have "
-            "none; look at the depth page of `ggvs-eval prepare`, and use another --matcher"
+            "none; check the depth page of `ggvs-eval prepare`, and use another --matcher"
         )
     sample = np.concatenate([_sample(view) for view in views])
     voxel = voxel or _fitting_voxel(views, sample)
     cloud, mesh = _point_cloud(views, voxel), _mesh(views, sample.mean(axis=0), voxel, fewest_triangles)
     if not len(mesh.triangles):
-        raise DepthError(f"{folder}: {len(cloud.points)} points make no surface with voxels of {voxel:g} units; choose others")
+        raise DepthError(f"{folder}: {len(cloud.points)} points give no surface with voxels of {voxel:g} units; choose others")
     import open3d
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -299,4 +299,4 @@ def _write(path: Path, write: Callable[[Path], bool]) -> None:
     """Write a PLY file whole or not at all."""
     with atomic_file(path, ending=".ply") as temporary:  # Open3D goes by the suffix
         if not write(temporary):
-            raise DepthError(f"{path}: Open3D could not write this file; is the disk full, or the folder read-only?")
+            raise DepthError(f"{path}: Open3D cannot write this file; check the free disk space and the folder's permissions")

@@ -36,7 +36,7 @@ class PairwiseEstimator:
         shared: SharedMatches | None = None,
     ) -> None:
         if warm and shared is not None:
-            raise DepthError(f"camera {camera.name}: matches that start from the instant before are not shared; warm is set")
+            raise DepthError(f"camera {camera.name}: wanted warm=False for shared matches, got True; unset it")
         self.matcher = matcher
         self.error_px = error_px
         self.warm = warm

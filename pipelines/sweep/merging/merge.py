@@ -77,7 +77,7 @@ def _same_job(one: Unit, other: Unit, record: Mapping[str, Any], other_record: M
     if record.get("sha256") != other_record.get("sha256"):
         mine, theirs = record.get("identity", {}), other_record.get("identity", {})
         changed = [name for name in dict.fromkeys([*mine, *theirs]) if mine.get(name) != theirs.get(name)]
-        return f"they were made from other {', '.join(changed) or 'inputs'}"
+        return f"they have other {', '.join(changed) or 'inputs'}"
     if "values" in record and not same_values(record["values"], other_record.get("values")):
         return "their values differ"
     mine_there, theirs_there = ({file.relative_to(unit.source): file for file in unit.files()} for unit in (one, other))
@@ -129,7 +129,7 @@ def merge_runs(
     """
     runs = [RunFolder(root) for root in roots]
     if out.exists():
-        raise ProtocolError(f"{out}: exists already; name a new folder to merge into")
+        raise ProtocolError(f"{out}: wanted a new folder to merge into, got an existing one; choose another")
     _require_alike(runs)
     units = _union([unit for run in runs for unit in _units(run)])
     with atomic_folder(out) as temporary:
@@ -164,8 +164,8 @@ def _union(units: Sequence[Unit]) -> dict[str, Unit]:
             continue
         if reason := same_unit(original, unit):
             raise ResultsError(
-                f"{original.source} and {unit.source} differ: {reason}; keep one of them, or prepare once and give truth/ and "
-                "depth/ of that run to every machine before it renders"
+                f"{original.source} and {unit.source} differ: {reason}; keep one of them, or prepare once and copy truth/ and "
+                "depth/ of that run to every machine before rendering"
             )
     return chosen
 
