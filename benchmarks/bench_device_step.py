@@ -2,8 +2,8 @@
 
 In this order. Does the device render what the CPU renders, and twice the same? How long does a step take, by events of the GPU,
 played from its recording, median and 95th percentile of warm frames; from arrays to a picture by the host's clock; where the
-target moves at every step; and until a new recording is ready? Which kernels is it made of, how long does each take next to the time
-in which its arrays could be moved once, and how long does the GPU wait between them? Learned depth follows
+target moves at every step; and until a new recording is ready? Which kernels is it made of, how long does each take next to the
+time in which its arrays could be moved once, and how long does the GPU wait between them? Learned depth follows
 (`bench_device_depth`). The command needs CUDA's torch, numpy, OpenCV, safetensors, pybind11, a C++ compiler and Warp, and no
 network; ``--device cpu --shrink 8`` tries it by Warp's CPU device, whose times mean nothing.
 """

@@ -13,8 +13,8 @@ def main() -> None:
     """Hand over to the command line; Ctrl-C and SIGTERM end it with one line and 130.
 
     Reading:
-        A request to terminate ends as Ctrl-C does, with 130 too and not the shell's 143: in both cases the user stopped it and the
-        same command continues; a scheduler that terminates jobs knows from its own record that it did.
+        A request to terminate ends as Ctrl-C does, with 130 too and not the shell's 143: in both cases the user stopped it and
+        the same command continues; a scheduler that terminates jobs knows from its own record that it did.
     """
     _on_stop(_end_at_once)
     run_command = _command_line()

@@ -160,7 +160,9 @@ class DepthStore:
                 maps = unpack(members)
             depth, confidence, guess = maps["depth"], maps["confidence"], maps.get("guess")
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise DepthError(f"{path}: not a readable depth map ({error}); move this file away and run `ggvs-eval prepare` again") from error
+            raise DepthError(
+                f"{path}: not a readable depth map ({error}); move this file away and run `ggvs-eval prepare` again"
+            ) from error
         for each in (depth, depth if guess is None else guess):
             _check(path, each, confidence)
         return DepthMap(depth, confidence.astype(np.float32) / np.float32(CONFIDENCE_STEPS), guess)

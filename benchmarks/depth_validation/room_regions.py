@@ -78,8 +78,8 @@ def discontinuities(depth: Map, step: float) -> Mask:
 def thin_structures(depth: Map, width_px: int, step: float) -> Mask:
     """Pixels of what is at most `width_px` wide and nearer than what is behind by more than `step` of that depth, (H, W).
 
-    A grey-scale closing raises each part that holds no square of `width_px` + 1 to the depth around it and leaves planes as they are.
-    The picture's border cuts things off, which does not make them thin.
+    A grey-scale closing raises each part that holds no square of `width_px` + 1 to the depth around it and leaves planes as they
+    are. The picture's border cuts things off, which does not make them thin.
     """
     side = width_px + 1
     far = np.where(depth > 0, depth, depth.max(initial=0))

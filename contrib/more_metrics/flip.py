@@ -31,8 +31,8 @@ def flip(rendered: Image, truth: Image) -> float:
         0.0
 
     Reading:
-        The library's own viewing conditions, a monitor 0.7 m wide of 3840 pixels at 0.7 m, regardless of the size of the frame: one of
-        1352x1014 is seen 20 degrees wide.
+        The library's own viewing conditions, a monitor 0.7 m wide of 3840 pixels at 0.7 m, regardless of the size of the frame:
+        one of 1352x1014 is seen 20 degrees wide.
     """
     return float(flip_map(rendered, truth).mean(dtype=np.float64))
 

@@ -44,10 +44,10 @@ def vmaf(pairs: Iterable[tuple[Image8, Image8]], model: str = MODEL, matrix: str
         [97.43...]
 
     Reading:
-        Models for a 1080p screen at three heights, regardless of the size of the frames, and below 45 frames per second. The older
-        one looks at luma alone, v1.0.16 (June 2026) at chroma and banding too; frames are BT.709 in 16..235, 4:2:0. Both were
-        trained on compression and scaling: they say little of geometry. Each is a separate metric, as their values differ and
-        which models there are depends on the ffmpeg that is installed.
+        Models for a 1080p screen at three heights, regardless of the size of the frames, and below 45 frames per second. The
+        older one looks at luma alone, v1.0.16 (June 2026) at chroma and banding too; frames are BT.709 in 16..235, 4:2:0. Both
+        were trained on compression and scaling: they say little of geometry. Each is a separate metric, as their values differ
+        and which models there are depends on the ffmpeg that is installed.
     """
     with SpooledFrames() as frames:
         for rendered, truth in pairs:

@@ -133,7 +133,9 @@ def _read_clip(file: Path) -> Clip:
             arrays = dict(stored)
         record = json.loads(str(arrays["record"]))
     except (OSError, ValueError, EOFError, KeyError) as error:
-        raise CaptureError(f"{file}: wanted a clip of a metric study, got: {error}; move it away and run the study again") from error
+        raise CaptureError(
+            f"{file}: wanted a clip of a metric study, got: {error}; move it away and run the study again"
+        ) from error
     cameras = tuple(Camera.from_json(f"{record['name']}.{index}", each) for index, each in enumerate(record["cameras"]))
     sources = tuple(
         SourceClip(

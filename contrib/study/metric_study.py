@@ -15,9 +15,7 @@ def read_study(folder: Path) -> Study:
     """Read a study of ``ggvs-eval metric-study``."""
     file = folder / STUDY_FILE
     if not file.is_file():
-        raise ResultsError(
-            f"{folder}: wanted the folder of a metric study, got no {STUDY_FILE}; run `ggvs-eval metric-study`"
-        )
+        raise ResultsError(f"{folder}: wanted the folder of a metric study, got no {STUDY_FILE}; run `ggvs-eval metric-study`")
     record: Study = read_json(file)
     return record
 

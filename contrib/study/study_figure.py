@@ -33,9 +33,7 @@ def draw_study(folders: Mapping[str, Path], out: Path) -> Path:
     studies = {title: read_study(folder) for title, folder in folders.items()}
     rows = answered_metrics(list(studies.values()))
     if not rows:
-        raise ResultsError(
-            f"{', '.join(map(str, folders.values()))}: wanted responses of metrics to draw, got none; run the study with more metrics"
-        )
+        raise ResultsError(f"{', '.join(map(str, folders.values()))}: wanted responses of metrics to draw, got none; add metrics")
     counts = [len(study["ladders"]) for study in studies.values()]
     width = LABELS_IN + sum(counts) * CELL_IN[0] + len(counts) * GAP_IN
     height = HEAD_IN + len(rows) * CELL_IN[1] + FOOT_IN

@@ -35,7 +35,7 @@ def verdict_table(studies: Sequence[Study], metrics: Sequence[str] | None = None
 def by_ladder_table(studies: Sequence[Study]) -> str:
     """Each degradation with the number of metrics that see it, and the names of those that do not."""
     verdicts = {metric: _verdicts(studies, metric) for metric in answered_metrics(studies)}
-    lines = ["|  see it | blind to it|degradation | detected by | missed by| see it | blind to it | better with strength | depends on the capture |"]
+    lines = ["| degradation | detected by | missed by | better with strength | depends on the capture |"]
     lines.append("| --- | ---: | --- | --- | --- |")
     for ladder in dict.fromkeys(name for study in studies for name in study["ladders"]):
         found = {metric: of_metric[ladder] for metric, of_metric in verdicts.items() if ladder in of_metric}
@@ -60,7 +60,10 @@ def _verdicts(studies: Sequence[Study], metric: str) -> dict[str, str]:
 
 def ladder_table(study: Study) -> str:
     """The degradations, their strengths and units."""
-    lines = ["| degradation |  unit | what it is|strengths | unit | description| unit | what it is |", "| --- | --- | --- | --- |"]
+    lines = [
+        "| degradation | strengths | unit | description |",
+        "| --- | --- | --- | --- |",
+    ]
     for name, ladder in study["ladders"].items():
         strengths = ", ".join(f"{strength:g}" for strength in ladder["strengths"])
         lines.append(f"| {name} | {strengths} | {ladder['unit']} | {ladder['describe']} |")

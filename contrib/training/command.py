@@ -17,10 +17,7 @@ ABOUT = {
     Rooms and depth are made before the first step. It learns from two views on. The samples are stored in blend-samples next to
     the folder.""",
     STEREO: "Train the compact RAFT-Stereo on pairs of procedural rooms.",
-    **{
-        name: f"Train the baseline {name} on the views of the blending network."
-        for name in TRAINED_BASELINES
-    },
+    **{name: f"Train the baseline {name} on the views of the blending network." for name in TRAINED_BASELINES},
     ALL: "Train the blending network (all, no, naive guidance) and all baselines in parallel.",
 }
 ARGUMENTS = """

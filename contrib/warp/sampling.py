@@ -37,8 +37,8 @@ def sampled_maps(instant: Instant, options: OnlineOptions, device: torch.device)
         DeviceError: the GPU's memory is out.
 
     Reading:
-        On a CPU all except the colours of warps and of the picture have the bits of the compiled path; those differ by up to 1e-6,
-        since images are taken in 8 bit here, and in [0, 1] by `warp`.
+        On a CPU all except the colours of warps and of the picture have the bits of the compiled path; those differ by up to
+        1e-6, since images are taken in 8 bit here, and in [0, 1] by `warp`.
     """
     target, sources, room = instant.target, instant.sources, PAIRS_PER_GAUSSIAN
     tau = options.tau_m * instant.units_per_metre

@@ -308,9 +308,9 @@ def splat_views(images: Tensor, depths: Tensor, masks: Tensor, c: StepConstants,
 
     Reading:
         Two stable sorts of 32 bits, by depth and then by tile, order the pairs as the compiled splat does, equal depths in
-        reading order; sorting pairs at once by 64 bits would move twice the bytes. Views are sorted together as long as they have at
-        most 2^16 tiles: the sort then takes two passes, not three. How many pairs there are is known on the device alone: room
-        is kept for a number of them, and anyone who reads the picture sees whether it was enough.
+        reading order; sorting pairs at once by 64 bits would move twice the bytes. Views are sorted together as long as they
+        have at most 2^16 tiles: the sort then takes two passes, not three. How many pairs there are is known on the device
+        alone: room is kept for a number of them, and anyone who reads the picture sees whether it was enough.
     """
     (width, height), device = t.sizes.whole, depths.device
     across, down = -(-width // TILE), -(-height // TILE)

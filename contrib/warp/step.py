@@ -216,8 +216,8 @@ class DeviceGuided:
         takes_device_depth: makes `OnlineSynthesizer` leave estimated depth on the device.
 
     Reading:
-        Pictures are those of the compiled path except for rounding. Weights, march, contested depth and registration give the same
-        bits from the same inputs on a CPU; masks, splats, convolutions and sums differ in the last ones. Where a comparison
+        Pictures are those of the compiled path except for rounding. Weights, march, contested depth and registration give the
+        same bits from the same inputs on a CPU; masks, splats, convolutions and sums differ in the last ones. Where a comparison
         decides, a last bit may move a pixel: of the depths near a zero crossing of the fused field, of the votes on contested
         depth, of what is remembered. Three instants of two views of the demo room at 480 x 360, K = 4: no pixel off by a level
         (0.25 of one at most), 0.005 % of the depths off by more than 0.1 mm. For half precision see `DeviceNetwork`.

@@ -39,8 +39,8 @@ def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -
         workers: processes, by default one per core; 1 stays in this process. The bytes do not depend on it.
 
     Returns:
-        The folder: the files of the layout and ``demo.json``; ``depth/camXX.h5`` except for rgbd, which has a sensor's depth; with
-        dynerf and colmap ``path/poses_bounds.npy`` and ``path/images/`` (one instant, without gain and noise).
+        The folder: the files of the layout and ``demo.json``; ``depth/camXX.h5`` except for rgbd, which has a sensor's depth;
+        with dynerf and colmap ``path/poses_bounds.npy`` and ``path/images/`` (one instant, without gain and noise).
     """
     for name, shipped in DEMO_ROOMS.items():
         if options == shipped:

@@ -101,9 +101,7 @@ def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFil
     names = [camera.name for camera in cameras]
     if not names:
         there = listed([file.name for file in files]) or "no file"
-        raise CaptureError(
-            f"{path}: wanted cameras, got {there}, of an unknown form; see docs/your_rig.md for the known forms"
-        )
+        raise CaptureError(f"{path}: wanted cameras, got {there}, of an unknown form; see docs/your_rig.md for the known forms")
     if not all(names) or len(set(names)) < len(names):
         raise CaptureError(
             f"{path}: wanted a calibration with cameras of different names, got {listed(names)}; correct the names"

@@ -106,8 +106,8 @@ def read_anipose(path: Path) -> list[FileCamera]:
     """Read the cameras of a TOML file of anipose, freemocap, pose2sim or caliscope.
 
     Reading:
-        freemocap notes the size of its board in millimetres, so its poses become metres. The unit of others depends on the size of
-        their board, which they do not state. caliscope's cameras, a table of tables, are called as it calls their videos:
+        freemocap notes the size of its board in millimetres, so its poses become metres. The unit of others depends on the size
+        of their board, which they do not state. caliscope's cameras, a table of tables, are called as it calls their videos:
         ``cam_0``, or ``port_0`` before; those that it ignores are left out.
     """
     values = read_toml(path, CaptureError)

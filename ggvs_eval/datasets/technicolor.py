@@ -53,8 +53,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
     Reading:
         The data set has no public description. After HyperReel's loader: row i belongs to the pictures of number i; fx = f,
         fy = ar f at 2048 x 1088; the quaternion (w first) and t map world to camera. sk must be zero. Frames count from the
-        first picture that is there, regardless of its number: Painter's begin at 0, the others' at 1. Depth range: HyperReel's of the
-        scene by its name.
+        first picture that is there, regardless of its number: Painter's begin at 0, the others' at 1. Depth range: HyperReel's
+        of the scene by its name.
     """
     folder, by_camera = _find_frames(path) or (path, {})
     rows = _read_rows(path / PARAMETERS)

@@ -1,4 +1,4 @@
-"""Content digests of files: every byte counts, regardless of the size. A sample would miss frames that are replaced in a stack."""
+"""Content digests of files: every byte counts, for any size. A sample would miss frames that are replaced in a stack."""
 
 import hashlib
 from collections.abc import Iterable

@@ -19,8 +19,8 @@ def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Ten
     """The tensors of a weights file by name.
 
     Args:
-        keys: path of the state dict in a checkpoint: ``("net",)`` for ``checkpoint["net"]``. Safetensors of this package hold them
-            under names that begin with the keys, ``net.``.
+        keys: path of the state dict in a checkpoint: ``("net",)`` for ``checkpoint["net"]``. Safetensors of this package hold
+            them under names that begin with the keys, ``net.``.
 
     Returns:
         Name -> tensor, names without ``module.``.

@@ -257,7 +257,7 @@ def _require_properties(names: list[str], path: Path) -> None:
     for kind, pattern in OTHER_GAUSSIANS.items():
         if foreign := [name for name in names if pattern.fullmatch(name)]:
             raise RenderError(
-                f"{path}: {', '.join(foreign[:3])}{'...' * (len(foreign) > 3)} are of {kind}, which are rendered differently; render "
+                f"{path}: {', '.join(foreign[:3])}{'...' * (len(foreign) > 3)} are of {kind}, which render differently; render "
                 "them by their own code and score the frames by 'ggvs-eval score --renders'"
             )
     rest = sum(name.startswith("f_rest_") for name in names)

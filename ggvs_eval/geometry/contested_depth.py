@@ -48,8 +48,8 @@ def settle_depth(
     Reading:
         Not in the paper, whose fusion votes by depth alone. A surface whose depth each view has in another place is voted away,
         and what is behind it is looked up instead. The opposite case, depth that has grown over an edge in every view, is
-        rightly voted away; colours distinguishes them: of the depths that splats propose, the one is taken at which all views agree
-        best (a plane sweep over at most K planes), and the fused one stays unless that is far better.
+        rightly voted away; colours distinguishes them: of the depths that splats propose, the one is taken at which all views
+        agree best (a plane sweep over at most K planes), and the fused one stays unless that is far better.
     """
     from ggvs_eval.kernels import _core
 

@@ -51,7 +51,7 @@ class Features:
 
 
 def find_features(image: Image8) -> Features:
-    """SIFT features of an RGB image, (H, W, 3); their descriptors are square-rooted, which makes distances more discriminative."""
+    """SIFT features of an RGB image, (H, W, 3); their descriptors are square-rooted, for more discriminative distances."""
     scale = min(1.0, LONGEST_SIDE_PX / max(image.shape[:2]))
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else image
     sift = cv2.SIFT_create(nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST)  # type: ignore[attr-defined, unused-ignore]
@@ -196,7 +196,7 @@ def tolerances(camera: Camera) -> tuple[float, float]:
 
 
 def sound_matches(one: Camera, other: Camera, pair: MatchedPair) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Mask of matches with a depth under a calibration: near their epipolar lines, in front of both cameras, at a sufficient angle.
+    """Mask of matches with a depth under a calibration: near their epipolar lines, in front of both, at a sufficient angle.
 
     Returns:
         (M,), and the depth of all matches in the first camera and in the other, world units, (M,) each.

@@ -254,7 +254,9 @@ def _canvas(
         (H, W); least and largest disparity, pixels; origin and size of the window, pixels.
     """
     if min(rays[..., 2].min(), rays_partner[..., 2].min()) < MIN_RAY_Z:
-        raise DepthError(f"cameras {reference.name} and {partner.name} have too different directions for matching; choose another partner")
+        raise DepthError(
+            f"cameras {reference.name} and {partner.name} have too different directions for matching; choose another partner"
+        )
     focal_px = reference.focal_px
     depth_scale = focal_px * baseline / rays[..., 2]
     low, high = _bounds(rays, focal_px)

@@ -155,9 +155,9 @@ def choose_sources(target: Camera, cameras: Sequence[Camera], k: int, how: Sourc
     Args:
         target: camera to synthesise, of the rig or a virtual one.
         k: number of sources; ``coverage`` gives fewer where fewer cameras look the target's way, ``triplet`` wants three.
-        how: ``nearest``, the cameras whose centres are nearest, regardless of what they see; ``coverage``, those that together see most
-            of the target's view between its near and its far depth, from directions like its own; or ``triplet``, the corners of
-            the triangle of cameras around the target, see `find_triplet`.
+        how: ``nearest``, the cameras whose centres are nearest, regardless of what they see; ``coverage``, those that together
+            see most of the target's view between its near and its far depth, from directions like its own; or ``triplet``, the
+            corners of the triangle of cameras around the target, see `find_triplet`.
 
     Raises:
         CameraError: no such choice, or fewer than `k` other cameras; for ``coverage``, none that looks the target's way and sees

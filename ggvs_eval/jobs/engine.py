@@ -147,8 +147,8 @@ def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
     """Try an item in a separate process, which no other item can end; its errors are printed when it has ended.
 
     Raises:
-        RenderError: the process died of an exception that every other process would raise too: before the work began, since what the
-            work raises comes back alone.
+        RenderError: the process died of an exception that every other process would raise too: before the work began, since what
+            the work raises comes back alone.
     """
     exit_code = None
     for _ in range(TRIES_ALONE):

@@ -40,7 +40,8 @@ class Job:
         identity: everything the result depends on, as JSON values.
         work: called with a temporary folder to fill; returns what job.json records besides the identity. It travels to another
             process, so it is a module-level function or a `functools.partial` of one.
-        resumes: the work continues from what it has left in its folder when it was killed; from which it must determine its progress.
+        resumes: the work continues from what it has left in its folder when it was killed; from which it must determine its
+            progress.
         renews: the work keeps a part of the result that is there, so that one process at a time does it. Where all that another
             job had made is kept, the record's ``also`` names that job's hash.
     """

@@ -159,8 +159,8 @@ def find_flat_set(path: Path, request: FrameRequest, is_temporary: bool) -> Rend
     if not copies:
         first = next(iter(names)).relative_to(pair.rendered.parent)
         raise RenderError(
-            f"{pair.rendered.parent}: wanted names with a view, got {first}, and {pair.truth.name}/ lacks pictures to determine their order "
-            "from; name them <view>/<frame>.png"
+            f"{pair.rendered.parent}: wanted names with a view, got {first}, and {pair.truth.name}/ lacks pictures to order "
+            "them by; name them <view>/<frame>.png"
         )
     if set(rendered) != set(copies):
         listed = ", ".join(str(key) for key in sorted(set(rendered) ^ set(copies), key=str)[:20])
@@ -224,7 +224,7 @@ def _has_truth(pair: _Pair) -> bool:
 
 
 def _by_key(folder: Path) -> dict[int | str, Path]:
-    """The pictures below a folder by what distinguishes them: in a flat list their numbers, else their relative names; in order."""
+    """Return the pictures below a folder, in order, by number in a flat list, else by relative name."""
     found = list_files_below(folder)
     numbers = frame_numbers(folder, [file.stem for file in found])
     if all(file.parent == folder for file in found) and None not in numbers and len(set(numbers)) == len(found):

@@ -163,9 +163,7 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
     listed = [f"{title}: {_listed(items)}" for title, items in groups.items() if items]
     if listed:
         numbered = [numbering] if numbering else []
-        raise RenderError(
-            f"{path}: {'; '.join([*numbered, *listed])}; fix these, or add --allow-partial to score the rest"
-        )
+        raise RenderError(f"{path}: {'; '.join([*numbered, *listed])}; fix these, or add --allow-partial to score the rest")
 
 
 def partial_text(fitted: Fit, request: FrameRequest) -> str:

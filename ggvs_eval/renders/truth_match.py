@@ -44,8 +44,8 @@ def check_truth(claims: Claims, request: FrameRequest) -> float:
         Their mean difference in levels of 255.
 
     Raises:
-        RenderError: copies of another size, that are too far from the captured frame, or nearer to the next or previous instant; the
-            message names them and how far they are.
+        RenderError: copies of another size, that are too far from the captured frame, or nearer to the next or previous instant;
+            the message names them and how far they are.
     """
     checked = [_check_view(view, claims, request) for view in request.views]
     wrong = [complaint for _, complaints in checked for complaint in complaints]

@@ -174,7 +174,9 @@ def npz_members(path: Path) -> list[str]:
         with zipfile.ZipFile(path) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
     except ZIP_ERRORS as error:
-        raise RenderError(f"{path}: wanted an .npz archive, got an unreadable file ({error}); save it with numpy.savez") from error
+        raise RenderError(
+            f"{path}: wanted an .npz archive, got an unreadable file ({error}); save it with numpy.savez"
+        ) from error
 
 
 def read_small_array(path: Path, member: str) -> np.ndarray:
@@ -184,7 +186,9 @@ def read_small_array(path: Path, member: str) -> np.ndarray:
         with np.load(path, allow_pickle=False) as archive:
             return archive[member]
     except (*ZIP_ERRORS, KeyError) as error:
-        raise RenderError(f"{path}[{member}]: wanted an array of numbers, got an unreadable one ({error}); save it again") from error
+        raise RenderError(
+            f"{path}[{member}]: wanted an array of numbers, got an unreadable one ({error}); save it again"
+        ) from error
 
 
 class FrameStream(Protocol):
@@ -328,7 +332,9 @@ def _compare_truth(stack: ArrayStack, indices: Mapping[int, int], view: str, req
     truth, numbers = ArrayStack(stack.path, OWN_TRUTH), {index: number for number, index in indices.items()}
     if (truth.n_frames, truth.size) != (stack.n_frames, stack.size):
         sizes = [f"{one.n_frames} frames of {one.size[0]} x {one.size[1]}" for one in (stack, truth)]
-        raise RenderError(f"{stack.path}: wanted {OWN_RENDERS} and {OWN_TRUTH} of one shape, got {' and '.join(sizes)}; save again")
+        raise RenderError(
+            f"{stack.path}: wanted {OWN_RENDERS} and {OWN_TRUTH} of one shape, got {' and '.join(sizes)}; save again"
+        )
     if size_fault(truth.size, request.sizes[view]):
         return f"{truth.path.name}[{OWN_TRUTH}] was not compared with the captured frames, which have another size"
     levels = [

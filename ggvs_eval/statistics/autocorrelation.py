@@ -149,12 +149,12 @@ def correlation_posterior(series: ArrayLike) -> Posterior:
         The effective sample size of a clip is its length over the frames that one independent frame lasts, (1 + c) / (1 - c) for
         correlation c from frame to frame. With few frames c is known badly: one estimate of it gives intervals that cover too
         seldom, or far too wide ones where it comes near 1. So all correlations count, evenly spread from -0.9 up to where the
-        clip is worth half a frame, each with its likelihood; one twentieth goes to models in which each frame has additional noise of its
-        own (30 or 60 % of the variance). Given a model, the cosine coefficients of the clip (those of Lazarus, Lewis,
-        Stock & Watson 2018) are independent with known ratios of variances, Student's t with T - 1 degrees of freedom follows,
-        and their average is the posterior under a flat prior of mean and log variance (Zellner & Tiao 1964). Of the methods in
-        `benchmarks/interval_coverage.py` it is the narrowest that covers 92 to 97 % up to 0.7 at 24 frames and 0.9 at 100;
-        prewhitened cosines cover about as well and are up to 1.9 times as wide.
+        clip is worth half a frame, each with its likelihood; one twentieth goes to models in which each frame has additional
+        noise of its own (30 or 60 % of the variance). Given a model, the cosine coefficients of the clip (those of Lazarus,
+        Lewis, Stock & Watson 2018) are independent with known ratios of variances, Student's t with T - 1 degrees of freedom
+        follows, and their average is the posterior under a flat prior of mean and log variance (Zellner & Tiao 1964). Of the
+        methods in `benchmarks/interval_coverage.py` it is the narrowest that covers 92 to 97 % up to 0.7 at 24 frames and 0.9 at
+        100; prewhitened cosines cover about as well and are up to 1.9 times as wide.
     """
     values = np.asarray(series, dtype=np.float64)
     frames = values.shape[-1]

@@ -36,12 +36,12 @@ def measure_drift(series: Array, level: float = LEVEL) -> Drift:
 
     Reading:
         Over clips that are long for their correlation the variances of a slope and of a mean have one cause, the variance of what
-        scatters about the line times the frames that one independent frame lasts; so the slope's error is the mean's, times the root
-        of T over the sum of squared times. The line has taken two degrees of freedom, of those that independent frames leave, and
-        of what scatters about it one more than a mean has: with n independent frames its variance is (n - 1) / (n - 2) as large.
-        A line takes slow wandering away with it, so a series is short for its correlation where it is with the line or without,
-        unless its slope is three times its interval. From 100 frames and up to a correlation of 0.95 at most 5 % of the intervals
-        that are not short exclude 0 without drift (3.6 to 4.9 % of at least 20,000 series each).
+        scatters about the line times the frames that one independent frame lasts; so the slope's error is the mean's, times the
+        root of T over the sum of squared times. The line has taken two degrees of freedom, of those that independent frames
+        leave, and of what scatters about it one more than a mean has: with n independent frames its variance is (n - 1) / (n -
+        2) as large. A line takes slow wandering away with it, so a series is short for its correlation where it is with the line
+        or without, unless its slope is three times its interval. From 100 frames and up to a correlation of 0.95 at most 5 % of
+        the intervals that are not short exclude 0 without drift (3.6 to 4.9 % of at least 20,000 series each).
     """
     times = np.arange(len(series)) - (len(series) - 1) / 2
     squares = float(times @ times)

@@ -161,7 +161,7 @@ def judge_against(
 
 
 def _of_one_clip(comparisons: Mapping[str, Comparison]) -> dict[str, Comparison]:
-    """The comparisons in one metric with what each says of the clip: if it is too short for one, then for all except clear ones."""
+    """Apply a too short clip of one comparison to all comparisons of a metric, except clear ones."""
     short = next((one.short for one in comparisons.values() if one.short), "")
     return {label: one if one.is_clear else replace(one, short=short) for label, one in comparisons.items()}
 

@@ -55,8 +55,8 @@ def answer(strengths: Sequence[float], worse: Mapping[str, Sequence[Sequence[flo
         (1.0, 'sees', 1)
 
     Reading:
-        Clips are drawn, with all their seeds, since the seeds of a clip are not independent. What a metric distinguishes is larger
-        than the standard deviation over clips and seeds, of the undegraded or of the degraded ones, whichever is larger.
+        Clips are drawn, with all their seeds, since the seeds of a clip are not independent. What a metric distinguishes is
+        larger than the standard deviation over clips and seeds, of the undegraded or of the degraded ones, whichever is larger.
     """
     of_clips = np.array([np.mean([rank_correlation(strengths, row) for row in rows]) for rows in worse.values()])
     if len(of_clips) < 2:

@@ -119,7 +119,9 @@ def _read_arrays(path: Path, net: LpipsNet) -> dict[str, NDArray[np.float32]]:
     convolutions, heads = len(LAYERS[net]), sum(layer.tap for layer in LAYERS[net])
     convolution_names = {f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")}
     if set(arrays) != convolution_names | {f"head{i}.weight" for i in range(heads)}:
-        raise WeightsError(f"{path}: wanted the tensors of {net}, got those of another network; move it away and run `{FETCH_COMMAND}`")
+        raise WeightsError(
+            f"{path}: wanted the tensors of {net}, got those of another network; move it away and run `{FETCH_COMMAND}`"
+        )
     return arrays
 
 

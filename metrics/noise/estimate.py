@@ -123,8 +123,8 @@ class NoiseEstimator:
         Static are blocks of 8 x 8 pixels whose mean squared change is within the narrow peak that noise makes in the histogram
         of such changes; each brightness has its own peak. The mean over the 192 values of a block scatters so little that the cut
         above the peak takes off nothing of the noise, as a cut through single pixels would. Changes over 1 and over 24 frames
-        show how much of the noise is held (H.264 copies blocks and their noise). Noise that never changes is not distinguishable from
-        the scene.
+        show how much of the noise is held (H.264 copies blocks and their noise). Noise that never changes is not distinguishable
+        from the scene.
     """
 
     def __init__(self) -> None:

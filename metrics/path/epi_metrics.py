@@ -231,7 +231,9 @@ def _even_step(offsets: NDArray[np.float64], camera: Camera, near: float) -> flo
         )
     uneven_px = float(np.abs(np.diff(offsets[:, 0]) - step).max() * camera.K[0, 0] / near)
     if uneven_px > EVEN_PX:
-        raise MetricError(f"pose {camera.name}: steps differ by {uneven_px:.2f} px, with at most {EVEN_PX:g} px allowed; use equal steps")
+        raise MetricError(
+            f"pose {camera.name}: steps differ by {uneven_px:.2f} px, with at most {EVEN_PX:g} px allowed; use equal steps"
+        )
     return step
 
 

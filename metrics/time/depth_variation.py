@@ -148,7 +148,7 @@ DEPTH_SHARPNESS = DepthMetric(
     unit="% of depth",
     higher_is_better=True,
     decimals=3,
-    describe="mean absolute difference of neighbouring depths; higher stability with lower sharpness is smoothing, noise raises it",
+    describe="mean absolute difference of neighbouring depths; more stable and less sharp is smoothed, noise raises it",
     reference=_REFERENCE,
     series=Series(1, lambda depths, _static: depth_sharpness(*depths)),
 )

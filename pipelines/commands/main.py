@@ -1,4 +1,4 @@
-"""The command line. Errors of the user and of the machine are one line and exit code 1; bugs of the package keep their traceback."""
+"""The command line. Errors of user and machine are one line and exit code 1; bugs keep their traceback."""
 
 import codecs
 import inspect

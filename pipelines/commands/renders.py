@@ -131,7 +131,9 @@ def steadiness(
         raise RenderError(f"{out}: wanted a file name with {', '.join(FORMATS)}, got {out.suffix or 'none'}; change it")
     paths = named_renders(videos)
     if not paths:
-        raise RenderError("wanted NAME=PATH of a video, got none; run e.g. `ggvs-eval steadiness ours=renders/cam00 theirs=video.mp4`")
+        raise RenderError(
+            "wanted NAME=PATH of a video, got none; run e.g. `ggvs-eval steadiness ours=renders/cam00 theirs=video.mp4`"
+        )
     measured = measure_steadiness(paths, depth=depth, mask=mask, with_colmap=colmap)
     where = "in all pixels" if mask is None else f"where {mask.name} is white"
     table, remarks = (

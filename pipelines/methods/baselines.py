@@ -77,6 +77,6 @@ def _with_weights(
     weights = weights or shipped(baseline.weights)
     if weights == shipped(baseline.weights) and not (rendition.retrained and weights.is_file()):
         raise WeightsError(
-            f"{rendition.title}: wanted weights {baseline.checkpoint}, which are not included; pass them by --weights {baseline.name}=FILE"
+            f"{rendition.title}: wanted weights {baseline.checkpoint}, not included; pass them by --weights {baseline.name}=FILE"
         )
     return baseline.make_method(weights, device=device, **options)

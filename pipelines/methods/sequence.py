@@ -39,5 +39,7 @@ def open_sequence(path: Path, n_frames: int | None) -> CloudSequence:
 
         return FittedClouds(path)
     if n_frames is None and splats_files(path)[-1].name == DEFORMATION:
-        raise RenderError(f"{path}: wanted --capture with 4DGS output, whose motion depends on the clip's length, got none; add it")
+        raise RenderError(
+            f"{path}: wanted --capture with 4DGS output, whose motion depends on the clip's length, got none; add it"
+        )
     return open_splats(path, range(n_frames or 1))

@@ -39,10 +39,10 @@ class ExposureCompensation:
     """Gains, one per source camera and channel, that make the sources agree about the surfaces they share.
 
     A lattice of pixels of each source is looked up in every other source that sees the same surface. The median ratio of two
-    sources' colours gives the ratio of their gains; least squares over all pairs gives every source's. How the ratio changes with the
-    angles from the two axes gives the fall-off of the lens that all share, see `LensFallOff`. State: the mean ratio of each pair
-    of cameras that were sources together, whose weight fades while they share too little, and the mean fall-off, since the last
-    gap in time.
+    sources' colours gives the ratio of their gains; least squares over all pairs gives every source's. How the ratio changes
+    with the angles from the two axes gives the fall-off of the lens that all share, see `LensFallOff`. State: the mean ratio of
+    each pair of cameras that were sources together, whose weight fades while they share too little, and the mean fall-off, since
+    the last gap in time.
 
     Args:
         memory: instants that a ratio is the mean of, at most; 1 for none but the present one.
@@ -304,7 +304,7 @@ class LensFallOff:
 
 
 def fit_slope(ratios: Map, spans: Map, corner: float) -> tuple[float, float]:
-    """Slope of log ratios over differences of squared tangents, regardless of their offset, and its weight: robust least squares."""
+    """Return the slope of log ratios over differences of squared tangents, and its weight, by robust least squares."""
     x, y = spans.astype(np.float64) / corner, ratios.astype(np.float64)
     y = y - np.median(y)
     weights, slope, evidence = np.ones(len(x)), 0.0, 0.0

@@ -207,7 +207,8 @@ def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None
     Args:
         maps: the views, K of them.
         guidance: what the network sees of the fused depth. ``channels``: groups 1-8, as printed. ``registered``: group 9 too.
-            ``none``: all except groups 4 and 5 (ablation 'No TSDF Guidance'). ``naive``: groups 1, 3, 7 and 8, which need no depth.
+            ``none``: all except groups 4 and 5 (ablation 'No TSDF Guidance'). ``naive``: groups 1, 3, 7 and 8, which need no
+            depth.
         views: how many views the network is made for; channels of those that are not there are 0. K unless given.
         unit: what depths and distances are measured in, world units; `reference_depth` of the guide's depth unless given. A crop
             wants that of the whole view.

@@ -246,9 +246,9 @@ def stillness(
     Reading:
         Noise is new in every camera, motion is one and the same in all: the mean product of two views' changes at a surface that
         both see is the energy of motion regardless of the noise, and what it falls short of the energy of each is the noise,
-        regardless of what moves. No threshold is set for a sensor or for a contrast, and a picture that moves as a whole is seen to. Both
-        are asked of single pixels, which know the finest texture, and of mean colours of cells, in which noise is an eighth.
-        What no two views agree about, uncovered or at a wrong depth, is compared with the noise itself.
+        regardless of what moves. No threshold is set for a sensor or for a contrast, and a picture that moves as a whole is seen
+        to. Both are asked of single pixels, which know the finest texture, and of mean colours of cells, in which noise is an
+        eighth. What no two views agree about, uncovered or at a wrong depth, is compared with the noise itself.
     """
     small, surface = middle_rays(target), cells(depth)
     still = np.ones_like(surface)

@@ -38,7 +38,9 @@ class Timing:
         count = sum(share < LEAST_SEEN for share in self.seen)
         where = f"from within {SEEN_FROM_DEG:g} degrees"
         return (
-            f"{count} of {len(self.seen)} frames are outside the cameras' coverage {where}; their borders are unreliable" if count else ""
+            f"{count} of {len(self.seen)} frames are outside the cameras' coverage {where}; their borders are unreliable"
+            if count
+            else ""
         )
 
     def milliseconds(self) -> dict[str, tuple[float, float]]:

@@ -153,8 +153,8 @@ def playback_of_capture(
         anywhere: make ready what any camera sees, for a target that may be anywhere, instead of one that goes round.
 
     Reading:
-        Sources change along the path. Depth of a camera is that of its own stereo, not checked against the other sources of a view,
-        so that it does not change when they do.
+        Sources change along the path. Depth of a camera is that of its own stereo, not checked against the other sources of a
+        view, so that it does not change when they do.
     """
     capture = without_unmatched(capture, depth)
     instants = _instants(capture, range(capture.n_frames), options.frames)

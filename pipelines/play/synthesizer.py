@@ -265,8 +265,8 @@ def seen_share(target: Camera, cameras: Sequence[Camera]) -> float:
         cameras: the rig; one of the target's own name is left out.
 
     Reading:
-        Between the cameras of the demo rig it is 1, and 0.99 in the middle of a rig carried by hand; next to the demo rig's middle
-        by a quarter of its extent 0.96, by half of it 0.6, by the whole 0.2.
+        Between the cameras of the demo rig it is 1, and 0.99 in the middle of a rig carried by hand; next to the demo rig's
+        middle by a quarter of its extent 0.96, by half of it 0.6, by the whole 0.2.
     """
     points = sample_view(target)
     seen = np.zeros(len(points), bool)

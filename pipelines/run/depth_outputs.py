@@ -79,5 +79,7 @@ def _one_per_camera(prepared: RunPlan, frame: int) -> list[DepthJob]:
         best.setdefault(job.camera_name, job)
     if not best:
         frames = prepared.frames
-        raise DepthError(f"{prepared.run.root}: wanted depth of frame {frame}, got frames {frames[0]}..{frames[-1]}; choose one of these")
+        raise DepthError(
+            f"{prepared.run.root}: wanted depth of frame {frame}, got frames {frames[0]}..{frames[-1]}; choose one of these"
+        )
     return [best[name] for name in prepared.capture.camera_names if name in best]

@@ -78,8 +78,8 @@ def choose_folds(cameras: Sequence[Camera]) -> Folds:
 
     Reading:
         The literature fits once per test camera (4DGS, 4K4D: K = 17 of 18) or holds all out at once. Three folds cost three fits
-        regardless of the number of test cameras. Cameras are dealt one by one to the fold whose nearest member is farthest away, among
-        those that are not full; then pairs change places while that moves the nearest two cameras of a fold farther apart.
+        regardless of the number of test cameras. Cameras are dealt one by one to the fold whose nearest member is farthest away,
+        among those that are not full; then pairs change places while that moves the nearest two cameras of a fold farther apart.
 
     Examples:
         >>> from ggvs_eval.camera import translated_path

@@ -52,8 +52,8 @@ def import_renders(
 ) -> dict[str, Any]:
     """Make frames that others rendered a method of a run.
 
-    PNG files are copied, so that the run stays complete if the originals are removed; JPEG files, videos and arrays are written to PNG
-    once. A second call with the same files does nothing.
+    PNG files are copied, so that the run stays complete if the originals are removed; JPEG files, videos and arrays are written
+    to PNG once. A second call with the same files does nothing.
 
     Args:
         run: a folder with the captured frames of the protocol's views.

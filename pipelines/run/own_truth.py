@@ -49,9 +49,7 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
     for label, others in sets.items():
         if others.keys() != stacks.keys():
             listed = f"{', '.join(stacks)} of {first}, {', '.join(others)} of {label}"
-            raise RenderError(
-                f"{renders[label]}: wanted archives of the same views, got {listed}; score them in separate runs"
-            )
+            raise RenderError(f"{renders[label]}: wanted archives of the same views, got {listed}; score them in separate runs")
     counts = {stack.n_frames for stack in stacks.values()}
     if len(counts) > 1:
         raise RenderError(

@@ -65,7 +65,9 @@ def read_path_depth(folder: Path, pose: int) -> NDArray[np.float32]:
     try:
         return np.asarray(np.load(file, allow_pickle=False), dtype=np.float32)
     except (OSError, ValueError, EOFError) as error:
-        raise DepthError(f"{file}: wanted depth of a path's pose, got: {error}; move it away and run `ggvs-eval prepare`") from error
+        raise DepthError(
+            f"{file}: wanted depth of a path's pose, got: {error}; move it away and run `ggvs-eval prepare`"
+        ) from error
 
 
 def pose_file(folder: Path, pose: int) -> Path:

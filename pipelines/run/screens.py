@@ -29,7 +29,7 @@ def read_clocks(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: 
 
 
 def screens_of(protocol: Protocol, clocks: Mapping[str, Clock | str]) -> dict[str, Screen | str]:
-    """the displayed frames by these clocks, or why nothing does."""
+    """The displayed frames by these clocks, or why nothing does."""
     return {label: clock if isinstance(clock, str) else _screen(protocol, clock) for label, clock in clocks.items()}
 
 

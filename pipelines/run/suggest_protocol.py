@@ -51,9 +51,7 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
     """
     doubts = doubts or {}
     if len(capture.cameras) < FEWEST_CAMERAS:
-        raise CaptureError(
-            f"{capture.path}: wanted two cameras or more, got {len(capture.cameras)}; add cameras"
-        )
+        raise CaptureError(f"{capture.path}: wanted two cameras or more, got {len(capture.cameras)}; add cameras")
     for name in (DEMO, f"{DEMO}-{capture.layout}", capture.layout):
         if name in packaged_protocols() and _fits(capture, load_protocol(name)):
             protocol = load_protocol(name)

@@ -69,7 +69,9 @@ def sweep_cells(
     cells = []
     for folder, (capture, protocol) in captures.items():
         cameras, common = len(capture.cameras), shared or root / folder
-        absent |= {f"K = {k}": f"the capture has {cameras} cameras, including the synthesised one" for k in sweep.k if k >= cameras}
+        absent |= {
+            f"K = {k}": f"the capture has {cameras} cameras, including the synthesised one" for k in sweep.k if k >= cameras
+        }
         for variant, variant_protocol in sweep.protocols(protocol, cameras).items():
             rows = tuple(row for row in sweep.rows(variant_protocol, protocol) if row.title not in absent)
             if rows:

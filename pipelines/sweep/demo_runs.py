@@ -177,9 +177,7 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
         return ""
     core_seconds = {name: seconds * probe() for name, seconds in CORE_SECONDS.items()}
     whole, first = sum(core_seconds.values()) / jobs, core_seconds[MAIN] / jobs
-    return (
-        f"demo: about {duration(whole)} in all on {jobs} cores; in about {duration(first)} open {page}, to which each run is added"
-    )
+    return f"demo: about {duration(whole)} in all on {jobs} cores; in about {duration(first)} open {page}, updated by each run"
 
 
 def room_labels(labels: Sequence[str]) -> dict[str, Sequence[str]]:

@@ -56,8 +56,8 @@ class Listener:
     """A socket that listens already, so that an impossible address shows before anything is computed.
 
     A page of another site can make a browser talk to this machine, and other users of it can connect. Both lack the token, a
-    random part of the address. In addition, a browser's page must be the viewer's (Origin), and called by an address or a name that is
-    known to be this machine's (Host): a foreign name may have been pointed here (DNS rebinding).
+    random part of the address. In addition, a browser's page must be the viewer's (Origin), and called by an address or a name
+    that is known to be this machine's (Host): a foreign name may have been pointed here (DNS rebinding).
 
     Args:
         host: address or name to listen at; 0.0.0.0 accepts remote connections.

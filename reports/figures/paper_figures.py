@@ -99,9 +99,7 @@ def write_figure(
         return tuple(draw_rates(rate_panels([run]), file) for file in files)
     if not run.pictured:
         why = "; ".join(f"{label} {reason}" for label, reason in run.results.set_aside.items())
-        raise ResultsError(
-            f"{run.folder.root}: wanted a method with every frame, got none: {why}; render the missing frames"
-        )
+        raise ResultsError(f"{run.folder.root}: wanted a method with every frame, got none: {why}; render the missing frames")
     label = method or run.ours_first[0]
     if kind == "failures":
         return draw_failures(run, files, label, boxes, look)

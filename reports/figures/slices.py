@@ -225,7 +225,9 @@ def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
         return None
     middle = {label: read_image(frame_path(folder, n_poses // 2)) for label, folder in folders.items()}
     of_truth = "truth" in folders
-    chosen_by = f"the strongest horizontal gradients in the middle pose of {'the reference' if of_truth else 'all methods together'}"
+    chosen_by = (
+        f"the strongest horizontal gradients in the middle pose of {'the reference' if of_truth else 'all methods together'}"
+    )
     row, chosen_by = _choose_row(
         row, folders, range(n_poses), lambda: most_textured_row([middle["truth"]] if of_truth else middle.values()), chosen_by
     )

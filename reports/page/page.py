@@ -298,7 +298,7 @@ def _without_empty_rows(table: Table) -> Table:
 
 
 def reproduce(run: MeasuredRun, capture: str) -> list[str]:
-    """Return the commands that reproduce these numbers; folders by their last name only, so that a page reveals nothing of a machine."""
+    """Return the commands that reproduce these numbers; folders by last name only, to reveal nothing of the machine."""
     root = run.folder.root.name
     ours = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
     foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in ours]

@@ -303,8 +303,8 @@ def _winners(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db
 
     Reading:
         A method that needs no fit costs nothing here, as depth is left out for all. A dearer fit becomes the best only where it
-        is judged better than the best before it, among all that are dearer: what cannot be distinguished, or is too short to call,
-        is not worth the wait.
+        is judged better than the best before it, among all that are dearer: what cannot be distinguished, or is too short to
+        call, is not worth the wait.
     """
     cost_s = {label: fit_seconds(fits[label]) if label in fits else 0.0 for label in psnr_db}
     by_cost = sorted(psnr_db, key=lambda label: (cost_s[label], -psnr_db[label]))
@@ -323,7 +323,7 @@ def _winners(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db
         Column("ahead of the line above", "dB", None, "Paired difference with its interval."),
     )
     caption = (
-        "Best method for each waiting time before the first frame. Omitted: slower methods that are not better, or clips too short "
+        "Best method for each waiting time before the first frame. Omitted: slower and not better, or the clip is too short "
         f"to decide. {POINTS}"
     )
     return Table("budget", "Best method per budget", caption, columns, tuple(rows), run.scene)

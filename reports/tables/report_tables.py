@@ -36,7 +36,7 @@ OWN_TRUTH_MEANS = (
     "compression are unknown, and values of other data or other references are not comparable."
 )
 INTERCHANGE = (
-    "A test view is left out of its own rendering only and can be a source of others; set `views.sources` in the protocol to forbid it."
+    "A test view is excluded from its own rendering only and can be a source of others; set `views.sources` to forbid it."
 )
 PUBLISHED_GROUPS = ("quality", "consistency")
 ALONG_PATH = "path"  # table whose reference row is the captured images

@@ -157,7 +157,9 @@ def _evaluate_metric(comparable: ComparableRuns, label: str, metric: str, paper:
     marked = comparable.results.set_aside.get(label)
     interval = None if marked else intervals(comparable.results, metric, name).get(label)
     if interval is None or math.isnan(interval.value):
-        reason = f"{label} {marked}" if marked else comparable.results.why_absent(metric, label) or f"{metric} is not in the protocol"
+        reason = (
+            f"{label} {marked}" if marked else comparable.results.why_absent(metric, label) or f"{metric} is not in the protocol"
+        )
         return NOT_MEASURED, "not run", f"no value: {reason}"
     digits = comparable.runs[0].metrics[metric].decimals
     cell = measured_cell(interval.value, "", interval, digits)
@@ -231,7 +233,7 @@ class Block:
 
     @property
     def lines(self) -> tuple["Line", ...]:
-        """A line per measured value, and one for all values that are not measured for the same reason, at the place of the first."""
+        """Group the entries: a line per measured value, and one per reason for values that are not measured."""
         alike: dict[object, list[Reproduction]] = {}
         for number, entry in enumerate(self.entries):
             alike.setdefault(number if entry.ours.value is not None else (entry.status, entry.reason), []).append(entry)

@@ -39,9 +39,7 @@ def steadiness_table(
         )
         for name, row in values.items()
     ]
-    caption = (
-        f"Mean over the frames, {where}, without reference. Blur is stable too: read each value with the sharpness."
-    )
+    caption = f"Mean over the frames, {where}, without reference. Blur is stable too: read each value with the sharpness."
     return Table("steadiness", notes[0].group_title, caption, columns, rank(columns, rows))
 
 

@@ -123,9 +123,7 @@ def evaluate_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: f
         return None, f"no time of stage {timing.stage} recorded"
     value = float(np.mean(times_ms))
     ratio = f"{value / paper_ms:.2g} times the paper's" if paper_ms else "the paper has 0"
-    return Cell(
-        f"{value:.1f}", value
-    ), f"{ratio}; median of a frame on the machine of this run, the paper's on an unnamed GPU"
+    return Cell(f"{value:.1f}", value), f"{ratio}; median of a frame on the machine of this run, the paper's on an unnamed GPU"
 
 
 def _stage_ms(run: MeasuredRun, label: str, stage: str) -> float | None:

@@ -157,8 +157,8 @@ class SampleKind(ABC, Generic[Sample]):
         """Name of the folder of a source's samples, by all that they depend on but their scene and their number.
 
         Reading:
-            Samples of a GPU are stored separately: on the CPU equal inputs give equal bits, of a training too, and theirs differ in the last
-            ones. The GPU is not recorded, since samples are rounded to 8 bits, where that moves next to nothing.
+            Samples of a GPU are stored separately: on the CPU equal inputs give equal bits, of a training too, and theirs differ
+            in the last ones. The GPU is not recorded, since samples are rounded to 8 bits, where that moves next to nothing.
         """
         name, version = self.folders[source.origin]
         described = {"version": version, **source.describe(self.depth)}

@@ -57,8 +57,8 @@ def finish_technicolor(folder: Path, options: DemoOptions, cameras: Sequence[Cam
     """Write ``cameras_parameters.txt``, and ``depth_range.toml``, since that has no depth.
 
     Reading:
-        The file has no size: its numbers are those of pictures of 2048 x 1088, regardless of the demo's shape; the aspect ratio ar
-        takes what the shape of the pictures leaves between focal lengths along rows and columns.
+        The file has no size: its numbers are those of pictures of 2048 x 1088, regardless of the demo's shape; the aspect ratio
+        ar takes what the shape of the pictures leaves between focal lengths along rows and columns.
     """
     from scipy.spatial.transform import Rotation
 

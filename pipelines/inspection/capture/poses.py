@@ -51,12 +51,12 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
     ]
     values = {"extent": round(rig_extent(cameras), 4), "target": None if target is None else [round(float(x), 4) for x in target]}
     gaze = (
-        "face the same direction" if target is None else f"look at one region, {np.degrees(np.median(away)):.0f} deg off at the median"
+        "face the same direction"
+        if target is None
+        else f"look at one region, {np.degrees(np.median(away)):.0f} deg off at the median"
     )
     if n_outside > len(cameras) / 3:
-        measured = (
-            f"no common region: {n_outside} of {len(cameras)} cameras do not see the common point"
-        )
+        measured = f"no common region: {n_outside} of {len(cameras)} cameras do not see the common point"
         advice = "a moving or outward-looking camera? else the poses may be inverted or in other axes"
         return (Finding(RIG, POSES_QUESTION, "warn", measured, values, advice), *evaluated)
     return (Finding(RIG, POSES_QUESTION, "ok", f"{len(cameras)} cameras {gaze}, right-handed", values), *evaluated)
@@ -140,9 +140,7 @@ def _evaluate_pose(camera: Camera, away_rad: float, roll_rad: float, doubles: li
         )
     if roll_rad > UPSIDE_DOWN_RAD:
         measured = f"upside down against the others, by {np.degrees(roll_rad):.0f} deg"
-        return Finding(
-            camera.name, POSES_QUESTION, "warn", measured, values, "mounted upside down? else its y axis is inverted"
-        )
+        return Finding(camera.name, POSES_QUESTION, "warn", measured, values, "mounted upside down? else its y axis is inverted")
     if away_rad > half_view_rad(camera):
         measured = f"the others' common point is outside its picture, {np.degrees(away_rad):.0f} deg off its axis"
         return Finding(camera.name, POSES_QUESTION, "warn", measured, values, "check that it films the same scene")

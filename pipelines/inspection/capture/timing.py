@@ -1,8 +1,8 @@
 """Time offset of each camera against the rig, by the motion that two views see alike without matching.
 
 Every point of the scene is in one half-plane that is bounded by the line through the two centres, and both cameras see it in
-that same half-plane, regardless of its depth. So the motion within each half-plane rises and falls in both at the same instants (the
-idea of motion barcodes, Ben-Artzi et al. 2016, with energies in place of bits).
+that same half-plane, regardless of its depth. So the motion within each half-plane rises and falls in both at the same instants
+(the idea of motion barcodes, Ben-Artzi et al. 2016, with energies in place of bits).
 """
 
 from collections.abc import Collection, Mapping, Sequence

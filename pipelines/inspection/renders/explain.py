@@ -93,14 +93,14 @@ def metric_family(metric: str) -> str:
     if family not in FAMILIES and family in of_other:
         name = of_other[family]
         one = METRICS[name] if name in METRICS else DEPTH_METRICS[name]
-        raise MetricError(
-            f"{one.name} is of {OF_NO_VIEW[one.kind]}, wanted a metric of test views; see {one.reference}"
-        )
+        raise MetricError(f"{one.name} is of {OF_NO_VIEW[one.kind]}, wanted a metric of test views; see {one.reference}")
     if reason := FAMILIES.why_absent(family):
         raise AbsentPartError(reason)
     if family not in FAMILIES:
         families = ", ".join(FAMILIES)
-        raise MetricError(f"wanted a metric with known conventions, got {metric!r}; known are {families}{did_you_mean(family, FAMILIES)}")
+        raise MetricError(
+            f"wanted a metric with known conventions, got {metric!r}; known are {families}{did_you_mean(family, FAMILIES)}"
+        )
     return family
 
 

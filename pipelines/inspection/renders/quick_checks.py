@@ -91,8 +91,8 @@ class QuickChecks:
     def check(self, rendered: FrameReader, frames: range) -> list[Finding]:
         """Find blank, repeated and mirrored frames, other instants, swapped channels, wrong tone and copies of the truth.
 
-        All faults except copies are looked for in one burst in the middle, at small size. What moves a picture by less than a pixel, and
-        whether it shows another camera, is left to `examine`.
+        All faults except copies are looked for in one burst in the middle, at small size. What moves a picture by less than a
+        pixel, and whether it shows another camera, is left to `examine`.
 
         Args:
             rendered: frames of the truth's size.

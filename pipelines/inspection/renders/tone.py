@@ -78,8 +78,8 @@ def of_all_views(found: Sequence[AnyTold], views: int) -> list[AnyTold]:
     """What was found in a method's views, without a likely tone curve that no more than half of them have.
 
     Reading:
-        A program that writes frames by another curve writes all of them so. In one view it is the camera's: where one of a light field
-        differs, every method that blends the others looked as if its frames had been written with a gamma of 0.93.
+        A program that writes frames by another curve writes all of them so. In one view it is the camera's: where one of a light
+        field differs, every method that blends the others looked as if its frames had been written with a gamma of 0.93.
     """
     likely = [one for one in found if one.question == QUESTION and one.verdict == "likely"]
     return [one for one in found if one not in likely or 2 * len(likely) > views]

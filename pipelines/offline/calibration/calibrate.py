@@ -159,7 +159,9 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
     files = find_rig_frames(frames_folder)
     common_count(frames_folder, files)
     if len(files) > MOST_CAMERAS:
-        raise CaptureError(f"{frames_folder}: wanted up to {MOST_CAMERAS} cameras, got {len(files)}; calibrate directly with COLMAP")
+        raise CaptureError(
+            f"{frames_folder}: wanted up to {MOST_CAMERAS} cameras, got {len(files)}; calibrate directly with COLMAP"
+        )
     files, given = _known(files, options)
     if strange := [name for name in options.own_lens if name not in files]:
         raise CaptureError(

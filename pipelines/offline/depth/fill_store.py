@@ -174,8 +174,8 @@ def prepare_depth(
 ) -> None:
     """Compute the depth of every job and frame that the store does not have.
 
-    Jobs run side by side, one process each, frames as a stream. A killed run continues where it stopped; the result depends neither
-    on the number of workers nor on where they are.
+    Jobs run side by side, one process each, frames as a stream. A killed run continues where it stopped; the result depends
+    neither on the number of workers nor on where they are.
 
     Args:
         jobs: what to compute, see `plan_depth`; equal jobs are computed once.

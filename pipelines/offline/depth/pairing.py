@@ -65,9 +65,9 @@ def choose_partners(
     if not chosen:
         degrees = np.rad2deg(MAX_VIEW_ANGLE_RAD if views else MAX_ANGLE_RAD)
         raise DepthError(
-            f"camera {camera.name}: wanted a partner that sees {MIN_OVERLAP:.0%} of its view, got none of {len(others)} cameras, {camera.near:.3g} .. "
-            f"{camera.far:.3g} deep ({camera.range_origin}), from less than {degrees:.0f} degrees away; add cameras, "
-            f"or correct the depth range: {RANGE_MEND}"
+            f"camera {camera.name}: wanted a partner that sees {MIN_OVERLAP:.0%} of its view, got none of {len(others)} cameras, "
+            f"{camera.near:.3g} .. {camera.far:.3g} deep ({camera.range_origin}), from less than {degrees:.0f} degrees away; "
+            f"add cameras, or correct the depth range: {RANGE_MEND}"
         )
     return [partner.camera for partner in chosen]
 

@@ -1,7 +1,7 @@
 """Partners as the plane sweep sees them: turned to the reference's axes, so that a plane of constant depth scales and shifts.
 
-The planes face the reference camera and are evenly spaced in inverse depth. A partner's image is resampled once, as a camera at the
-partner's centre with the reference's orientation and focal lengths would have seen it; from then on each plane moves it by a
+The planes face the reference camera and are evenly spaced in inverse depth. A partner's image is resampled once, as a camera at
+the partner's centre with the reference's orientation and focal lengths would have seen it; from then on each plane moves it by a
 scale and a shift only.
 """
 

@@ -43,7 +43,8 @@ class SensorLines:
 class SensorGrid:
     """The sensor's pixels in a depth map.
 
-    Captures resample depth to the grid of their frames by repeating pixels (`DepthFrames`). Among repeated pixels neighbours reveal
+    Captures resample depth to the grid of their frames by repeating pixels (`DepthFrames`). Among repeated pixels neighbours
+    reveal
     nothing: every one is next to others that agree with it.
     """
 

@@ -23,7 +23,8 @@ class PairwiseEstimator:
         partners: those that cannot be rectified with the camera have no opinion.
         error_px: estimates of two partners agree when disparity errors of this size explain their difference.
         warm: give the matcher of each pair its previous result; the calls must then be consecutive instants.
-        shared: what was found of this instant and camera, by other estimators too; anyone who fills it empties it for the next one.
+        shared: what was found of this instant and camera, by other estimators too; anyone who fills it empties it for the next
+            one.
     """
 
     def __init__(
