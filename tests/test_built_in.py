@@ -73,7 +73,7 @@ def test_what_is_not_installed_is_left_out_and_named():
     with pytest.raises(AbsentPartError) as caught:
         made["away"]
     assert str(caught.value) == (
-        "away is part of ggvs_eval.contrib.wings, which is not installed; reinstall ggvs-eval or leave it out"
+        "away is part of ggvs_eval.contrib.wings, which is not installed; reinstall ggvs-eval or omit it"
     )
 
 

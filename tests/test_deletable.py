@@ -111,8 +111,8 @@ def test_what_is_asked_for_is_one_line(without):
         assert asked.returncode == 1, asked.stderr
         (line,) = asked.stderr.strip().splitlines()
         assert line.startswith(f"ggvs-eval: {begins} ggvs_eval.contrib"), line
-        assert line.endswith("which is not installed; reinstall ggvs-eval or leave it out")
+        assert line.endswith("which is not installed; reinstall ggvs-eval or omit it")
         if package == "worlds":  # and what builds on it
             asked = called(COMMAND, "train", "stereo", "OUT")
-            begins = "train wants rooms of" if name == "worlds" else "train is part of"
+            begins = "train: wanted" if name == "worlds" else "train is part of"
             assert asked.stderr.startswith(f"ggvs-eval: {begins} ggvs_eval.contrib"), asked.stderr

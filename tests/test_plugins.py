@@ -122,7 +122,7 @@ def test_a_file_that_is_no_plugin_is_one_line(tmp_path, name, text, reason):
     (tmp_path / name).write_text(text)
     assert reason in refusal("status", tmp_path, "--plugin", tmp_path / name)
     assert "wanted a Python file" in refusal("status", tmp_path, "--plugin", tmp_path / "absent.py")
-    assert "wanted a file behind it" in refusal("status", tmp_path, "--plugin")
+    assert "wanted a file after it" in refusal("status", tmp_path, "--plugin")
 
 
 def test_a_change_of_a_plugin_is_a_change_of_its_jobs(tmp_path):

@@ -30,7 +30,7 @@ class Units:
 
 
 METRIC = Units(1.0, "the data set is metric")
-GUESSED = "guess: median scene depth assumed to be 2 m"
+GUESSED = "guess: median scene depth taken for 2 m"
 
 
 def choose_units(

@@ -105,7 +105,7 @@ def _write_truth(run: RunFolder, stacks: Mapping[str, ArrayStack], protocol: Pro
         "path": str(source),
         "scene": source.name.removesuffix(".npz"),
         "layout": "truth beside renders",
-        "truth": "included with the renders",
+        "truth": "came with the renders",
         "fps": 0,
         "n_frames": protocol.frames.count,
         "notes": [],

@@ -151,7 +151,7 @@ def _views(capture: Capture, synthesis: Synthesis, doubts: Mapping[str, str]) ->
         test = [stretch[0] for stretch in _stretches(names[1::2])]
         reasons |= dict.fromkeys(test, "held out: by rule, although no camera is well covered")
         return Views(tuple(test), f"by rule: {rule}"), reasons
-    without = "" if len(test) == len(stretches) else ", without doubtful ones and those that other cameras barely cover"
+    without = "" if len(test) == len(stretches) else ", without those in doubt and those that the other cameras hardly show"
     return Views(tuple(test), f"by rule: {rule}{without}"), reasons
 
 

@@ -119,8 +119,8 @@ def test_what_is_no_checkpoint_is_refused(networks, tmp_path):
     torch.save({"net": {**state, "nerf_1.lr0.0.bias": torch.zeros(32)}}, tmp_path / "shape.pth")
     cases = {
         "nowhere": r"nowhere\.pth: wanted weights of ENeRF",
-        "damaged": "not a file of tensors alone",
-        "hostile": "not a file of tensors alone",
+        "damaged": "wanted a file of tensors only",
+        "hostile": "wanted a file of tensors only",
         "partial": "wanted a state dict under net, got model",
         "shape": r"1 tensors differ from ENeRF, first nerf_1\.lr0\.0\.bias: wanted \(64,\), got \(32,\)",
     }

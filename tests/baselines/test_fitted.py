@@ -195,7 +195,7 @@ def test_what_cannot_be_is_said_in_a_line(sliding_footage, tmp_path):
     with refused(RenderError, "hexplane", "'liner'", "did you mean linear"):
         FourD("liner")  # type: ignore[arg-type]
     (tmp_path / "state.pt").write_bytes(b"no state")
-    with refused(TrainingError, "state.pt", "delete it"):
+    with refused(TrainingError, "state.pt", "move it away"):
         FourD(**SHORT).fit(sliding_footage, tmp_path, lambda done, steps: None)
     (tmp_path / SCENE).write_bytes(b"no scene")
     with refused(WeightsError, "scene.safetensors"):

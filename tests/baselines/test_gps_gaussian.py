@@ -100,7 +100,7 @@ def test_what_is_no_checkpoint_is_refused(tmp_path):
     with refused(WeightsError, "nowhere.pth", "GPS-Gaussian"):
         load_network(tmp_path / "nowhere.pth")
     (tmp_path / "damaged.pth").write_bytes(b"PK\x03\x04 no zip")
-    with pytest.raises(WeightsError, match="not a file of tensors alone"):
+    with pytest.raises(WeightsError, match="wanted a file of tensors only"):
         load_network(tmp_path / "damaged.pth")
     torch.save({"net": {}}, tmp_path / "other.pth")
     with refused(WeightsError, "other.pth", "network", "net"):
@@ -109,7 +109,7 @@ def test_what_is_no_checkpoint_is_refused(tmp_path):
     with refused(WeightsError, "1 tensors", "img_encoder.in_ds.0.weight", "(32, 3, 5, 5)"):
         load_network(tmp_path / "wider.pth")
     torch.save({"network": {"a": Hostile(tmp_path / "touched")}}, tmp_path / "hostile.pth")
-    with pytest.raises(WeightsError, match="not a file of tensors alone") as caught:
+    with pytest.raises(WeightsError, match="wanted a file of tensors only") as caught:
         load_network(tmp_path / "hostile.pth")
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "touched").exists()
@@ -229,7 +229,7 @@ def test_whole_canvases_stay_within_a_multiple_of_the_image(ahead):
 
 
 def test_the_nearest_pair_that_is_one_is_taken():
-    """Pairs go by their distance to the target, the left camera first; cameras that stand behind each other make no pair."""
+    """Pairs go by their distance to the target, the left camera first; cameras that are behind each other make no pair."""
     behind = replace(camera_at(0.0), name="behind")
     shifted = behind.world_to_camera.copy()
     shifted[2, 3] += 0.1
@@ -238,7 +238,7 @@ def test_the_nearest_pair_that_is_one_is_taken():
     assert choose_pairs(camera_at(0.01), cameras, 1) == [(0, 2)]
     assert choose_pairs(camera_at(-0.01), cameras[:1] + cameras[3:], 1) == [(1, 0)]
     assert choose_pairs(camera_at(0.01), cameras, 2) == [(0, 2), (3, 1)]
-    with pytest.raises(RenderError, match="stand behind each other"):
+    with pytest.raises(RenderError, match="are behind each other"):
         choose_pairs(camera_at(0.0), cameras[:2], 1)
     with refused(RenderError, "stereo pair", "one camera"):
         choose_pairs(camera_at(0.0), cameras[:1], 1)

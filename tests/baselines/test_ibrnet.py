@@ -154,8 +154,8 @@ def test_what_is_no_checkpoint_is_refused(networks, tmp_path):
     torch.save({**good, "net_fine": {**good["net_fine"], "s": torch.zeros(3)}}, tmp_path / "shape.pth")
     cases = {
         "nowhere": r"nowhere\.pth: wanted weights of IBRNet",
-        "damaged": "not a file of tensors alone",
-        "hostile": "not a file of tensors alone",
+        "damaged": "wanted a file of tensors only",
+        "hostile": "wanted a file of tensors only",
         "partial": "wanted a state dict under feature_net, got net_coarse, net_fine",
         "shape": r"1 tensors differ from IBRNet's net_fine, first s: wanted \(\), got \(3,\)",
     }

@@ -102,7 +102,7 @@ def test_between_is_on_the_way_from_one_camera_to_another(cameras, pair):
 )
 def test_a_target_between_no_two_cameras_is_refused(cameras):
     """Beyond the end, beside the row, or where a source looks away: refused by what is wanted."""
-    with pytest.raises(ViewRefusedError, match="does not lie between two cameras"):
+    with pytest.raises(ViewRefusedError, match="wanted a target between two cameras"):
         ViewInterpolation().step(wall_seen_by(at(0.0), cameras)[0])
 
 
@@ -134,7 +134,7 @@ def test_a_view_at_the_end_of_the_row_has_a_cell_that_says_so(tmp_path):
     page = evaluate(tmp_path / "run", capture, protocol, ["distance-based", "interpolation"], workers=1)
     run = RunFolder(tmp_path / "run")
     results = Results.read(run.root)
-    reason = "the target does not lie between two cameras"
+    reason = "wanted a target between two cameras, got one outside"
     refused = [view for view in protocol.views.test if read_json(run.renders("interpolation", view) / JOB_FILE).get("refused")]
     mine = results.table[results.table["method"] == "interpolation"]
     assert refused == ["cam05"]

@@ -158,7 +158,7 @@ def test_a_verb_of_a_package_that_is_not_there_is_one_line(monkeypatch):
     """The overview leaves it out, and who asks for it is told what lacks."""
     monkeypatch.setitem(COMMANDS.shipped, "fly", "ggvs_eval.contrib.wings.flight:fly")
     assert "fly" not in list(COMMANDS)
-    wanted = "fly is part of ggvs_eval.contrib.wings, which is not installed; reinstall ggvs-eval or leave it out"
+    wanted = "fly is part of ggvs_eval.contrib.wings, which is not installed; reinstall ggvs-eval or omit it"
     assert refusal("fly") == f"ggvs-eval: {wanted}"
 
 

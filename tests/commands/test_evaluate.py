@@ -63,7 +63,7 @@ def test_a_bad_capture_stops_with_its_verdict(dynerf, tmp_path, capsys):
     poses[:, 4] = 1e-3  # a focal length of nothing
     poses[1:, [3, 8, 13]] = poses[0, [3, 8, 13]]
     np.save(dynerf / "poses_bounds.npy", poses)
-    with pytest.raises(SystemExit, match="stopped, because check found something bad"):
+    with pytest.raises(SystemExit, match="stopped: check found faults"):
         call("evaluate", dynerf, tmp_path / "out", *FAST)
     told = capsys.readouterr().out
     assert [words[1] for words in steps(told)] == ["check"]
@@ -73,6 +73,6 @@ def test_a_bad_capture_stops_with_its_verdict(dynerf, tmp_path, capsys):
 
 def test_nothing_to_evaluate_leaves_nothing(tmp_path):
     """A path that does not exist is an error and makes no folder."""
-    with pytest.raises(SystemExit, match="there is nothing; check the path"):
+    with pytest.raises(SystemExit, match="got no such path; check it"):
         call("evaluate", tmp_path / "nowhere", tmp_path / "out", *FAST)
     assert list(tmp_path.iterdir()) == []

@@ -55,7 +55,7 @@ def test_a_cut_protocol_says_what_to_do(tmp_path):
     """A protocol of which the end is missing names the file, the place and the way out."""
     whole = load_protocol("demo").to_toml()
     (tmp_path / "protocol.toml").write_text(whole[: whole.index("[views]") + 12])
-    with refused(ProtocolError, "protocol.toml: not valid TOML", "put a whole copy in its place"):
+    with refused(ProtocolError, "protocol.toml: not valid TOML", "restore a complete copy"):
         load_protocol(tmp_path / "protocol.toml")
 
 

@@ -129,7 +129,7 @@ def test_measured_depth_is_held_too(folder_capture):
     ("wanted", "message"),
     [
         (CaptureEdit(hold_frames=4, hold_frame=N_FRAMES), f"wanted frame {N_FRAMES} held still, the capture has {N_FRAMES}"),
-        (CaptureEdit(hold_frame=1), "not for how long"),
+        (CaptureEdit(hold_frame=1), "wanted hold_frames"),
         (CaptureEdit(hold_frames=-1), "hold_frames -1"),
         (CaptureEdit(sensor_noise_255=-0.5), "sensor_noise_255 -0.5"),
         (CaptureEdit(sensor_noise_255=float("nan")), "sensor_noise_255 nan"),
@@ -144,7 +144,7 @@ def test_what_cannot_be_is_refused(folder_capture, wanted, message):
 
 def test_noise_is_added_once(folder_capture):
     """A noisy capture is not made noisy again: what a run records would no longer say what was done."""
-    with pytest.raises(CaptureError, match="open it anew"):
+    with pytest.raises(CaptureError, match="open it again"):
         perturb_capture(perturb_capture(folder_capture, HELD), HELD)
 
 

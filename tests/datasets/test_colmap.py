@@ -207,7 +207,7 @@ def test_frames_that_the_model_does_not_register(tmp_path, arrangement):
         write_folders(tmp_path, NAMES, arrangement)
     capture = open_capture(tmp_path)
     assert capture.camera_names == NAMES[:3]
-    assert capture.notes == ("cam03 left out: on disk, but not registered in the COLMAP model",)
+    assert capture.notes == ("cam03 omitted: on disk, but not registered in the COLMAP model",)
 
 
 def test_nothing_is_noted_where_all_is_registered(colmap):

@@ -176,7 +176,7 @@ SHAPE = (N_CAMERAS, N_FRAMES, HEIGHT, WIDTH, 3)
         ({"shape": (3, 2**20, 36, 64, 3), "dtype": "u1", "chunks": (1, 2**18, 36, 64, 3)}, "in chunks of (1, 262144, 36, 64, 3)"),
         ({"shape": (3, 2**30, 36, 64, 3), "dtype": "u1"}, "bytes in a smaller file"),
         ({"data": np.zeros(SHAPE, np.uint8), "chunks": (1, 1, 36, 64, 3), "scaleoffset": 0}, "got the unknown compression 6"),
-        ({"shape": SHAPE, "dtype": "u1", "external": [("/etc/hostname", 0, 2**20)]}, "got data that lie in another file"),
+        ({"shape": SHAPE, "dtype": "u1", "external": [("/etc/hostname", 0, 2**20)]}, "got data that are stored in another file"),
         ({"data": np.zeros((2, *SHAPE[1:]), np.uint8)}, "wanted fg_rgb for the (cameras, frames) (2, 4) of rgb, got (3, 4)"),
         ({"data": np.zeros((3, 3, *SHAPE[2:]), np.uint8)}, "wanted fg_rgb for the (cameras, frames) (3, 3) of rgb, got (3, 4)"),
     ],
@@ -202,7 +202,7 @@ def test_data_elsewhere_are_never_read(scene, kind):
             h5.create_group("rgb")
         else:
             h5["rgb"] = h5py.ExternalLink("elsewhere/other.h5", "/rgb") if kind == "external" else h5py.SoftLink("/kept")
-    found = "data that lie in another file" if kind == "virtual" else "a link or group"
+    found = "data that are stored in another file" if kind == "virtual" else "a link or group"
     assert f"got {found}; convert the scene again" in refusal(scene)
 
 

@@ -63,11 +63,11 @@ def test_no_folder_no_content_no_layout(tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "cam00.mp4").write_bytes(b"x")
-    assert "there is none; check the path" in refusal(tmp_path / "absent")
+    assert "got no such path; check it" in refusal(tmp_path / "absent")
     assert "file: no capture that can be read; see docs/captures.md for the layouts (looked for: not capture.toml: " in refusal(
         tmp_path / "file"
     )
-    assert "the folder is empty" in refusal(tmp_path / "empty")
+    assert "got an empty folder" in refusal(tmp_path / "empty")
     message = refusal(tmp_path / "other")
     assert "not dynerf: no poses_bounds.npy" in message
     assert "not colmap: no COLMAP model" in message

@@ -99,14 +99,14 @@ def test_check_names_the_deviation(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda rotation: rotation + noise(3e-2), "off the nearest rotation's, where 0.01 can be mended"),
-        (lambda rotation: 2 * rotation, "where 0.01 can be mended; scaled or rounded?"),
-        (lambda rotation: 1e200 * rotation, "where 0.01 can be mended"),
+        (lambda rotation: rotation + noise(3e-2), "off the nearest rotation's, where 0.01 can be corrected"),
+        (lambda rotation: 2 * rotation, "where 0.01 can be corrected; scaled or rounded?"),
+        (lambda rotation: 1e200 * rotation, "where 0.01 can be corrected"),
         (lambda rotation: rotation * [1, 1, -1], "determinant +1, got determinant -1.0000; check axis order"),
     ],
 )
 def test_what_is_no_rotation_is_refused(change, message, tmp_path):
-    """Noise beyond what can be mended, scaled axes, numbers without sense, a mirror."""
+    """Noise beyond what can be corrected, scaled axes, numbers without sense, a mirror."""
     assert message in refusal(with_poses(tmp_path / "rig", change))
 
 
@@ -308,7 +308,7 @@ def test_frames_outside_the_capture_are_named_by_check(how, tmp_path):
     finding = check_capture(folder).of("frames")[0]
 
     assert finding.verdict == "warn"
-    assert f"frames of cam01 lie outside the capture's folder, in {tmp_path / 'elsewhere'}" in finding.measured
+    assert f"frames of cam01 are outside the capture's folder, in {tmp_path / 'elsewhere'}" in finding.measured
     assert list(finding.values["outside"]) == ["cam01"]
     assert check_capture(write_capture_toml(tmp_path / "whole")).of("frames")[0].verdict == "ok"
 
@@ -323,7 +323,7 @@ def test_units_tell_what_is_known(tmp_path):
     (folder / "capture.toml").write_text("units_per_metre = 1.0\n" + text)
     told = check_capture(folder).of("units")[0]
 
-    assert "metres are not known; in world units the scene lies within 5 .. 14, 8.37 at the median" in guessed.measured
+    assert "unknown scale; in world units the scene is within 5 .. 14, 8.37 at the median" in guessed.measured
     assert "away" not in guessed.measured
     assert "scene 8.37 m away" in told.measured
 
@@ -378,7 +378,7 @@ def test_a_description_of_20_000_cameras_is_too_large(tmp_path):
     (folder / "capture.toml").write_text(20_000 * camera_toml(make_rig()[0], "frames/cam01"))
     begun_s = time.monotonic()
 
-    assert "capture.toml: wanted a TOML file, got: 6 MB, where 4 MB are the most that makes sense" in refusal(folder)
+    assert "capture.toml: wanted a TOML file, got: 6 MB, above the limit of 4 MB" in refusal(folder)
     assert time.monotonic() - begun_s < SOON_S
 
 

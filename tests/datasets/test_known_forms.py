@@ -58,7 +58,7 @@ def test_folders_of_instants_without_a_model(tmp_path):
     shutil.rmtree(folder / "frame000000" / "sparse")
     check = check_capture(folder)
     assert not check.is_usable
-    assert "frame000000 is there, but the capture is not whole, 3dgstream" in check.findings[0].measured
+    assert "frame000000 exists, but the capture is incomplete, 3dgstream" in check.findings[0].measured
     assert "ggvs-eval calibrate" in check.findings[0].measured
 
 
@@ -223,10 +223,10 @@ def test_a_camera_without_a_pose_in_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "told"),
     [
-        ("cameras_parameters.txt", "x", "cameras_parameters.txt is there, but the capture is not whole, technicolor"),
+        ("cameras_parameters.txt", "x", "cameras_parameters.txt exists, but the capture is incomplete, technicolor"),
         ("transforms_val.json.bak", "", None),
         ("transforms_test2.json", "{}", "transforms_test2.json is there"),
-        ("intri.yml", "%YAML:1.0\n", "intri.yml is there, but the capture is not whole, enerf-outdoor: no extri.yml"),
+        ("intri.yml", "%YAML:1.0\n", "intri.yml exists, but the capture is incomplete, enerf-outdoor: no extri.yml"),
         ("rig.xml", "<rig><intrinsics>1 2 3</intrinsics></rig>", "rig.xml holds a calibration in a form that is not read"),
         ("cameras.json", '{"k": [[1, 0, 0]], "w2c": []}', "cameras.json holds a calibration in a form that is not read"),
         ("notes.json", '{"actor": "anna"}', None),

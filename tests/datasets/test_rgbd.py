@@ -178,7 +178,7 @@ def test_lost_tracking_is_skipped(scannet, lost):
     for number in (1, 9):
         (scannet / "pose" / f"{number}.txt").write_text(" ".join([lost] * 16))
     capture = open_capture(scannet)
-    assert capture.notes == ("000001, 000009 left out: no finite pose, tracking was lost there",)
+    assert capture.notes == ("000001, 000009 omitted: no finite pose (tracking lost)",)
     assert capture.camera_names == ("000000", "000002", "000010")
     np.testing.assert_allclose(capture.camera("000010").centre, make_pose(4)[:3, 3], atol=1e-5)
     for number in (0, 2):
@@ -370,7 +370,7 @@ def test_kinect_sequences(tmp_path, form, focal_px, cx):
     depth = read_depth(read, "000001")
     assert (depth[20], depth[2].max()) == (pytest.approx(2.0), 0)
     assert np.array_equal(read.frame("000002", 0), make_image(1, 2, 640, 480))
-    assert any("1 of 4 frames left out" in note for note in read.notes) == (form == "tum")
+    assert any("1 of 4 frames omitted" in note for note in read.notes) == (form == "tum")
 
 
 @pytest.mark.parametrize("form", ["7-scenes", "tum"])

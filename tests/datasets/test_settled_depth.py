@@ -103,7 +103,7 @@ def test_known_poses_want_no_points(tmp_path):
     for _ in range(2):
         capture = open_capture(folder)
         assert capture.cameras[0].range_origin == "guessed"
-        assert "guessed from where the cameras look" in capture.notes[-1]
+        assert "guessed from the viewing directions" in capture.notes[-1]
         assert "depth_range.toml" in capture.notes[-1]
         known = read_known(folder)
         for camera in make_rig():

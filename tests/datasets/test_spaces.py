@@ -210,7 +210,7 @@ def test_images_that_cannot_be_read(scene):
     file.write_bytes(b"")
     assert "image_001.JPG: wanted an image, got 0 bytes" in refusal(scene)
     file.unlink()
-    assert "image_001.JPG: wanted the image of pos01_cam01, there is none; restore it" in refusal(scene)
+    assert "image_001.JPG: wanted the image of pos01_cam01, got none; restore it" in refusal(scene)
 
 
 def test_says_why_it_refuses(tmp_path, intact_scene):

@@ -27,7 +27,7 @@ def make_socket(path: Path) -> None:
         (Path.mkdir, "a folder instead of a regular file"),
         (make_socket, "a socket instead of a regular file"),
         (lambda path: path.symlink_to("/dev/zero"), "a device instead of a regular file"),
-        (make_endless, "8590 MB, where 1 MB are the most"),
+        (make_endless, "8590 MB, above the limit of 1 MB"),
     ],
 )
 def test_what_is_no_plain_file_is_refused_at_once(make, kind, tmp_path):
@@ -49,7 +49,7 @@ def test_a_file_of_holes_is_refused_before_it_is_hashed(tmp_path):
     """Also where files of its kind may have any size: 8 GiB of zeros were read for minutes."""
     make_endless(tmp_path / "cam00.npy")
 
-    with refused(CaptureError, "cam00.npy: wanted a file", "0 MB lie on the disk"):
+    with refused(CaptureError, "cam00.npy: wanted a file", "0 MB are on the disk"):
         digest_files([tmp_path / "cam00.npy"])
 
 

@@ -84,7 +84,7 @@ def damage(file: Path, before: bytes, after: bytes) -> None:
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
-        (b"ply\n", b"obj\n", "wanted a .ply file, its first line is none"),
+        (b"ply\n", b"obj\n", "wanted a .ply file, got another first line"),
         (b"binary_little_endian", b"ascii", "wanted a binary .ply, its second line says 'format ascii 1.0'"),
         (b"element vertex 5", b"element face 5", "wanted `element vertex N` with its Gaussians first, got 'element face 5'"),
         (b"element vertex 5", b"element vertex -5", "got 'element vertex -5'"),
@@ -97,7 +97,7 @@ def damage(file: Path, before: bytes, after: bytes) -> None:
             b"property float capacity",
             "it lacks opacity, its properties are x, y, z",
         ),
-        (b"property float opacity", b"property float x", "a property stands twice"),
+        (b"property float opacity", b"property float x", "wanted each property once in the header"),
         (b"property float f_rest_8", b"property float f_rest_9", "wanted f_rest_0 to f_rest_N of 0, 9, 24, 45, 72 in all, got 9"),
         (b"end_header", b"and_header", "the header of this .ply has no end_header in its first 64 kB"),
     ],

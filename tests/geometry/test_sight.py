@@ -58,9 +58,9 @@ def test_four_wide_cameras_are_refused_in_one_line():
         require_sight(cameras[0], nearest(cameras, 0, 3), cameras)
     message = str(caught.value)
     assert "\n" not in message
-    assert message.startswith("camera cam00: its 3 sources look from 47 degrees away (cam01) or more")
+    assert message.startswith("camera cam00: its 3 sources are 47 degrees away (cam01) or more")
     assert "show 0% of its view at a depth that can be found, wanted 40%" in message
-    assert message.endswith("add cameras between, 20 degrees apart or less, or leave it out of the test views")
+    assert message.endswith("add cameras between, 20 degrees apart or less, or remove it from the test views")
 
 
 def test_the_other_choice_is_offered_where_it_helps():
@@ -101,5 +101,5 @@ def test_runs_are_refused_before_anything_is_computed(tmp_path):
     (tmp_path / "capture.toml").write_text("\n".join(["units_per_metre = 1.0", *lines]))
     for verb in ("run", "prepare"):
         message = refusal(verb, tmp_path / "out", "--capture", tmp_path)
-        assert "camera cam01: its 3 sources look from" in message
+        assert "camera cam01: its 3 sources are" in message
         assert not (tmp_path / "out").exists()

@@ -179,7 +179,7 @@ def test_a_surface_entered_from_behind_is_no_hit():
     [
         ({"tau": 0.0}, "tau must be positive"),
         ({"tau": float("nan")}, "tau must be positive"),
-        ({"tau": 1e-6}, "vanish beside the near depth"),
+        ({"tau": 1e-6}, "wanted steps above rounding at the near depth"),
         ({"min_step": 0.0}, "min_step must be positive"),
         ({"min_step": 0.9}, "min_step must not exceed step_fraction"),
     ],
@@ -203,7 +203,7 @@ def test_a_loose_far_bound_changes_nothing(far):
 
 
 def test_known_depth_beyond_the_end_of_a_march_is_told():
-    """A surface 3 km away is not found by steps of 2 mm, and a warning names both; nearer ones are no matter."""
+    """A surface 3 km away is unreachable by steps of 2 mm, and a warning names both; nearer ones are no matter."""
     loose = replace(random_camera(np.random.default_rng(7), 8, 8), near=1.9, far=1e6)
     with pytest.warns(GgvsWarning, match=r"beyond 2000 world units .* steps of 0\.002"):
         assert not ray_march(loose, *columns([plane_view(loose, 3000.0)]), tau=0.02).depth.any()

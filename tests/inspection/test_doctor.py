@@ -416,4 +416,4 @@ def test_the_table_fits_a_screen_and_joins_views():
 
     assert "cam06, cam07 and 4 more" in text
     assert max(map(len, text.splitlines())) <= 130
-    assert "nothing found" in faults_table([])
+    assert "no known fault found" in faults_table([])

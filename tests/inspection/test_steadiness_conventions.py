@@ -93,7 +93,7 @@ def test_the_doctor_tells_steadiness_by_blur():
     """A blurred rendering is steadier than the noisy capture and less sharp, and told so; a noisy one is not."""
     blurred = [cv2.GaussianBlur(frame, (0, 0), 2) for frame in SCENE]
 
-    assert "steadier and blurrier" in steadiness_line(view_of(blurred))
+    assert "more stable but blurrier" in steadiness_line(view_of(blurred))
     line = steadiness_line(view_of(RENDERED))
     assert f"{100 * VALUES[OURS] / 255:.3f} % of white" in line
     assert "blurrier" not in line

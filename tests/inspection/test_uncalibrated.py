@@ -42,4 +42,4 @@ def test_one_video_is_no_rig(tmp_path):
     write_videos(tmp_path / "table", ("cam00",))
     check = check_capture(tmp_path / "table")
     assert check.findings[0].question == "opens"
-    assert "no capture that can be read" in check.findings[0].measured
+    assert "wanted a capture in a known layout" in check.findings[0].measured

@@ -165,7 +165,7 @@ def test_what_cannot_be_computed_has_a_reason():
     found = ceilings(lambda: iter(small), ceiling_metrics())
     assert "48" in found.not_computed["STED"]
     assert set(found.noise_free) == {"PSNR", "SSIM", "TCC"}
-    with pytest.raises(MetricError, match="to stand still"):
+    with pytest.raises(MetricError, match="to be static"):
         ceilings(lambda: iter(panned_video()), ceiling_metrics())
     with pytest.raises(MetricError, match="1 frame; needs 2"):
         ceilings(lambda: iter(clean_video(1)), ceiling_metrics())

@@ -152,7 +152,7 @@ def test_measures_refuse_what_they_cannot_measure():
     depth = np.full((9, 128), 4.0, np.float32)
     for measure, message in (
         (lambda: epi_coherence([], geometry), "no epipolar plane image"),
-        (lambda: epi_coherence([grey], geometry), "an image without texture draws no lines"),
+        (lambda: epi_coherence([grey], geometry), "an image without texture has no lines"),
         (lambda: slope_agreement([(grey, 0 * depth)], geometry), "no depth along the path"),
         (lambda: slope_agreement([(grey, depth[:, 1:])], geometry), "wanted one depth per pixel"),
         (lambda: find_lines(grey[:4], (0.0, 1.0)), "poses >= 5"),

@@ -153,6 +153,6 @@ def test_only_the_authors_file_becomes_weights(tmp_path):
     """A wheel with another hash is refused before anything in it is read, and nothing is kept."""
     wheel = tmp_path / "DISTS_pytorch-0.1-py3-none-any.whl"
     wheel.write_bytes(b"something else")
-    with pytest.raises(WeightsError, match=r"wanted sha256 73e54ce1.*delete it and run"):
+    with pytest.raises(WeightsError, match=r"wanted sha256 73e54ce1.*move it away and run"):
         fetch_dists.keep_dists_weights(wheel, tmp_path / "weights.safetensors")
     assert list(tmp_path.iterdir()) == [wheel]

@@ -114,7 +114,7 @@ def test_what_has_no_still_content_is_refused():
     """One frame, a moving camera, and frames that are not 8-bit RGB of one size are refused with what came."""
     with pytest.raises(MetricError, match="1 frame; needs 2"):
         estimate_noise(clean_video(1))
-    with refused(MetricError, "5%", "stand still", "got"):
+    with refused(MetricError, "5%", "be static", "got"):
         estimate_noise(panned_video())
     with refused(MetricError, "(240, 304, 3) before", "(239, 304, 3) now"):
         estimate_noise([clean_video(2)[0], clean_video(2)[1, 1:]])

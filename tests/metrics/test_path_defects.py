@@ -163,7 +163,7 @@ def test_what_cannot_be_measured_says_why():
     assert set(bare.not_computed) == {*SLOPE, *REPROJECTION, *SWITCH, "E_warp"}
     assert "0 of 25 poses have a depth" in bare.not_computed["EPI_slope_error"]
     assert "no depth" in bare.not_computed["reprojection"]
-    assert "which cameras the images are made of" in bare.not_computed["switch_ratio"]
+    assert "wanted the source cameras of each pose" in bare.not_computed["switch_ratio"]
     one_set = score_path([replace(pose, sources=("a", "b")) for pose in poses])
     assert "no switch on this path" in one_set.not_computed["switch_ratio"]
     assert set(one_set.not_computed) == set(SWITCH)

@@ -88,7 +88,7 @@ def test_reprojection_refuses_what_it_cannot_compare():
         (lambda: reprojection_steps([(camera, image, None) for camera, image, _ in triples(exact("wall"))]), "no depth"),
         (lambda: reprojection_steps([(c, i, d[1:]) for c, i, d in triples(exact("wall"))]), "wanted depths >= 0"),
         (lambda: mean_reprojection([StepError(None, 0.0, None, None)] * 3), "at none of 3 steps"),
-        (lambda: mean_reprojection([StepError(0.0, 1.0, 0.0, 0.0)]), "images without texture"),
+        (lambda: mean_reprojection([StepError(0.0, 1.0, 0.0, 0.0)]), "wanted images with texture"),
         (lambda: warping_error([(*pose[:2], 0 * pose[2]) for pose in triples(exact("wall"))[:2]]), "E_warp: at no step do the"),
     ):
         with pytest.raises(MetricError, match=message) as caught:

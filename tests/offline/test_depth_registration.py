@@ -82,7 +82,7 @@ def test_planted_errors_are_recovered(room, tmp_path, right_px, down_px, roll_de
     assert measured.psnr_db[1] > measured.psnr_db[0] + 1
     (finding,) = check_depth_registration(capture)
     assert finding.verdict == "bad"
-    assert "--registration estimated mends it" in finding.advice
+    assert "--registration estimated corrects it" in finding.advice
     truth = depth_of(open_capture(room), 5)
     given, mended = (depth_of(each, 5) for each in (capture, with_registration(capture, applied)))
     wrong = [np.mean(np.abs(each / truth - 1)[10:-10, 10:-10] > 0.03) for each in (given, mended)]

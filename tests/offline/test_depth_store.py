@@ -93,7 +93,7 @@ def test_truncated_map(tmp_path, kept):
     store.write("key", 0, make_map())
     path = store.path("key", 0)
     path.write_bytes(path.read_bytes()[:kept])
-    with refused(DepthError, "000000.npz", "delete this file"):
+    with refused(DepthError, "000000.npz", "move this file away"):
         store.read("key", 0)
 
 
@@ -112,7 +112,7 @@ def test_foreign_content(tmp_path, depth, confidence):
     store = DepthStore(tmp_path)
     store.folder("key").mkdir()
     np.savez(store.path("key", 0), depth=depth, confidence=confidence)
-    with refused(DepthError, "000000.npz", "delete this file"):
+    with refused(DepthError, "000000.npz", "move this file away"):
         store.read("key", 0)
 
 

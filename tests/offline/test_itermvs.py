@@ -257,8 +257,8 @@ def test_what_is_no_checkpoint_is_refused(network, tmp_path, monkeypatch):
     torch.save({"model": {**state, "feature_net.conv1.bn.bias": torch.zeros(9)}}, tmp_path / "shape.ckpt")
     cases = {
         "nowhere": r"nowhere\.ckpt: wanted weights of IterMVS.*github",
-        "damaged": "not a file of tensors alone",
-        "hostile": "not a file of tensors alone",
+        "damaged": "wanted a file of tensors only",
+        "hostile": "wanted a file of tensors only",
         "partial": "wanted a state dict under model, got net",
         "shape": r"1 tensors differ from IterMVS, first feature_net\.conv1\.bn\.bias: wanted \(8,\), got \(9,\)",
     }

@@ -61,7 +61,7 @@ def test_a_pair_that_cannot_be_rectified_is_passed_over():
         return replace(camera, K=camera.K * np.array([[0.2, 1, 1], [1, 0.2, 1], [1, 1, 1]]), near=1.0)
 
     camera, near, far = wide(0.001, "camera", 0.0), wide(0.4, "near", 0.1), wide(3.0, "far", 0.5)
-    with pytest.raises(DepthError, match="too far apart to be matched"):
+    with pytest.raises(DepthError, match="too different directions for matching"):
         rectify(camera, far)
     assert [partner.name for partner in choose_partners(camera, [far, near], 2)] == ["near"]
     with refused(DepthError, "1 other"):

@@ -83,5 +83,5 @@ def test_instants_that_depend_on_each_other_share_nothing(planned):
     assert all(len(group) == 1 for group in fill_store._by_camera(unchecked, replace(OPTIONS, keyframe_every=4), 1))
     assert max(map(len, fill_store._by_camera(unchecked, OPTIONS, 1))) > 1
     assert max(map(len, fill_store._by_camera(unchecked, OPTIONS, 64))) == 1
-    with refused(DepthError, "warm is set"):
+    with refused(DepthError, "wanted warm=False"):
         PairwiseEstimator(capture.cameras[0], capture.cameras[1:], SgbmMatcher(), 0.5, warm=True, shared={})

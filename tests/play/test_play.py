@@ -185,7 +185,7 @@ def test_a_run_is_played_without_new_depth(nearing_plane, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (PlayOptions(frames=9), "wanted 9 frames to play, there are 3; ask for fewer"),
+        (PlayOptions(frames=9), "wanted 9 frames to play, got 3; reduce --frames"),
         (PlayOptions(frames=0), "wanted at least 1 frame to play, got 0"),
         (PlayOptions(k=6), "wanted 6 source views, 5 cameras have depth"),
         (PlayOptions(k=0), "wanted 0 source views"),
@@ -236,7 +236,7 @@ def test_frames_outside_of_what_the_cameras_see_are_counted():
     """The table of a film has one line more where some of its views are guessed at their rims, and none where none is."""
     rows = [{"read": 0.1, "synthesis": 0.2, "encode": 0.1}] * 3
     assert "outside" not in Timing(rows, [1.0, 0.9, 0.85]).table()
-    assert "2 of 3 frames lie outside" in Timing(rows, [1.0, 0.3, 0.5]).table()
+    assert "2 of 3 frames are outside" in Timing(rows, [1.0, 0.3, 0.5]).table()
 
 
 def test_a_view_is_seen_as_far_as_cameras_stand_around_it():

@@ -33,22 +33,22 @@ def numbered(
 
 # Numbers, frames of the protocol and of the capture; the number of instant 0 and what is told.
 UNDERSTOOD: dict[str, tuple[Sequence[int], range, int, int, str]] = {
-    "instants": (range(10, 16), range(10, 16), 24, 0, "frames 10-15 are taken as the instants 10-15 of the capture"),
-    "from 1": (range(1, 7), range(6), 24, 1, "numbered from 1: 1-6 are taken as the instants 0-5 of the capture"),
-    "from 1, all there is": (range(1, 7), range(6), 6, 1, "numbered from 1: 1-6 are taken as the instants 0-5 of the capture"),
+    "instants": (range(10, 16), range(10, 16), 24, 0, "frames 10-15 are used as the instants 10-15 of the capture"),
+    "from 1": (range(1, 7), range(6), 24, 1, "numbered from 1: 1-6 are used as the instants 0-5 of the capture"),
+    "from 1, all there is": (range(1, 7), range(6), 6, 1, "numbered from 1: 1-6 are used as the instants 0-5 of the capture"),
     "from 1, one missing": (
         (1, 2, 4, 5, 6),
         range(6),
         24,
         1,
-        "numbered from 1: 1-2, 4-6 are taken as the instants 0-1, 3-5 of the capture",
+        "numbered from 1: 1-2, 4-6 are used as the instants 0-1, 3-5 of the capture",
     ),
     "from 1 in the middle, past the end": (
         range(19, 25),
         range(18, 24),
         24,
         1,
-        "numbered from 1: 19-24 are taken as the instants 18-23 of the capture",
+        "numbered from 1: 19-24 are used as the instants 18-23 of the capture",
     ),
     "the whole capture": (range(24), range(10, 16), 24, 0, "frames of 0-23, the whole capture, 10-15 are used"),
     "the whole capture from 1": (
@@ -65,11 +65,11 @@ UNDERSTOOD: dict[str, tuple[Sequence[int], range, int, int, str]] = {
         100,
         "numbered from 100: of 100-123, the whole capture, 110-115 are used as the instants 10-15",
     ),
-    "from 100": (range(100, 106), range(6), 24, 100, "numbered from 100: 100-105 are taken as the instants 0-5 of the capture"),
-    "0 is there": ((0, 1, 2, 4, 5), range(6), 24, 0, "frames 0-2, 4-5 are taken as the instants 0-2, 4-5 of the capture"),
-    "one too many": (range(7), range(6), 24, 0, "frames 0-5 are taken as the instants 0-5 of the capture"),
-    "one too many from 1": (range(1, 8), range(6), 24, 1, "numbered from 1: 1-6 are taken as the instants 0-5 of the capture"),
-    "the protocol's first, from 1": ((1,), range(1), 24, 1, "numbered from 1: 1 is taken as the instant 0 of the capture"),
+    "from 100": (range(100, 106), range(6), 24, 100, "numbered from 100: 100-105 are used as the instants 0-5 of the capture"),
+    "0 is there": ((0, 1, 2, 4, 5), range(6), 24, 0, "frames 0-2, 4-5 are used as the instants 0-2, 4-5 of the capture"),
+    "one too many": (range(7), range(6), 24, 0, "frames 0-5 are used as the instants 0-5 of the capture"),
+    "one too many from 1": (range(1, 8), range(6), 24, 1, "numbered from 1: 1-6 are used as the instants 0-5 of the capture"),
+    "the protocol's first, from 1": ((1,), range(1), 24, 1, "numbered from 1: 1 is used as the instant 0 of the capture"),
 }
 
 
@@ -90,7 +90,7 @@ REFUSED: dict[str, tuple[Sequence[int] | Mapping[str, Sequence[int]], range, int
         range(10, 16),
         range(6),
         24,
-        "numbered 10-15, the protocol asks for the instants 0-5 of 0-23; render these, or give --first-frame 10 if number 10 "
+        "numbered 10-15, the protocol uses the instants 0-5 of 0-23; render those, or give --first-frame 10 if number 10 "
         "shows instant 0",
     ),
     "the protocol's, or the capture's first": (range(6), range(10, 16), 24, "give --first-frame 0 if number 0 shows instant 10"),
@@ -99,13 +99,13 @@ REFUSED: dict[str, tuple[Sequence[int] | Mapping[str, Sequence[int]], range, int
         range(11, 17),
         range(10, 16),
         24,
-        "may be the instants 11-16 or, counted from 1, 10-15, and the protocol asks for 10-15; name them by instant, or give "
+        "can be the instants 11-16 or, counted from 1, 10-15, and the protocol uses 10-15; name them by instant, or give "
         "--first-frame 10 if number 10 shows instant 10, --first-frame 11 if number 11 does",
     ),
-    "the first or the last is missing": (range(1, 6), range(6), 24, "may be the instants 1-5 or, counted from 1, 0-4"),
-    "nearly the whole capture": (range(1, 24), range(10, 16), 24, "may be the instants 1-23 or, counted from 1, 0-22"),
+    "the first or the last is missing": (range(1, 6), range(6), 24, "can be the instants 1-5 or, counted from 1, 0-4"),
+    "nearly the whole capture": (range(1, 24), range(10, 16), 24, "can be the instants 1-23 or, counted from 1, 0-22"),
     "no instants, and the protocol starts later": (range(100, 106), range(10, 16), 24, "the capture has the instants 0-23"),
-    "no instants, with a gap": ((100, 102, 103), range(6), 24, "say with --first-frame which number shows instant 0"),
+    "no instants, with a gap": ((100, 102, 103), range(6), 24, "give by --first-frame the number of instant 0"),
     "one view from 0, one from 1": (
         {"cam00": range(6), "cam02": range(1, 7)},
         range(6),
@@ -199,7 +199,7 @@ def test_one_missing_frame_says_which_instant_and_which_name(tmp_path):
         import_renders(run, "mine", folder)
 
     message = str(caught.value)
-    assert "numbered from 1: 1-2, 4-6 are taken as the instants 0-1, 3-5 of the capture; frames are missing: " in message
+    assert "numbered from 1: 1-2, 4-6 are used as the instants 0-1, 3-5 of the capture; frames are missing: " in message
     assert "mine in cam00 lacks 2 (numbered 3)" in message
     assert "belongs to nothing" not in message
 
@@ -211,7 +211,7 @@ def test_frames_without_numbers_need_none_where_one_is_asked_for(tmp_path):
 
     record = import_renders(run, "mine", folder)
 
-    assert record["notes"] == ["the only frame of each view is taken as the instant 3"]
+    assert record["notes"] == ["the only frame of each view is assumed to be instant 3"]
     np.testing.assert_array_equal(read_image(frame_path(run.renders("mine", "cam00"), 3)), rendered("cam00", 3))
 
 

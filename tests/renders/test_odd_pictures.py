@@ -96,9 +96,9 @@ def test_black_frames_are_told(truth_run, tmp_path):
 
     pictures, arrays = (import_renders(truth_run, name, tmp_path / name)["notes"] for name in ("theirs", "arrays"))
 
-    assert "cam00: 2 frames (2-3) all zero: did rendering fail? scored as it is" in pictures
+    assert "cam00: 2 frames (2-3) all zero (failed rendering?); scored anyway" in pictures
     assert "captured frames of cam02 are all zero: 4" in pictures
-    assert "cam02: 1 frame (3) all zero: did rendering fail? scored as it is" in arrays
+    assert "cam02: 1 frame (3) all zero (failed rendering?); scored anyway" in arrays
     assert sum("all zero" in note for note in pictures) == 2
 
 
@@ -189,8 +189,8 @@ def test_a_dangling_link_to_a_folder_is_one_line(truth_run, tmp_path):
     (folder / "cam00").symlink_to("nowhere")
     (tmp_path / "loop").symlink_to("loop")
 
-    assert "cam00 lacks all 3 frames, but cam00 is a link to nothing: restore what it leads to" in refusal(truth_run, folder)
-    assert "there is no such folder or file" in refusal(truth_run, tmp_path / "loop")
+    assert "cam00 lacks all 3 frames, but cam00 is a broken link; restore its target" in refusal(truth_run, folder)
+    assert "got no such path" in refusal(truth_run, tmp_path / "loop")
 
 
 def test_renders_that_are_gone_are_told(truth_run, tmp_path):
@@ -199,7 +199,7 @@ def test_renders_that_are_gone_are_told(truth_run, tmp_path):
     import_renders(truth_run, "mine", folder, link=True)
     shutil.rmtree(folder / "cam00")
 
-    with refused(RenderError, "frames of mine", "cam00 and are gone", "--renders mine=NEWPLACE"):
+    with refused(RenderError, "wanted the frames of mine", "cam00, got none", "--renders mine=NEWPLACE"):
         score(truth_run)
 
 
@@ -243,7 +243,7 @@ LOOKALIKES: dict[str, tuple[Callable[[Path], Path], list[str], list[str]]] = {
     "CAM00.mp4": (lambda f: renamed(write_videos(f), ("cam00.mp4", "CAM00.mp4")), [f"there is CAM00.mp4: {CASE}"], []),
     "numbers alone": (
         lambda f: renamed(write_folders(f), ("cam00", "00"), ("cam02", "02")),
-        ["there is 00: if this is cam00, call it so", "there is 02: if this is cam02, call it so"],
+        ["there is 00: rename it if it is cam00", "there is 02: rename it if it is cam02"],
         ["protocol.toml"],
     ),
     ".mkv": (lambda f: renamed(write_videos(f), ("cam00.mp4", "cam00.mkv")), ["cam00.mkv is there, which is not read"], []),

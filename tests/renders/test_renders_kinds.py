@@ -68,11 +68,11 @@ def write_other_run(folder: Path) -> Path:
     return folder
 
 
-AS_THEY_ARE = "frames 2-4 are taken as the instants 2-4 of the capture"
+AS_THEY_ARE = "frames 2-4 are used as the instants 2-4 of the capture"
 by_frame = [(view, frame) for frame in FRAMES for view in VIEWS]
 by_alphabet = [(view, frame) for view in sorted(VIEWS) for frame in FRAMES]
 whole_capture = [(view, frame) for view in sorted(VIEWS) for frame in range(N_FRAMES)]
-BESIDE_TRUTH = "renders beside copies of the truth"
+BESIDE_TRUTH = "renders next to copies of the reference"
 EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "folders": (write_folders, "<view>/<frame>.png", AS_THEY_ARE),
     "folders of five digits": (
@@ -85,7 +85,7 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
         "<view>/<frame>.png",
         "frames of 0-6, the whole capture, 2-4 are used",
     ),
-    "a run folder": (write_other_run, "a run folder", "frames of a run folder bear the numbers of their instants"),
+    "a run folder": (write_other_run, "a run folder", "frames of a run folder are numbered by instant"),
     "uint8 arrays": (lambda f: write_arrays(f, "uint8", ".npy"), "one array per view", "in order, as the instants 2-4"),
     "float arrays": (lambda f: write_arrays(f, "float32", ".npy"), "one array per view", "rounded to 8 bit"),
     "double arrays in npz": (lambda f: write_arrays(f, "float64", ".npz"), "one array per view", "rounded to 8 bit"),
@@ -97,7 +97,7 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "a 3DGS model folder": (
         lambda f: write_flat(f / "test" / "ours_30000", view_major()).parents[1],
         BESIDE_TRUTH,
-        "order found",
+        "order determined",
     ),
     "a 4DGaussians model folder": (write_4dgaussians, BESIDE_TRUTH, "view after view"),
     "easyvolcap": (write_easyvolcap, "EasyVolcap output", "_gt pictures agree"),
@@ -197,7 +197,7 @@ def test_jpeg_is_decoded_once_and_said(truth_run, tmp_path):
     file = frame_path(truth_run.renders("mine", "cam00"), 3)
     np.testing.assert_array_equal(read_image(file), read_image(tmp_path / "theirs" / "cam00" / "0003.jpg"))
     assert file.read_bytes().startswith(b"\x89PNG")
-    assert "cam00: 3 frames (2-4) of JPEG, decoded once to PNG: what it lost counts against the method" in record["notes"]
+    assert "cam00: 3 frames (2-4) of JPEG, decoded once to PNG: coding errors count against the method" in record["notes"]
 
 
 @pytest.mark.parametrize("link", [False, True], ids=["copied", "linked"])

@@ -159,7 +159,7 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     "nothing there": (lambda f: f, "theirs: wanted renders, there is no such folder or file"),
     "cameras that are not tested": (
         lambda f: write_videos(f, views=["cam01"]),
-        "theirs has cam01, cameras that the protocol does not test; write one that does: "
+        "theirs has cam01, cameras that are not test views of the protocol; write a protocol with them: "
         "ggvs-eval protocol CAPTURE mine.toml --test cam01",
     ),
     "an empty folder": (nothing, "no renders of cam02, cam00 that can be read: a run folder: no protocol.toml; "),
@@ -229,8 +229,8 @@ def test_what_was_rendered_here_is_not_overwritten(truth_run, tmp_path):
     """A folder of that name that no import made stays, and a run cannot import from itself."""
     write_folders(truth_run.root / "renders" / "mine")
 
-    assert "exists already; choose another name" in refusal(truth_run, write_folders(tmp_path / "theirs"))
-    assert "are in the run" in refusal(truth_run, truth_run.root)
+    assert "got an existing one; choose another name" in refusal(truth_run, write_folders(tmp_path / "theirs"))
+    assert "are already in the run" in refusal(truth_run, truth_run.root)
 
 
 def test_a_run_without_truth_says_what_to_run(truth_run, tmp_path):
@@ -244,7 +244,7 @@ def test_partial_of_nothing_is_still_refused(truth_run, tmp_path):
     """Where not one frame fits, --allow-partial does not help."""
     folder = write_folders(tmp_path / "theirs", range(N_FRAMES)[:3], numbers=(1, 20, 30))
 
-    assert "not a single frame fits the protocol" in refusal(truth_run, folder, allow_partial=True)
+    assert "wanted frames of the protocol, got none" in refusal(truth_run, folder, allow_partial=True)
 
 
 def test_the_command_line_names_renders():

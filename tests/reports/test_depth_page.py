@@ -195,7 +195,7 @@ def test_poor_depth_is_told(record):
         return "\n".join(find_warnings(replace(record, cameras=(replace(camera, jobs=((stored, poor),), pictures=pictures),))))
 
     assert told() == ""
-    assert "cam02: only 31% of the pixels have a depth of their own at frame 0" in told(measured=0.31)
+    assert "cam02: only 31% of the pixels have a measured depth at frame 0" in told(measured=0.31)
     assert "cam02: half of the pixels that were measured at frame 0 have a confidence below 0.3" in told(confidence=0.2)
     assert "cam02: its colours differ from those of cam00 by a factor of 0.80" in told(gain=0.8)
     worst = replace(instants[0], again=replace(instants[0].again, error=30.0))
@@ -391,5 +391,5 @@ def test_what_cannot_be_shown(plane_capture, tmp_path):
     """No depth to show, and depth that is not stored, are refused with what to do."""
     with refused(DepthError, "depth", "got none"):
         write_depth_page(tmp_path / "page", plane_capture, [], DepthStore(tmp_path), FILLED)
-    with ThreadPoolExecutor(1) as pool, pytest.raises(DepthError, match="not stored; prepare the capture first"):
+    with ThreadPoolExecutor(1) as pool, pytest.raises(DepthError, match="wanted a stored depth map, got none"):
         examine_depth(pool, tmp_path, plane_capture, [StoredDepth(JOBS[0], (0,))], DepthStore(tmp_path / "none"), FILLED)

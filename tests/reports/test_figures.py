@@ -129,7 +129,7 @@ def test_figures_of_partial_or_imported_frames_name_a_way_out(tmp_path):
     results = Results.read(root)
     marks = {label: "partial in room: 1 of 2 views" for label in SHAPE.labels}
     replace(results, provenance=results.provenance | {"partial": marks}).write(root)
-    with refused(ResultsError, "no-blending is partial in room: 1 of 2 views", "render what is missing"):
+    with refused(ResultsError, "no-blending is partial in room: 1 of 2 views", "render the missing frames"):
         write_figure(root, "crops", tmp_path / "crops.png")
 
 
@@ -154,7 +154,7 @@ def test_errors_are_mean_absolute_differences(planted):
         ({"view": "cam99"}, "no test view 'cam99'; use one of cam00, cam03"),
         ({"frame": 9}, "no frame 9; use 2 to 4"),
         ({"method": "nobody"}, "no whole renders of 'nobody'"),
-        ({"boxes": 0}, "at least one box, got 0"),
+        ({"boxes": 0}, "--boxes: wanted at least 1, got 0"),
         ({"methods": ("ours-geometric", "nobody")}, "no whole renders of 'nobody'; use one of no-blending"),
         ({"squares": (Square(60, 0, 8),)}, "square 60,0,8: leaves the picture of 64 x 48"),
         ({"has_scores": True, "metrics": ("FID",)}, "no FID; it has PSNR"),

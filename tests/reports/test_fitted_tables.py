@@ -43,7 +43,7 @@ def test_costs_of_every_method(fitted_run):
     assert cells(costs, "4DGS") == {
         **{
             "cameras used": "3 of 5",
-            "images seen": "12",
+            "images used": "12",
             "look-ahead": "sequence",
             "fitting": "15.00",
             "whole fit": "60.00",
@@ -53,7 +53,7 @@ def test_costs_of_every_method(fitted_run):
     }
     assert float(rendering) == pytest.approx(33.0)  # median of 30, 33, 36 ms
     ours = cells(costs, "GGVS (online)")
-    assert (ours["cameras used"], ours["images seen"], ours["look-ahead"], ours["fitting"]) == ("2 of 5", "8", "0", "not fitted")
+    assert (ours["cameras used"], ours["images used"], ours["look-ahead"], ours["fitting"]) == ("2 of 5", "8", "0", "not fitted")
 
 
 def test_costs_of_a_run_without_fits(tmp_path):
@@ -63,7 +63,7 @@ def test_costs_of_a_run_without_fits(tmp_path):
         write_json(file, read_json(file) | {"peak_bytes": 640_000_000})
     (costs,) = cost_tables(read_run(root))
 
-    assert [column.name for column in costs.columns] == ["cameras used", "images seen", "look-ahead", "rendering", "peak memory"]
+    assert [column.name for column in costs.columns] == ["cameras used", "images used", "look-ahead", "rendering", "peak memory"]
     assert {cells(costs, row.name)["peak memory"] for row in costs.rows} == {"640", "not recorded"}
 
 
@@ -188,7 +188,7 @@ def test_the_tables_are_in_every_format(fitted_run):
     page = render_page([group])
     assert "4K4D was not run here: it needs foreground masks" in page
     for text in (to_markdown(group.all_tables), to_latex(group.all_tables), page):
-        for title in ("Price of being online", "What each method sees and costs", "Spread over seeds"):
+        for title in ("Price of being online", "Input and cost of each method", "Spread over seeds"):
             assert title in text
 
 

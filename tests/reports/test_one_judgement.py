@@ -157,7 +157,7 @@ def test_even_badness_wins_no_metric_of_evenness():
 
 
 def test_a_certain_fault_and_a_partial_method_win_nowhere(tmp_path):
-    """A fit of 40 dB that has seen the test view, and one of one easy view: no headline, bold, budget, equal quality or price."""
+    """A fit of 40 dB that was trained on the test view, and one of one easy view: no headline, bold, budget, equal quality or price."""
     run, random = write_equals(tmp_path / "run", 3, 24), np.random.default_rng(4)
     ahead = dict(zip(EQUALS, (1.0, 0.0, 0.0, 9.0, 8.0), strict=True))
     run = with_values(run, {label: 30 + db + 0.1 * random.standard_normal((3, 24)) for label, db in ahead.items()})
@@ -170,7 +170,7 @@ def test_a_certain_fault_and_a_partial_method_win_nowhere(tmp_path):
     (main,) = main_tables([run], results)
     verdict = evaluate_verdict([run], results, [main])
     assert verdict.headline.startswith("GGVS (online) is best; ")
-    assert f"{FITS[2]} has seen the test view" in verdict.headline
+    assert f"{FITS[2]} was trained on the test view" in verdict.headline
     assert "Take it out of the inputs." in verdict.margin
     assert [row.label for row in main.rows if row.cells[0].best] == ["ours"]
     budgets = {each.key: each for each in budget_tables(run)}
@@ -179,7 +179,7 @@ def test_a_certain_fault_and_a_partial_method_win_nowhere(tmp_path):
     (price,) = price_tables([run], results)
     assert [row.label for row in price.rows] == list(FITS[:2])
     sides = (Side("GGVS (online)", "ours", results), Side(FITS[2], FITS[2], results))
-    assert {one.verdict for one in differences(*sides, run.folder.root)} == {"not compared: second has seen the test view"}
+    assert {one.verdict for one in differences(*sides, run.folder.root)} == {"not compared: second was trained on the test view"}
 
 
 def test_nothing_outside_statistics_reads_a_bound_to_name_a_winner():

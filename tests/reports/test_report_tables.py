@@ -188,7 +188,7 @@ def test_where_test_views_are_sources_the_caption_says_so(tmp_path):
     two = replace(run.protocol, views=replace(run.protocol.views, test=("cam00", "cam03")))
     apart = replace(two, views=replace(two.views, sources=("cam01", "cam02")))
     said = {
-        name: "left out of its own rendering only"
+        name: "excluded from its own rendering only"
         in " ".join(main_tables([replace(run, protocol=protocol)], run.results)[0].notes)
         for name, protocol in {"one": run.protocol, "two": two, "apart": apart}.items()
     }
@@ -332,7 +332,7 @@ def test_intervals_stand_in_every_format(whole_run, report):
         spread = rf"$\pm$ {half.removesuffix(SHORT)}"
         spread = rf"\textcolor{{gray}}{{{spread}$\dagger$}}" if interval.is_short else spread
         assert rf"{row['shown']}{'}' if bold else ''} {{\scriptsize {spread}}}" in latex
-    for said in ("given this scene, these 2 views.", "Bold: best, and what is not significantly worse (paired, 95 %)."):
+    for said in ("given this scene, these 2 views.", "Bold: best, or not significantly worse (paired, 95 %)."):
         assert said in markdown
         assert said.replace("%", r"\%") in latex
         assert any(said in text for text in page.texts)

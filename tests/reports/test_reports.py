@@ -131,7 +131,7 @@ def test_single_frame_is_enough(tmp_path):
         tmp_path / "run", RunShape(frames=Frames(0, 1), metrics=("PSNR", "TCC")), not_computed={"TCC": "1 frame; needs 2"}
     )
     text = write_report([run]).read_text(encoding="utf-8")
-    assert text.count("nothing is drawn over it") == 1
+    assert text.count("is neither reported nor drawn") == 1
     assert not re.search(r'id="(curves|heat|videos)"|Over time <|over time, t downwards|<video', text)
     assert 'id="views"' in text
     assert "not computed: 1 frame; needs 2" in text

@@ -107,7 +107,7 @@ def test_values_on_the_papers_terms_are_judged(on_dynerf):
     ours = find(entries, "quality", "DyNeRF", "Ours", "PSNR")
     assert ours.status == "reproduced"
     assert ours.ours.value == pytest.approx(np.mean([run.results.summary()["PSNR"].max() for run in on_dynerf]))
-    assert ours.reason.startswith("the paper's value lies in this run's 95 % interval")
+    assert ours.reason.startswith("the paper's value is in this run's 95 % interval")
     assert ours.reason.endswith("on sear_steak, flame_steak")
     distance = find(entries, "ablation", "DyNeRF", "Distance-based Blending", "PSNR")
     assert distance.status == "differs"
@@ -160,7 +160,7 @@ def test_a_single_frame_is_not_the_papers_protocol(tmp_path):
     reason = find(entries, "quality", "DyNeRF", "Ours", "PSNR").reason
     assert "1 frame, not 100" in reason
     assert "1345 × 1008 pixels, not 1352 × 1014" in reason
-    assert "which does not compare" in find(entries, "quality", "DyNeRF", "Ours", "PSNR").remark
+    assert "(not comparable)" in find(entries, "quality", "DyNeRF", "Ours", "PSNR").remark
 
 
 @pytest.mark.parametrize("dataset", ["Demo room", "DyNeRF"])
@@ -199,7 +199,7 @@ def test_departures_from_the_terms_are_named(on_dynerf, changed, words):
         ("31.17", Cell("30.00", 30.0, note="1 frame; an interval needs 2"), "PSNR", "differs", "no interval (1 frame"),
         ("0.191", Cell("0.250", 0.25, low=0.24, high=0.26), "LPIPS", "differs", "worse by 0.059;"),
         ("2796", Cell("2796", 2796.4), "STED", "reproduced", "the same to the printed digits"),
-        ("0.191", Cell("0.192", 0.192, low=0.1913, high=0.1927), "LPIPS", "reproduced", "lies in this run's"),
+        ("0.191", Cell("0.192", 0.192, low=0.1913, high=0.1927), "LPIPS", "reproduced", "is in this run's"),
     ],
 )
 def test_a_value_is_reproduced_by_interval_or_digits(paper, cell, metric, status, reason):
@@ -328,7 +328,7 @@ def test_report_carries_them(tmp_path):
     """A report of a run on other data has both files and one line on the page, no tab that has nothing to say."""
     page = write_report([write_run(tmp_path / "run", RunShape(views=("cam00",), metrics=("PSNR",), poses=0))])
     text = page.read_text(encoding="utf-8")
-    assert "The 146 values that the paper publishes are of other frames" in text
+    assert "The 146 values of the paper are of other frames" in text
     assert 'id="paper"' not in text
     assert 'href="#paper"' not in text
     assert (page.parent / "reproduction.md").is_file()

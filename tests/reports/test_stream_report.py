@@ -23,12 +23,12 @@ METRICS = ("PSNR", "LPIPS", "TCC", "PSNR_stream", "LPIPS_stream", "TCC_stream")
 FAST = {"shown": 3, "repeated": 0, "dropped": 0, "dark": 1, "latency_ms": 20.0, "latency_p95_ms": 25.0, "per_second": 50.0}
 SLOW = {"shown": 1, "repeated": 1, "dropped": 0, "dark": 2, "latency_ms": 66.0, "latency_p95_ms": 66.0, "per_second": 15.0}
 RECORD = {
-    "depth": "with the depth of its sources, found live and measured here",
+    "depth": "with live depth of its sources, measured here",
     "methods": {
         "no-blending": {"stages_ms": {"depth": 12.0, "splat": 8.0}, **FAST},
         "ours": {"stages_ms": {"depth": 12.0, "all": 54.0}, **SLOW},
         "ours+scale=0.5": {"stages_ms": {}, **FAST, "per_second": None},
-        "4dgs": {"absent": "offline: it has seen the whole clip"},
+        "4dgs": {"absent": "offline: it needs the whole clip"},
     },
 }
 
@@ -57,8 +57,8 @@ def test_the_table_has_times_rates_and_counts(run):
     assert shown["NO-BLENDING"] == ["20.0 (depth 12.0)", "50.00", "20 (25)", "0.6 (0.8)", "3", "0", "0", "1"]
     assert shown["OURS"][:4] == ["66.0 (depth 12.0)", "15.00", "66 (66)", "2.0 (2.0)"]
     assert shown["OURS+SCALE=0.5"][1] == "no limit"
-    assert {cell.hint for cell in table.rows[3].cells} == {"offline: it has seen the whole clip"}
-    assert "found live" in table.caption
+    assert {cell.hint for cell in table.rows[3].cells} == {"offline: it needs the whole clip"}
+    assert "live depth" in table.caption
 
 
 def test_the_figure_joins_the_sizes_of_a_method(run, tmp_path):
@@ -106,9 +106,9 @@ def test_it_is_on_the_page_and_in_the_files(run, tmp_path):
 
     assert 'id="on-time"' in page
     assert page.count('<th scope="col"') > 0
-    assert "offline: it has seen the whole clip" in page
+    assert "offline: it needs the whole clip" in page
     for name in ("tables.md", "tables.tex"):
-        assert "What reaches the screen" in (tmp_path / "report" / name).read_text()
+        assert "Displayed frames and their delay" in (tmp_path / "report" / name).read_text()
     with (tmp_path / "report" / "tables.csv").open() as file:
         lines = [line for line in csv.DictReader(file) if line["table"] == "on_time"]
     assert {line["column"] for line in lines} >= {"rate", "latency", "behind", "dropped"}

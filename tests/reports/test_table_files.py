@@ -121,7 +121,7 @@ def test_no_cell_of_a_csv_is_a_formula():
 def test_workbook_has_the_commas_of_the_other_formats(tmp_path):
     """1,535 is shown as 1,535 and stays a number."""
     openpyxl = pytest.importorskip("openpyxl", reason="no openpyxl, by which pandas writes workbooks")
-    table = Table("t", "T", "", (Column("images seen"),), (Row("a", (Cell("1,535", 1535.0),)),))
+    table = Table("t", "T", "", (Column("images used"),), (Row("a", (Cell("1,535", 1535.0),)),))
     place = openpyxl.load_workbook(write_excel([table], {}, tmp_path / "a.xlsx"))["t"].cell(2, 2)
     assert (place.value, place.number_format) == (1535, "#,##0")
 
@@ -166,7 +166,7 @@ def test_several_scenes_are_columns_beside_their_mean(tmp_path):
     for fern, flower, mean in zip(values[::3], values[1::3], values[2::3], strict=True):
         assert mean == pytest.approx((fern + flower) / 2, abs=1e-12)
     write_run(tmp_path / "other", RunShape(scene="other", k=3))
-    with refused(ResultsError, "runs of one protocol", "share no table"):
+    with refused(ResultsError, "runs of one protocol", "cannot share a table"):
         tables_of_runs([roots[0], tmp_path / "other"], [], "csv")
 
 

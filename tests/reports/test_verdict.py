@@ -98,7 +98,7 @@ def test_a_number_stands_beside_what_is_known(tmp_path):
     ]
     beside = replace(tables[0], rows=(*tables[0].rows, *grey))
     told = evaluate_verdict([measured], measured.results, [beside])
-    assert "published methods have 29.5 to 31.0 dB on this data set" in told.absolute
+    assert "published methods reach 29.5 to 31.0 dB on this data set" in told.absolute
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_tie_is_called_a_tie(measured_run):
 
     verdict = verdict_of(replace(measured_run, ours=frozenset()), tie)
     assert verdict.headline == f"{NAMES[MIDDLE]} and {NAMES[BEST]} tie"
-    assert verdict.margin.startswith(f"0.00 dB between {NAMES[MIDDLE]} and “{NAMES[BEST]}” is too little to tell them apart")
+    assert verdict.margin.startswith(f"0.00 dB between {NAMES[MIDDLE]} and “{NAMES[BEST]}” is not significant")
     assert "interval −0." in verdict.margin
     assert verdict.others == {NAMES[BEST]: ["SSIM", "LPIPS"]}
 
@@ -257,7 +257,7 @@ def test_where_nothing_is_ranked_the_verdict_says_what_happened_and_what_to_do(m
     assert verdict.headline == (
         f"Nothing is ranked: {NAMES[WORST]} shows every frame one instant late; {NAMES[MIDDLE]} is partial in room: 1 of 2 views"
     )
-    assert verdict.margin == f"Renumber the frames by -1. Render what is missing of {NAMES[MIDDLE]} and score again."
+    assert verdict.margin == f"Renumber the frames by -1. Render the missing frames of {NAMES[MIDDLE]} and score again."
 
 
 def write_references(root: Path, *values: dict[str, float | str]) -> MeasuredRun:

@@ -248,7 +248,7 @@ def test_the_path_may_show_another_instant_than_the_protocol(demo_capture, proto
     ("changes", "message"),
     [
         ({"views": Views(("cam77",), "test")}, r"tests cam77, the capture has cam00, cam01"),
-        ({"frames": Frames(2, 9)}, r"wants frames 2..10, the capture has 4"),
+        ({"frames": Frames(2, 9)}, r"wanted frames 2..10, got 4"),
     ],
 )
 def test_what_the_capture_lacks_is_refused(changes, message, demo_capture, protocol, tmp_path):

@@ -30,7 +30,7 @@ pytestmark = pytest.mark.slow
 
 SPOILT = {
     "late": "shows every frame one instant late",
-    "bgr": "has its colour channels in another order",
+    "bgr": "has swapped colour channels",
     "flipped": "is mirrored",
 }
 
@@ -200,4 +200,4 @@ def test_words_of_a_fault():
         "Renumber by +2.",
     ]
     assert Fault("a", "b", "c", "JPEG", "likely", "d", "").remedy == ""
-    assert early._replace(advice="is time handed to the renderer? more").remedy == "Is time handed to the renderer?"
+    assert early._replace(advice="is time passed to the renderer? more").remedy == "Is time passed to the renderer?"

@@ -212,7 +212,7 @@ def test_time_and_progress_count_from_the_beginning(tmp_path, monkeypatch, capsy
 
 
 def test_a_second_call_fits_nothing(finished):
-    """What is done is done; nothing is left to do."""
+    """What is done is done; no work left."""
     assert count_work([plan_run(finished.request)], finished.run.root).is_nothing()
     assert render(prepare_run(plan_run(finished.request))) == 0
 

@@ -57,7 +57,7 @@ def test_an_old_run_says_that_its_results_are_outdated_once(words, tmp_path, cap
         run_command([command, str(run.root)])
         assert "".join(capsys.readouterr()).count(outdated) == 1
     run_command(["run", *words])
-    assert capsys.readouterr().err.count(f"{outdated}; they are made again") == 1
+    assert capsys.readouterr().err.count(f"{outdated}; they are recomputed") == 1
 
     assert Results.read(run.root).summary().equals(made)
     assert all(read_json(file)["sha256"] != OTHER_CODE for file in run.root.glob("renders/*/*/job.json"))

@@ -126,7 +126,7 @@ def test_two_methods_share_one_truth(quick, tmp_path):
     call("score", "--with-truth", "--renders", f"a={first}", f"b={other}", "--protocol", quick / PROTOCOL, "--run", run)
     assert {*Results.read(run).row_labels} == {"a", "b"}
     foreign = write_archive(quick, tmp_path / "c" / f"{VIEW}.npz", gts=stack(quick / LATE / VIEW))
-    with pytest.raises(SystemExit, match="wanted the truth of this run"):
+    with pytest.raises(SystemExit, match="wanted the reference of this run"):
         call("score", "--with-truth", "--renders", f"c={foreign}", "--protocol", quick / PROTOCOL, "--run", run)
     assert RunFolder(run).labels() == ["a", "b"]
 

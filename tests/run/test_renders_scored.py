@@ -125,7 +125,7 @@ def test_whole_renders_are_not_marked_whatever_was_allowed(truth_run, tmp_path):
     record = import_renders(truth_run, "mine", folder, allow_partial=True)
 
     assert score(truth_run).provenance["partial"] == {}
-    assert record["notes"] == ["frames 2-4 are taken as the instants 2-4 of the capture", "not used: depth/ (1 pictures)"]
+    assert record["notes"] == ["frames 2-4 are used as the instants 2-4 of the capture", "not used: depth/ (1 pictures)"]
 
 
 def test_a_partial_import_does_not_excuse_frames_that_get_lost(truth_run, tmp_path):
@@ -240,7 +240,7 @@ def test_the_numbering_is_printed_and_can_be_said(coffee_folder, protocol_path, 
 
     assert "or give --first-frame 0 if number 0 shows instant 1" in message
     lines = capsys.readouterr().err.splitlines()
-    assert "theirs: numbered as --first-frame 0 says: 0-2 are taken as the instants 1-3 of the capture" in lines
+    assert "theirs: numbered by --first-frame 0: 0-2 are used as the instants 1-3 of the capture" in lines
     assert Results.read(tmp_path / "run").summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
 
 

@@ -189,7 +189,7 @@ def test_a_dry_run_says_what_the_run_then_does(demo_capture, protocol, tmp_path,
     assert f"left are {frames} frames to render, {n_files(tmp_path / 'run' / 'depth', '*.npz')} depth maps" in told
     assert f"{len(list((tmp_path / 'run' / 'scores').iterdir()))} views to score" in told
     run_command([*words, "--dry-run"])
-    assert "nothing is left to do" in capsys.readouterr().out.splitlines()[-1]
+    assert "no work left" in capsys.readouterr().out.splitlines()[-1]
 
 
 def test_a_run_is_told_in_two_lines(demo_capture, protocol, tmp_path):

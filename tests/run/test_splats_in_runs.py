@@ -168,6 +168,6 @@ def test_output_of_4dgs(plane_capture, tmp_path):
     assert scene.size_bytes == sum(file.stat().st_size for file in folder.iterdir())
 
     torch.save({"deformation_net.grid.aabb": Intruder(tmp_path / "ran")}, folder / "deformation.pth")
-    with refused(WeightsError, "deformation.pth", "tensors alone"):
+    with refused(WeightsError, "deformation.pth", "tensors only"):
         open_splats(tmp_path / "output", range(4))
     assert not (tmp_path / "ran").exists()

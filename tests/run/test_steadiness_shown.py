@@ -85,7 +85,7 @@ def test_videos_are_measured_without_a_run(tmp_path, capsys):
     assert "| Method | mTV ↓ | Sharpness ↑ | mTV2 ↓ |" in shown
     assert "% of white" in shown
     assert "ours: 3 frames of 64 x 48" in shown
-    assert "Not alike in number or size of their frames: the values do not compare" in shown
+    assert "Different number or size of frames: the values are not comparable" in shown
     assert float(values["still", "mTV"]) == 0 < float(values["ours", "mTV"])
     assert float(values["still", "Sharpness"]) == pytest.approx(float(values["ours", "Sharpness"]), rel=0.2)
 
@@ -111,8 +111,8 @@ def test_refusals_are_one_line(tmp_path):
     video = write_video(tmp_path / "ours", [rendered(VIEWS[0], frame) for frame in FRAMES])
     write_image(tmp_path / "mask.png", np.zeros((5, 5, 3), np.uint8))
 
-    assert "no videos to measure; name them" in refusal("steadiness")
+    assert "wanted NAME=PATH of a video, got none" in refusal("steadiness")
     assert "nowhere: wanted a folder of pictures" in refusal("steadiness", f"ours={tmp_path / 'nowhere'}")
     assert "mask: wanted (48, 64) bool, got (5, 5) bool" in refusal("steadiness", f"a={video}", "--mask", tmp_path / "mask.png")
-    assert "wanted a name that ends in .md, .csv, .tex" in refusal("steadiness", f"a={video}", "--out", "table.xls")
-    assert "COLMAP finds no features in depth maps" in refusal("steadiness", f"a={video}", "--depth", "--colmap")
+    assert "wanted a file name with .md, .csv, .tex" in refusal("steadiness", f"a={video}", "--out", "table.xls")
+    assert "wanted --depth or --colmap, got both" in refusal("steadiness", f"a={video}", "--depth", "--colmap")

@@ -205,7 +205,7 @@ def test_links_save_room_and_copies_do_not_depend(runs):
 
 def test_a_folder_that_exists_is_kept(runs):
     """Nothing is merged into a folder that is there."""
-    assert "exists already" in refusal("merge", runs / "a", runs / "a", runs / "b")
+    assert "got an existing one" in refusal("merge", runs / "a", runs / "a", runs / "b")
 
 
 def test_one_run_is_not_merged(runs):

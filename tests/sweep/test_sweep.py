@@ -150,7 +150,7 @@ def test_frames_of_several_captures_are_told_apart(demo_capture, protocol, tmp_p
     starts = {"still": (noisy, protocol), "moving": (demo_capture, protocol)}
     result = run_sweep(plan_cells(tmp_path / "s", starts, Sweep("x", "x", rows)), workers=1)
 
-    assert "wanted {capture} in the path, as there are 2 captures" in result.not_computed["Theirs"]
+    assert "wanted {capture} in the path, got none, with 2 captures" in result.not_computed["Theirs"]
     file = tmp_path / "twice.toml"
     row = "[[row]]\ntitle = '{}'\nmethod = 'rendered:a'\n"
     file.write_text("name = 'x'\ndescribe = 'x'\n" + row.format("A b") + row.format("a-B"))
@@ -173,7 +173,7 @@ def test_several_captures_are_averaged(demo_capture, protocol, tmp_path):
     assert (psnr["still"] < psnr["moving"]).all()
     assert (tmp_path / "s" / "sweep.csv").is_file()
     other = dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, ddof=0))
-    with pytest.raises(ProtocolError, match="measured alike"):
+    with pytest.raises(ProtocolError, match="wanted captures with one protocol"):
         plan_cells(tmp_path / "t", {"a": (noisy, protocol), "b": (demo_capture, other)}, sweep)
 
 

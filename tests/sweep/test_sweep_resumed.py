@@ -175,7 +175,7 @@ def test_status_counts_what_is_there(undisturbed, tmp_path, capsys):
     assert render.n_bytes == sum(file.stat().st_size for file in files)
     assert (score.done, of_k2.done) == (2 * len(VIEWS), JOBS // 2)
     assert f"render: {JOBS} done, 0 running, 0 failed, 0 missing" in capsys.readouterr().out
-    with pytest.raises(ResultsError, match="neither a run nor a sweep"):
+    with pytest.raises(ResultsError, match="wanted a run or a sweep with renders"):
         read_status(tmp_path)
 
 

@@ -184,7 +184,7 @@ def test_an_address_for_all_can_be_opened():
 def test_a_server_that_would_not_ask_is_refused():
     """Where viser starts its server in some other way, nothing is served unguarded."""
     stopped, listener = [], Listener(port=0)
-    with pytest.raises(CommandError, match="cannot be guarded"):
+    with pytest.raises(CommandError, match="wanted a supported version of viser"):
         start_guarded(listener, lambda: SimpleNamespace(stop=lambda: stopped.append(1)))
     assert stopped == [1]
     listener.socket.close()

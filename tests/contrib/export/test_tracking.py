@@ -113,6 +113,6 @@ def test_an_absent_tracker_is_named_in_one_line(runs, tmp_path, tracker, monkeyp
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(SystemExit) as ended:
         run_command(["report", str(runs[0]), "--to", tracker, "--out", str(tmp_path / "tracked")])
-    wanted = f"--to {tracker}: wanted the package {PACKAGES[tracker]}, it is not installed"
+    wanted = f"--to {tracker}: wanted the package {PACKAGES[tracker]}, got none"
     assert str(ended.value.code) == f"ggvs-eval: {wanted}; pip install 'ggvs-eval[{tracker}]'"
     assert not (tmp_path / "tracked").exists()

@@ -132,8 +132,8 @@ def test_what_is_no_checkpoint_is_refused(networks, tmp_path):
     torch.save({**whole, STATES[1]: wide}, tmp_path / "views.tar")
     cases = {
         "nowhere": r"nowhere\.tar: wanted weights of MVSNeRF",
-        "damaged": "not a file of tensors alone",
-        "hostile": "not a file of tensors alone",
+        "damaged": "wanted a file of tensors only",
+        "hostile": "wanted a file of tensors only",
         "partial": "wanted a state dict under network_fn_state_dict",
         "views": r"nerf\.pts_bias\.weight: wanted \(128, 20\), got \(128, 24\)",
     }

@@ -153,8 +153,8 @@ def test_what_is_no_checkpoint_is_refused(compact, tmp_path):
     torch.save({"state_dict": compact.state_dict()}, tmp_path / "compact.ckpt")
     cases = {
         "nowhere": r"nowhere\.ckpt: wanted weights of MVSplat",
-        "damaged": "not a file of tensors alone",
-        "hostile": "not a file of tensors alone",
+        "damaged": "wanted a file of tensors only",
+        "hostile": "wanted a file of tensors only",
         "partial": "wanted a state dict under state_dict, got model",
         "shape": r"1 tensors differ from MVSplat .*first depth_predictor\.to_gaussians\.2\.bias: wanted \(84,\), got \(21,\)",
         "name": r"1 tensors differ from MVSplat .*first depth_predictor\.to_colours\.weight: wanted None, got \(3,\)",

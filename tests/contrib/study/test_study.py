@@ -57,8 +57,8 @@ def test_verdicts_that_are_known(studied):
     assert {answers[ladder][DEAF.name]["verdict"] for ladder in ("noise", "frozen")} == {"blind"}
     assert {answers[ladder][DEAF.name]["least_strength"] for ladder in ("noise", "frozen")} == {None}
     assert answers["switch"] == {}
-    assert study["not_computed"]["switch"]["PSNR"] == "the camera stands still"
-    assert study["not_computed"]["noise"]["reprojection"] == "the camera stands still"
+    assert study["not_computed"]["switch"]["PSNR"] == "the camera is static"
+    assert study["not_computed"]["noise"]["reprojection"] == "the camera is static"
     assert table[(table.metric == "SDV") & (table.ladder == "noise")].groupby("take").size().to_list() == [6, 6]
 
 
@@ -112,7 +112,7 @@ def test_the_verb_writes_tables_and_a_figure(videos, tmp_path, capsys):
     assert "| `L1` | colour | – | – |" in printed
     assert printed.splitlines()[-1] == str(out / "study.png")
     assert {"values.csv", "study.json", "study.md", "study.png"} <= {file.name for file in out.iterdir()}
-    assert "Least strength told from the undegraded" in (out / "study.md").read_text(encoding="utf-8")
+    assert "Least strength distinguished from the original" in (out / "study.md").read_text(encoding="utf-8")
 
 
 def test_pictures_in_a_folder_are_one_view(tmp_path):

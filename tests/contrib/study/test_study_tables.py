@@ -74,5 +74,5 @@ def test_two_studies_stand_side_by_side(tmp_path):
     assert two.shape[1] > one.shape[1]
     with pytest.raises(ResultsError, match="metric-study"):
         draw_study({"room": tmp_path / "absent"}, tmp_path / "none.png")
-    with pytest.raises(ResultsError, match="nothing to draw"):
+    with pytest.raises(ResultsError, match="to draw, got none"):
         draw_study({"room": tmp_path / "empty"}, tmp_path / "none.png")

@@ -245,9 +245,9 @@ def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
     assert "without 1 of them, as the method cannot render such views: GPS-Gaussian needs" in with_walks.evaluated_on
     assert "without" not in task.evaluated_on
     alone = replace(task, training=walked[0], validation=walked[1])
-    with refused(TrainingError, "views to learn from", "got none", "no stereo pair"):
+    with refused(TrainingError, "wanted training views", "got none", "wanted a stereo pair"):
         alone.loss(network, ONE_CROP)
-    with refused(TrainingError, "views to validate by", "got none"):
+    with refused(TrainingError, "wanted validation views", "got none"):
         alone.validate(network)
 
 

@@ -482,7 +482,7 @@ def test_depth_beyond_the_march_is_told():
     """Once, where a sequence begins."""
     instant = room_instants()[0]
     far = replace(instant, target=replace(instant.target, far=1e6), units_per_metre=6e-3)
-    with pytest.warns(GgvsWarning, match="is not found by steps"):
+    with pytest.warns(GgvsWarning, match="is unreachable by steps"):
         DeviceGuided().step(far)
 
 
