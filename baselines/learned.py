@@ -65,7 +65,7 @@ class LearnedBaseline:
         return f"{self.name}+{rendition.variant}" if rendition.variant else self.name
 
     def make_method(self, weights: Path, **options: Any) -> Method:
-        """A fresh object that renders one sequence.
+        """Return a fresh object that renders one sequence.
 
         Args:
             weights: the authors' checkpoint, or what our training wrote.

@@ -55,7 +55,7 @@ class ViewInterpolation:
 
 
 def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, float]:
-    """The nearest two cameras on both sides of a target.
+    """Return the nearest two cameras on both sides of a target.
 
     Returns:
         Their indices, nearest first, and how far the target is on its way from the first to the second, in [0, 1].

@@ -117,7 +117,7 @@ def corrected_psnr(shown: Image8, truth: Image8) -> float:
 
 
 def unseen(sample: InstantSample) -> Mask:
-    """Mask what no source covers by half, as `PSNR_disoccluded` does, (H, W)."""
+    """Return the mask what no source covers by half, as `PSNR_disoccluded` does, (H, W)."""
     instant = sample.instant
     near = instant.near_plane
     alphas = [splat_depth(view.camera, view.depth, instant.target, near=near).alpha for view in instant.sources]

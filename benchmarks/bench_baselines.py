@@ -24,7 +24,7 @@ Figure = dict[str, Any]
 
 
 def measure() -> dict[str, Figure]:
-    """Seconds that IBRNet, compact, needs for a 480x360 picture from four views, from a strip of its rays."""
+    """Return the seconds that IBRNet, compact, needs for a 480x360 picture from four views, from a strip of its rays."""
     compiled = load_ibrnet(shipped("ibrnet.safetensors"))
     of_torch = copy.deepcopy(compiled).requires_grad_(True)  # gradients are what the compiled network has not
     instant = _instant()
@@ -45,7 +45,7 @@ def measure() -> dict[str, Figure]:
 
 
 def _instant() -> Instant:
-    """Noise, seen by cameras in a row."""
+    """Return the noise, seen by cameras in a row."""
     rng = np.random.default_rng(0)
     focal = 1.2 * WIDTH
     intrinsics = np.array([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1]])

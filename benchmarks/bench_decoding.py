@@ -24,7 +24,7 @@ Figure = dict[str, Any]
 
 
 def measure() -> dict[str, Figure]:
-    """Name -> figure: milliseconds per frame, and how much more memory ten times the frames take."""
+    """Return the name -> figure: milliseconds per frame, and how much more memory ten times the frames take."""
     with tempfile.TemporaryDirectory() as folder:
         large, short, long = (Path(folder) / name for name in ("large.mp4", "short.mp4", "long.mp4"))
         _film(large, 24, WIDTH, HEIGHT)
@@ -73,7 +73,7 @@ def _resize_ms() -> float:
 
 
 def _peak_mb(path: Path) -> float:
-    """Largest resident memory of a separate process that decodes the whole video."""
+    """Return the largest resident memory of a separate process that decodes the whole video."""
     command = [sys.executable, "-m", "benchmarks.bench_decoding", str(path)]
     return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 

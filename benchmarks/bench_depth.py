@@ -110,13 +110,13 @@ def measure_rig() -> dict[str, Figure]:
 
 
 def _clocks() -> NDArray[np.float64]:
-    """Seconds on the wall, and those of processors in this process and in those that it has ended."""
+    """Return the seconds on the wall, and those of processors in this process and in those that it has ended."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return np.array([time.perf_counter(), sum(each.ru_utime + each.ru_stime for each in used)])
 
 
 def write_rig(folder: Path, n_frames: int) -> Capture:
-    """The scene as all five cameras see it, the same at every instant, as folders of images."""
+    """Return the scene as all five cameras see it, the same at every instant, as folders of images."""
     texture, cameras = make_texture(), tuple(camera_at(*place) for place in PLACES)
     for camera in cameras:
         image = look(camera, texture)
@@ -127,7 +127,7 @@ def write_rig(folder: Path, n_frames: int) -> Capture:
 
 
 def measure() -> dict[str, Figure]:
-    """Name -> figure; a matcher that fails, as one without weights does, is named and left out."""
+    """Return the name -> figure; a matcher that fails, as one without weights does, is named and left out."""
     values_of = {name: values for name in MATCHERS if (values := _in_a_child(name)) is not None}
     figures = measure_networks() | measure_rig()
     for name, values in values_of.items():
@@ -181,7 +181,7 @@ def _peak_mb() -> float:
 
 
 def camera_at(x: float, y: float) -> Camera:
-    """A camera at (x, y, 0) that looks along z, turned a little towards the middle of the scene."""
+    """Return a camera at (x, y, 0) that looks along z, turned a little towards the middle of the scene."""
     turned, _ = cv2.Rodrigues(np.array([y, -x, 0.0]) * (0.5 / BOX))
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3], world_to_camera[:3, 3] = turned, -turned @ [x, y, 0.0]
@@ -205,7 +205,7 @@ def look(camera: Camera, texture: NDArray[np.float32]) -> Image8:
 
 
 def make_texture() -> NDArray[np.float32]:
-    """Noise of two scales, (2048, 2048), around 0.5."""
+    """Return the noise of two scales, (2048, 2048), around 0.5."""
     noise = np.random.default_rng(0).normal(size=(2048, 2048)).astype(np.float32)
     fine, coarse = (cv2.GaussianBlur(noise, (0, 0), sigma) for sigma in (1.5, 12))
     return np.asarray(0.5 + 0.1 * (fine / fine.std() + coarse / coarse.std()), np.float32)

@@ -62,7 +62,7 @@ Figure = dict[str, Any]
 
 
 def measure(device: str, trials: Sequence[Trial] = TRIALS) -> list[Figure]:
-    """The figures of every trial, each printed as it comes; the picture of a first instant is compared.
+    """Return the figures of every trial, each printed as it comes; the picture of a first instant is compared.
 
     Args:
         device: to compare with the CPU, see `compute_device`.
@@ -76,7 +76,7 @@ def measure(device: str, trials: Sequence[Trial] = TRIALS) -> list[Figure]:
 
 
 def _figure(trial: Trial, device: str) -> Figure:
-    """Seconds per frame and per stage on both, and the share of pixels that differ by more than two levels."""
+    """Return the seconds per frame and per stage on both, and the share of pixels that differ by more than two levels."""
     instants = scene(*trial.size)
     figure: Figure = {"label": trial.label, "width": trial.size[0], "height": trial.size[1]}
     images: dict[str, Map] = {}
@@ -95,7 +95,7 @@ def _figure(trial: Trial, device: str) -> Figure:
 
 
 def _timed(method: Method, instants: Sequence[Instant], index: int) -> tuple[Map, dict[str, float]]:
-    """The picture of a frame, and the seconds of its stages and of the whole."""
+    """Return the picture of a frame, and the seconds of its stages and of the whole."""
     instant = Instant(index, instants[0].target, instants[index % len(instants)].sources, instants[0].units_per_metre)
     begun_s = perf_counter()
     rendering = method.step(instant)
@@ -115,7 +115,7 @@ def _line(figure: Figure) -> str:
 
 
 def scene(width: int, height: int) -> list[Instant]:
-    """Two instants of a wall that bends around the cameras, the same except for noise."""
+    """Return two instants of a wall that bends around the cameras, the same except for noise."""
     cameras = [_camera(number, width, height) for number in range(K + 1)]
     target = cameras.pop(K // 2)
     pictures = [_look(camera) for camera in cameras]
@@ -139,7 +139,7 @@ def _camera(number: int, width: int, height: int) -> Camera:
 
 
 def _look(camera: Camera) -> tuple[Image8, Map]:
-    """Image and depth of the inside of a sphere around the world's origin, painted with waves."""
+    """Return the image and depth of the inside of a sphere around the world's origin, painted with waves."""
     rays, centre = camera.rays(), camera.centre
     square, half = (rays**2).sum(axis=-1), rays @ centre
     depth = (np.sqrt(half**2 + square * (RADIUS_M**2 - centre @ centre)) - half) / square

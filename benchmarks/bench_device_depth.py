@@ -70,13 +70,13 @@ class Rig:
 
     @classmethod
     def painted(cls, width: int, height: int, places: Sequence[tuple[float, float]] = PLACES) -> "Rig":
-        """A rig before the scene of `bench_depth`."""
+        """Return a rig before the scene of `bench_depth`."""
         texture, cameras = make_texture(), [camera_at(*place).resized(width, height) for place in places]
         cameras = [replace(camera, name=f"cam{index}") for index, camera in enumerate(cameras)]
         return cls(cameras, [look(camera, texture) for camera in cameras])
 
     def matched(self) -> list[tuple[int, ...]]:
-        """The first K cameras, each before the nearest of the others."""
+        """Return the first K cameras, each before the nearest of the others."""
         centres = np.stack([camera.centre for camera in self.cameras])
         apart = np.linalg.norm(centres[:, None] - centres, axis=-1)
         return [tuple(int(index) for index in np.argsort(apart[k], kind="stable")[: PARTNERS + 1]) for k in range(K)]
@@ -205,7 +205,7 @@ def _time_chain(options: IterMvs, rig: Rig) -> dict[str, Any]:
 
 
 def _one_by_one(options: IterMvs, rig: Rig) -> list[Tensor]:
-    """Depth of the first maps, each by a separate estimate."""
+    """Return the depth of the first maps, each by a separate estimate."""
     chosen = rig.matched()[:CHECKED_MAPS]
     views = [([rig.cameras[index] for index in each], [rig.images[index] for index in each]) for each in chosen]
     return [IterMvsRig(options).estimate(cameras, [range(len(cameras))], images)[0][0] for cameras, images in views]
@@ -244,19 +244,19 @@ def is_as_the_cpu(figures: Mapping[str, Mapping[str, float]]) -> bool:
 
 
 def _pair(rig: Rig) -> tuple[Image8, Image8, int, int]:
-    """The camera and its first partner, rectified, and the range of their disparity."""
+    """Return the camera and its first partner, rectified, and the range of their disparity."""
     pair = rectify(rig.cameras[0], rig.cameras[1])
     return pair.warp_left(rig.images[0]), pair.warp_right(rig.images[1]), pair.d_min, pair.d_max
 
 
 def _share_alike(matcher: StereoMatcher, reference: StereoMatcher, rig: Rig) -> float:
-    """Share of the pixels whose disparities are close to each other, or rejected by both."""
+    """Return the share of the pixels whose disparities are close to each other, or rejected by both."""
     there, here = (each.match(*_pair(rig))[0] for each in (matcher, reference))
     return float((((there > 0) == (here > 0)) & (np.abs(there - here) <= CLOSE_PX)).mean())
 
 
 def _times_ms(matcher: DeviceRaftMatcher, rig: Rig) -> dict[str, float]:
-    """Median milliseconds of each part, warm."""
+    """Return the median milliseconds of each part, warm."""
     pair, cameras, images, device = _pair(rig), rig.cameras, rig.images, torch.device(matcher.device)
     estimator = DepthEstimator(cameras[0], cameras[1:], DepthOptions(matcher=matcher))
     return {
@@ -267,7 +267,7 @@ def _times_ms(matcher: DeviceRaftMatcher, rig: Rig) -> dict[str, float]:
 
 
 def _network_ms(matcher: DeviceRaftMatcher, shape: tuple[int, ...]) -> float:
-    """Median milliseconds of the network on a pair and its mirror image."""
+    """Return the median milliseconds of the network on a pair and its mirror image."""
     device = torch.device(matcher.device)
     scale = 2 if max(shape) > matcher.largest_side_px else 1
     sides = [-(-side // scale // SIZE_MULTIPLE) * SIZE_MULTIPLE for side in shape[:2]]
@@ -279,7 +279,7 @@ def _network_ms(matcher: DeviceRaftMatcher, shape: tuple[int, ...]) -> float:
 
 
 def _times_of(work: Callable[[], object], device: torch.device, runs: int = TIMED) -> list[float]:
-    """Milliseconds of warm runs: by events of a GPU, else by the host's clock."""
+    """Return the milliseconds of warm runs: by events of a GPU, else by the host's clock."""
     if device.type != "cuda":
         return _host_times(work, device)
     times = []
@@ -294,7 +294,7 @@ def _times_of(work: Callable[[], object], device: torch.device, runs: int = TIME
 
 
 def _host_times(work: Callable[[], object], device: torch.device) -> list[float]:
-    """Milliseconds by the host's clock until the device is done, of fewer runs where they take long."""
+    """Return the milliseconds by the host's clock until the device is done, of fewer runs where they take long."""
     times: list[float] = []
     while not times or (len(times) < WARM_UP + TIMED and sum(times) < ENOUGH_MS):
         begun_s = clock_s(device)

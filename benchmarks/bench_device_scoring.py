@@ -56,7 +56,7 @@ def print_scoring(size: tuple[int, int], device: str) -> dict[str, Any]:
 
 
 def _frames(width: int, height: int, count: int) -> list[Pair]:
-    """A wall of waves, as rendered and as captured: the same except for noise."""
+    """Return a wall of waves, as rendered and as captured: the same except for noise."""
     image = scene(width, height)[0].sources[0].image.astype(np.int16)
     random = np.random.default_rng(0)
 
@@ -68,13 +68,13 @@ def _frames(width: int, height: int, count: int) -> list[Pair]:
 
 
 def _largest_difference(frames: list[Pair], metrics: tuple[str, ...], device: str) -> float:
-    """Largest relative difference between a value of the device and the CPU's."""
+    """Return the largest relative difference between a value of the device and the CPU's."""
     here, there = (score_view(frames, metrics, MetricOptions(device=name)).values for name in ("cpu", device))
     return max(abs(other - value) / max(abs(value), 1e-12) for (_, _, value), (_, _, other) in zip(here, there, strict=True))
 
 
 def _frame_ms(frames: list[Pair], metrics: tuple[str, ...], device: str) -> float:
-    """Milliseconds of a frame of a warm view, by the host's clock: values are numbers on the host."""
+    """Return the milliseconds of a frame of a warm view, by the host's clock: values are numbers on the host."""
     options = MetricOptions(device=device)
     score_view(frames[:WARM_UP], metrics, options)
     begun_s = perf_counter()
@@ -100,7 +100,7 @@ def _lpips_weights() -> Iterator[bool]:
 
 
 def _random_weights() -> dict[str, torch.Tensor]:
-    """Tensors of the shapes of VGG16's convolutions and of the five heads."""
+    """Return the tensors of the shapes of VGG16's convolutions and of the five heads."""
     generator, tensors, channels, heads = torch.Generator().manual_seed(0), {}, 3, 0
     widths = [64] * 2 + [128] * 2 + [256] * 3 + [512] * 6
     for number, (layer, width) in enumerate(zip(LAYERS["vgg"], widths, strict=True)):

@@ -42,7 +42,7 @@ Figures = dict[str, Any]
 
 
 def check(instants: Sequence[Instant], device: str) -> dict[str, float]:
-    """Shares of pixels within a level of the CPU's, of depths within 1e-4 of them, and of pixels equal in two runs."""
+    """Return the shares of pixels within a level of the CPU's, of depths within 1e-4 of them, and of pixels equal in two runs."""
     here, there, again = (
         [method.step(_at(instants, index)) for index in range(CHECKED)]
         for method in (GeometryGuided(blender=NetworkBlender()), DeviceGuided(device=device), DeviceGuided(device=device))
@@ -79,7 +79,7 @@ def time_steps(instants: Sequence[Instant], device: str) -> Figures:
 
 
 def _time_parts(instants: Sequence[Instant], device: str) -> dict[str, float]:
-    """Milliseconds of each part of a step that is launched call by call, in the order of the step."""
+    """Return the milliseconds of each part of a step that is launched call by call, in the order of the step."""
     method = DeviceGuided(device=device, recorded=False)
     rows = []
     for index in range(WARM_UP + TIMED // 4):
@@ -144,7 +144,7 @@ def _busy_and_gaps(events: Sequence[tuple[int, int, str]]) -> tuple[float, float
 
 
 def _least_bytes(method: DeviceGuided, instants: Sequence[Instant], numbers: Iterator[int]) -> dict[str, float]:
-    """Bytes of the arrays that each of this package's kernels is given in a step, each once."""
+    """Return the bytes of the arrays that each of this package's kernels is given in a step, each once."""
     method.step(_at(instants, next(numbers)))
     found: dict[str, float] = defaultdict(float)
     with _watched(lambda kernel, tensors: found.__setitem__(kernel, found[kernel] + sum(each.nbytes for each in tensors))):
@@ -179,13 +179,13 @@ def _watched(seen: Callable[[str, list[torch.Tensor]], None]) -> Iterator[None]:
 
 
 def _floor(name: str, least: dict[str, float], rate: float) -> float:
-    """Milliseconds in which a kernel's arrays could be moved once; 0 for others' kernels."""
+    """Return the milliseconds in which a kernel's arrays could be moved once; 0 for others' kernels."""
     keys = [key for key in least if name.startswith(f"{key.rpartition('.')[2]}_")]
     return least[max(keys, key=len)] / rate if keys else 0.0
 
 
 def _copy_bytes_per_ms(device: str) -> float:
-    """Bytes read and written in a millisecond by a large copy on the device."""
+    """Return the bytes read and written in a millisecond by a large copy on the device."""
     source = torch.zeros(COPIED_BYTES // 4, device=device)
     out = torch.empty_like(source)
     times = []
@@ -219,7 +219,7 @@ def _at(instants: Sequence[Instant], index: int) -> Instant:
 
 
 def _moved(instants: Sequence[Instant], index: int) -> Instant:
-    """The same from a pose that is another at every step."""
+    """Return the same from a pose that is another at every step."""
     instant = _at(instants, index)
     pose = instant.target.world_to_camera.copy()
     pose[0, 3] += 0.05 * np.sin(index)

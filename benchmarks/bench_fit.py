@@ -29,7 +29,7 @@ COMMAND = "python -m benchmarks.bench_fit"
 
 
 def measure() -> dict[str, dict[str, Any]]:
-    """Milliseconds of the field and for the whole step, name -> figure."""
+    """Return the milliseconds of the field and for the whole step, name -> figure."""
     cloud, camera = make_cloud()
     torch.manual_seed(0)
     gaussians = {**cloud.parameters(), "sh_base": cloud.sh[:, :1], "sh_rest": cloud.sh[:, 1:TERMS]}
@@ -55,7 +55,7 @@ def _twin(
 
 
 def _step_ms(state: FitState, camera: Camera) -> tuple[float, float]:
-    """Milliseconds of the field forward and backward, and for the step that it is part of."""
+    """Return the milliseconds of the field forward and backward, and for the step that it is part of."""
     truth = torch.full((camera.height, camera.width, 3), 0.5)
     times = [time.perf_counter()]
     cloud = state.motion.cloud(state.gaussians, 0.4)

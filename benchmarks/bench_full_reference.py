@@ -36,7 +36,7 @@ BT709 = 0.2126, 0.7152, 0.0722
 
 
 def measure() -> dict[str, Figure]:
-    """Name -> figure, ms per frame."""
+    """Return the name -> figure, ms per frame."""
     rendered, truth = frame_pair()
     left = np.arange(WIDTH) < WIDTH // 2
     mask = np.tile(left, (HEIGHT, 1))
@@ -114,14 +114,14 @@ def _directed(image: NDArray[np.float32], candidates: NDArray[np.float32]) -> fl
 
 
 def frame_pair() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """A photograph enlarged to the paper's size, with and without noise."""
+    """Return a photograph enlarged to the paper's size, with and without noise."""
     truth = np.asarray(cv2.resize(data.astronaut(), (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     noise = np.random.default_rng(0).normal(0, 5, truth.shape)
     return np.rint(np.clip(truth + noise, 0, 255)).astype(np.uint8), truth
 
 
 def elapsed_ms(call: Callable[[], Any]) -> tuple[float, float]:
-    """Time of a call by the clock, and of all cores, those of programs that it runs too."""
+    """Return the time of a call by the clock, and of all cores, those of programs that it runs too."""
     start, start_of_cores = time.perf_counter(), _core_seconds()
     call()
     return (time.perf_counter() - start) * 1e3, (_core_seconds() - start_of_cores) * 1e3
@@ -133,7 +133,7 @@ def _core_seconds() -> float:
 
 
 def time_figure(elapsed: Sequence[tuple[float, float]], frames: int = 1, target: float | None = None) -> Figure:
-    """The least of some calls by the clock and by the cores, ms per frame; see `elapsed_ms`."""
+    """Return the least of some calls by the clock and by the cores, ms per frame; see `elapsed_ms`."""
     clock, cores = (min(values) / frames for values in zip(*elapsed, strict=True))
     return _figure(clock, target=target) | {"core_ms": cores}
 

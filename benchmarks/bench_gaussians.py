@@ -25,7 +25,7 @@ Splat = Callable[..., tuple[torch.Tensor, ...]]
 
 
 def measure() -> dict[str, dict[str, Any]]:
-    """Milliseconds of the kernel and of its twin on the CPU, name -> figure."""
+    """Return the milliseconds of the kernel and of its twin on the CPU, name -> figure."""
     cloud, camera = make_cloud()
     ours, twin = step_ms(render.splat_compiled, cloud, camera, 15), step_ms(torch_splat.splat, cloud, camera, 2)
     return {
@@ -75,7 +75,7 @@ def step_ms(splat: Splat, cloud: GaussianCloud, camera: Camera, repeats: int) ->
 
 
 def gpu_figures() -> dict[str, dict[str, Any]]:
-    """Milliseconds of the torch path on a GPU, next to the kernel's, and the largest difference of their images."""
+    """Return the milliseconds of the torch path on a GPU, next to the kernel's, and the largest difference of their images."""
     cloud, camera = make_cloud()
     there = cloud.to("cuda")
     ours, peer = step_ms(render.splat_compiled, cloud, camera, 5), step_ms(torch_splat.splat, there, camera, 5)

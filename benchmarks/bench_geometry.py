@@ -44,7 +44,7 @@ class Scene:
     image: NDArray[np.float32]
 
     def source(self, view: int) -> SourceView:
-        """One source, its image left in floats."""
+        """Return one source, its image left in floats."""
         depth = self.depths[view]
         return SourceView(self.cameras[view], self.image, depth, np.ones_like(depth))  # type: ignore[arg-type]
 
@@ -65,7 +65,7 @@ class Scene:
 
 
 def measure() -> dict[str, dict]:
-    """Milliseconds and millimetres of our kernels and of their peers, name -> figure."""
+    """Return the milliseconds and millimetres of our kernels and of their peers, name -> figure."""
     scene = make_scene(WIDTH)
     splat_ms, tsdf_ms, step_ms = _best_ms(lambda: scene.splat(0)), _best_ms(scene.fuse), _best_ms(scene.step)
     peers = _open3d(scene)
@@ -85,7 +85,7 @@ def measure() -> dict[str, dict]:
 
 
 def _figure(value: float, target: float | None, peer: str, peer_value: float | None, unit: str = "ms") -> dict:
-    """One entry of out/bench.json; a peer that did not finish leaves its value and ratio empty."""
+    """Return one entry of out/bench.json; a peer that did not finish leaves its value and ratio empty."""
     ratio = None if peer_value is None else peer_value / value
     entry = {"value": value, "unit": unit, "target": target, "higher_is_better": False, "command": COMMAND}
     return entry | {"peer": peer if peer_value is not None else None, "peer_value": peer_value, "ratio": ratio}
@@ -102,7 +102,7 @@ def _best_ms(job: Callable[[], object], seconds: float = 3.0) -> float:
 
 
 def make_scene(width: int) -> Scene:
-    """Four noisy depth cameras before walls and spheres, at `width` pixels of the full field of view."""
+    """Return four noisy depth cameras before walls and spheres, at `width` pixels of the full field of view."""
     cameras = [_camera(-0.3 + 0.2 * k, 0.25 * (-0.3 + 0.2 * k), width) for k in range(VIEWS)]
     depths = [_noisy(camera, seed) for seed, camera in enumerate(cameras)]
     image = np.random.default_rng(0).random((*depths[0].shape, 3), dtype=np.float32)
@@ -110,7 +110,7 @@ def make_scene(width: int) -> Scene:
 
 
 def _camera(x: float, yaw: float, width: int) -> Camera:
-    """A camera at (x, 0, 0) turned by yaw about the vertical axis; the field of view does not depend on the width."""
+    """Return a camera at (x, 0, 0) turned by yaw about the vertical axis; the field of view does not depend on the width."""
     c, s = np.cos(yaw), np.sin(yaw)
     pose = np.eye(4)
     pose[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
@@ -121,7 +121,7 @@ def _camera(x: float, yaw: float, width: int) -> Camera:
 
 
 def _depth(camera: Camera) -> NDArray[np.float64]:
-    """Exact depth of a room with three spheres, (H, W), metres."""
+    """Return the exact depth of a room with three spheres, (H, W), metres."""
     rays, centre = camera.rays(), camera.centre
     depth = np.full(rays.shape[:2], np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -76,7 +76,7 @@ def _strred_figures() -> dict[str, Figure]:
 
 
 def _variant_figures() -> dict[str, Figure]:
-    """Time optional variants that a protocol may request: masked SSIM, colour correction."""
+    """Return the time optional variants that a protocol may request: masked SSIM, colour correction."""
     rendered, truth = _frame_pair()
     mask = np.zeros(truth.shape[:2], dtype=bool)
     mask[100:600, 200:900] = True
@@ -120,25 +120,25 @@ def _score_and_print_peak(frames: int, which: str) -> None:
 
 
 def _memory_mb(field: str) -> float:
-    """A line of this process's status; Linux only."""
+    """Return a line of this process's status; Linux only."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith(field))
 
 
 def _shifted(rendered: NDArray[np.uint8], truth: NDArray[np.uint8], frames: int) -> Iterator[tuple[NDArray[np.uint8], ...]]:
-    """A view whose frames exist one at a time."""
+    """Yield a view whose frames exist one at a time."""
     for t in range(frames):
         yield np.roll(rendered, 3 * t, axis=1), np.roll(truth, 3 * t, axis=1)
 
 
 def _view_ms(names: tuple[str, ...] | list[str], runs: int) -> float:
-    """Time per frame of a view of two frames, its metrics in one pass."""
+    """Return the time per frame of a view of two frames, its metrics in one pass."""
     pairs = [_frame_pair(seed) for seed in range(2)]
     return _fastest_ms(lambda: score_view(pairs, names), runs)[0] / len(pairs)
 
 
 def _two_methods_ms() -> float:
-    """The same for two renderings at once; what the truth alone decides is computed once."""
+    """Return the same for two renderings at once; what the truth alone decides is computed once."""
     pairs = [_frame_pair(seed) for seed in range(2)]
     frames = [((rendered, rendered.copy()), truth) for rendered, truth in pairs]
     return _fastest_ms(lambda: score_views(frames, METRICS_OF_A_VIEW), runs=1)[0] / len(pairs)
@@ -172,14 +172,14 @@ def _torch_lpips(rendered: NDArray[np.uint8], truth: NDArray[np.uint8]) -> float
 
 
 def _frame_pair(seed: int = 0) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """A photograph enlarged to the paper's size, with and without noise."""
+    """Return a photograph enlarged to the paper's size, with and without noise."""
     truth = cv2.resize(data.astronaut(), (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
     noise = np.random.default_rng(seed).normal(0, 5, truth.shape)
     return np.rint(np.clip(truth + noise, 0, 255)).astype(np.uint8), truth
 
 
 def _fastest_ms(call: Callable[[], Any], runs: int) -> tuple[float, Any]:
-    """Shortest of `runs` calls, and what the call returns."""
+    """Return the shortest of `runs` calls, and what the call returns."""
     times = []
     for _ in range(runs):
         start = time.perf_counter()

@@ -65,13 +65,13 @@ SETTINGS = (
 
 
 def measure() -> dict[str, dict[str, Any]]:
-    """Median and 95th percentile of the step and of its stages after warm-up, in every setting, name -> figure."""
+    """Return the median and 95th percentile of the step and of its stages after warm-up, in every setting, name -> figure."""
     figures = {name: figure for setting in SETTINGS for name, figure in measure_setting(setting).items()}
     return figures | measure_network_blender(SETTINGS[0])
 
 
 def measure_setting(setting: Setting) -> dict[str, dict[str, Any]]:
-    """The figures of one setting; geometry is static, which costs the same, and colours are noisy."""
+    """Return the figures of one setting; geometry is static, which costs the same, and colours are noisy."""
     scene, method = _scene(setting), GeometryGuided(blender=NetworkBlender() if setting.learned else GeometricBlender())
     images = _images(scene)
     instants = [_instant(scene, images[index % 2], index, setting.views) for index in range(WARM_UP + setting.steps)]
@@ -124,7 +124,7 @@ def _random_network(width: int) -> BlendNetwork:
 
 
 def torch_blend(network: BlendNetwork, inputs: BlendingInputs) -> NDArray[np.float32]:
-    """The learned blender's image as training makes it, (H, W, 3)."""
+    """Return the learned blender's image as training makes it, (H, W, 3)."""
     config, maps = network.config, raw_views(inputs).maps(network.config.guidance)
     arrays = {"colours": np.moveaxis(maps.colours, 3, 1), "coverage": maps.coverage, "fused_depth": maps.fused_depth}
     views = {name: torch.from_numpy(array)[None] for name, array in arrays.items()}
@@ -138,7 +138,7 @@ def torch_blend(network: BlendNetwork, inputs: BlendingInputs) -> NDArray[np.flo
 
 
 def _cpu_ms(work: Callable[[], object], repeats: int) -> float:
-    """Median processor time of all threads: what a loaded machine does to the clock on the wall does not count."""
+    """Return the median processor time of all threads: what a loaded machine does to the clock on the wall does not count."""
     times_ms = []
     for _ in range(repeats + 1):
         begin = process_time()
@@ -153,7 +153,7 @@ def _quantiles(name: str, seconds: list[float], target_ms: float | None) -> dict
 
 
 def _scene(setting: Setting) -> Scene:
-    """The scene of `bench_geometry` at the setting's width, the middle rows of it."""
+    """Return the scene of `bench_geometry` at the setting's width, the middle rows of it."""
     scene = make_scene(setting.width)
     height = scene.image.shape[0]
     top = (height - setting.height) // 2
@@ -167,14 +167,14 @@ def _scene(setting: Setting) -> Scene:
 
 
 def _images(scene: Scene) -> list[Image8]:
-    """Two noisy copies of the scene's image, which frames take in turn."""
+    """Return two noisy copies of the scene's image, which frames take in turn."""
     random, image = np.random.default_rng(0), quantise(scene.image)
     noises: list[NDArray[np.int64]] = [random.integers(-NOISE_LEVELS, NOISE_LEVELS + 1, image.shape) for _ in range(2)]
     return [np.clip(image + noise, 0, 255).astype(np.uint8) for noise in noises]
 
 
 def _instant(scene: Scene, image: Image8, index: int, views: int) -> Instant:
-    """An instant of the `views` cameras nearest to the target."""
+    """Return an instant of the `views` cameras nearest to the target."""
     order = np.argsort([float(np.linalg.norm(camera.centre - scene.target.centre)) for camera in scene.cameras])[:views]
     sources = tuple(
         SourceView(scene.cameras[k], image, scene.depths[k], np.ones_like(scene.depths[k])) for k in (int(each) for each in order)

@@ -81,20 +81,20 @@ def _open(browser: Browser, page: Path) -> tuple[float, float, float]:
 
 
 def _switch(browser: Browser, role: str) -> tuple[float, float]:
-    """Milliseconds from a choice to its picture, and of processor time."""
+    """Return the milliseconds from a choice to its picture, and of processor time."""
     before_ms = _cpu_ms(browser)
     took_ms = float(browser.driven.execute_async_script(SWITCH, role))
     return took_ms, _cpu_ms(browser) - before_ms
 
 
 def _cpu_ms(browser: Browser) -> float:
-    """Processor time of the page's main thread so far; other programs on the machine do not add to it."""
+    """Return the processor time of the page's main thread so far; other programs on the machine do not add to it."""
     metrics = browser.driven.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
     return next(1e3 * metric["value"] for metric in metrics if metric["name"] == "TaskDuration")
 
 
 def write_long_page(folder: Path) -> Path:
-    """The page of a run as long as the paper's, of textured pictures that move."""
+    """Return the page of a run as long as the paper's, of textured pictures that move."""
     rng = np.random.default_rng(0)
     coarse = rng.integers(0, 255, (HEIGHT // 8, WIDTH // 8, 3)).astype(np.uint8)
     texture = cv2.resize(coarse, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)

@@ -99,7 +99,7 @@ class _Recorder:
 
 
 def measure() -> dict[str, dict[str, Any]]:
-    """Processor time of each kernel of a step, its share of its roof, AVX2 and AVX-512, and the step's memory."""
+    """Return the processor time of each kernel of a step, its share of its roof, AVX2 and AVX-512, and the step's memory."""
     arithmetic, memory = peak_operations(), peak_bytes()
     figures = {
         "roofline_peak_arithmetic": _one(arithmetic / 1e9, "GFLOP/s", higher=True),
@@ -151,7 +151,7 @@ def _record_step(recorder: _Recorder) -> GeometryGuided:
 
 
 def _fastest(calls: list[Call], level: str) -> float:
-    """Sum over the calls of the least processor time, one thread, seconds."""
+    """Return the sum over the calls of the least processor time, one thread, seconds."""
     number, total = kernels.SIMD_LEVELS.index(level), 0.0
     for call in calls:
         function, arguments = getattr(_COMPILED, call.name), list(call.arguments)
@@ -173,7 +173,7 @@ def peak_operations(channels: int = 64, size: int = 128) -> float:
 
 
 def peak_bytes(size: int = 64 << 20) -> float:
-    """Bytes per second that one thread copies, read and written, from arrays that no cache holds."""
+    """Return the bytes per second that one thread copies, read and written, from arrays that no cache holds."""
     source, target = np.ones(size, np.uint8), np.zeros(size, np.uint8)
     return 2 * size / _least_seconds(lambda: np.copyto(target, source))
 
@@ -188,7 +188,7 @@ def _least_seconds(work: Callable[[], object]) -> float:
 
 
 def _arrays(value: Any) -> Iterator[NDArray[Any]]:
-    """All arrays of nested tuples and lists; cameras are numbers, and their matrices of 16 do not matter."""
+    """Yield all arrays of nested tuples and lists; cameras are numbers, and their matrices of 16 do not matter."""
     if isinstance(value, tuple | list):
         for each in value:
             yield from _arrays(each)
@@ -197,7 +197,7 @@ def _arrays(value: Any) -> Iterator[NDArray[Any]]:
 
 
 def _peak_megabytes() -> float:
-    """Largest resident memory of this process so far (Linux: 0 elsewhere)."""
+    """Return the largest resident memory of this process so far (Linux: 0 elsewhere)."""
     status = Path("/proc/self/status")
     lines = status.read_text(encoding="utf-8").splitlines() if status.exists() else []
     return next((int(line.split()[1]) / 1e3 for line in lines if line.startswith("VmHWM")), 0.0)

@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def measured(address: str, playback: Playback) -> dict[str, float]:
-    """Pictures per second of a drag, and the median and the 95th percentile of a jump's latency in ms."""
+    """Return the pictures per second of a drag, and the median and the 95th percentile of a jump's latency in ms."""
     url = address.replace("http", "ws")
     with connect(url, subprotocols=[f"viser-v{viser.__version__}"], max_size=None) as socket:
         poses = list(_poses(playback))
@@ -113,7 +113,7 @@ def _drain(socket: ClientConnection) -> None:
 
 
 def _pictures(socket: ClientConnection, timeout: float) -> int:
-    """Pictures in the next message of the server."""
+    """Return the pictures in the next message of the server."""
     try:
         raw = socket.recv(timeout=timeout)
     except TimeoutError:

@@ -47,7 +47,7 @@ class KeptFrames:
         return len(self.kept)
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
-        """Frames start <= t < stop."""
+        """Yield the frames start <= t < stop."""
         yield from self.kept[start:stop]
 
 
@@ -71,48 +71,48 @@ class Fault:
 
 
 def bump(frames: Frames, size_px: float, at: int, rng: np.random.Generator) -> Frames:
-    """The picture is displaced from a frame on, in any direction."""
+    """Return the picture is displaced from a frame on, in any direction."""
     angle = rng.uniform(0, 2 * np.pi)
     move = np.array([[1, 0, size_px * np.cos(angle)], [0, 1, size_px * np.sin(angle)]])
     return [*frames[:at], *(warp(frame, move) for frame in frames[at:])]
 
 
 def turn(frames: Frames, size_deg: float, at: int, rng: np.random.Generator) -> Frames:
-    """The picture is turned about its middle from a frame on."""
+    """Return the picture is turned about its middle from a frame on."""
     height, width = frames[0].shape[:2]
     move = cv2.getRotationMatrix2D((width / 2, height / 2), size_deg * rng.choice([-1, 1]), 1.0)
     return [*frames[:at], *(warp(frame, move) for frame in frames[at:])]
 
 
 def expose_longer(frames: Frames, share: float, at: int, rng: np.random.Generator) -> Frames:
-    """The picture becomes brighter from the first frame to the last."""
+    """Return the picture becomes brighter from the first frame to the last."""
     gains = np.linspace(1, 1 + share, len(frames) - SPARE)
     return [scale(frame, gain) for frame, gain in zip(frames, gains, strict=False)]
 
 
 def redden(frames: Frames, share: float, at: int, rng: np.random.Generator) -> Frames:
-    """The white balance changes at a frame: red by a share, blue the other way."""
+    """Return the white balance changes at a frame: red by a share, blue the other way."""
     return [*frames[:at], *(scale(frame, [1 + share, 1, 1 - share]) for frame in frames[at:])]
 
 
 def brighten(frames: Frames, share: float, at: int, rng: np.random.Generator) -> Frames:
-    """The picture is brighter throughout."""
+    """Return the picture is brighter throughout."""
     return [scale(frame, 1 + share) for frame in frames]
 
 
 def lose(frames: Frames, count: float, at: int, rng: np.random.Generator) -> Frames:
-    """A frame is missing, and all later ones come early."""
+    """Return a frame is missing, and all later ones come early."""
     return frames[:at] + frames[at + int(count) :]
 
 
 def double(frames: Frames, count: float, at: int, rng: np.random.Generator) -> Frames:
-    """A frame comes twice, and all later ones come late; noise makes the second look new."""
+    """Return a frame comes twice, and all later ones come late; noise makes the second look new."""
     again = [np.clip(frames[at] + rng.normal(0, 1.5, frames[at].shape), 0, 255).astype(np.uint8)] * int(count)
     return frames[: at + 1] + again + frames[at + 1 :]
 
 
 def delay(frames: Frames, count: float, at: int, rng: np.random.Generator) -> Frames:
-    """The camera starts late."""
+    """Return the camera starts late."""
     return frames[int(count) :]
 
 
@@ -130,17 +130,17 @@ ZOOM, ZOOMS = "zoomed, shared intrinsics", (1.02, 1.04, 1.08)
 
 
 def warp(frame: Image8, move: np.ndarray) -> Image8:
-    """The picture moved by an affine map."""
+    """Return the picture moved by an affine map."""
     return cv2.warpAffine(frame, move, frame.shape[1::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
 
 
 def scale(frame: Image8, gain: object) -> Image8:
-    """The picture's sRGB values multiplied."""
+    """Return the picture's sRGB values multiplied."""
     return np.clip(np.rint(frame * np.asarray(gain)), 0, 255).astype(np.uint8)
 
 
 def even_gains(capture: Capture) -> Capture:
-    """The capture, in memory, with the gains that `demo.json` gives of its cameras divided out."""
+    """Return the capture, in memory, with the gains that `demo.json` gives of its cameras divided out."""
     gains = json.loads((capture.path / DEMO_NOTES).read_text(encoding="utf-8"))["camera_gains"]
     frames = (
         [scale(frame, 1 / np.array(gain)) for frame in capture.frames(name)]
@@ -159,7 +159,7 @@ class Take:
         self._records = {name: self.record(name, frames) for name, frames in self.frames.items()}
 
     def record(self, name: str, frames: Frames) -> CameraRecord:
-        """The record of one camera with other frames."""
+        """Return the record of one camera with other frames."""
         return record_camera(self._shown({name: frames}), name)
 
     def check(self, spoilt: Mapping[str, CameraRecord]) -> tuple[Finding, ...]:

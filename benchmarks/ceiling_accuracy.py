@@ -90,7 +90,7 @@ def film(options: DemoOptions, camera: int, instants: Sequence[Instant]) -> list
 
 
 def compare(clean: Sequence[Image8], first: Sequence[Image8], second: Sequence[Image8], crf: float) -> dict[str, Comparison]:
-    """Both ceilings of the first of two recordings, coded at a rate factor."""
+    """Return both ceilings of the first of two recordings, coded at a rate factor."""
     with tempfile.TemporaryDirectory() as folder:
         paths = [Path(folder) / f"{number}.mp4" for number in (1, 2)]
         for path, frames in zip(paths, (first, second), strict=True):

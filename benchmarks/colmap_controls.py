@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def measure(run: RunFolder, every: int) -> dict[str, dict[str, Any]]:
-    """Name of a control or method -> what `colmap_consistency` says, and the sharpness."""
+    """Return the name of a control or method -> what `colmap_consistency` says, and the sharpness."""
     record = read_json(run.path_record)["cameras"]
     poses = range(0, len(record), every)
     cameras = [Camera.from_json(f"path{pose:04d}", record[pose]) for pose in poses]

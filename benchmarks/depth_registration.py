@@ -34,7 +34,7 @@ class Fault:
     delay_frames: int = 0
 
     def plant(self, room: Path, folder: Path) -> Path:
-        """A copy of the room with this fault; the last depth map represents those after it."""
+        """Return a copy of the room with this fault; the last depth map represents those after it."""
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(room, folder)
         files = sorted((folder / "depth").iterdir(), key=lambda file: int(file.stem))

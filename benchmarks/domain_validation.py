@@ -115,7 +115,7 @@ def mean_scores(scores: pd.DataFrame, metric: str) -> pd.DataFrame:
 
 
 def show_tables(scores: pd.DataFrame) -> str:
-    """The tables of all metrics as text."""
+    """Return the tables of all metrics as text."""
     blocks = []
     for metric, form in METRICS.items():
         if metric in scores and scores[metric].notna().any():

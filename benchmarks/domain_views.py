@@ -77,7 +77,7 @@ class View:
 
 
 def prepare_views(cache: Path, domains: Iterable[str], plan: ViewPlan, data: Path | None = None, workers: int = 1) -> list[View]:
-    """The views of domains; what is not on disk yet is rendered and gets its depth.
+    """Return the views of domains; what is not on disk yet is rendered and gets its depth.
 
     Args:
         cache: where all of it is kept; several plans may share it.
@@ -101,7 +101,7 @@ def prepare_views(cache: Path, domains: Iterable[str], plan: ViewPlan, data: Pat
 
 
 def views_of(cache: Path, domain: str, seed: int, plan: ViewPlan) -> list[View]:
-    """The views of one capture, whether they are on disk or not."""
+    """Return the views of one capture, whether they are on disk or not."""
     folder, hand_held = cache / f"views-{_digest(domain, seed, plan)}", domain == REAL or find_domain(domain).hand_held
     views = []
     for number in range(plan.targets):
@@ -123,7 +123,7 @@ def make_views(cache: Path, domain: str, seed: int, plan: ViewPlan, data: Path |
 
 
 def real_capture(data: Path | None) -> Path | None:
-    """The real RGB-D sequence in a folder of captures; None where it is not there."""
+    """Return the real RGB-D sequence in a folder of captures; None where it is not there."""
     return data / REAL_CAPTURE if data is not None and (data / REAL_CAPTURE).is_dir() else None
 
 
@@ -142,7 +142,7 @@ def render_domain(cache: Path, domain: str, seed: int, plan: ViewPlan) -> tuple[
 
 
 def _real(data: Path | None, plan: ViewPlan) -> tuple[Capture, Choices]:
-    """The held-back part of the real sequence; its views are drawn as those of any sequence that networks learn from."""
+    """Return the held-back part of the real sequence; its views are drawn as those of any sequence that networks learn from."""
     path = real_capture(data)
     if path is None:
         raise CaptureError(f"{data}: wanted a folder with the capture {REAL_CAPTURE}, got none; give --data")
@@ -152,7 +152,7 @@ def _real(data: Path | None, plan: ViewPlan) -> tuple[Capture, Choices]:
 
 
 def _digest(domain: str, seed: int, plan: ViewPlan) -> str:
-    """Names all that views depend on but their number."""
+    """Return the names all that views depend on but their number."""
     depth = DepthRunOptions(plan.matcher).options()
     described = [str(each) for each in (depth.describe(), describe_check(), describe_filter())]
     shared = {name: value for name, value in asdict(plan).items() if name not in ("targets", "seeds")}

@@ -101,7 +101,7 @@ def main(options: FuzzOptions) -> int:
 
 
 def run_kind(kind: str, seed: int, numbers: range) -> list[Outcome]:
-    """The outcomes of some inputs of one kind, read in processes that are started again where one ends."""
+    """Return the outcomes of some inputs of one kind, read in processes that are started again where one ends."""
     outcomes: list[Outcome] = []
     while len(outcomes) < len(numbers):
         rest = numbers[len(outcomes) :]

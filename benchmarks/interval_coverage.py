@@ -56,22 +56,22 @@ def autoregressive(generator: Generator, count: int, frames: int, correlation: f
 
 
 def normal(generator: Generator, count: int, frames: int, correlation: float) -> Array:
-    """An autoregression with normal noise."""
+    """Return an autoregression with normal noise."""
     return autoregressive(generator, count, frames, correlation)
 
 
 def heavy(generator: Generator, count: int, frames: int, correlation: float) -> Array:
-    """An autoregression with heavy-tailed noise."""
+    """Return an autoregression with heavy-tailed noise."""
     return autoregressive(generator, count, frames, correlation, heavy=True)
 
 
 def frame_noise(generator: Generator, count: int, frames: int, correlation: float) -> Array:
-    """Half of the variance correlated, half noise of each frame: longer memory than the lag-1 correlation shows."""
+    """Return half of the variance correlated, half noise of each frame: longer memory than the lag-1 correlation shows."""
     return (autoregressive(generator, count, frames, correlation) + generator.standard_normal((count, frames))) / np.sqrt(2.0)
 
 
 def slow(generator: Generator, count: int, frames: int, correlation: float) -> Array:
-    """An autoregression on a slow wave of random phase, whose period is half of the clip, and a fifth of the variance."""
+    """Return an autoregression on a slow wave of random phase, whose period is half of the clip, and a fifth of the variance."""
     phase = generator.uniform(0.0, 2.0 * np.pi, (count, 1))
     wave = np.sqrt(0.4) * np.sin(phase + 4.0 * np.pi * np.arange(frames) / frames)
     return np.sqrt(0.8) * autoregressive(generator, count, frames, correlation) + wave
@@ -119,7 +119,7 @@ def cosines(series: Array) -> Array:
 
 
 def prewhitened(series: Array) -> Array:
-    """The same of what an autoregression leaves, coloured again (Andrews & Monahan 1992), with Kendall's correction."""
+    """Return the same of what an autoregression leaves, coloured again (Andrews & Monahan 1992), with Kendall's correction."""
     correlation = corrected_correlation(series)[:, None]
     centred = series - series.mean(axis=1, keepdims=True)
     return cosines(centred[:, 1:] - correlation * centred[:, :-1]) / (1.0 - correlation[:, 0])
@@ -153,7 +153,7 @@ METHODS: dict[str, HalfWidths] = {
 
 
 def posterior_half_widths(posterior: Posterior) -> Array:
-    """Half widths (R,) of the package's method, by bisection of all at once."""
+    """Return half widths (R,) of the package's method, by bisection of all at once."""
     low, high = np.zeros(len(posterior.scales)), posterior.scales.max(axis=1) * stats.t.ppf(UPPER, posterior.freedom)
     for _ in range(30):
         middle = (low + high) / 2.0
@@ -163,7 +163,7 @@ def posterior_half_widths(posterior: Posterior) -> Array:
 
 
 def compare_methods(repetitions: int) -> Iterator[str]:
-    """Coverage in % and mean width, over that of the 95 % interval of who knows the process, of every method."""
+    """Yield the coverage in % and mean width, over that of the 95 % interval of who knows the process, of every method."""
     yield f"| frames | clip | c | {' | '.join(METHODS)} | ours | too short |"
     yield "| ---: | --- | ---: |" + " ---: |" * (len(METHODS) + 2)
     for frames in FRAMES:
@@ -184,13 +184,13 @@ def compare_methods(repetitions: int) -> Iterator[str]:
 
 
 def scene(values: Array, pool: Pool, squares: bool = False) -> PooledScene:
-    """A number of (V, T) values; one view represents the whole rig."""
+    """Return a number of (V, T) values; one view represents the whole rig."""
     views = tuple(f"cam{view}" for view in range(len(values))) if len(values) > 1 else (None,)
     return PooledScene("room", views, tuple(range(values.shape[1])), pool, squares=squares)
 
 
 def rig(generator: Generator, views: int, frames: int, correlation: float, heavy_tails: bool) -> Array:
-    """Errors of views that see the same instant: half of the variance in common; with nine, views also differ."""
+    """Return the errors of views that see the same instant: half of the variance in common; with nine, views also differ."""
     common = autoregressive(generator, 1, frames, correlation, heavy_tails)
     own = autoregressive(generator, views, frames, correlation, heavy_tails)
     of_view = 0.5 * generator.standard_normal((views, 1)) if views > 4 else 0.0
@@ -198,7 +198,7 @@ def rig(generator: Generator, views: int, frames: int, correlation: float, heavy
 
 
 def check_package(repetitions: int) -> Iterator[str]:
-    """Coverage of means and of SDT, which is not shown, and false alarms of paired comparisons of both, all in %."""
+    """Yield the coverage of means and of SDT, which is not shown, and false alarms of paired comparisons of both, all in %."""
     yield "\n| frames | views | tails | c | mean | SDT | false alarms, mean | false alarms, SDT | too short |"
     yield "| ---: | ---: | --- |" + " ---: |" * 6
     cases = [(t, v, h, c) for t in FRAMES for v in (1, 3, 9) for h in (False, True) for c in (0.0, 0.7, 0.9) if not h or v == 3]

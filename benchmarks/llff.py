@@ -73,7 +73,7 @@ def _pair(run: RunFolder, label: str, view: str, measurement: Measurement, frame
 
 
 def means_table(scenes: Mapping[str, Mapping[WayName, Scores]], titles: Mapping[str, str]) -> Iterator[str]:
-    """Means over the test views of each scene, PSNR / SSIM / LPIPS, and what is published by the same way."""
+    """Yield the means over the test views of each scene, PSNR / SSIM / LPIPS, and what is published by the same way."""
     labels = list(titles)
     yield f"| scene | measured as | {' | '.join(titles[label] for label in labels)} | published |"
     yield "| --- |" * 2 + " --- |" * (len(labels) + 1)

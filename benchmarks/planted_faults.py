@@ -51,7 +51,7 @@ def examine_method(run: RunFolder, label: str) -> dict[str, str]:
 
 
 def answer(view: Mapping[str, ViewFrames], fault: Fault, cameras: Mapping[str, FrameReader]) -> str:
-    """The verdict on a planted fault, and what else is said."""
+    """Return the verdict on a planted fault, and what else is said."""
     findings = examine({name: replace(one, rendered=_kept(fault.spoil(one))) for name, one in view.items()}, cameras)
     verdicts = [one.verdict for one in findings if one.question == fault.question]
     others = [f"also {one.question} ({one.verdict})" for one in findings if one.question != fault.question]

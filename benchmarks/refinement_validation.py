@@ -68,7 +68,7 @@ def validate_refinement(cache: Path, seeds: Sequence[int]) -> pd.DataFrame:
 
 
 def _measure_room(cache: Path, seed: int) -> list[dict[str, object]]:
-    """One room in all states, a row per state and view."""
+    """Return one room in all states, a row per state and view."""
     rows: list[dict[str, object]] = []
     exact, choices = render_domain(cache, DOMAIN, seed, ViewPlan())
     names = [(target.name, [source.name for source in sources]) for target, sources in choices]
@@ -85,7 +85,7 @@ def _measure_room(cache: Path, seed: int) -> list[dict[str, object]]:
 
 
 def knocked(cameras: Sequence[Camera], seed: int) -> list[Camera]:
-    """Cameras as a rough calibration has them."""
+    """Return the cameras as a rough calibration has them."""
     rng, centres = np.random.default_rng(seed), np.array([camera.centre for camera in cameras])
     extent = float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
     rough = []

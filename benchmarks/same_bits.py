@@ -118,7 +118,7 @@ def make(folder: Path, setting: dict[str, str], film_only: bool) -> None:
 
 
 def differences(reference: Path, other: Path, film_only: bool) -> Iterator[tuple[str, Difference]]:
-    """Each stage and how far it is from the reference."""
+    """Yield each stage and how far it is from the reference."""
     for layout in CAPTURES:
         yield f"film, {layout}", _bytes(reference / layout, other / layout)
     if not film_only:

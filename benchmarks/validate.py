@@ -56,7 +56,7 @@ def main() -> None:
 
 
 def validate_calibration(capture: Path, out: Path) -> Figures:
-    """Cameras found from the images alone, against those that come with the capture."""
+    """Return the cameras found from the images alone, against those that come with the capture."""
     from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate, measure_against
 
     shutil.rmtree(out, ignore_errors=True)
@@ -86,7 +86,7 @@ def validate_calibration(capture: Path, out: Path) -> Figures:
 
 
 def validate_real_frame(capture: Path, run: Path, protocol: str) -> Figures:
-    """One real instant, leave-one-out on nine views; the target takes no part in any depth."""
+    """Return one real instant, leave-one-out on nine views; the target takes no part in any depth."""
     labels = [label for label in usual_methods() if "+" not in label]  # variants differ over time only
     evaluate(run, open_capture(capture), load_protocol(protocol), labels, default_workers())
     results = Results.read(run)
@@ -119,7 +119,7 @@ def _means(results: Results) -> pd.DataFrame:
 
 
 def _compared(data: str, means: pd.DataFrame, targets: Targets, ours: tuple[str, str], peer: tuple[str, str]) -> Figures:
-    """Figures of one method against one peer; without a target, the peer's value is the target."""
+    """Return the figures of one method against one peer; without a target, the peer's value is the target."""
     figures = {}
     for metric, (target, higher) in targets.items():
         if metric not in means.columns:
@@ -139,7 +139,7 @@ def _compared(data: str, means: pd.DataFrame, targets: Targets, ours: tuple[str,
 
 
 def _shown(table: pd.DataFrame, metric: str) -> str:
-    """One metric per view with its mean, as text."""
+    """Return one metric per view with its mean, as text."""
     return f"\n{metric}\n{table.assign(mean=table.mean(axis=1)).round(4).to_string()}"
 
 

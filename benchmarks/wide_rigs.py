@@ -67,7 +67,7 @@ def _scores(view: View, options: DepthOptions, methods: Sequence[str]) -> Iterat
 
 
 def _dome_views(arguments: argparse.Namespace, options: DepthOptions) -> Iterator[View]:
-    """Each held-out camera at each frame; held-out cameras are sources and partners of none."""
+    """Yield each held-out camera at each frame; held-out cameras are sources and partners of none."""
     if arguments.data is None:
         return
     capture = open_capture(arguments.data / DOME)

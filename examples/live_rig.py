@@ -19,7 +19,7 @@ K = np.array([[FOCAL_PX, 0, WIDTH / 2], [0, FOCAL_PX, HEIGHT / 2], [0, 0, 1]])  
 
 
 def camera_at(name: str, x_m: float) -> Camera:
-    """Camera at (x, 0, 0) that looks along z."""
+    """Return the camera at (x, 0, 0) that looks along z."""
     world_to_camera = np.eye(4)
     world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ [x_m, 0, 0]  # t = -R c
     return Camera(name=name, K=K, world_to_camera=world_to_camera, width=WIDTH, height=HEIGHT, near=1.0, far=4.0)

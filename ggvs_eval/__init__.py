@@ -36,7 +36,7 @@ __all__ = sorted(_PUBLIC)
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, loaded now (PEP 562)."""
+    """Return a public name, loaded now (PEP 562)."""
     if name == "__version__":
         return version("ggvs-eval")
     if name not in _PUBLIC:
@@ -47,5 +47,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names, in addition to loaded attributes."""
+    """Return the public names, in addition to loaded attributes."""
     return sorted({*globals(), *_PUBLIC})

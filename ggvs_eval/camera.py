@@ -121,7 +121,7 @@ class Camera:
 
     @classmethod
     def from_json(cls, name: str, values: Mapping[str, Any]) -> "Camera":
-        """The camera that `to_json` wrote.
+        """Return the camera that `to_json` wrote.
 
         Raises:
             CameraError: a value is missing, or it is no camera.
@@ -206,7 +206,7 @@ class Camera:
         return transformed(self.rotation.T, points_camera - self.translation)
 
     def pixel_centres(self) -> Array:
-        """Image coordinates of every pixel, (H, W, 2).
+        """Return the image coordinates of every pixel, (H, W, 2).
 
         Examples:
             >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
@@ -226,12 +226,12 @@ class Camera:
         return self.unproject(self.pixel_centres(), np.ones((self.height, self.width))) - self.centre
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The camera of the same image resampled to width x height."""
+        """Return the camera of the same image resampled to width x height."""
         K = self.K * np.array([[width / self.width], [height / self.height], [1.0]])
         return replace(self, K=K, width=width, height=height)
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
-        """The camera of the window that starts at pixel (left, top).
+        """Return the camera of the window that starts at pixel (left, top).
 
         Examples:
             >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
@@ -245,7 +245,7 @@ class Camera:
 
 
 def nearest_rotation(matrix: Array) -> tuple[Array, float]:
-    """The rotation nearest to a matrix, by the sum of squared differences of their entries.
+    """Return the rotation nearest to a matrix, by the sum of squared differences of their entries.
 
     Returns:
         The rotation, (3, 3), and the largest difference of an entry.
@@ -263,7 +263,7 @@ def nearest_rotation(matrix: Array) -> tuple[Array, float]:
 
 
 def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> list[Camera]:
-    """The `count` cameras whose centres are nearest to the target's, nearest first, without the target.
+    """Return the `count` cameras whose centres are nearest to the target's, nearest first, without the target.
 
     Ties are broken by name, so that equal inputs give equal lists.
 
@@ -281,7 +281,7 @@ def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> li
 
 
 def translated_path(camera: Camera, span: float, count: int) -> list[Camera]:
-    """A camera path for epipolar plane images: the camera moves along its own horizontal axis and never turns.
+    """Return a camera path for epipolar plane images: the camera moves along its own horizontal axis and never turns.
 
     Args:
         span: length of the path in world units.

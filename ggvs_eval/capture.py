@@ -125,7 +125,7 @@ class Capture:
         return tuple(camera.name for camera in self.cameras)
 
     def camera(self, name: str) -> Camera:
-        """The camera of that name.
+        """Return the camera of that name.
 
         Raises:
             CaptureError: no such camera.
@@ -153,7 +153,7 @@ class Capture:
             yield resize(image, width, height, self.resize_filter)
 
     def frame(self, name: str, index: int) -> Image8:
-        """One frame of one camera; to walk through a video use `frames`, which decodes nothing twice."""
+        """Return one frame of one camera; to walk through a video use `frames`, which decodes nothing twice."""
         return next(self.frames(name, index, index + 1))
 
     def extras_of(self, name: str) -> Extras:
@@ -167,7 +167,7 @@ class Capture:
         return frozenset(name for name in self.camera_names if self.extras_of(name).depth is not None)
 
     def background(self, name: str) -> Image8 | None:
-        """The static background of one camera at the size of that camera, (H, W, 3); None where the capture has none."""
+        """Return the static background of one camera at the size of that camera, (H, W, 3); None where the capture has none."""
         source = self.extras_of(name).background
         if source is None:
             return None
@@ -182,12 +182,12 @@ class Capture:
         return self.source(name).digest
 
     def resized(self, width: int, height: int, resize_filter: ResizeFilter) -> "Capture":
-        """The same capture with every camera and frame at width x height."""
+        """Return the same capture with every camera and frame at width x height."""
         cameras = tuple(camera.resized(width, height) for camera in self.cameras)
         return replace(self, cameras=cameras, resize_filter=resize_filter)
 
     def without(self, names: Sequence[str], reason: str) -> "Capture":
-        """The same capture lacking some cameras; the reason becomes a note where there are any."""
+        """Return the same capture lacking some cameras; the reason becomes a note where there are any."""
         if not set(names) & set(self.camera_names):
             return self
         kept = [index for index, camera in enumerate(self.cameras) if camera.name not in names]
@@ -201,7 +201,7 @@ class Capture:
         )
 
     def noted(self, note: str) -> "Capture":
-        """The same capture with one more note."""
+        """Return the same capture with one more note."""
         return replace(self, notes=(*self.notes, note))
 
     def _index(self, name: str) -> int:

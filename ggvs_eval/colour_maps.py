@@ -34,7 +34,7 @@ class Scale:
 
 
 def depth_colours(depth: Map, nearest: float, farthest: float) -> Image8:
-    """Inverse depth in viridis, near = yellow, far = dark blue; checks where there is none.
+    """Return the inverse depth in viridis, near = yellow, far = dark blue; checks where there is none.
 
     Args:
         depth: (H, W), world units, 0 = invalid.
@@ -48,7 +48,7 @@ def depth_colours(depth: Map, nearest: float, farthest: float) -> Image8:
 
 
 def depth_scale(nearest: float, farthest: float) -> Scale:
-    """The scale of `depth_colours`, far to near."""
+    """Return the scale of `depth_colours`, far to near."""
     inverse = np.linspace(1 / farthest, 1 / nearest, TICKS)
     return Scale(_gradient("viridis"), _ticks(1 / inverse))
 
@@ -61,7 +61,7 @@ def confidence_colours(confidence: Map, is_known: Mask, is_filled: Mask) -> Imag
 
 
 def confidence_scale() -> Scale:
-    """The scale of `confidence_colours`."""
+    """Return the scale of `confidence_colours`."""
     return Scale(_gradient("cividis"), _ticks(np.linspace(0, 1, TICKS)))
 
 
@@ -71,12 +71,12 @@ def difference_colours(difference: Map, is_known: Mask) -> Image8:
 
 
 def difference_scale() -> Scale:
-    """The scale of `difference_colours`, levels of 255."""
+    """Return the scale of `difference_colours`, levels of 255."""
     return Scale(_gradient("magma"), _ticks(np.linspace(0, DIFFERENCE_FULL_SCALE, TICKS)))
 
 
 def with_checks(image: Image8, is_known: Mask) -> Image8:
-    """The image with checks where it shows nothing, (H, W, 3)."""
+    """Return the image with checks where it shows nothing, (H, W, 3)."""
     if is_known.all():
         return image.copy()
     return np.where(is_known[..., None], image, _checks(is_known.shape))
@@ -87,7 +87,7 @@ def _share(values: Map, low: float, high: float) -> Map:
 
 
 def coloured(share: Map, name: str, is_known: Mask) -> Image8:
-    """Values from 0 to 1 in a colour map of Matplotlib, checks where there is none, (H, W, 3)."""
+    """Return the values from 0 to 1 in a colour map of Matplotlib, checks where there is none, (H, W, 3)."""
     colours = _table(name)
     return with_checks(colours.take(np.clip(np.rint(share * 255), 0, 255).astype(np.intp), axis=0), is_known)
 

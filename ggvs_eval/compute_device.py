@@ -78,7 +78,7 @@ def out_of_memory(device: torch.device | str, mend: str) -> Iterator[None]:
 
 
 def clock_s(device: torch.device) -> float:
-    """The time, seconds, when all is done that the device was asked for: a GPU works on while Python goes ahead."""
+    """Return the time, seconds, when all is done that the device was asked for: a GPU works on while Python goes ahead."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return perf_counter()

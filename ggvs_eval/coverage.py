@@ -30,11 +30,11 @@ class Coverage:
     refused: Mapping[str, Mapping[str, str]]
 
     def frames(self, label: str, view: str) -> Sequence[int]:
-        """Frames of one method in one view, rising."""
+        """Return the frames of one method in one view, rising."""
         return self.partial[label].get(view, ()) if label in self.partial else self.numbers
 
     def stretches(self, label: str, view: str) -> tuple[range, ...]:
-        """The same as runs of consecutive frames: what changes from frame to frame is measured inside of each."""
+        """Return the same as runs of consecutive frames: what changes from frame to frame is measured inside of each."""
         stretches: list[range] = []
         for frame in self.frames(label, view):
             if stretches and stretches[-1].stop == frame:
@@ -44,7 +44,7 @@ class Coverage:
         return tuple(stretches)
 
     def unfinished(self, run: RunFolder, views: Sequence[str], labels: Sequence[str]) -> set[str]:
-        """Methods rendered here that lack frames which they have not refused: an earlier call was stopped."""
+        """Return the methods rendered here that lack frames which they have not refused: an earlier call was stopped."""
         here = [label for label in labels if label not in self.imported]
         files = {
             label: [frame_path(run.renders(label, view), frame) for view in views for frame in self.frames(label, view)]
@@ -93,12 +93,12 @@ def require_imported(run: RunFolder, labels: Sequence[str]) -> None:
 
 
 def _refusals(run: RunFolder, label: str, views: Sequence[str]) -> dict[str, str]:
-    """View -> why a method of ours cannot show it."""
+    """Return the view -> why a method of ours cannot show it."""
     records = {view: run.renders(label, view) / JOB_FILE for view in views}
     return {view: why for view, file in records.items() if file.is_file() and (why := read_json(file).get(REFUSED))}
 
 
 def read_import(run: RunFolder, label: str) -> dict[str, Any] | None:
-    """The record of an import; None where the method was rendered here."""
+    """Return the record of an import; None where the method was rendered here."""
     file = run.root / "renders" / label / IMPORT_FILE
     return dict(read_json(file)) if file.is_file() else None

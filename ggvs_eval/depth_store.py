@@ -42,7 +42,7 @@ class DepthMap:
     guess: Map | None = None
 
     def clean(self) -> "DepthMap":
-        """The same where depth `is_known`; elsewhere depth, guess and confidence are 0."""
+        """Return the same where depth `is_known`; elsewhere depth, guess and confidence are 0."""
         known, nothing = is_known(self.depth), np.float32(0)
         guess = None if self.guess is None else np.where(is_known(self.guess), self.guess, nothing)
         stray = ~known & ((self.depth != 0) | (self.confidence != 0))
@@ -52,7 +52,7 @@ class DepthMap:
 
 
 def is_known(depth: Map) -> Mask:
-    """Mask the depth that is positive and finite; any other value of a map is unknown."""
+    """Return the mask the depth that is positive and finite; any other value of a map is unknown."""
     return (depth > 0) & (depth < np.inf)
 
 
@@ -95,7 +95,7 @@ class DepthJob:
         return replace(self, checked_with=(), spec={name: self.spec[name] for name in self.spec if name not in CHECK_ENTRIES})
 
     def checked_against(self, others: tuple["DepthJob", ...], check: Mapping[str, object]) -> "DepthJob":
-        """Depth, checked against that of other cameras."""
+        """Return the depth, checked against that of other cameras."""
         spec = dict(self.spec) | dict(zip(CHECK_ENTRIES, ([other.key for other in others], check), strict=True))
         return replace(self, checked_with=others, spec=spec)
 
@@ -112,7 +112,7 @@ class DepthStore:
 
     @staticmethod
     def key(spec: Mapping[str, object]) -> str:
-        """Key of a description by `describe_depth`: sha256 of its JSON text."""
+        """Return the key of a description by `describe_depth`: sha256 of its JSON text."""
         return hashlib.sha256(json.dumps(spec, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
     def folder(self, key: str) -> Path:
@@ -120,7 +120,7 @@ class DepthStore:
         return self.root / key[:24]
 
     def path(self, key: str, frame: int) -> Path:
-        """The file of one instant."""
+        """Return the file of one instant."""
         return self.folder(key) / f"{frame:06d}.npz"
 
     def has(self, key: str, frame: int) -> bool:

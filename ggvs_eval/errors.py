@@ -90,7 +90,7 @@ class ResultsError(GgvsError):
 
 
 def one_line(text: str) -> str:
-    r"""A text without line breaks, signs that cannot be printed and words beyond all measure.
+    r"""Return a text without line breaks, signs that cannot be printed and words beyond all measure.
 
     Examples:
         >>> one_line("a\n  b" + 2000 * "x")[:12]

@@ -63,12 +63,12 @@ class Lens:
         return self.model == "opencv" and not any(self.coefficients)
 
     def resized(self, width: int, height: int) -> "Lens":
-        """The lens of the same image resampled to width x height."""
+        """Return the lens of the same image resampled to width x height."""
         K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
         return replace(self, K=K, width=width, height=height)
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "Lens":
-        """The lens of a part of the image, of width x height from a column and a row on."""
+        """Return the lens of a part of the image, of width x height from a column and a row on."""
         K = self.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
         return replace(self, K=K, width=width, height=height)
 
@@ -92,7 +92,7 @@ class Lens:
         return np.asarray(distorted, dtype=np.float64).reshape(uv.shape)
 
     def undistorted_K(self) -> Array:
-        """Intrinsics of a pinhole image of the same size in which no pixel is blank.
+        """Return the intrinsics of a pinhole image of the same size in which no pixel is blank.
 
         The lens's own K where that leaves no blank pixel (barrel distortion), else one zoomed in just far enough. The same where
         the model folds over, as strong barrel distortion does beyond the angles that it was calibrated for.

@@ -55,12 +55,12 @@ WAYS: Mapping[WayName, MeasuringWay | None] = {
 
 
 def measuring_way(measurement: Measurement) -> MeasuringWay | None:
-    """The way of measuring that a protocol asks for; None where frames are measured as they are."""
+    """Return the way of measuring that a protocol asks for; None where frames are measured as they are."""
     return WAYS[measurement.as_]
 
 
 def measured_frame(image: Image8, measurement: Measurement) -> NDArray[Any]:
-    """A frame as it is measured.
+    """Return a frame as it is measured.
 
     Returns:
         (H, W, 3), uint8; float64 in [0, 1] where another evaluator's way resizes it.
@@ -70,14 +70,14 @@ def measured_frame(image: Image8, measurement: Measurement) -> NDArray[Any]:
 
 
 def resized_frame(image: Image8, measurement: Measurement) -> Image8:
-    """A frame at the size that a protocol states, in 8 bit."""
+    """Return a frame at the size that a protocol states, in 8 bit."""
     if not measurement.width:
         return image
     return resize(image, measurement.width, measurement.height, measurement.resize_filter)
 
 
 def measured_mask(mask: Image8, measurement: Measurement) -> Mask:
-    """A mask, white where it counts, at the size and in the part in which frames are measured."""
+    """Return a mask, white where it counts, at the size and in the part in which frames are measured."""
     way = measuring_way(measurement)
     for size in ((measurement.width, measurement.height), way.size if way else None):
         if size and size[0]:
@@ -86,6 +86,6 @@ def measured_mask(mask: Image8, measurement: Measurement) -> Mask:
 
 
 def cut_border(frame: NDArray[Any]) -> NDArray[Any]:
-    """A frame without a tenth of its size at every side, rounded down."""
+    """Return a frame without a tenth of its size at every side, rounded down."""
     rows, columns = frame.shape[0] // BORDER, frame.shape[1] // BORDER
     return frame[rows : frame.shape[0] - rows, columns : frame.shape[1] - columns]

@@ -52,7 +52,7 @@ def merge_results(parts: Sequence[Results]) -> Results:
 
 
 def tell_scenes_apart(parts: Sequence[Results]) -> list[Results]:
-    """The same results with one name for each scene that was captured, regardless of its folders' names.
+    """Return the same results with one name for each scene that was captured, regardless of its folders' names.
 
     Scenes of one name whose captured frames differ have a digest of these behind it; of equal frames the first name counts.
     """
@@ -66,14 +66,14 @@ def tell_scenes_apart(parts: Sequence[Results]) -> list[Results]:
 
 
 def _digest_of(results: Results, scene: str) -> str:
-    """Digest of the frames of a scene's cameras, or of its name where no frames are recorded."""
+    """Return the digest of the frames of a scene's cameras, or of its name where no frames are recorded."""
     inputs = results.inputs
     own = {name.removeprefix(f"{scene}/"): digest for name, digest in inputs.items() if name.startswith(f"{scene}/")}
     return digest_values(*(f"{name} {own[name]}" for name in sorted(own))) if own else digest_values(scene)
 
 
 def with_scenes(results: Results, names: Mapping[str, str]) -> Results:
-    """The results with other names of scenes."""
+    """Return the results with other names of scenes."""
     names = {scene: name for scene, name in names.items() if scene != name}
     if not names:
         return results
@@ -107,7 +107,7 @@ def _require_measured_once(parts: Sequence[Results]) -> None:
 
 
 def _missing_scenes(table: pd.DataFrame) -> dict[str, str]:
-    """Label -> scenes that it lacks and others have, in words; means over other scenes do not compare."""
+    """Return the label -> scenes that it lacks and others have, in words; means over other scenes do not compare."""
     scenes = list(dict.fromkeys(table["scene"].astype(str)))
     marks = {}
     for (method, variant), rows in table.groupby(["method", "variant"], sort=False):
@@ -117,7 +117,7 @@ def _missing_scenes(table: pd.DataFrame) -> dict[str, str]:
 
 
 def _absent_everywhere(part: Results, measured: set[str]) -> list[Absence]:
-    """Values that no method of a part has and methods of others do, for each of its methods."""
+    """Return the values that no method of a part has and methods of others do, for each of its methods."""
     labels, scene = dict.fromkeys(part.row_labels), ", ".join(part.scenes)
     return [
         Absence(name, label, scene, "", why) for name, why in part.not_computed.items() if name in measured for label in labels
@@ -125,7 +125,7 @@ def _absent_everywhere(part: Results, measured: set[str]) -> list[Absence]:
 
 
 def join_versions(records: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """Name -> the different entries of several records.
+    """Return the name -> the different entries of several records.
 
     Examples:
         >>> join_versions([{"torch": "2.3.0"}, {"torch": "2.4.1"}, {"torch": "2.3.0"}])

@@ -83,7 +83,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return _offered(self._kind, frozenset(self.shipped)) if self._kind in get_args(Kind) else {}
 
     def __getitem__(self, name: str) -> Entry:
-        """The object of a name.
+        """Return the object of a name.
 
         Raises:
             KeyError: no such name.
@@ -111,11 +111,11 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return len(self.present()) + len(self.plugins)
 
     def present(self) -> list[str]:
-        """Names of what ships, in order, without what is not installed; nothing is loaded."""
+        """Return the names of what ships, in order, without what is not installed; nothing is loaded."""
         return [name for name in self.shipped if self.is_present(name)]
 
     def known(self) -> list[str]:
-        """Names of all, in order, those that are not installed among them."""
+        """Return the names of all, in order, those that are not installed among them."""
         return [*self.shipped, *self.plugins]
 
     def is_present(self, name: object) -> bool:
@@ -127,7 +127,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return {name: self[name] for name in self.present()}
 
     def why_absent(self, name: str) -> str:
-        """The reason why a name that ships is not there, in a line; empty where it is there, or does not ship."""
+        """Return the reason why a name that ships is not there, in a line; empty where it is there, or does not ship."""
         if name not in self.shipped:
             return ""
         if self._needs and not is_installed(self._needs):
@@ -137,7 +137,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return f"{name} is part of {part}, which is not installed; reinstall ggvs-eval or omit it" if part else ""
 
     def root(self, name: str) -> str | None:
-        """The module that an entry that ships is loaded from, for the identity of its code; None of an object."""
+        """Return the module that an entry that ships is loaded from, for the identity of its code; None of an object."""
         entry = self.shipped[name]
         if isinstance(entry, Derived):
             return self.root(entry.base) if entry.base in self.shipped else entry.base.partition(":")[0]
@@ -152,7 +152,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return pkgutil.resolve_name(entry) if isinstance(entry, str) else entry
 
     def working(self) -> Iterator[tuple[str, Entry]]:
-        """Every name with its object, without plug-ins that do not work, of which a line says so."""
+        """Yield every name with its object, without plug-ins that do not work, of which a line says so."""
         for name in self:
             try:
                 yield name, self[name]
@@ -160,7 +160,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
                 _say_once(str(error))
 
     def origins(self, names: Iterable[str]) -> dict[str, str]:
-        """Package and version, or file, of those names that are of plug-ins; for the record of results."""
+        """Return the package and version, or file, of those names that are of plug-ins; for the record of results."""
         return {name: self.plugins[name].origin for name in names if name not in self.shipped and name in self.plugins}
 
     def _load(self, plugin: Plugin) -> Entry:
@@ -205,7 +205,7 @@ def use_file(path: Path) -> None:
 
 @cache
 def missing_part(module: str) -> str | None:
-    """The outermost package of a dotted name that is not installed, or the module itself; None where it is there."""
+    """Return the outermost package of a dotted name that is not installed, or the module itself; None where it is there."""
     above = module.rpartition(".")[0]
     if above and (part := missing_part(above)):
         return part
@@ -219,7 +219,7 @@ def is_installed(module: str) -> bool:
 
 
 def imported(reference: str) -> Any:
-    """The object of ``module:name``, with modules of the working folder."""
+    """Return the object of ``module:name``, with modules of the working folder."""
     module, _, name = reference.partition(":")
     if (here := os.getcwd()) not in sys.path:
         sys.path.append(here)

@@ -61,14 +61,14 @@ def _with_lines(items: Iterable[Item], description: str, total: int | None) -> I
 
 
 def duration(seconds: float) -> str:
-    """A length of time in the unit that suits it."""
+    """Return a length of time in the unit that suits it."""
     if seconds < 120:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def counted(count: int, noun: str) -> str:
-    """A number of things.
+    """Return a number of things.
 
     Examples:
         >>> counted(1, "frame"), counted(2, "frame")

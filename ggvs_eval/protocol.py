@@ -201,7 +201,7 @@ class Protocol:
     stream: Stream | None = field(default=None, metadata=LATER)
 
     def with_folds(self, folds: tuple[tuple[str, ...], ...]) -> "Protocol":
-        """The protocol with these folds stated, or with none."""
+        """Return the protocol with these folds stated, or with none."""
         return dataclasses.replace(self, views=dataclasses.replace(self.views, folds=folds))
 
     def agrees_with(self, other: "Protocol") -> bool:
@@ -229,7 +229,7 @@ class Protocol:
         return dataclasses.replace(self, frames=frames_kept, path=path)
 
     def streamed(self, stream: Stream) -> "Protocol":
-        """The protocol with these conditions, by its metrics and those of them that there are of the screen; its own stay.
+        """Return the protocol with these conditions, by its metrics and those of them that there are of the screen; its own stay.
 
         The warm-up is at most half of the protocol's instants.
         """
@@ -245,11 +245,11 @@ class Protocol:
         return hashlib.sha256(json.dumps(self.values(), sort_keys=True).encode()).hexdigest()
 
     def values(self) -> dict[str, Any]:
-        """Every value as TOML and JSON know it, without later choices that are not made."""
+        """Return every value as TOML and JSON know it, without later choices that are not made."""
         return _values_of(self)
 
     def to_toml(self) -> str:
-        """The protocol as a TOML file that `load_protocol` reads back."""
+        """Return the protocol as a TOML file that `load_protocol` reads back."""
         values = self.values()
         lines = [f"{key} = {_toml_value(value)}" for key, value in values.items() if not isinstance(value, dict)]
         for section, table in values.items():
@@ -270,7 +270,7 @@ def _values_of(table: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A value within tuples as `dataclasses.asdict` gives it."""
+    """Return a value within tuples as `dataclasses.asdict` gives it."""
     if isinstance(value, tuple):
         return tuple(map(_plain, value))
     return dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value
@@ -308,7 +308,7 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
 
 
 def packaged_protocols() -> list[str]:
-    """Names of the protocols that ship with the package.
+    """Return the names of the protocols that ship with the package.
 
     Examples:
         >>> "dynerf" in packaged_protocols()

@@ -15,7 +15,7 @@ Context = tuple[Tensor, Tensor]  # the context's share of both gates, (B, 2 C, H
 
 
 def at_least_single(tensor: Tensor) -> Tensor:
-    """The tensor in single precision where it had less; positions need it although features do not."""
+    """Return the tensor in single precision where it had less; positions need it although features do not."""
     return tensor.to(torch.promote_types(tensor.dtype, torch.float32))
 
 
@@ -43,7 +43,7 @@ class Correlation:
         self._volume = self._rows_of_volume(0, height) if self._rows >= height else None
 
     def lookup(self, columns: Tensor) -> Tensor:
-        """Correlations around given columns of the right image.
+        """Return the correlations around given columns of the right image.
 
         Args:
             columns: assumed position of each left cell in the right image, in cells, (B, H, W).
@@ -64,7 +64,7 @@ class Correlation:
         return 2 * self.radius + 2
 
     def _rows_of_volume(self, start: int, stop: int) -> list[Tensor]:
-        """Correlations of some rows at all levels, (B, rows, W, W_l + 2 margins) each, float32."""
+        """Return the correlations of some rows at all levels, (B, rows, W, W_l + 2 margins) each, float32."""
         scale = self._left.shape[-1] ** -0.5
         volume = []
         for right in self._right:
@@ -73,7 +73,7 @@ class Correlation:
         return volume
 
     def _sample(self, volume: list[Tensor], columns: Tensor) -> Tensor:
-        """Linear interpolation at 2 * radius + 1 columns per cell and level."""
+        """Return the linear interpolation at 2 * radius + 1 columns per cell and level."""
         offsets = torch.arange(-self.radius, self.radius + 2, device=columns.device)  # one more than is returned
         sampled = []
         for level, products in enumerate(volume):
@@ -97,7 +97,7 @@ class ConvGru(nn.Module):
         self.convq = nn.Conv2d(hidden + width_in, hidden, 3, padding=1)
 
     def forward(self, hidden: Tensor, context: Context, *inputs: Tensor) -> Tensor:
-        """One step: h' = (1 - z) h + z q, all (B, C, H, W)."""
+        """Return one step: h' = (1 - z) h + z q, all (B, C, H, W)."""
         for_gates, for_candidate = context
         features = torch.cat(inputs, dim=1)
         weight = torch.cat([self.convz.weight, self.convr.weight])  # one wide convolution is faster than two
@@ -123,7 +123,7 @@ class MotionEncoder(nn.Module):
         self.conv = nn.Conv2d(2 * width, self.width_out - 2, 3, padding=1)
 
     def forward(self, flow: Tensor, correlation: Tensor) -> Tensor:
-        """Flow (B, 2, H, W) and correlations to (B, width_out, H, W)."""
+        """Return the flow (B, 2, H, W) and correlations to (B, width_out, H, W)."""
         matched = functional.relu(self.convc2(functional.relu(self.convc1(correlation))))
         moved = functional.relu(self.convf2(functional.relu(self.convf1(flow))))
         mixed = functional.relu(self.conv(torch.cat([matched, moved], dim=1)))
@@ -179,7 +179,7 @@ class UpdateBlock(nn.Module):
         return [self.gru08(hidden[0], context[0], self.encoder(flow, correlation), *above), *hidden[1:]]
 
     def upsampling_weights(self, hidden: Tensor) -> Tensor:
-        """Weights of convex upsampling before their softmax, (B, 9 * factor**2, H, W)."""
+        """Return the weights of convex upsampling before their softmax, (B, 9 * factor**2, H, W)."""
         weights: Tensor = 0.25 * self.mask(hidden)
         return weights
 
@@ -194,7 +194,7 @@ def walk(
     initial: Tensor | None = None,
     volume_bytes: int = VOLUME_BYTES,
 ) -> tuple[list[Tensor], Tensor]:
-    """All iterations of one pair or several.
+    """Return all iterations of one pair or several.
 
     Args:
         gates: of each level, the convolution that makes the context's share of its gates.
@@ -244,7 +244,7 @@ def _split(context: Tensor) -> Context:
 
 
 def upsample_convex(flow: Tensor, weights: Tensor, factor: int) -> Tensor:
-    """Each fine pixel is a convex mixture of the 3x3 coarse cells around it.
+    """Return each fine pixel is a convex mixture of the 3x3 coarse cells around it.
 
     Args:
         flow: in cells, (B, 1, H, W).

@@ -204,7 +204,7 @@ class Results:
         return {label: f"is {mark}" for label, mark in self.partial.items()} | self.spoilt
 
     def fault_lines(self, names: Mapping[str, str] | None = None) -> list[str]:
-        """Each fault of a method, with the views that have it, the measurement in the first one, and what to do.
+        """Return each fault of a method, with the views that have it, the measurement in the first one, and what to do.
 
         Args:
             names: label -> name to show, where these differ.
@@ -219,13 +219,13 @@ class Results:
         ]
 
     def why_absent(self, metric: str, label: str, view: str = "") -> str:
-        """Reason why a method has no value of a metric, in one view or in any; empty where none is recorded."""
+        """Return the reason why a method has no value of a metric, in one view or in any; empty where none is recorded."""
         mine = (one for one in self.absences if (one.metric, one.label) == (metric, label))
         reasons = (one.reason for one in mine if not view or one.view in ("", view))
         return next(reasons, self.not_computed.get(metric, ""))
 
     def summary(self) -> "pd.DataFrame":
-        """Mean of every metric per dataset, method and variant: over frames, then views, then scenes.
+        """Return the mean of every metric per dataset, method and variant: over frames, then views, then scenes.
 
         Returns:
             Rows (dataset, method, variant), one column per metric, in the order in which they were first measured.
@@ -243,18 +243,18 @@ class Results:
         return per_dataset.unstack("metric", sort=False)
 
     def per_view(self, metric: str) -> "pd.DataFrame":
-        """Mean over frames of one metric: rows (method, variant), one column per view."""
+        """Return the mean over frames of one metric: rows (method, variant), one column per view."""
         rows = self.table[(self.table["metric"] == metric) & self.table["view"].notna()]
         return rows.groupby(["method", "variant", "view"], sort=False)["value"].mean().unstack("view", sort=False)
 
     def per_frame(self, metric: str, view: str) -> "pd.DataFrame":
-        """One metric along time in one view: rows are frames, one column per (method, variant)."""
+        """Return one metric along time in one view: rows are frames, one column per (method, variant)."""
         rows = self.table[(self.table["metric"] == metric) & (self.table["view"] == view) & (self.table["frame"] >= 0)]
         return rows.pivot_table(index="frame", columns=["method", "variant"], values="value", sort=False)
 
 
 def label_of(method: str, variant: str) -> str:
-    """One name for a method and its variant, as run folders write it."""
+    """Return one name for a method and its variant, as run folders write it."""
     return f"{method}+{variant}" if variant else method
 
 
@@ -265,7 +265,7 @@ def split_label(label: str) -> tuple[str, str]:
 
 
 def without_labels(results: Results, labels: Collection[str]) -> Results:
-    """The results without some methods."""
+    """Return the results without some methods."""
     return replace(results, table=results.table[[label not in labels for label in results.row_labels]]) if labels else results
 
 

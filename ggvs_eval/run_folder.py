@@ -73,15 +73,15 @@ class RunFolder:
         return self.root / "report"
 
     def truth(self, view: str) -> Path:
-        """Captured frames of a test view."""
+        """Return the captured frames of a test view."""
         return self.root / "truth" / view
 
     def renders(self, label: str, view: str) -> Path:
-        """Frames of one method (``method`` or ``method+variant``) in one test view."""
+        """Return the frames of one method (``method`` or ``method+variant``) in one test view."""
         return self.root / "renders" / label / view
 
     def path(self, label: str) -> Path:
-        """Frames of one method, or of the ``truth``, along the camera path."""
+        """Return the frames of one method, or of the ``truth``, along the camera path."""
         return self.root / "path" / label
 
     def disoccluded(self, view: str) -> Path:
@@ -89,7 +89,7 @@ class RunFolder:
         return self.root / "disoccluded" / view
 
     def ceilings(self, view: str) -> Path:
-        """Scores that perfect renderings of a test view would have."""
+        """Return the scores that perfect renderings of a test view would have."""
         return self.root / "ceilings" / view
 
     @property
@@ -103,15 +103,15 @@ class RunFolder:
         return self.root / "path_depth"
 
     def path_scores(self, label: str) -> Path:
-        """Values of one method, or of the ``truth``, along the camera path."""
+        """Return the values of one method, or of the ``truth``, along the camera path."""
         return self.root / "path_scores" / label
 
     def scores(self, view: str) -> Path:
-        """Values of every method in one view."""
+        """Return the values of every method in one view."""
         return self.root / "scores" / view
 
     def protocol(self) -> Protocol:
-        """The protocol of this run.
+        """Return the protocol of this run.
 
         Raises:
             ResultsError: the folder is not a run.
@@ -145,7 +145,7 @@ class RunFolder:
         return next((path for path in candidates if path.exists()), Path(record["path"]))
 
     def labels(self) -> list[str]:
-        """Methods that have renders here, in the order in which `ggvs-eval render` was asked for them."""
+        """Return the methods that have renders here, in the order in which `ggvs-eval render` was asked for them."""
         folder = self.root / "renders"
         content = sorted(item.name for item in folder.iterdir() if not item.name.startswith(".")) if folder.is_dir() else []
         order_file = self.root / "methods.json"
@@ -154,7 +154,7 @@ class RunFolder:
 
 
 def frame_path(folder: Path, index: int) -> Path:
-    """Path of one frame in a folder of frames.
+    """Return the path of one frame in a folder of frames.
 
     Examples:
         >>> frame_path(Path("cam00"), 12).as_posix()
@@ -164,7 +164,7 @@ def frame_path(folder: Path, index: int) -> Path:
 
 
 def diagnostics_path(folder: Path, name: str, index: int) -> Path:
-    """Path of the picture of something that a method decided on the way to a frame, in its folder of frames."""
+    """Return the path of the picture of something that a method decided on the way to a frame, in its folder of frames."""
     return frame_path(folder / DIAGNOSTICS / name, index)
 
 

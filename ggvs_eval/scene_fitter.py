@@ -59,7 +59,7 @@ class Footage:
         return tuple((index - self.indices.start) / self.fps if self.fps else 0.0 for index in self.indices)
 
     def image(self, view: str, index: int) -> Image8:
-        """Image of a training camera, RGB uint8, (H, W, 3).
+        """Return the image of a training camera, RGB uint8, (H, W, 3).
 
         Args:
             view: name of a training camera.
@@ -73,11 +73,11 @@ class Footage:
         return next(iter(self.frames[view].frames(index, index + 1)))
 
     def depth(self, view: str, index: int) -> Map:
-        """Estimated z-depth of a training camera, (H, W), world units, 0 where unknown; errors as of `depth_map`."""
+        """Return the estimated z-depth of a training camera, (H, W), world units, 0 where unknown; errors as of `depth_map`."""
         return self.depth_map(view, index).depth
 
     def depth_map(self, view: str, index: int) -> DepthMap:
-        """Estimated depth with its confidence; only at the instants that `SceneFitter.depth_indices` has named.
+        """Return the estimated depth with its confidence; only at the instants that `SceneFitter.depth_indices` has named.
 
         Raises:
             RenderError: a camera or an instant that does not belong to the footage.

@@ -89,7 +89,7 @@ class Sweep:
         return {f"k{k}": dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, k=k)) for k in served}
 
     def rows(self, variant: Protocol, protocol: Protocol) -> tuple[SweepRow, ...]:
-        """The rows that a variant of a protocol has."""
+        """Return the rows that a variant of a protocol has."""
         return tuple(row for row in self.row if not row.only_own_k or variant.synthesis.k == protocol.synthesis.k)
 
 
@@ -129,6 +129,6 @@ def _resolved(row: SweepRow, folder: Path) -> SweepRow:
 
 
 def packaged_sweeps() -> list[str]:
-    """Names of the sweeps that ship with the package."""
+    """Return the names of the sweeps that ship with the package."""
     folder = resources.files("ggvs_eval") / "sweeps"
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))

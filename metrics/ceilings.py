@@ -138,7 +138,7 @@ def _of_coded(
 
 
 def _with_margins(scores: dict[str, float], bounded: Sequence[str]) -> dict[str, float]:
-    """Scores, those that are bounds moved outwards."""
+    """Return the scores, those that are bounds moved outwards."""
     shares = {name: MARGIN_SHARES.get(name, 1.0) if name in bounded else 1.0 for name in scores}
     return {name: value * shares[name] + (MARGINS.get(name, 0.0) if name in bounded else 0.0) for name, value in scores.items()}
 
@@ -182,7 +182,7 @@ class _PerfectRenderings:
 
 
 def _means(scores: ViewScores) -> dict[str, float]:
-    """One number for each metric of the view: its own, or the mean over its frames."""
+    """Return one number for each metric of the view: its own, or the mean over its frames."""
     values: dict[str, list[float]] = {}
     for name, _, value in scores.values:
         values.setdefault(name, []).append(value)

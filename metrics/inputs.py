@@ -41,19 +41,19 @@ def check_mask(mask: Mask, shape: tuple[int, ...]) -> None:
 
 
 def white_level(image: Image) -> float:
-    """The value of white: 255 for uint8, 1 for float."""
+    """Return the value of white: 255 for uint8, 1 for float."""
     return 255.0 if image.dtype == np.uint8 else 1.0
 
 
 def same_kind(rendered: Image, truth: Image) -> tuple[Image, Image]:
-    """Both images as they are if 8-bit, else as float64: OpenCV compares one type only, and not every width of float."""
+    """Return both images as they are if 8-bit, else as float64: OpenCV compares one type only, and not every width of float."""
     if truth.dtype == np.uint8:
         return rendered, truth
     return rendered.astype(np.float64, copy=False), truth.astype(np.float64, copy=False)
 
 
 def mean_inside(rendered: Image, truth: Image, mask: Mask, norm: int) -> float:
-    """Mean over the pixels inside a mask and their channels of what one of OpenCV's norms adds up.
+    """Return the mean over the pixels inside a mask and their channels of what one of OpenCV's norms adds up.
 
     Raises:
         MetricError: images or mask do not fit each other, or fewer than `LEAST_PIXELS` inside.
@@ -64,7 +64,7 @@ def mean_inside(rendered: Image, truth: Image, mask: Mask, norm: int) -> float:
 
 
 def count_inside(mask: Mask, shape: tuple[int, ...]) -> int:
-    """Number of pixels inside a mask."""
+    """Return the number of pixels inside a mask."""
     check_mask(mask, shape)
     n_pixels = int(np.count_nonzero(mask))
     if n_pixels < LEAST_PIXELS:
@@ -73,7 +73,7 @@ def count_inside(mask: Mask, shape: tuple[int, ...]) -> int:
 
 
 def require_finite(value: float, metric: str) -> float:
-    """The value of a metric, or an error where a frame of floats held NaN or infinity: no score is NaN in silence."""
+    """Return the value of a metric, or an error where a frame of floats held NaN or infinity: no score is NaN in silence."""
     if not np.isfinite(value):
         raise MetricError(f"{metric}: the frames hold values that are not finite; render them again")
     return value

@@ -67,14 +67,14 @@ class TruthFrame:
         self._derived: dict[Hashable, Any] = {}
 
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
-        """The result of `compute`, which depends on the truth alone: the first one under this key."""
+        """Return the result of `compute`, which depends on the truth alone: the first one under this key."""
         if key not in self._derived:
             self._derived[key] = compute()
         result: T = self._derived[key]
         return result
 
     def read_only(self) -> "TruthFrame":
-        """The frame with arrays that cannot be written to, and nothing derived."""
+        """Return the frame with arrays that cannot be written to, and nothing derived."""
         previous, disoccluded = (None if each is None else read_only(each) for each in (self.previous, self.disoccluded))
         return TruthFrame(read_only(self.image), previous, disoccluded)
 
@@ -98,12 +98,12 @@ class FramePair:
     colour_map: ColourMap | None = None
 
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
-        """The result of `compute`, which depends on both frames: the first one under this key; see `shared_by_parts`."""
+        """Return the result of `compute`, which depends on both frames: the first one under this key; see `shared_by_parts`."""
         return shared_by_parts(self.rendered, self.truth, key, compute)
 
 
 def shared_by_parts(rendered: NDArray[Any], truth: TruthFrame, key: Hashable, compute: Callable[[], T]) -> T:
-    """A quantity that a metric and its parts derive from the same two frames, kept as long as the captured frame lives."""
+    """Return a quantity that a metric and its parts derive from the same two frames, kept as long as the captured frame lives."""
     # The frame is kept with the result, so that no other one can come to have its identity.
     return truth.once((key, id(rendered)), lambda: (rendered, compute()))[1]
 

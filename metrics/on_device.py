@@ -18,19 +18,19 @@ UPLOADED = "uploaded"
 
 
 def upload_pair(rendered: Image8, truth: TruthFrame, device: str) -> tuple[Tensor, Tensor]:
-    """A rendered and a captured frame on the device, (H, W, 3) uint8; each is uploaded once for all metrics."""
+    """Return a rendered and a captured frame on the device, (H, W, 3) uint8; each is uploaded once for all metrics."""
     theirs = truth.once((UPLOADED, device), lambda: upload(truth.image, device))
     return shared_by_parts(rendered, truth, (UPLOADED, device), lambda: upload(rendered, device)), theirs
 
 
 def upload(image: Image8, device: str) -> Tensor:
-    """A frame on the device."""
+    """Return a frame on the device."""
     return torch.from_numpy(np.ascontiguousarray(image)).to(device)
 
 
 @torch.inference_mode()
 def unit_range(image: Tensor, border: int = 0) -> Tensor:
-    """A frame (H, W, 3) uint8 as doubles in [0, 1], with a black border of N pixels."""
+    """Return a frame (H, W, 3) uint8 as doubles in [0, 1], with a black border of N pixels."""
     return functional.pad(image.double() / 255, (0, 0, border, border, border, border))
 
 
@@ -51,7 +51,7 @@ def window_means(planes: Tensor, taps: Sequence[float]) -> Tensor:
 
 @torch.inference_mode()
 def correlate(plane: Tensor, kernel: Array, stride: int = 1) -> Tensor:
-    """Correlation of a plane (H, W) of doubles reflected at its border (the edge not repeated), with a stride."""
+    """Return the correlation of a plane (H, W) of doubles reflected at its border (the edge not repeated), with a stride."""
     border = kernel.shape[0] // 2
     padded = functional.pad(plane[None, None], (border, border, border, border), mode="reflect")
     with torch.backends.cudnn.flags(enabled=True, deterministic=True):

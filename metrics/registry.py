@@ -86,7 +86,7 @@ DEPTH_METRICS: Registry[DepthMetric] = Registry("metrics of depth", built_in.DEP
 
 
 def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
-    """The metrics of these names, in this order, and next to each the one that it is not to be read without.
+    """Return the metrics of these names, in this order, and next to each the one that it is not to be read without.
 
     Example:
         >>> [metric.name for metric in select_metrics(["mTV", "PSNR"])]
@@ -125,7 +125,7 @@ def scored_on_screen(names: Iterable[str]) -> tuple[ScreenMetric, ...]:
 
 
 def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_map: ColourMap | None) -> list[Scorer]:
-    """One scorer, or one for several metrics that share work, for the metrics of a view.
+    """Return one scorer, or one for several metrics that share work, for the metrics of a view.
 
     Args:
         metrics: see `scored_by_view`.
@@ -149,7 +149,7 @@ def _frame_scorer(
 def derived_rows(
     metrics: Iterable[Metric], values: Mapping[str, Mapping[str, Mapping[int, float]]], options: MetricOptions
 ) -> tuple[dict[str, list[Row]], dict[str, str]]:
-    """Values of those metrics that are made of other metrics' values.
+    """Return the values of those metrics that are made of other metrics' values.
 
     Args:
         values: metric -> view -> frame -> value.
@@ -196,5 +196,5 @@ def pooling_records(names: Iterable[str], options: MetricOptions) -> dict[str, d
 
 
 def ceiling_metrics() -> tuple[str, ...]:
-    """Metrics that perfect renderings are scored with."""
+    """Return the metrics that perfect renderings are scored with."""
     return built_in.METRICS_WITH_CEILING

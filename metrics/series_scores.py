@@ -13,13 +13,13 @@ from ggvs_eval.metrics.stream import ViewScores
 
 
 def series_of_frames() -> dict[str, Series]:
-    """The metrics of a video without truth."""
+    """Return the metrics of a video without truth."""
     metrics = {name: METRICS[name] for name in METRICS_OF_VIDEOS}
     return {name: metric.series for name, metric in metrics.items() if isinstance(metric, ViewMetric) and metric.series}
 
 
 def series_of_depths() -> dict[str, Series]:
-    """The metrics of a depth video."""
+    """Return the metrics of a depth video."""
     return {name: metric.series for name, metric in DEPTH_METRICS.items()}
 
 
@@ -67,7 +67,7 @@ def score_depths(depths: Iterable[Map], static: Mask | None = None) -> ViewScore
 
 
 def mean_values(scores: ViewScores) -> dict[str, float]:
-    """Mean of each metric over the frames that have it, as metric -> value."""
+    """Return the mean of each metric over the frames that have it, as metric -> value."""
     values: dict[str, list[float]] = {}
     for name, _, value in scores.values:
         values.setdefault(name, []).append(value)

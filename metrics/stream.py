@@ -110,7 +110,7 @@ def score_views(
 
 
 def fit_colour_maps(frames: Iterable[tuple[Sequence[Image8], Image8]]) -> list[ColourMap]:
-    """Each method's affine colour map of one view.
+    """Return each method's affine colour map of one view.
 
     Args:
         frames: as for `score_views`; consumed as a stream.
@@ -126,7 +126,7 @@ def fit_colour_maps(frames: Iterable[tuple[Sequence[Image8], Image8]]) -> list[C
 
 
 def _with_derived(scores: ViewScores, asked: Sequence[Metric], hidden: Collection[str], options: MetricOptions) -> ViewScores:
-    """The scores with what one view's other values decide, and without what was measured for that alone."""
+    """Return the scores with what one view's other values decide, and without what was measured for that alone."""
     values: dict[str, dict[str, dict[int, float]]] = {}
     for name, frame, value in scores.values:
         if frame is not None:

@@ -20,7 +20,7 @@ MEAN = "Mean"
 
 
 def tables_of_runs(roots: Sequence[Path], columns: Sequence[str], to: TableFormat, with_notes: bool = False) -> str:
-    """Tables of scored runs of one protocol; neither frames nor the page are touched.
+    """Return the tables of scored runs of one protocol; neither frames nor the page are touched.
 
     Args:
         roots: run folders. One scene makes a table with a metric per column, several one table per metric, a scene per column.
@@ -60,7 +60,7 @@ def _in_short(table: Table, terms: str, metrics: Sequence[str]) -> Table:
 
 
 def _over_scenes(runs: Sequence[MeasuredRun], results: Results, metric: str) -> Table:
-    """A metric with a column per scene and one of their mean, each judged alone."""
+    """Return a metric with a column per scene and one of their mean, each judged alone."""
     parts = {run.scene: main_tables([run], run.results, [metric])[0] for run in runs}
     parts[MEAN] = main_tables(runs, results, [metric])[0]
     unit = parts[MEAN].columns[0].unit

@@ -32,7 +32,7 @@ class FeatureNetwork(nn.Module):
         self.smooth0 = nn.Conv2d(32, 8, 3, padding=1)
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Features of three levels.
+        """Return the features of three levels.
 
         Args:
             images: (B, 3, H, W), RGB in [-1, 1], H and W multiples of 4.
@@ -90,7 +90,7 @@ class CostNetwork(nn.Module):
         self.feat_conv = nn.Sequential(nn.Conv3d(8, 8, 3, padding=1, bias=False))
 
     def forward(self, volume: Tensor) -> tuple[Tensor, Tensor]:
-        """Features and score of each cell.
+        """Return the features and score of each cell.
 
         Args:
             volume: (B, C, D, H, W), sides multiples of 4, or of 8 if deep.
@@ -122,7 +122,7 @@ class Convolution3d(nn.Module):
 
 
 def _enlarging(width_in: int, width: int) -> nn.Sequential:
-    """Transposed convolution to twice the size, normalised."""
+    """Return the transposed convolution to twice the size, normalised."""
     enlarged = nn.ConvTranspose3d(width_in, width, 3, stride=2, padding=1, output_padding=1, bias=False)
     return nn.Sequential(enlarged, nn.BatchNorm3d(width))
 
@@ -148,7 +148,7 @@ class RadianceNetwork(nn.Module):
         )
 
     def forward(self, voxels: Tensor, view_features: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-        """Colour and density of each sample.
+        """Return the colour and density of each sample.
 
         Args:
             voxels: features of the cost volume there, (N, 8).
@@ -204,7 +204,7 @@ class Networks(nn.Module):
 
 
 def load_enerf(path: Path) -> Networks:
-    """The networks of a weights file, in evaluation mode.
+    """Return the networks of a weights file, in evaluation mode.
 
     Args:
         path: the authors' checkpoint, a dict with ``net``, safetensors whose names begin so, or what our training wrote.

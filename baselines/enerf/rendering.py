@@ -80,7 +80,7 @@ class CoarseSurface:
     far: float
 
     def range_at(self, factor: int) -> tuple[Tensor, Tensor]:
-        """Depths between which the surface is assumed, on N times as many pixels, (H', W') twice."""
+        """Return the depths between which the surface is assumed, on N times as many pixels, (H', W') twice."""
         mean, deviation = _enlarge(self.mean, factor), _enlarge(self.deviation, factor)
         return 1 / (mean + deviation).clamp(max=1 / self.near), 1 / (mean - deviation).clamp(min=1 / self.far)
 
@@ -101,7 +101,7 @@ def find_surface(
 def search_coarsely(
     networks: Networks, views: Sequence[SeenView], target: TargetGrid, near: float, far: float, planes: int
 ) -> CoarseSurface:
-    """The first search; arguments as of `find_surface`."""
+    """Return the first search; arguments as of `find_surface`."""
     inverse = torch.linspace(1 / near, 1 / far, planes)[:, None, None]
     cells = int(target.height * COARSE_SCALE), int(target.width * COARSE_SCALE)
     features, scores = _regularised(networks.cost_reg_0, views, target, 0, (1 / inverse).expand(-1, *cells))
@@ -109,7 +109,7 @@ def search_coarsely(
 
 
 def refine_surface(networks: Networks, views: Sequence[SeenView], target: TargetGrid, coarse: CoarseSurface) -> Surface:
-    """The second search, around what the first one found."""
+    """Return the second search, around what the first one found."""
     first, last = coarse.range_at(4)
     depths = first + (last - first) * torch.linspace(0, 1, FINE_PLANES)[:, None, None]
     features, scores = _regularised(networks.cost_reg_1, views, target, 1, depths)
@@ -120,7 +120,7 @@ def refine_surface(networks: Networks, views: Sequence[SeenView], target: Target
 
 
 def disagreement(views: Sequence[SeenView], target: TargetGrid, level: int, depths: Tensor) -> Tensor:
-    """Variance of the views' features over planes before the target.
+    """Return the variance of the views' features over planes before the target.
 
     Args:
         views: at least two.
@@ -147,7 +147,7 @@ def disagreement(views: Sequence[SeenView], target: TargetGrid, level: int, dept
 def _regularised(
     network: CostNetwork, views: Sequence[SeenView], target: TargetGrid, level: int, depths: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Features (8, D, h, w) and scores (D, h, w)."""
+    """Return the features (8, D, h, w) and scores (D, h, w)."""
     features, scores = network(disagreement(views, target, level, depths)[None])
     return features[0].float(), scores[0].float()
 
@@ -158,7 +158,7 @@ def _enlarge(values: Tensor, factor: int) -> Tensor:
 
 
 def expectation(scores: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviation of values under the softmax of their scores.
+    """Return the mean and standard deviation of values under the softmax of their scores.
 
     Args:
         scores: (D, H, W).
@@ -174,14 +174,14 @@ def expectation(scores: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def target_grid(target: Camera, unit: float = 1.0) -> TargetGrid:
-    """The target's padded pixels; `unit` is the network's units of length per world unit."""
+    """Return the target's padded pixels; `unit` is the network's units of length per world unit."""
     return TargetGrid(intrinsics(target), extrinsics(target, unit), padded(target.width), padded(target.height))
 
 
 def render_pixels(
     networks: Networks, views: Sequence[SeenView], surface: Surface, centre: Tensor, rays: Tensor, pixels: tuple[Tensor, Tensor]
 ) -> tuple[Tensor, Tensor]:
-    """Colour and depth of some pixels.
+    """Return the colour and depth of some pixels.
 
     Args:
         views: at least two.
@@ -202,7 +202,7 @@ def render_pixels(
 
 
 def composite(colours: Tensor, density: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
-    """Colours (N, S, 3), front to back, and expected depth (N,) of samples with density (N, S) at depths (N, S).
+    """Return the colours (N, S, 3), front to back, and expected depth (N,) of samples with density (N, S) at depths (N, S).
 
     Reading:
         Depth is the mean under the softmax of the samples' shares, as in the authors' code.
@@ -214,7 +214,7 @@ def composite(colours: Tensor, density: Tensor, depths: Tensor) -> tuple[Tensor,
 
 
 def _fine_voxels(surface: Surface, pixels: tuple[Tensor, Tensor], depths: Tensor) -> Tensor:
-    """Features of the fine volume at the samples, (N * S, 8)."""
+    """Return the features of the fine volume at the samples, (N * S, 8)."""
     height, width = surface.near.shape
     first, last = surface.first[pixels][:, None], surface.last[pixels][:, None]
     rows, columns = (index[:, None].expand_as(depths) for index in pixels)
@@ -232,7 +232,7 @@ def render_surface(
     unit: float,
     pixels_per_chunk: int = PIXELS_AT_ONCE,
 ) -> tuple[Tensor, Tensor]:
-    """RGB (3, H, W) and depth (H, W) in world units, by N pixels at once; gradients reach the networks' parameters."""
+    """Return the RGB (3, H, W) and depth (H, W) in world units, by N pixels at once; gradients reach the networks' parameters."""
     centre = torch.as_tensor(target.centre * unit).float()
     rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()
     parts = []
@@ -244,7 +244,7 @@ def render_surface(
 
 
 def coarse_views(views: Sequence[SeenView]) -> list[SeenView]:
-    """The views at a quarter of their size: the features of that level, and the mean colour of each 4 x 4 pixels."""
+    """Return the views at a quarter of their size: the features of that level, and the mean colour of each 4 x 4 pixels."""
     small = []
     for view in views:
         colours = functional.interpolate(
@@ -259,7 +259,7 @@ def coarse_views(views: Sequence[SeenView]) -> list[SeenView]:
 def render_coarsely(
     networks: Networks, views: Sequence[SeenView], surface: CoarseSurface, centre: Tensor, rays: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Colour and depth of each fourth pixel of every fourth row.
+    """Return the colour and depth of each fourth pixel of every fourth row.
 
     Args:
         views: as `coarse_views` gives them.
@@ -280,7 +280,7 @@ def render_coarsely(
 
 
 def _coarse_voxels(surface: CoarseSurface, depths: Tensor, height: int, width: int) -> Tensor:
-    """Features of the coarse volume at the samples (N, S), (N * S, 8)."""
+    """Return the features of the coarse volume at the samples (N, S), (N * S, 8)."""
     whole = (2 * side - 1 for side in surface.mean.shape)  # index of the last pixel, padded ones included
     sides = (2 * torch.arange(side) / last - 1 for side, last in zip((height, width), whole, strict=True))
     rows, columns = torch.meshgrid(*sides, indexing="ij")

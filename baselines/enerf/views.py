@@ -42,17 +42,17 @@ class SeenView:
         return torch.as_tensor(-self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]).float()
 
     def projection(self, scale: float) -> Matrix:
-        """World to an image of that scale, (4, 4)."""
+        """Return the world to an image of that scale, (4, 4)."""
         return projection(self.K, self.world_to_camera, scale)
 
     def look_up(self, points_world: Tensor) -> Tensor:
-        """Features and colour at points (N, 3), those of the border outside the image, (N, 11)."""
+        """Return the features and colour at points (N, 3), those of the border outside the image, (N, 11)."""
         world_to_image = torch.as_tensor(self.projection(1.0)).float()
         projected = points_world @ world_to_image[:3, :3].T + world_to_image[:3, 3]
         return sample(self.shown, image_places(projected, self.shown)[None], "border")[:, 0].T
 
     def directions(self, points_world: Tensor, target_centre: Tensor) -> Tensor:
-        """Unit difference of this view's and the target's ray at points (N, 3), and their dot product, (N, 4)."""
+        """Return the unit difference of this view's and the target's ray at points (N, 3), and their dot product, (N, 4)."""
         of_target, of_source = _unit(target_centre - points_world), _unit(self.centre - points_world)
         difference = of_source - of_target
         length = difference.norm(dim=-1, keepdim=True).clamp(min=EPSILON)
@@ -60,7 +60,7 @@ class SeenView:
 
 
 def see(network: FeatureNetwork, source: SourceView, unit: float = 1.0) -> SeenView:
-    """Features of a source view.
+    """Return the features of a source view.
 
     Args:
         unit: the network's units of length per world unit.
@@ -69,7 +69,7 @@ def see(network: FeatureNetwork, source: SourceView, unit: float = 1.0) -> SeenV
 
 
 def see_together(network: FeatureNetwork, sources: Sequence[SourceView], unit: float = 1.0) -> list[SeenView]:
-    """Features of source views of one size in one batch, as they are normalised in training; arguments as of `see`."""
+    """Return the features of source views of one size in one batch, as they are normalised in training; arguments as of `see`."""
     images = torch.as_tensor(np.stack([source.image for source in sources])).permute(0, 3, 1, 2).float() / 255
     height, width = (padded(side) for side in images.shape[2:])
     images = functional.pad(images, (0, width - images.shape[3], 0, height - images.shape[2]), mode="replicate")
@@ -82,7 +82,7 @@ def see_together(network: FeatureNetwork, sources: Sequence[SourceView], unit: f
 
 
 def padded(side_px: int) -> int:
-    """The next multiple of 32."""
+    """Return the next multiple of 32."""
     return -(-side_px // SIZE_MULTIPLE) * SIZE_MULTIPLE
 
 
@@ -101,7 +101,7 @@ def extrinsics(camera: Camera, unit: float) -> Matrix:
 
 
 def projection(K: Matrix, world_to_camera: Matrix, scale: float) -> Matrix:
-    """World to (u z, v z, z, 1) of an image of that scale, (4, 4).
+    """Return the world to (u z, v z, z, 1) of an image of that scale, (4, 4).
 
     Reading:
         As the authors', the first two rows of K are scaled, so that pixel (0, 0) is the same place at every scale.
@@ -119,7 +119,7 @@ def image_places(projected: Tensor, channels: Tensor) -> Tensor:
 
 
 def sample(channels: Tensor, places: Tensor, outside: str) -> Tensor:
-    """Bilinear lookup of (C, H, W) at (h, w, 2) in [-1, 1], (C, h, w); `outside` is ``zeros`` or ``border``."""
+    """Return the bilinear lookup of (C, H, W) at (h, w, 2) in [-1, 1], (C, h, w); `outside` is ``zeros`` or ``border``."""
     return functional.grid_sample(channels[None], places[None], mode="bilinear", padding_mode=outside, align_corners=True)[0]
 
 

@@ -30,7 +30,7 @@ class FittedClouds:
             raise RenderError(f"{folder}: wanted a finished fit, RUN/fits/LABEL/FOLD; 'ggvs-eval run' continues with it")
 
     def cloud(self, index: int) -> GaussianCloud:
-        """The Gaussians of an instant."""
+        """Return the Gaussians of an instant."""
         scene = self._whole or StoredScene(scene_file(self._folder, index))
         if scene.motion.kind != "transformation":
             return scene.cloud(index)

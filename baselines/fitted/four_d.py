@@ -89,7 +89,7 @@ class FourD(GaussianFitter):
         return FitState({name: tensor.to(device) for name, tensor in gaussians.items()}, motion.to(device))
 
     def _points(self, footage: Footage) -> Points:
-        """First points; a cloud that a field moves is that of one instant, with the background of all."""
+        """Return the first points; a cloud that a field moves is that of one instant, with the background of all."""
         indices = self.depth_indices(footage.indices)
         is_one_instant = self.motion == "hexplane" and len(indices) > 1
         points = initial_points(footage, indices, 2 * self.points if is_one_instant else self.points)

@@ -96,11 +96,11 @@ class PlaneGrid(nn.Module):
         return product.T
 
     def all_planes(self) -> list[Tensor]:
-        """Every plane, level by level."""
+        """Return every plane, level by level."""
         return [plane for level in self.grids for plane in level]  # type: ignore[attr-defined]  # a ParameterList
 
     def planes(self, spatial: bool) -> list[Tensor]:
-        """The planes of space alone, or those of space and time."""
+        """Return the planes of space alone, or those of space and time."""
         return [
             plane
             for level in self.grids
@@ -110,7 +110,7 @@ class PlaneGrid(nn.Module):
 
 
 def _plane(channels: int, sizes: tuple[int, ...], pair: tuple[int, int]) -> nn.Parameter:
-    """A plane's nodes, (1, C, second axis, first axis): time begins with 1, which changes nothing of a product."""
+    """Return a plane's nodes, (1, C, second axis, first axis): time begins with 1, which changes nothing of a product."""
     plane = nn.Parameter(torch.ones(1, channels, sizes[pair[1]], sizes[pair[0]]))
     return plane if TIME in pair else nn.Parameter(nn.init.uniform_(plane, 0.1, 0.5))
 
@@ -118,7 +118,7 @@ def _plane(channels: int, sizes: tuple[int, ...], pair: tuple[int, int]) -> nn.P
 def field_outputs(
     grid: PlaneGrid, trunk: nn.Module, heads: Sequence[nn.Module], points: Tensor, time: float = 0.0
 ) -> tuple[Tensor, ...]:
-    """Outputs of heads at points, by a kernel where there is one.
+    """Return the outputs of heads at points, by a kernel where there is one.
 
     Args:
         trunk: the layer that all heads share.
@@ -153,7 +153,7 @@ class _Field(nn.Module):
 
 
 def linear(inputs: int, outputs: int) -> nn.Linear:
-    """A layer with the authors' first weights."""
+    """Return a layer with the authors' first weights."""
     layer = nn.Linear(inputs, outputs)
     nn.init.xavier_uniform_(layer.weight)
     nn.init.zeros_(layer.bias)
@@ -203,12 +203,12 @@ class DeformationNetwork(nn.Module):
 
 
 def _bend(plane: Tensor) -> Tensor:
-    """Mean squared second difference along the height of a plane; 0 where it has no three nodes."""
+    """Return the mean squared second difference along the height of a plane; 0 where it has no three nodes."""
     return plane.diff(n=2, dim=2).square().mean() if plane.shape[2] > 2 else plane.new_zeros(())
 
 
 def read_deformation(path: Path) -> DeformationNetwork:
-    """The field of a ``deformation.pth`` of the authors."""
+    """Return the field of a ``deformation.pth`` of the authors."""
     network = DeformationNetwork(torch.zeros(2, 3), PUBLISHED)
     load_strict(read_tensors(path, of=OWNER), network, path, OWNER)
     return network
@@ -222,7 +222,7 @@ def evaluate_compiled(
     axes: Sequence[tuple[int, int]],
     layers: Sequence[Tensor],
 ) -> tuple[Tensor, ...]:
-    """Outputs of each head of a field at points; the same bits for any number of threads.
+    """Return the outputs of each head of a field at points; the same bits for any number of threads.
 
     Args:
         points: (N, 3), float32 on the CPU.
@@ -244,7 +244,7 @@ class _CompiledField(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, time: float, axes: Axes, n_planes: int, *tensors: Tensor) -> tuple[Tensor, ...]:
-        """Outputs of the heads."""
+        """Return the outputs of the heads."""
         from ggvs_eval.kernels import _deformation
 
         ctx.save_for_backward(*tensors)
@@ -254,7 +254,7 @@ class _CompiledField(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *by_outputs: Tensor) -> tuple[Tensor | None, ...]:
-        """Derivatives by the points, the planes and the layers."""
+        """Return the derivatives by the points, the planes and the layers."""
         from ggvs_eval.kernels import _deformation
 
         given = tuple(gradient.contiguous().numpy() for gradient in by_outputs)

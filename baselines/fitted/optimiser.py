@@ -35,7 +35,7 @@ WATCHED = 4  # training images whose PSNR is the curve
 
 
 def photometric_loss(image: Tensor, truth: Tensor, share: float = STRUCTURE) -> Tensor:
-    """The mean absolute difference, mixed with 1 - SSIM.
+    """Return the mean absolute difference, mixed with 1 - SSIM.
 
     Args:
         image: rendered, (H, W, 3), at least 11 x 11.
@@ -173,7 +173,7 @@ def _scatter(state: FitState, count: int, seed: int) -> None:
 
 
 def rotated(quaternions: Tensor, vectors: Tensor) -> Tensor:
-    """Vectors (N, 3) turned by quaternions of any length, w first, (N, 4): v + 2 w (q x v) + 2 q x (q x v)."""
+    """Return the vectors (N, 3) turned by quaternions of any length, w first, (N, 4): v + 2 w (q x v) + 2 q x (q x v)."""
     unit = torch.nn.functional.normalize(quaternions, dim=1)
     across = torch.linalg.cross(unit[:, 1:], vectors, dim=1)
     return vectors + 2 * (unit[:, :1] * across + torch.linalg.cross(unit[:, 1:], across, dim=1))
@@ -232,7 +232,7 @@ class FitSchedule:
 
 
 def clip_schedule(steps: int, coarse_steps: int, most: int, structure: float, save_every: int) -> FitSchedule:
-    """The schedule of a fit from first points to the end: density control in the first half, less often only in long fits.
+    """Return the schedule of a fit from first points to the end: density control in the first half, less often only in long fits.
 
     Args:
         coarse_steps: of these, without motion.

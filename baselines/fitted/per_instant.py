@@ -19,7 +19,7 @@ STATE = "state.pt"
 
 
 def scene_file(folder: Path, index: int) -> Path:
-    """The file of one instant."""
+    """Return the file of one instant."""
     return folder / f"{index:06d}.safetensors"
 
 

@@ -45,7 +45,7 @@ class Points:
         return Points(self.means[rows], self.colours[rows], self.times[rows], self.durations[rows], self.steady[rows])
 
     def spacings(self) -> Tensor:
-        """Root mean square distance of each point to its three nearest neighbours, world units, (N,)."""
+        """Return the root mean square distance of each point to its three nearest neighbours, world units, (N,)."""
         from scipy.spatial import KDTree
 
         places = self.means.numpy().astype(np.float64)
@@ -56,7 +56,7 @@ class Points:
 
 
 def initial_points(footage: Footage, indices: Sequence[int], most: int) -> Points:
-    """Points of some instants, those of what never moves once.
+    """Return the points of some instants, those of what never moves once.
 
     Args:
         most: points at most.
@@ -95,13 +95,13 @@ def initial_points(footage: Footage, indices: Sequence[int], most: int) -> Point
 
 
 def clip_times(footage: Footage, indices: Sequence[int]) -> Array:
-    """Times of instants in the clip, 0 for its first and 1 for its last one."""
+    """Return the times of instants in the clip, 0 for its first and 1 for its last one."""
     first, span = footage.indices[0], max(1, len(footage.indices) - 1)
     return (np.array(indices, dtype=np.float64) - first) / span
 
 
 def _fused(footage: Footage, index: int) -> tuple[Array, Array32]:
-    """Points of an instant that enough cameras agree on, (N, 3), and their colours, (N, 3)."""
+    """Return the points of an instant that enough cameras agree on, (N, 3), and their colours, (N, 3)."""
     depths = [footage.depth(view, index) for view in footage.views]
     pixels = sum(depth.size for depth in depths)
     stride = max(1, round(np.sqrt(pixels / SAMPLES)))
@@ -133,7 +133,7 @@ def _agrees(camera: Camera, depth: Map, points: Array) -> Indices:
 def _thinned(
     means: Array, colours: Array32, ordinals: Indices, instants: int, voxel: float
 ) -> tuple[Array, Array, Indices, Mask]:
-    """One point per voxel and instant, and one for all instants where most of them hold the same colour.
+    """Return one point per voxel and instant, and one for all instants where most of them hold the same colour.
 
     Returns:
         Means and colours (N, 3), ordinal of the instant (N,), and what is the same in most instants (N,).
@@ -162,6 +162,6 @@ def _thinned(
 
 
 def _means(groups: Indices, values: Array | Array32, count: int) -> Array:
-    """Mean of the values (M, 3) of each group, (count, 3)."""
+    """Return the mean of the values (M, 3) of each group, (count, 3)."""
     members = np.maximum(np.bincount(groups, minlength=count), 1)
     return np.stack([np.bincount(groups, column, count) / members for column in values.T.astype(np.float64)], axis=1)

@@ -38,7 +38,7 @@ class PublishedScene(FittedScene):
         self.instants, self._near, self._device = instants, near, device
 
     def cloud(self, index: int) -> GaussianCloud:
-        """The Gaussians of an instant."""
+        """Return the Gaussians of an instant."""
         if index not in self.instants:
             raise RenderError(f"{self._folder}: wanted instants {self.instants[0]}..{self.instants[-1]}, got {index}")
         return self._motion.cloud(self._gaussians, self.instants.index(index) / len(self.instants))
@@ -54,7 +54,7 @@ class PublishedScene(FittedScene):
 
 
 def _iteration(folder: Path) -> Path:
-    """The folder of the two files: the given one, or its last iteration."""
+    """Return the folder of the two files: the given one, or its last iteration."""
     iterations = [path for path in folder.glob("point_cloud/iteration_*") if path.name.removeprefix("iteration_").isdigit()]
     for place in (folder, *sorted(iterations, key=lambda path: int(path.name.removeprefix("iteration_")), reverse=True)):
         if (place / CLOUD).is_file() and (place / FIELD).is_file():

@@ -54,11 +54,11 @@ class Motion(nn.Module, ABC):
     has_coarse_stage = False
 
     def start(self, points: Points) -> dict[str, Tensor]:  # most keep something
-        """Parameters per Gaussian when nothing moves yet."""
+        """Return the parameters per Gaussian when nothing moves yet."""
         return {}
 
     def shared_rate(self, name: str) -> float:  # most share nothing
-        """Learning rate of a parameter that all Gaussians share."""
+        """Return the learning rate of a parameter that all Gaussians share."""
         return 0.0
 
     @abstractmethod
@@ -66,16 +66,16 @@ class Motion(nn.Module, ABC):
         """Return the Gaussians at a time in [0, 1] of the clip."""
 
     def sizes(self) -> dict[str, Any]:
-        """Settings by which `motion_of` makes one that takes its parameters."""
+        """Return the settings by which `motion_of` makes one that takes its parameters."""
         return {}
 
     def penalty(self) -> Tensor | float:
-        """Penalty on motion that is not smooth."""
+        """Return the penalty on motion that is not smooth."""
         return 0.0
 
 
 def canonical(gaussians: Mapping[str, Tensor]) -> GaussianCloud:
-    """The Gaussians as they are kept."""
+    """Return the Gaussians as they are kept."""
     names = ("means", "log_scales", "quaternions", "opacity_logits")
     return GaussianCloud(
         **{name: gaussians[name] for name in names}, sh=torch.cat([gaussians["sh_base"], gaussians["sh_rest"]], dim=1)
@@ -228,7 +228,7 @@ class TransformationMotion(Motion):
         return STEP_PLANE_RATE if ".grids." in name else STEP_LAYER_RATE
 
     def moved(self, gaussians: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Gaussians after the step: places shifted, axes turned; colours stay with the world."""
+        """Return the Gaussians after the step: places shifted, axes turned; colours stay with the world."""
         (moved,) = field_outputs(self.grid, self.layers[0], [self.layers[1:]], gaussians["means"])
         shift, turn = moved.split([3, 4], dim=1)
         turn = turn + torch.tensor([1.0, 0.0, 0.0, 0.0])
@@ -259,14 +259,14 @@ class Backdrop(Motion):
 
 
 def quaternion_product(left: Tensor, right: Tensor) -> Tensor:
-    """The rotation of the left after that of the right, w first, (N, 4) each."""
+    """Return the rotation of the left after that of the right, w first, (N, 4) each."""
     a, u, b, v = left[:, :1], left[:, 1:], right[:, :1], right[:, 1:]
     scalar = a * b - (u * v).sum(dim=1, keepdim=True)
     return torch.cat([scalar, a * v + b * u + torch.linalg.cross(u, v, dim=1)], dim=1)
 
 
 def motion_of(kind: str, sizes: Mapping[str, Any]) -> Motion:
-    """A motion of a kind, with parameters that are to be replaced by those of a file."""
+    """Return a motion of a kind, with parameters that are to be replaced by those of a file."""
     if kind == HexPlaneMotion.kind:
         field = sizes["field"]
         field |= {"levels": tuple(field["levels"]), "heads": tuple(field["heads"])}
@@ -277,7 +277,7 @@ def motion_of(kind: str, sizes: Mapping[str, Any]) -> Motion:
 
 
 def faded(logits: Tensor, fading: Tensor) -> Tensor:
-    """Logits of opacities sigmoid(logits) exp(-fading), both (N,).
+    """Return the logits of opacities sigmoid(logits) exp(-fading), both (N,).
 
     With p the opacity, 1 - p e^-f = (1 - p) (1 + (1 - e^-f) p / (1 - p)), where p / (1 - p) = e^logit.
     """
@@ -324,7 +324,7 @@ class StoredScene:
         self.first, self.last, self.near = notes["first"], notes["last"], notes["near"]
 
     def cloud(self, index: int) -> GaussianCloud:
-        """The Gaussians of an instant."""
+        """Return the Gaussians of an instant."""
         if not self.first <= index <= self.last:
             raise RenderError(f"fitted scene: wanted instants {self.first}..{self.last}, got {index}; fit these instants too")
         return self.motion.cloud(self.gaussians, (index - self.first) / max(1, self.last - self.first))

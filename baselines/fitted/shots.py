@@ -61,24 +61,24 @@ class Shots:
         return NEAR_M * self.footage.units_per_metre
 
     def __len__(self) -> int:
-        """Number of images."""
+        """Return the number of images."""
         return len(self.footage.cameras) * len(self.indices)
 
     def at(self, step: int) -> Shot:
-        """The image of a step; it depends on the seed and the step alone."""
+        """Return the image of a step; it depends on the seed and the step alone."""
         epoch, place = divmod(step, len(self))
         order = np.random.default_rng([self.footage.seed, self.salt, epoch]).permutation(len(self))
         return self.shot(int(order[place]))
 
     def shot(self, ordinal: int) -> Shot:
-        """One of the images, counted camera by camera."""
+        """Return one of the images, counted camera by camera."""
         camera_ordinal, instant = divmod(ordinal, len(self.indices))
         camera, index = self.footage.cameras[camera_ordinal], self.indices[instant]
         frame = self._stored(camera.name)[index - self.footage.indices[0]]
         return Shot(camera, self._times[index], torch.as_tensor(np.array(frame), dtype=torch.float32) / 255)
 
     def evenly(self, count: int) -> list[Shot]:
-        """A few of the images, far from one another."""
+        """Return a few of the images, far from one another."""
         return [self.shot(int(ordinal)) for ordinal in np.linspace(0, len(self) - 1, count)]
 
     def remove_frames(self) -> None:
@@ -92,7 +92,7 @@ class Shots:
         return self._folder / f"{view}.frames.npy"
 
     def _stored(self, view: str) -> Image8:
-        """All frames of a camera, (T, H, W, 3), memory-mapped from a file."""
+        """Return all frames of a camera, (T, H, W, 3), memory-mapped from a file."""
         if view not in self._frames:
             path, indices = self._path(view), self.footage.indices
             if not path.is_file():

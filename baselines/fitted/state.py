@@ -37,7 +37,7 @@ def first_gaussians(points: Points, degree: int, motion: Motion) -> Gaussians:
 
 
 def box_of(means: Tensor) -> Tensor:
-    """Bounding box of points (N, 3), the larger corner first, (2, 3)."""
+    """Return the bounding box of points (N, 3), the larger corner first, (2, 3)."""
     return torch.stack([means.amax(dim=0), means.amin(dim=0)])
 
 
@@ -66,7 +66,7 @@ class FitState:
         self.forget_gradients()
 
     def __len__(self) -> int:
-        """Number of Gaussians."""
+        """Return the number of Gaussians."""
         return len(self.gaussians["means"])
 
     def forget_gradients(self) -> None:

@@ -83,7 +83,7 @@ class Stream(GaussianFitter):
         return StreamedScene(folder, self.device)
 
     def _steps(self, instants: int) -> int:
-        """Steps of N instants together."""
+        """Return the steps of N instants together."""
         return self.steps + (instants - 1) * (self.transforming + self.spawning)
 
     def _journal(self, footage: Footage, folder: Path, before: int, done: int, progress: Progress) -> Journal:
@@ -119,7 +119,7 @@ class Stream(GaussianFitter):
         write_scene(scene_file(folder, index), state.gaussians, field, footage)
 
     def _spawned(self, base: Gaussians, moving: FitState, seed: int) -> Gaussians:
-        """Gaussians next to those with a large image gradient, faint at first."""
+        """Return the Gaussians next to those with a large image gradient, faint at first."""
         pull = moving.gradient_sum / moving.visits.clamp(min=1)
         rows = torch.sort(pull, descending=True, stable=True).indices[: self.spawned]
         rows = rows[pull[rows] > GRADIENT]
@@ -141,7 +141,7 @@ class StreamedScene(FittedScene):
         self._instant: tuple[int, Gaussians] | None = None
 
     def moved(self, index: int) -> Gaussians:
-        """The first instant's Gaussians where they are at another one."""
+        """Return the first instant's Gaussians where they are at another one."""
         first = int(min(self._folder.glob("*.safetensors")).stem)
         at, gaussians = self._instant or (first, {})
         if not gaussians or at > index:

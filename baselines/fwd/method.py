@@ -87,7 +87,7 @@ def halve(source: SourceView) -> HalfView:
 
 
 def halved_camera(camera: Camera, multiple: int) -> Camera:
-    """The camera at half its size, after its window was grown to the right and downwards to multiples of N pixels."""
+    """Return the camera at half its size, after its window was grown to the right and downwards to multiples of N pixels."""
     width, height = (-(-side // multiple) * multiple for side in camera.size)
     return camera.cropped(0, 0, width, height).resized(width // 2, height // 2)
 
@@ -164,7 +164,7 @@ def _pairs(points: Tensor, target: Camera, near: float, radius_px: float) -> tup
 def warp_view(
     network: FwdNetwork, view: HalfView, target: Camera, near: float, smallest: float, count: int = POINTS_PER_PIXEL
 ) -> PointSplat:
-    """Features of a view as the target sees them; gradients reach the network's parameters.
+    """Return the features of a view as the target sees them; gradients reach the network's parameters.
 
     Args:
         near: points at or before this depth in the target are left out, world units.
@@ -186,7 +186,7 @@ def warp_view(
 
 
 def _completed(network: FwdNetwork, images: Tensor, depth: Tensor, smallest: float) -> Tensor:
-    """Depth (H, W) after the completion, if the network has one; world units, 0 where unknown."""
+    """Return the depth (H, W) after the completion, if the network has one; world units, 0 where unknown."""
     if network.completion is None:
         return depth
     share = torch.where(depth > 0, smallest / depth, torch.zeros(())).clamp(max=1)
@@ -195,13 +195,13 @@ def _completed(network: FwdNetwork, images: Tensor, depth: Tensor, smallest: flo
 
 
 def _rays(camera: Camera, target: Camera) -> tuple[Tensor, Tensor]:
-    """Each pixel's ray at depth 1, (H * W, 3), and the camera's centre, (3,), in the target camera, float64."""
+    """Return each pixel's ray at depth 1, (H * W, 3), and the camera's centre, (3,), in the target camera, float64."""
     rays = camera.rays().reshape(-1, 3) @ target.rotation.T
     return torch.as_tensor(rays), torch.as_tensor(np.array(target.rotation @ camera.centre + target.translation))
 
 
 def warp_views(network: FwdNetwork, instant: Instant, points_per_pixel: int | None = None) -> list[PointSplat]:
-    """Features of each source as the target sees them at half its size; gradients reach the network's parameters."""
+    """Return the features of each source as the target sees them at half its size; gradients reach the network's parameters."""
     target = halved_camera(instant.target, SIZE_MULTIPLE)
     near = instant.near_plane
     smallest = min(source.camera.near for source in instant.sources)
@@ -210,6 +210,6 @@ def warp_views(network: FwdNetwork, instant: Instant, points_per_pixel: int | No
 
 
 def decode_views(network: FwdNetwork, instant: Instant, views: Sequence[PointSplat]) -> Tensor:
-    """The target view, (3, H, W) in [0, 1]."""
+    """Return the target view, (3, H, W) in [0, 1]."""
     decoded = network.decode(torch.stack([view.features for view in views]), torch.stack([view.alpha for view in views]))
     return decoded[:, : instant.target.height, : instant.target.width].float() / 2 + 0.5

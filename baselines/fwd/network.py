@@ -83,7 +83,7 @@ class FwdNetwork(nn.Module):
         )
 
     def view_features(self, images: Tensor, directions: Tensor) -> Tensor:
-        """Features of each pixel as seen from the target.
+        """Return the features of each pixel as seen from the target.
 
         Args:
             images: (B, 3, H, W) in [-1, 1].
@@ -97,7 +97,7 @@ class FwdNetwork(nn.Module):
         return adapted
 
     def decode(self, features: Tensor, alphas: Tensor) -> Tensor:
-        """The image that several warped views make together.
+        """Return the image that several warped views make together.
 
         Args:
             features: of each view, (K, width, h, w), h and w even.
@@ -127,7 +127,7 @@ def direction_change(to_source: Tensor, to_target: Tensor) -> Tensor:
 
 @lru_cache(maxsize=2)
 def load_network(path: Path, device: torch.device | str = "cpu") -> FwdNetwork:
-    """The network of a weights file, in evaluation mode, on a device.
+    """Return the network of a weights file, in evaluation mode, on a device.
 
     Whether it completes depth is known from its tensors, which configuration it is from its header.
     """
@@ -190,7 +190,7 @@ class DepthCompletion(nn.Module):
         self.last = nn.Conv2d(WIDTH, 1, 3, padding=1)
 
     def forward(self, images: Tensor, inverse_depth: Tensor) -> Tensor:
-        """Complete some views.
+        """Return the complete some views.
 
         Args:
             images: (B, 3, H, W) in [-1, 1].

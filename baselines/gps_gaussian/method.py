@@ -47,7 +47,7 @@ class RectifiedView:
     depth_ratio: Map
 
     def image(self, source: SourceView) -> Map:
-        """The source image on the canvas, (Hc, Wc, 3), in [0, 1]; 0 outside."""
+        """Return the source image on the canvas, (Hc, Wc, 3), in [0, 1]; 0 outside."""
         colours = cv2.remap(source.image, self.positions, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.where(self.inside[..., None], colours.astype(np.float32) / np.float32(255), np.float32(0))
 
@@ -73,7 +73,7 @@ class RectifiedPair:
         return self.left, self.right
 
     def inverse_depth(self, flow: Map) -> Map:
-        """Inverse depth of both halves from the flow between them.
+        """Return the inverse depth of both halves from the flow between them.
 
         Args:
             flow: column of each pixel's match in the other half less its own, pixels, (2, Hc, Wc), left half first.
@@ -124,13 +124,13 @@ def rectify(left: Camera, right: Camera, whole: bool = False) -> RectifiedPair:
 
 
 def _shrink(corners: Array, image_pixels: int) -> float:
-    """Factor per side, at most 1, that keeps a canvas of all corners (2, 4, 2) within `MOST_PIXELS`."""
+    """Return the factor per side, at most 1, that keeps a canvas of all corners (2, 4, 2) within `MOST_PIXELS`."""
     width, height = np.ptp(corners[..., 0], axis=1).max(), np.ptp(corners[..., 1])
     return float(min(1.0, np.sqrt(MOST_PIXELS * image_pixels / (width * height))))
 
 
 def _rectifying_axes(left: Camera, right: Camera) -> Array:
-    """World to rectified axes, (3, 3): x to the right camera, z as near as can be to both viewing directions."""
+    """Return the world to rectified axes, (3, 3): x to the right camera, z as near as can be to both viewing directions."""
     towards = right.centre - left.centre
     forward = left.axis + right.axis
     distance, length = float(np.linalg.norm(towards)), float(np.linalg.norm(forward))
@@ -154,12 +154,12 @@ def _canvas_size(left: Camera, right: Camera, axes: Array) -> tuple[int, int]:
 
 
 def _in_multiples(width: float, height: float) -> tuple[int, int]:
-    """The sides in multiples that the network takes."""
+    """Return the sides in multiples that the network takes."""
     return int(-(-width // SIZE_MULTIPLE) * SIZE_MULTIPLE), int(-(-height // SIZE_MULTIPLE) * SIZE_MULTIPLE)
 
 
 def _corners(camera: Camera, axes: Array, focal_px: float) -> Array:
-    """The image's corners on the rectified plane, pixels from the principal point, (4, 2)."""
+    """Return the image's corners on the rectified plane, pixels from the principal point, (4, 2)."""
     corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]], np.float64)
     rays = (camera.unproject(corners, np.ones(4)) - camera.centre) @ axes.T  # (4, 3)
     if rays[:, 2].min() < MIN_RAY_Z:
@@ -179,7 +179,7 @@ def _view(camera: Camera, K: Array, axes: Array, size: tuple[int, int]) -> Recti
 
 
 def choose_pairs(target: Camera, cameras: Sequence[Camera], count: int) -> list[tuple[int, int]]:
-    """The nearest pairs that can be rectified; no camera is in two of them.
+    """Return the nearest pairs that can be rectified; no camera is in two of them.
 
     Args:
         count: pairs wanted; fewer come back where there are no more.
@@ -300,7 +300,7 @@ def instant_gaussians(
 def _of_view(
     view: RectifiedView, image: Map, inverse: Map, maps: GaussianMaps, units_per_metre: float, rotations_in: str
 ) -> Gaussians:
-    """The Gaussians of the pixels with known depth; maps are (C, H, W)."""
+    """Return the Gaussians of the pixels with known depth; maps are (C, H, W)."""
     rows, columns = np.nonzero(view.inside & (inverse > 0))
     uv = np.stack([columns, rows], axis=1).astype(np.float64) + 0.5
     centres = view.camera.unproject(uv, 1 / inverse[rows, columns].astype(np.float64))
@@ -318,12 +318,12 @@ def _network_image(view: RectifiedView, image: Map) -> Tensor:
 
 
 def _given(pair: RectifiedPair, sources: tuple[SourceView, SourceView]) -> Map:
-    """Inverse depth of both halves from the depth that the sources come with, (2, Hc, Wc), per world unit."""
+    """Return the inverse depth of both halves from the depth that the sources come with, (2, Hc, Wc), per world unit."""
     return np.stack([view.inverse_depth(source) for view, source in zip(pair.views, sources, strict=True)])
 
 
 def _own(pair: RectifiedPair, flow: Tensor) -> Map:
-    """Inverse depth of both halves from the network's flow (2, 1, Hc, Wc), (2, Hc, Wc), per world unit."""
+    """Return the inverse depth of both halves from the network's flow (2, 1, Hc, Wc), (2, Hc, Wc), per world unit."""
     return pair.inverse_depth(flow[:, 0].numpy(force=True))
 
 

@@ -51,7 +51,7 @@ class Stereo(nn.Module):
         self.update_module = nn.ModuleDict({"update_block": UpdateBlock(SHAPE)})
 
     def forward(self, features: Tensor, iterations: int) -> Tensor:
-        """Flow after some iterations.
+        """Return the flow after some iterations.
 
         Args:
             features: at an eighth of the size, (2, C, H / 8, W / 8): left image, right image.
@@ -108,12 +108,12 @@ class PyramidEncoder(nn.Module):
 
 
 def two_blocks(width_in: int, width: int, stride: int = 1) -> nn.Sequential:
-    """Two residual blocks, the first of which changes width and size."""
+    """Return two residual blocks, the first of which changes width and size."""
     return nn.Sequential(residual_block(width_in, width, stride), residual_block(width, width))
 
 
 def residual_block(width_in: int, width: int, stride: int = 1) -> ResidualBlock:
-    """A residual block with group normalisation."""
+    """Return a residual block with group normalisation."""
     return ResidualBlock(width_in, width, _normalisation, stride)
 
 
@@ -158,7 +158,7 @@ class GaussianRegressor(nn.Module):
         self.opacity_head = _head(1)
 
     def forward(self, images: Tensor, inverse_depth: Tensor, image_features: Pyramid) -> GaussianMaps:
-        """Gaussians of some views.
+        """Return the Gaussians of some views.
 
         Args:
             images: (B, 3, H, W) in [-1, 1], H and W multiples of 8.
@@ -227,12 +227,12 @@ class GpsGaussianNetwork(nn.Module):
         self.gs_parm_regresser = GaussianRegressor(config.widths, config.decoder_widths)
 
     def features(self, images: Tensor) -> Pyramid:
-        """Features of a rectified pair (2, 3, H, W) in [-1, 1], left image first, at 1/2, 1/4 and 1/8 of the size."""
+        """Return the features of a rectified pair (2, 3, H, W) in [-1, 1], left image first, at 1/2, 1/4 and 1/8 of the size."""
         pyramid: Pyramid = self.img_encoder(images)
         return pyramid
 
     def flow(self, features: Pyramid, iterations: int = ITERATIONS) -> Tensor:
-        """Column of each pixel's match in the other image less its own, pixels, (2, 1, H, W)."""
+        """Return the column of each pixel's match in the other image less its own, pixels, (2, 1, H, W)."""
         if self.raft_stereo is None:
             raise WeightsError(
                 f"GPS-Gaussian ({self.configuration}) finds no depth; render gps-gaussian+given-depth, or give the "
@@ -242,14 +242,14 @@ class GpsGaussianNetwork(nn.Module):
         return flow
 
     def gaussians(self, images: Tensor, inverse_depth: Tensor, features: Pyramid) -> GaussianMaps:
-        """The Gaussian of every pixel; inverse depth is per metre, (2, 1, H, W), 0 = unknown."""
+        """Return the Gaussian of every pixel; inverse depth is per metre, (2, 1, H, W), 0 = unknown."""
         maps: GaussianMaps = self.gs_parm_regresser(images, inverse_depth, features)
         return maps
 
 
 @lru_cache(maxsize=2)
 def load_network(path: Path, device: torch.device | str = "cpu") -> GpsGaussianNetwork:
-    """The network of a weights file, in evaluation mode.
+    """Return the network of a weights file, in evaluation mode.
 
     Args:
         path: the authors' checkpoint (a dict with ``network``, ``total_steps``, ``optimizer`` and ``scheduler``), or

@@ -65,12 +65,12 @@ class Footprints:
 
 
 def join(parts: list[Gaussians]) -> Gaussians:
-    """All Gaussians of several sets."""
+    """Return all Gaussians of several sets."""
     return Gaussians(*(torch.cat([getattr(part, name) for part in parts]) for name in Gaussians.__dataclass_fields__))
 
 
 def rotation_matrices(quaternions: Tensor) -> Tensor:
-    """Rotation matrices (N, 3, 3) of unit quaternions w, x, y, z, (N, 4)."""
+    """Return the rotation matrices (N, 3, 3) of unit quaternions w, x, y, z, (N, 4)."""
     w, x, y, z = quaternions.unbind(dim=1)
     rows = [
         torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], dim=1),
@@ -103,7 +103,7 @@ def footprints(gaussians: Gaussians, target: Camera, near: float) -> Footprints:
 
 
 def _image_covariance(points: Tensor, axes: Tensor, scales: Tensor, target: Camera) -> Tensor:
-    """Covariance on the image, entries xx, xy, yy, (N, 3): J W Sigma W^T J^T + blur, J the projection linearised."""
+    """Return the covariance on the image, entries xx, xy, yy, (N, 3): J W Sigma W^T J^T + blur, J the projection linearised."""
     fx, fy = float(target.K[0, 0]), float(target.K[1, 1])
     limit = EDGE * torch.tensor([target.width / (2 * fx), target.height / (2 * fy)])
     z = points[:, 2]
@@ -115,7 +115,7 @@ def _image_covariance(points: Tensor, axes: Tensor, scales: Tensor, target: Came
 
 
 def _conics(covariance: Tensor) -> tuple[Tensor, Tensor]:
-    """Inverse of a covariance (N, 3), and `SIGMAS` standard deviations along its longer axis in whole pixels (N,)."""
+    """Return the inverse of a covariance (N, 3), and `SIGMAS` standard deviations along its longer axis in whole pixels (N,)."""
     xx, xy, yy = covariance.unbind(dim=1)
     determinant = xx * yy - xy * xy
     half_trace = (xx + yy) / 2
@@ -148,7 +148,7 @@ def render_gaussians(gaussians: Gaussians, target: Camera, near: float) -> Gauss
 
 
 def blend_gaussians(gaussians: Gaussians, target: Camera, near: float) -> Tensor:
-    """Colour, depth and coverage, each the sum over Gaussians of its value times alpha times the light left for it.
+    """Return the colour, depth and coverage, each the sum over Gaussians of its value times alpha times the light left for it.
 
     Args:
         gaussians: what is seen; gradients reach all of it.
@@ -196,7 +196,7 @@ def _tiles(splats: Footprints, columns: int, rows: int) -> tuple[Tensor, Tensor]
 
 
 def _blend_tile(splats: Footprints, features: Tensor, members: Tensor, left: int, top: int) -> Tensor:
-    """Features of one tile, (TILE, TILE, C), its Gaussians blended front to back."""
+    """Return the features of one tile, (TILE, TILE, C), its Gaussians blended front to back."""
     light = torch.ones(TILE * TILE)
     blended = torch.zeros(TILE * TILE, features.shape[1])
     for chunk in members.split(CHUNK):
@@ -212,7 +212,7 @@ def _blend_tile(splats: Footprints, features: Tensor, members: Tensor, left: int
 
 
 def _tile_alphas(splats: Footprints, chunk: Tensor, left: int, top: int) -> Tensor:
-    """Alpha of some Gaussians at each pixel of a tile, (TILE**2, n)."""
+    """Return the alpha of some Gaussians at each pixel of a tile, (TILE**2, n)."""
     centres, conics = splats.centres[chunk], splats.conics[chunk]
     steps = torch.arange(TILE, dtype=torch.float32)[:, None]
     across, down = left + steps - centres[:, 0], top + steps - centres[:, 1]  # (TILE, n) each
@@ -224,7 +224,7 @@ def _tile_alphas(splats: Footprints, chunk: Tensor, left: int, top: int) -> Tens
 
 
 def blend_batches(footprints: Footprints, features: Tensor, members: Tensor, starts: Tensor, columns: int) -> Tensor:
-    """Features of every tile, its Gaussians blended front to back: the nearest of all tiles first, then the next ones.
+    """Return the features of every tile, its Gaussians blended front to back: the nearest of all tiles first, then the next ones.
 
     Args:
         features: of each, (N, C).

@@ -46,7 +46,7 @@ class IBRNet:
         return Rendering(image.numpy(force=True), depth.numpy(force=True), seconds)
 
     def _render(self, instant: Instant, views: list[SeenView]) -> tuple[Tensor, Tensor]:
-        """RGB (H, W, 3) and depth (H, W)."""
+        """Return the RGB (H, W, 3) and depth (H, W)."""
         target = instant.target
         near, far = depth_range(instant)
         centre = torch.as_tensor(target.centre).float()

@@ -46,7 +46,7 @@ class FeatureNetwork(nn.Module):
         self.out_conv = nn.Conv2d(width, 2 * WIDTH_EACH, 1)
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Features for the coarse and the fine pass.
+        """Return the features for the coarse and the fine pass.
 
         Args:
             images: (B, 3, H, W), RGB in [0, 1], sides of at least 33 pixels.
@@ -157,7 +157,7 @@ class Networks(nn.Module):
 
 
 def load_ibrnet(path: Path) -> Networks:
-    """The networks of a weights file, in evaluation mode.
+    """Return the networks of a weights file, in evaluation mode.
 
     Args:
         path: the authors' checkpoint, a dict with ``net_coarse``, ``net_fine`` and ``feature_net``, or safetensors whose names
@@ -186,7 +186,7 @@ class RayNetwork(nn.Module):
         self.rgb_fc = _layers(37, 16, 8, 1)
 
     def forward(self, view_features: Tensor, directions: Tensor, visible: Tensor) -> tuple[Tensor, Tensor]:
-        """Colour and density of each sample.
+        """Return the colour and density of each sample.
 
         Args:
             view_features: RGB in [0, 1] and 32 features of each view, (R, S, K, 35), samples in the order of the ray.
@@ -206,7 +206,7 @@ class RayNetwork(nn.Module):
         return (torch.softmax(scores, dim=2) * view_features[..., :3]).sum(dim=2), density
 
     def _per_view(self, view_features: Tensor, directions: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-        """Features (R, S, K, 32) and visibility (R, S, K, 1) of each view, each knowing what the others see."""
+        """Return the features (R, S, K, 32) and visibility (R, S, K, 1) of each view, each knowing what the others see."""
         features = view_features + self.ray_dir_fc(directions)
         weights = self._direction_weights(directions[..., 3:], mask)
         features = self._base(torch.cat(weighted_moments(features, weights), dim=-1), features)
@@ -228,7 +228,7 @@ class RayNetwork(nn.Module):
         return weights / (weights.sum(dim=2, keepdim=True) + EPSILON)
 
     def _density(self, pooled: Tensor, views: Tensor) -> Tensor:
-        """Density (R, S) from pooled features (R, S, 65) and the number of views that see each sample, (R, S, 1)."""
+        """Return the density (R, S) from pooled features (R, S, 65) and the number of views that see each sample, (R, S, 1)."""
         samples = self.geometry_fc(pooled)
         samples = samples + positions(samples.shape[1]).to(samples)
         density = self.out_geometry_fc(self.ray_attention(samples, views > 1))
@@ -260,7 +260,7 @@ class RayAttention(nn.Module):
 
 
 def weighted_moments(features: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and variance over the views: (R, S, K, C) and weights (R, S, K, 1) to (R, S, 1, C) twice."""
+    """Return the mean and variance over the views: (R, S, K, C) and weights (R, S, K, 1) to (R, S, 1, C) twice."""
     mean = (features * weights).sum(dim=2, keepdim=True)
     return mean, (weights * (features - mean) ** 2).sum(dim=2, keepdim=True)
 
@@ -274,7 +274,7 @@ def positions(count: int) -> Tensor:
 
 
 def _layers(*widths: int, last: nn.Module | None = None) -> nn.Sequential:
-    """Linear layers with ELU between them and `last` behind them."""
+    """Return the linear layers with ELU between them and `last` behind them."""
     layers: list[nn.Module] = []
     for width_in, width in pairwise(widths):
         layers += [nn.Linear(width_in, width), nn.ELU(inplace=True)]

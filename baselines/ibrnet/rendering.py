@@ -58,7 +58,7 @@ class SeenView:
         return {name: np.ascontiguousarray(each.permute(1, 2, 0).numpy(), np.float32) for name, each in maps.items()}
 
     def look_up(self, points_world: Tensor, of_pass: Pass) -> tuple[Tensor, Tensor]:
-        """Colour and features at points, and whether the image shows them.
+        """Return the colour and features at points, and whether the image shows them.
 
         Args:
             points_world: (..., 3).
@@ -86,7 +86,7 @@ def directions(points_world: Tensor, target_centre: Tensor, source_centre: Tenso
 
 
 def projection_of(camera: Camera) -> Tensor:
-    """World to image with pixel centres at whole numbers, (3, 4)."""
+    """Return the world to image with pixel centres at whole numbers, (3, 4)."""
     K = camera.K.copy()
     K[:2, 2] -= PIXEL_CENTRE
     return torch.as_tensor(np.ascontiguousarray(K @ camera.world_to_camera[:3])).float()
@@ -97,7 +97,7 @@ def _unit(vectors: Tensor) -> Tensor:
 
 
 def _sample(channels: Tensor, places: Tensor) -> Tensor:
-    """Bilinear lookup of (C, H, W) at (..., 2) in [-1, 1], 0 outside, (..., C)."""
+    """Return the bilinear lookup of (C, H, W) at (..., 2) in [-1, 1], 0 outside, (..., C)."""
     flat = places.reshape(1, 1, -1, 2)
     # The kernel behind `functional.grid_sample`, which on a GPU would take cuDNN's: that refuses some numbers of places.
     sampled = torch.grid_sampler_2d(channels[None], flat, BILINEAR, ZEROS, True)
@@ -105,7 +105,7 @@ def _sample(channels: Tensor, places: Tensor) -> Tensor:
 
 
 def see(networks: Networks, sources: Sequence[SourceView]) -> list[SeenView]:
-    """The source views, ready to be looked up."""
+    """Return the source views, ready to be looked up."""
     views = []
     for source in sources:
         image = torch.as_tensor(source.image).permute(2, 0, 1).float() / 255
@@ -118,7 +118,7 @@ def see(networks: Networks, sources: Sequence[SourceView]) -> list[SeenView]:
 def render_rays(
     networks: Networks, views: Sequence[SeenView], centre: Tensor, rays: Tensor, near: float, far: float
 ) -> tuple[Tensor, Tensor]:
-    """Colour and depth of some rays.
+    """Return the colour and depth of some rays.
 
     Args:
         views: at least two.
@@ -179,19 +179,19 @@ def _shade(
 
 
 def depth_range(instant: Instant) -> tuple[float, float]:
-    """Depths between which surfaces are searched, world units."""
+    """Return the depths between which surfaces are searched, world units."""
     near, far = instant.depth_range
     return NEARER * near, FARTHER * far
 
 
 def coarse_depths(near: float, far: float, count: int) -> Tensor:
-    """Depths from near to far, evenly spaced in inverse depth, (count,)."""
+    """Return the depths from near to far, evenly spaced in inverse depth, (count,)."""
     step = (1 / far - 1 / near) / (count - 1)
     return 1 / (1 / near + torch.arange(count) * step)
 
 
 def finer_depths(depths: Tensor, weights: Tensor, count: int) -> Tensor:
-    """The depths of the first pass and as many more as asked for, drawn evenly from what it saw.
+    """Return the depths of the first pass and as many more as asked for, drawn evenly from what it saw.
 
     Args:
         depths: of the first pass, (R, S), increasing.
@@ -235,7 +235,7 @@ def quantiles(edges: Tensor, weights: Tensor, count: int) -> Tensor:
 def shade_by_kernel(
     network: RayNetwork, views: Sequence[SeenView], of_pass: Pass, centre: Tensor, rays: Tensor, depths: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Colour and density of samples, as `RayNetwork.forward` computes them from `SeenView.look_up` and `directions`.
+    """Return the colour and density of samples, as `RayNetwork.forward` computes them from `SeenView.look_up` and `directions`.
 
     Args:
         views: at least two.
@@ -283,7 +283,7 @@ def packed_layers(network: RayNetwork) -> list[Packed]:
 
 
 def _linear(part: nn.Sequential) -> list[tuple[Tensor, Tensor]]:
-    """Weights and biases of its linear layers."""
+    """Return the weights and biases of its linear layers."""
     return [(layer.weight, layer.bias) for layer in part if isinstance(layer, nn.Linear)]
 
 

@@ -17,7 +17,7 @@ MEASURES = (
 
 
 def relative_errors(depth: Map, truth: Map) -> Map:
-    """Share by which depth differs from the truth.
+    """Return the share by which depth differs from the truth.
 
     Args:
         depth: any shape, world units, 0 = no depth.
@@ -37,7 +37,7 @@ def relative_errors(depth: Map, truth: Map) -> Map:
 
 
 def summarise(errors: Sequence[Map], rejected: Sequence[Map]) -> dict[str, float]:
-    """The measures over the pixels of all pictures together.
+    """Return the measures over the pixels of all pictures together.
 
     Args:
         errors: of each picture, `relative_errors`.

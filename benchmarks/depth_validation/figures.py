@@ -36,7 +36,7 @@ class Measure:
 
 
 def figures_of(group: str, measures: Sequence[Measure], values: Mapping[str, Mapping[str, float]]) -> Figures:
-    """Figures named depth.<group>.<measure>.<matcher>; what could not be measured (NaN) is left out.
+    """Return the figures named depth.<group>.<measure>.<matcher>; what could not be measured (NaN) is left out.
 
     Args:
         group: what was evaluated, e.g. ``motorcycle``.
@@ -60,7 +60,7 @@ def figures_of(group: str, measures: Sequence[Measure], values: Mapping[str, Map
 def quoted_figures(
     group: str, measures: Sequence[Measure], values: Mapping[str, Mapping[str, float]], quoted: Mapping[str, Mapping[str, float]]
 ) -> Figures:
-    """The same values against published ones, named depth.<group>.<measure>.<matcher>.vs.<peer>.
+    """Return the same values against published ones, named depth.<group>.<measure>.<matcher>.vs.<peer>.
 
     Args:
         group: as for `figures_of`.

@@ -71,7 +71,7 @@ def read_motorcycle(folder: Path) -> RectifiedTruth:
 
 
 def score_disparity(disparity: Map, truth: Map, whole: Map | None = None) -> dict[str, float]:
-    """The measures of one disparity map.
+    """Return the measures of one disparity map.
 
     Args:
         disparity: (H, W), pixels, 0 = rejected.
@@ -109,7 +109,7 @@ def fill_disparity(disparity: Map) -> Map:
 
 
 def _evaluated(matcher: StereoMatcher, pair: RectifiedTruth) -> dict[str, float]:
-    """The measures of one matcher; a network has an answer where it rejects it."""
+    """Return the measures of one matcher; a network has an answer where it rejects it."""
     kept, _ = matcher.match(pair.left, pair.right, *DISPARITY_RANGE_PX)
     if not isinstance(matcher, RaftMatcher):
         return score_disparity(kept, pair.disparity)
@@ -118,7 +118,7 @@ def _evaluated(matcher: StereoMatcher, pair: RectifiedTruth) -> dict[str, float]
 
 
 def evaluate_motorcycle(folder: Path, matchers: Mapping[str, StereoMatcher]) -> tuple[dict[str, dict[str, float]], Figures]:
-    """Every matcher on the pair.
+    """Return every matcher on the pair.
 
     Args:
         folder: holds the pair.

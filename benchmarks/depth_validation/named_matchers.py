@@ -10,7 +10,7 @@ from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 
 
 def depth_options(name: str) -> DepthOptions:
-    """The pipeline's own options with the matcher of that name.
+    """Return the pipeline's own options with the matcher of that name.
 
     Raises:
         DepthError: no matcher of that name.
@@ -20,5 +20,5 @@ def depth_options(name: str) -> DepthOptions:
 
 
 def pairwise_matchers(options: Mapping[str, DepthOptions]) -> dict[str, StereoMatcher]:
-    """The matchers that match one rectified pair, by name; the plane sweep wants calibrated partners."""
+    """Return the matchers that match one rectified pair, by name; the plane sweep wants calibrated partners."""
     return {name: each.matcher for name, each in options.items() if not isinstance(each.matcher, PlaneSweep | IterMvs)}

@@ -23,7 +23,7 @@ Errors = tuple[Map, Mask]  # of the pixels of one region of one picture: relativ
 
 
 def evaluate_rooms(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
-    """Every matcher on some cameras of every room, at one instant.
+    """Return every matcher on some cameras of every room, at one instant.
 
     Args:
         rooms: with exact depth.
@@ -47,7 +47,7 @@ def evaluate_rooms(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOpt
 
 
 def estimate_depth(capture: Capture, camera: Camera, image: Image8, options: DepthOptions) -> DepthMap:
-    """Depth of one camera with partners chosen among all others."""
+    """Return the depth of one camera with partners chosen among all others."""
     partners = options.choose_partners(camera, capture.cameras)
     partner_images = [capture.frame(partner.name, FRAME) for partner in partners]
     return DepthEstimator(camera, partners, options).estimate(image, partner_images)
@@ -86,7 +86,7 @@ def _table(
 
 
 def _figures(table: pd.DataFrame) -> Figures:
-    """Means over the validation rooms, and the demo capture alone."""
+    """Return the means over the validation rooms, and the demo capture alone."""
     is_demo = table.index.get_level_values("room") == DEMO
     figures: Figures = {}
     for group, part in (("rooms", table[~is_demo]), (DEMO, table[is_demo])):

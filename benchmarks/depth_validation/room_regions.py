@@ -61,7 +61,7 @@ def find_regions(depth: Map, image: Image8, options: RegionOptions) -> dict[str,
 
 
 def discontinuities(depth: Map, step: float) -> Mask:
-    """Pixels at which depth jumps, on either side of the jump, (H, W).
+    """Return the pixels at which depth jumps, on either side of the jump, (H, W).
 
     Planes are linear in inverse depth, however slanted they are: what bends it by more than `step` of itself from one neighbour
     to the opposite one is no surface. Unknown depth is infinitely far.
@@ -89,7 +89,7 @@ def thin_structures(depth: Map, width_px: int, step: float) -> Mask:
 
 
 def slope_of_grey(image: Image8, window_px: int) -> Map:
-    """Root mean square slope of the grey values in a window around each pixel, grey levels per pixel, (H, W)."""
+    """Return the root mean square slope of the grey values in a window around each pixel, grey levels per pixel, (H, W)."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
     across, down = (cv2.Sobel(grey, cv2.CV_32F, dx, dy, ksize=3, scale=1 / 8) for dx, dy in ((1, 0), (0, 1)))
     energy = cv2.blur(across * across + down * down, (window_px, window_px))

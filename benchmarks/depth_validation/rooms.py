@@ -48,5 +48,5 @@ def film_rooms(out: Path, seeds: Sequence[int] = VALIDATION_SEEDS) -> list[Rende
 
 
 def room_options(seed: int) -> DemoOptions:
-    """The demo's options for a validation room: few frames, no camera path."""
+    """Return the demo's options for a validation room: few frames, no camera path."""
     return DemoOptions(seed=seed, n_frames=FRAMES, path_poses=0)

@@ -51,7 +51,7 @@ class SparsePoints:
 
 
 def read_sparse_points(capture: Capture) -> dict[str, SparsePoints]:
-    """The points that each camera of a COLMAP capture saw, at the capture's size, by the cameras' names.
+    """Return the points that each camera of a COLMAP capture saw, at the capture's size, by the cameras' names.
 
     Reading:
         A point counts with three or more observations and a mean reprojection error below one pixel of the calibrated images.
@@ -75,7 +75,7 @@ def read_sparse_points(capture: Capture) -> dict[str, SparsePoints]:
 
 
 def choose_points(rows: NDArray[np.float64], camera: Camera) -> SparsePoints:
-    """The points worth comparing with, of one camera's rows as `sparse_reader.read_observations` gives them."""
+    """Return the points worth comparing with, of one camera's rows as `sparse_reader.read_observations` gives them."""
     uv, depth = rows[:, :2] * camera.size, rows[:, 2]
     inside = ((uv >= 0) & (uv < camera.size)).all(axis=1)
     sure = (rows[:, 3] >= MIN_OBSERVATIONS) & (rows[:, 4] >= 0) & (rows[:, 4] < MAX_REPROJECTION_PX)
@@ -84,7 +84,7 @@ def choose_points(rows: NDArray[np.float64], camera: Camera) -> SparsePoints:
 
 
 def score_points(depth: Map, points: SparsePoints) -> dict[str, float]:
-    """Depth at the pixels that hold the observations, against those of the points.
+    """Return the depth at the pixels that hold the observations, against those of the points.
 
     Args:
         depth: (H, W), world units, 0 = no depth, which counts as an error of 100 %.
@@ -104,7 +104,7 @@ def score_points(depth: Map, points: SparsePoints) -> dict[str, float]:
 
 
 def evaluate_sparse(capture: Capture, options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
-    """The first instant of every camera, each matched with partners chosen among all others.
+    """Return the first instant of every camera, each matched with partners chosen among all others.
 
     Args:
         capture: a COLMAP capture at the size that is evaluated.

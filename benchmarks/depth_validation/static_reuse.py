@@ -25,7 +25,7 @@ MEASURES = (
 
 
 def evaluate_reuse(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
-    """The first camera of every room over its first frames, the first of which is always computed whole.
+    """Return the first camera of every room over its first frames, the first of which is always computed whole.
 
     Args:
         rooms: with exact depth.

@@ -38,7 +38,7 @@ STATIC = "static_percent"
 
 
 def evaluate_temporal(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
-    """The first camera of every room over some frames.
+    """Return the first camera of every room over some frames.
 
     Args:
         rooms: with exact depth.
@@ -86,7 +86,7 @@ def estimate_views(room: RenderedRoom, camera: Camera, images: Mapping[str, Imag
 
 
 def measure_spread(views: Sequence[SourceView], static: Mask) -> dict[str, float]:
-    """Spread over time before and after the temporal filter with its own parameters, and the share that remains.
+    """Return the spread over time before and after the temporal filter with its own parameters, and the share that remains.
 
     In addition, what `ggvs-eval steadiness --depth` calls flicker and sharpness, of the unfiltered depth.
 
@@ -104,7 +104,7 @@ def measure_spread(views: Sequence[SourceView], static: Mask) -> dict[str, float
 
 
 def temporal_spread(depths: Map, static: Mask) -> float:
-    """Median over the static pixels of the standard deviation of depth over time, as a share of the mean depth.
+    """Return the median over the static pixels of the standard deviation of depth over time, as a share of the mean depth.
 
     Args:
         depths: (T, H, W), world units, 0 = no depth; pixels that miss it at any instant are left out.
@@ -126,7 +126,7 @@ def temporal_spread(depths: Map, static: Mask) -> float:
 
 
 def film_static(room: RenderedRoom, camera: Camera) -> Mask:
-    """Mask the pixels that do not change over the first frames, (H, W): filmed without gain and noise."""
+    """Return the mask the pixels that do not change over the first frames, (H, W): filmed without gain and noise."""
     shot = next(shot for shot in rig_shots(room.options) if shot.camera.name == camera.name)
     noise_free = replace(shot, sensor=None, instants=shot.instants[:FRAMES])
     frames = list(track(Footage(room.options, noise_free, _lit(room)).frames(), f"{room.name} without noise", FRAMES))
@@ -134,7 +134,7 @@ def film_static(room: RenderedRoom, camera: Camera) -> Mask:
 
 
 def find_static(images: Image8, depths: Map) -> Mask:
-    """Pixels whose noise-free colour and exact depth are the same at all instants.
+    """Return the pixels whose noise-free colour and exact depth are the same at all instants.
 
     Args:
         images: (T, H, W, 3).

@@ -192,7 +192,7 @@ def _animation(parts: _Parts, frames: Sequence[int], fps: float) -> dict[str, An
 
 
 def _rotation_to_y(up: Sequence[float]) -> list[float]:
-    """The shortest rotation that takes a direction to +Y, which is up in glTF; x, y, z, w."""
+    """Return the shortest rotation that takes a direction to +Y, which is up in glTF; x, y, z, w."""
     direction = np.asarray(up, np.float64)
     length = float(np.linalg.norm(direction))
     if direction.shape != (3,) or not 0 < length < np.inf:

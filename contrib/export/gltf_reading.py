@@ -42,7 +42,7 @@ LIKE_A_BROKEN_DOCUMENT = (KeyError, IndexError, TypeError, ValueError, Attribute
 
 
 def glb_frames(path: Path) -> dict[int, int]:
-    """Frame number -> number of its mesh, ascending; the mesh of a file of others is of frame 0.
+    """Return the frame number -> number of its mesh, ascending; the mesh of a file of others is of frame 0.
 
     Raises:
         RenderError: no such file, no ``.glb``, or no Gaussians in it that are read.
@@ -117,7 +117,7 @@ def _open(path: Path) -> _Opened:
 
 
 def _values(opened: _Opened, number: int, file: IO[bytes]) -> Array32:
-    """Rows of an accessor as floats, (N, components)."""
+    """Return the rows of an accessor as floats, (N, components)."""
     accessor = opened.document["accessors"][number]
     view = opened.document["bufferViews"][accessor["bufferView"]]
     width = next(count for count, name in TYPES.items() if name == accessor["type"])

@@ -126,7 +126,7 @@ def _run(work: Path) -> dict[str, Any]:
 
 
 def _mean_length(tracks: Sequence[Sequence[int]], in_place: NDArray[np.bool_]) -> float:
-    """Mean number of views in their places that see a point."""
+    """Return the mean number of views in their places that see a point."""
     return float(np.mean([np.count_nonzero(in_place[track]) for track in tracks])) if tracks else 0.0
 
 
@@ -145,7 +145,7 @@ def _at_their_cameras(poses: dict[int, Any], cameras: Sequence[Camera]) -> NDArr
 
 
 def _aligned_errors(solved_rotations: Points, solved_centres: Points, rotations: Points, centres: Points) -> NDArray[np.float64]:
-    """Distances of solved centres from the given ones after the similarity that fits three quarters of them best.
+    """Return the distances of solved centres from the given ones after the similarity that fits three quarters of them best.
 
     The rotation is that of the cameras' axes, since the centres of a straight path leave one around it open.
     """
@@ -161,7 +161,7 @@ def _aligned_errors(solved_rotations: Points, solved_centres: Points, rotations:
 
 
 def _half_steps(centres: Points) -> NDArray[np.float64]:
-    """Half the mean distance of each camera of a path from its neighbours."""
+    """Return half the mean distance of each camera of a path from its neighbours."""
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     return (np.append(steps[:1], steps) + np.append(steps, steps[-1:])) / 4
 

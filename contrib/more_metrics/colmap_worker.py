@@ -103,7 +103,7 @@ def _models(folder: Path, database: Path) -> list[Any]:
 
 
 def _mapping_options(init_angle_deg: float) -> Any:
-    """One thread and fixed seeds: equal images give equal models. Lenses are known or guessed, never solved for."""
+    """Return one thread and fixed seeds: equal images give equal models. Lenses are known or guessed, never solved for."""
     import pycolmap
 
     options = pycolmap.IncrementalPipelineOptions()

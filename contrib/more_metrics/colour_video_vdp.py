@@ -92,7 +92,7 @@ def _quality(frames: SpooledFrames, device: str, display: str = DISPLAY, frames_
 
 @lru_cache(maxsize=1)
 def load_package() -> Any:
-    """The metric's own module, without its package's imports for files, trained variants and progress bars.
+    """Return the metric's own module, without its package's imports for files, trained variants and progress bars.
 
     Of torchvision it uses one Gaussian blur. Where a package is absent, or was compiled for another torch, a substitute is used
     for it while the module is imported: the blur does the same, and what is never called is empty.
@@ -146,7 +146,7 @@ class GaussianBlur:
         self._sigma_px = sigma_px
 
     def forward(self, images: "torch.Tensor") -> "torch.Tensor":
-        """The blurred images, same shape."""
+        """Return the blurred images, same shape."""
         import torch
         from torch.nn import functional
 

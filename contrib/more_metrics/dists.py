@@ -23,7 +23,7 @@ Statistics = tuple["torch.Tensor", "torch.Tensor"]
 
 
 def dists(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
-    """Distance of structure and texture of two frames, tolerant to textures that are sampled anew.
+    """Return the distance of structure and texture of two frames, tolerant to textures that are sampled anew.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
@@ -52,7 +52,7 @@ def dists(rendered: Image, truth: Image, mask: Mask | None = None) -> float:
 
 
 def dists_features(image: Image, device: str = "cpu") -> "list[torch.Tensor]":
-    """The frame and its features after each of the five blocks of VGG16, 3 to 512 channels, (1, C, H', W') float32 each.
+    """Return the frame and its features after each of the five blocks of VGG16, 3 to 512 channels, (1, C, H', W') float32 each.
 
     Raises:
         MetricError: the frame is too small.
@@ -90,7 +90,7 @@ def _block(features: "torch.Tensor", first: int, last: int, weights: "dict[str, 
 
 
 def _l2_pool(features: "torch.Tensor") -> "torch.Tensor":
-    """Root of the squares under a Hann window of 3 x 3 at every second place, in the place of VGG's maximum.
+    """Return the root of the squares under a Hann window of 3 x 3 at every second place, in the place of VGG's maximum.
 
     As sums of shifted slices, a tenth of the time of a convolution by channel.
     """
@@ -134,7 +134,7 @@ def dists_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", m
 
 
 def _mean_over(stage: "torch.Tensor", mask: Mask | None) -> "partial[torch.Tensor]":
-    """The mean over the places of a stage, (1, C, 1, 1), or over the shares of them that are inside a mask."""
+    """Return the mean over the places of a stage, (1, C, 1, 1), or over the shares of them that are inside a mask."""
     import torch
 
     if mask is None:
@@ -152,7 +152,7 @@ def _weighted_mean(values: "torch.Tensor", share: "torch.Tensor") -> "torch.Tens
 
 @lru_cache(maxsize=1)
 def load_dists_weights(device: str = "cpu") -> "list[Statistics]":
-    """Weights of texture and of structure of each stage, (C,) each; together they sum to 1."""
+    """Return the weights of texture and of structure of each stage, (C,) each; together they sum to 1."""
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 

@@ -26,7 +26,7 @@ FETCH_COMMAND = "python -m ggvs_eval.contrib.more_metrics.fetch_dists"
 
 
 def dists_weights_path() -> Path:
-    """The safetensors file of DISTS, present or not."""
+    """Return the safetensors file of DISTS, present or not."""
     return cache_folder() / "dists-v0.1.safetensors"
 
 

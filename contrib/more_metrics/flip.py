@@ -12,7 +12,7 @@ from ggvs_eval.metrics.metric import FURTHER, FramePair, ViewMetric
 
 
 def flip(rendered: Image, truth: Image) -> float:
-    """Mean FLIP error of one frame (Andersson et al. 2020), seen at 67 pixels per degree.
+    """Return the mean FLIP error of one frame (Andersson et al. 2020), seen at 67 pixels per degree.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1], sRGB.

@@ -86,7 +86,7 @@ def dists_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
 
 
 def _shrunk(image: Image8) -> Image8:
-    """The frame as Pillow shrinks it, bilinear, where its shorter side is longer than that of the script."""
+    """Return the frame as Pillow shrinks it, bilinear, where its shorter side is longer than that of the script."""
     from PIL import Image
 
     height, width = image.shape[:2]

@@ -38,14 +38,14 @@ AGREED_PX = 1.0  # of the pose that the map is drawn against: one for all must n
 
 
 def match_grid(camera: Camera) -> NDArray[np.float32]:
-    """Pixels that are matched, column and row, (N, 2)."""
+    """Return the pixels that are matched, column and row, (N, 2)."""
     every = max(LEAST_SPACING_PX, round(float(np.sqrt(camera.width * camera.height / N_POINTS))))
     rows, columns = np.mgrid[every // 2 : camera.height : every, every // 2 : camera.width : every]
     return np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float32)
 
 
 def lift(camera: Camera, depth: NDArray[np.float32], points: NDArray[np.float32]) -> tuple[Array, NDArray[np.bool_]]:
-    """The points in the camera's frame, homogeneous (N, 4), and whether all that is matched around one has its depth."""
+    """Return the points in the camera's frame, homogeneous (N, 4), and whether all that is matched around one has its depth."""
     column, row = points.astype(int).T
     z = depth[row, column].astype(np.float64)
     around = np.ones(LUCAS_KANADE["winSize"], np.uint8)
@@ -55,7 +55,7 @@ def lift(camera: Camera, depth: NDArray[np.float32], points: NDArray[np.float32]
 
 
 def project(K: Array, points_3d: Array) -> Array:
-    """Pixels as OpenCV counts them, from the centre of the first, (N, 2)."""
+    """Return the pixels as OpenCV counts them, from the centre of the first, (N, 2)."""
     return points_3d[:, :2] / np.maximum(points_3d[:, 2:3], 1e-9) * K[[0, 1], [0, 1]] + K[:2, 2] - 0.5
 
 
@@ -69,7 +69,7 @@ def find_matches(image: Image8, later: Image8, points: NDArray[np.float32]) -> t
 
 
 def depth_layers(depths: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Number of the layer of each depth, 0 for the nearest and -1 for unknown: k-means, which begins at quantiles."""
+    """Return the number of the layer of each depth, 0 for the nearest and -1 for unknown: k-means, which begins at quantiles."""
     layers = np.full(len(depths), -1)
     known = depths[depths > 0]
     starts = np.unique(np.quantile(known, (np.arange(LAYERS) + 0.5) / LAYERS)) if known.size else known
@@ -281,7 +281,7 @@ def _step(cameras: Sequence[Camera], look: Look, points: NDArray[np.float32], fi
 
 
 def _measure(path: RenderedPath) -> list[Value]:
-    """Variances of every step, at its first pose, and of the whole path."""
+    """Return the variances of every step, at its first pose, and of the whole path."""
     measured = _measured(path.cameras, path.look)
     rotation, translation, share = NAMES
     values: list[Value] = [(rotation, pose, value) for pose, value, _ in measured.steps]

@@ -82,7 +82,7 @@ def _vmaf_of(frames: SpooledFrames, model: str = MODEL, matrix: str = "bt709") -
 
 
 def find_ffmpeg() -> str:
-    """The program of imageio-ffmpeg, or that of its variable ``IMAGEIO_FFMPEG_EXE``."""
+    """Return the program of imageio-ffmpeg, or that of its variable ``IMAGEIO_FFMPEG_EXE``."""
     try:
         import imageio_ffmpeg
 

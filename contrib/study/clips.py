@@ -64,7 +64,7 @@ class Clip:
         return len(self.cameras) > 1
 
     def camera(self, frame: int) -> Camera:
-        """The camera at a frame."""
+        """Return the camera at a frame."""
         return self.cameras[frame if self.moves else 0]
 
     def view_angles_deg(self) -> Array:
@@ -101,7 +101,7 @@ class Take:
         return cls(folder, name, digest_files(files))
 
     def clips(self) -> Iterator[Clip]:
-        """The views one by one."""
+        """Yield the views one by one."""
         return (_read_clip(file) for file in sorted(self.folder.glob("*.npz")))
 
 

@@ -95,7 +95,7 @@ def colour_cast(frames: Image8, percent: float, seed: int = 0) -> Image8:
 
 
 def _displaced(frame: Image8, across_px: Array | float, down_px: Array | float) -> Image8:
-    """A frame resampled at x - d by cubic splines; displacements broadcast to (H, W), the border is repeated.
+    """Return a frame resampled at x - d by cubic splines; displacements broadcast to (H, W), the border is repeated.
 
     OpenCV's own resampling knows 32 places between two pixels, too few for the smallest shifts.
     """

@@ -36,13 +36,13 @@ class Ladder:
     is_rendered: bool = False
 
     def frames(self, clip: Clip, strength: float, seed: int) -> Image8:
-        """The clip at this strength; at 0 the undegraded one, bit for bit."""
+        """Return the clip at this strength; at 0 the undegraded one, bit for bit."""
         if strength == 0 and not self.is_rendered:
             return clip.undegraded
         return self.plant(clip, strength, seed)
 
     def refuses(self, clip: Clip) -> str:
-        """Reason why a clip cannot be degraded so; empty where it can."""
+        """Return the reason why a clip cannot be degraded so; empty where it can."""
         if self.wants_path and not clip.moves:
             return "the camera is static"
         if self.wants_path and clip.depths is None:
@@ -108,7 +108,7 @@ LADDERS: dict[str, Ladder] = {ladder.name: ladder for ladder in _ALL}
 
 
 def select_ladders(names: tuple[str, ...]) -> tuple[Ladder, ...]:
-    """The ladders of these names; all where none is named."""
+    """Return the ladders of these names; all where none is named."""
     for name in names:
         if name not in LADDERS:
             raise MetricError(f"no ladder {name!r}{did_you_mean(name, LADDERS)}; all are {', '.join(LADDERS)}")

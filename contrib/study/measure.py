@@ -48,7 +48,7 @@ def absent_kinds(metrics: Sequence[str]) -> Reasons:
 
 
 def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of the metrics of a study: those that are not costly by default, ``all``, or those that are named.
+    """Return the names of the metrics of a study: those that are not costly by default, ``all``, or those that are named.
 
     Parts of an image (``PSNR_static``, ...) are measured where they are named.
     """
@@ -65,7 +65,7 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def series_job(out: Path, take: Take, ladder: Ladder | None, seed: int, metrics: Sequence[str]) -> Job:
-    """The job of one series; in it a metric is measured again when its code has changed, and all when the frames have.
+    """Return the job of one series; in it a metric is measured again when its code has changed, and all when the frames have.
 
     Args:
         ladder: how; None for the undegraded frames.
@@ -84,7 +84,7 @@ def series_job(out: Path, take: Take, ladder: Ladder | None, seed: int, metrics:
 
 
 def _still_valid(record_file: Path, identity: Mapping[str, Any]) -> dict[str, str]:
-    """Metrics that an earlier call has measured, with the code that they still have; they stay, asked for or not."""
+    """Return the metrics that an earlier call has measured, with the code that they still have; they stay, asked for or not."""
     if not record_file.is_file():
         return {}
     known = read_json(record_file)["identity"]
@@ -94,14 +94,14 @@ def _still_valid(record_file: Path, identity: Mapping[str, Any]) -> dict[str, st
 
 
 def strengths_of(ladder: Ladder | None) -> tuple[float, ...]:
-    """Strengths that a series measures: ladders of frames have their undegraded frames in common."""
+    """Return the strengths that a series measures: ladders of frames have their undegraded frames in common."""
     if ladder is None:
         return (0.0,)
     return (0.0, *ladder.strengths) if ladder.is_rendered else ladder.strengths
 
 
 def _code(metric: Metric) -> str:
-    """Hash of the code that measures a metric; of a path, one pass measures all that it has, and each counts alone."""
+    """Return the hash of the code that measures a metric; of a path, one pass measures all that it has, and each counts alone."""
     if isinstance(metric, PathMetric):
         return code_identity(PATH_SCORES, RenderedPath.__module__, *metric.modules, unfollowed=(PATH_SCORES,))
     return metric_code(metric)
@@ -174,7 +174,7 @@ def _measure_view(truth: Image8, rendered: Image8, names: Collection[str]) -> tu
 
 
 def _number(metric: Metric, values: Iterable[Value]) -> float | None:
-    """A metric's number on one view: what its scorer says of the whole view, or what its frames pool to."""
+    """Return a metric's number on one view: what its scorer says of the whole view, or what its frames pool to."""
     by_name: dict[str, list[float]] = {}
     for name, frame, value in values:
         if name == metric.name and frame is None:
@@ -207,7 +207,7 @@ def _measure_paths(
 
 
 def _sources(ladder: Ladder | None, clips: Sequence[Clip], strength: float, seed: int) -> list[list[tuple[str, ...]]]:
-    """Names of the cameras that each frame of each clip is made of."""
+    """Return the names of the cameras that each frame of each clip is made of."""
     switches = {"switch": strength, "jump": EXCHANGES}.get(ladder.name if ladder else "")
     if switches is None:
         return [[tuple(source.camera.name for source in clip.sources)] * len(clip.truth) for clip in clips]

@@ -22,12 +22,12 @@ SWITCHED = 4  # source cameras of the two pairs that take turns
 
 
 def render(clip: Clip) -> Image8:
-    """Rendering of a clip as it is."""
+    """Return the rendering of a clip as it is."""
     return boil(clip, 0.0)
 
 
 def boil(clip: Clip, percent: float, seed: int = 0) -> Image8:
-    """Rendering with depth that boils: z (1 + s n), s = `percent`, in every source and frame anew.
+    """Return the rendering with depth that boils: z (1 + s n), s = `percent`, in every source and frame anew.
 
     n is white Gaussian noise smoothed by a Gaussian of `GRAIN_PX` and scaled back to unit variance, so that surfaces boil in
     patches, as matched depth does.
@@ -42,7 +42,7 @@ def boil(clip: Clip, percent: float, seed: int = 0) -> Image8:
 
 
 def switch_sources(clip: Clip, switches: float, seed: int = 0) -> Image8:
-    """Rendering along a camera path with N exchanges of all source cameras, evenly spaced.
+    """Return the rendering along a camera path with N exchanges of all source cameras, evenly spaced.
 
     Two pairs of the four nearest cameras take turns, the first with the last and the two between, so that neither pair is
     nearer to the path; the parity of the seed says which begins.
@@ -70,7 +70,7 @@ def switch_brightness(clip: Clip, percent: float, seed: int = 0) -> Image8:
 
 
 def sources_at(clip: Clip, frame: int, switches: float, seed: int) -> tuple[SourceClip, SourceClip]:
-    """The pair of source cameras at a frame, of a path with N exchanges."""
+    """Return the pair of source cameras at a frame, of a path with N exchanges."""
     stretch = frame * (round(switches) + 1) // len(clip.truth)
     nearest = require_sources(clip, SWITCHED).sources
     return (nearest[0], nearest[3]) if (stretch + seed) % 2 == 0 else (nearest[1], nearest[2])
@@ -98,6 +98,6 @@ def _view(source: SourceClip, frame: int) -> SourceView:
 
 
 def _grain(random: np.random.Generator, shape: tuple[int, ...]) -> Map:
-    """Noise of unit variance, correlated over a few pixels, (H, W)."""
+    """Return the noise of unit variance, correlated over a few pixels, (H, W)."""
     smooth = cv2.GaussianBlur(random.normal(size=shape).astype(np.float32), (0, 0), GRAIN_PX)
     return np.asarray(smooth / smooth.std(), np.float32)

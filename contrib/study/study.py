@@ -58,7 +58,7 @@ Place = tuple[str, str, int]  # ladder, take, seed
 def _plan(
     out: Path, takes: Sequence[Take], ladders: Sequence[Ladder], metrics: Sequence[str], seeds: int
 ) -> tuple[dict[str, Job], dict[Place, Job], dict[str, str]]:
-    """The jobs of the undegraded takes and of all series, and why ladders are planted in none."""
+    """Return the jobs of the undegraded takes and of all series, and why ladders are planted in none."""
     undegraded = {take.name: series_job(out, take, None, 0, metrics) for take in takes}
     series: dict[Place, Job] = {}
     refusals: dict[str, str] = {}
@@ -76,7 +76,7 @@ def _plan(
 
 
 def _values(undegraded: Mapping[str, Job], series: Mapping[Place, Job]) -> pd.DataFrame:
-    """Every value, one row each, with the undegraded ones as strength 0 of every ladder."""
+    """Return every value, one row each, with the undegraded ones as strength 0 of every ladder."""
     rows = []
     at_rest = {take: _levels(job)[0]["values"] for take, job in undegraded.items()}
     for (name, take, seed), job in series.items():

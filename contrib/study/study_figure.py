@@ -22,7 +22,7 @@ LEGEND = {SEES: "worse with strength", REWARDS: "better with strength", "white":
 
 
 def draw_study(folders: Mapping[str, Path], out: Path) -> Path:
-    """A field of cells for each study, metrics down, degradations across, rank correlations in them.
+    """Return a field of cells for each study, metrics down, degradations across, rank correlations in them.
 
     Args:
         folders: title of the field -> folder of a metric study.
@@ -87,6 +87,6 @@ def _draw_field(axes: "Axes", study: Study, rows: Sequence[str], title: str) -> 
 
 
 def _short(correlation: float) -> str:
-    """Two digits at most: 1, .87, -.4."""
+    """Return two digits at most: 1, .87, -.4."""
     text = f"{correlation:.2f}".rstrip("0").rstrip(".").replace("0.", ".", 1).replace("-", "\N{MINUS SIGN}")
     return "0" if text in ("", ".", "\N{MINUS SIGN}0", "\N{MINUS SIGN}") else text

@@ -15,7 +15,7 @@ def correlation_table(study: Study, metrics: Sequence[str] | None = None) -> str
 
 
 def sensitivity_table(study: Study, metrics: Sequence[str] | None = None) -> str:
-    """The least strength that each metric distinguishes from the original, with the unit next to the degradation."""
+    """Return the least strength that each metric distinguishes from the original, with the unit next to the degradation."""
     return _table(study, metrics, lambda answer: _number(answer["least_strength"]), with_units=True)
 
 
@@ -33,7 +33,7 @@ def verdict_table(studies: Sequence[Study], metrics: Sequence[str] | None = None
 
 
 def by_ladder_table(studies: Sequence[Study]) -> str:
-    """Each degradation with the number of metrics that see it, and the names of those that do not."""
+    """Return each degradation with the number of metrics that see it, and the names of those that do not."""
     verdicts = {metric: _verdicts(studies, metric) for metric in answered_metrics(studies)}
     lines = ["| degradation | detected by | missed by | better with strength | depends on the capture |"]
     lines.append("| --- | ---: | --- | --- | --- |")
@@ -59,7 +59,7 @@ def _verdicts(studies: Sequence[Study], metric: str) -> dict[str, str]:
 
 
 def ladder_table(study: Study) -> str:
-    """The degradations, their strengths and units."""
+    """Return the degradations, their strengths and units."""
     lines = [
         "| degradation | strengths | unit | description |",
         "| --- | --- | --- | --- |",
@@ -71,7 +71,7 @@ def ladder_table(study: Study) -> str:
 
 
 def absence_list(study: Study) -> str:
-    """Metrics that have no number on any degradation, each with its reason."""
+    """Return the metrics that have no number on any degradation, each with its reason."""
     answered = set(answered_metrics([study]))
     reasons: dict[str, str] = {}
     for of_ladder in study["not_computed"].values():
@@ -80,7 +80,7 @@ def absence_list(study: Study) -> str:
 
 
 def study_text(study: Study) -> str:
-    """All tables of a study."""
+    """Return all tables of a study."""
     parts = {
         f"Metric study of {', '.join(study['captures'])}": f"{study['takes']} clips.",
         "Degradations": ladder_table(study),

@@ -39,7 +39,7 @@ CHOSEN_BY = "by rule: cameras evenly spread over the capture, for a metric study
 
 
 def open_footage(path: Path) -> Capture:
-    """A capture, videos without calibration, one video, or the pictures of one in a folder."""
+    """Return a capture, videos without calibration, one video, or the pictures of one in a folder."""
     if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES:
         return uncalibrated_capture(path, {path.stem: VideoFrames(path)})
     if path.is_dir() and list_images(path):
@@ -48,7 +48,7 @@ def open_footage(path: Path) -> Capture:
 
 
 def prepare_views(root: Path, capture: Capture, names: Sequence[str], frames: range, workers: Workers) -> RunPlan | None:
-    """The capture prepared as for a run, with depth; None where its cameras are unknown or see too little in common."""
+    """Return the capture prepared as for a run, with depth; None where its cameras are unknown or see too little in common."""
     if capture.layout == LAYOUT or len(capture.cameras) < 2:
         return None
     path = CameraPath() if open_path(capture.path) is not None else CameraPath(0)
@@ -63,7 +63,7 @@ def prepare_views(root: Path, capture: Capture, names: Sequence[str], frames: ra
 def study_protocol(
     capture: Capture, names: Sequence[str], frames: range, path: CameraPath, sources: Sequence[str] = ()
 ) -> Protocol:
-    """The protocol under which a capture is prepared, at the capture's own size.
+    """Return the protocol under which a capture is prepared, at the capture's own size.
 
     Args:
         sources: cameras that they are rendered from; all others where there are none.
@@ -232,7 +232,7 @@ def _views(capture: Capture, plan: RunPlan | None, names: Sequence[str], window:
 
 
 def _sources(plan: RunPlan, planned: SourcePlan, frames: range) -> tuple[SourceClip, ...]:
-    """Images and depth of the sources of one target over some instants."""
+    """Return the images and depth of the sources of one target over some instants."""
     store, capture = DepthStore(plan.run.depth), plan.capture
     sources = []
     for camera, key in planned.depth_keys.items():
@@ -244,7 +244,7 @@ def _sources(plan: RunPlan, planned: SourcePlan, frames: range) -> tuple[SourceC
 
 
 def _hand_held(root: Path, capture: Capture, options: StudyOptions, workers: Workers) -> Iterator[Draft]:
-    """A camera that was carried through a scene at rest: every second place is a pose, the others are sources."""
+    """Yield a camera that was carried through a scene at rest: every second place is a pose, the others are sources."""
     needed = 2 * options.frames * STRETCHES
     if len(capture.cameras) < 2 * options.frames:
         raise CaptureError(
@@ -264,7 +264,7 @@ def _hand_held(root: Path, capture: Capture, options: StudyOptions, workers: Wor
 def _stretches(
     plan: RunPlan, poses: Sequence[SourcePlan], truth: Sequence[Image8], instant: int, options: StudyOptions, depths: Path
 ) -> Iterator[Draft]:
-    """Stretches of a camera path, one after another."""
+    """Yield the stretches of a camera path, one after another."""
     for start in range(0, min(len(poses), STRETCHES * options.frames) - options.frames + 1, options.frames):
         stretch = range(start, start + options.frames)
         make = partial(_stretch, plan, poses, truth, instant, depths, stretch)
@@ -278,7 +278,7 @@ def _depth_keys(planned: Sequence[SourcePlan]) -> list[str]:
 def _stretch(
     plan: RunPlan, poses: Sequence[SourcePlan], truth: Sequence[Image8], instant: int, depths: Path, stretch: range
 ) -> list[Clip]:
-    """A stretch of a camera path, with the sources of its middle."""
+    """Return a stretch of a camera path, with the sources of its middle."""
     cameras: tuple[Camera, ...] = tuple(poses[index].target for index in stretch)
     sources = _sources(plan, poses[stretch[len(stretch) // 2]], range(instant, instant + 1))
     frames = np.stack([truth[index] for index in stretch])

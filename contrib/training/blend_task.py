@@ -190,7 +190,7 @@ class Augmentation:
 
 
 def augment(views: RawViews, truth: Map, rng: np.random.Generator, options: Augmentation) -> tuple[RawViews, Map]:
-    """A crop as other cameras could have seen it.
+    """Return a crop as other cameras could have seen it.
 
     Args:
         truth: what the target's camera saw, (H, W, 3) in [0, 1].
@@ -211,7 +211,7 @@ def augment(views: RawViews, truth: Map, rng: np.random.Generator, options: Augm
 
 
 def displaced(views: RawViews, shifts_px: NDArray[np.float64]) -> RawViews:
-    """Each view moved in the target view by (right, down) pixels, (K, 2); the border is repeated."""
+    """Return each view moved in the target view by (right, down) pixels, (K, 2); the border is repeated."""
 
     def moved(maps: Map) -> Map:
         return np.stack([_moved(each, *shift) for each, shift in zip(maps, shifts_px, strict=True)])
@@ -314,7 +314,7 @@ class BlendTask:
         return self.batch_size * self.crop_width * self.crop_height
 
     def network(self) -> nn.Module:
-        """A fresh network."""
+        """Return a fresh network."""
         torch.manual_seed(self.seed)
         return BlendNetwork(self.config)
 
@@ -322,7 +322,7 @@ class BlendTask:
         """Nothing: the network normalises by no statistics."""
 
     def batch(self, step: int) -> dict[str, Tensor]:
-        """Channels (B, 9 K + 1, H, W), and the input of `blend_loss`."""
+        """Return the channels (B, 9 K + 1, H, W), and the input of `blend_loss`."""
         rng = np.random.default_rng([self.seed, step])
         crops = [self._crop(rng) for _ in range(self.batch_size)]
         return {name: torch.from_numpy(np.stack([crop[name] for crop in crops])) for name in crops[0]}
@@ -335,7 +335,7 @@ class BlendTask:
         return blend_loss(image, outputs, batch, self.weights, self.config.guidance in GUIDED)
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
-        """Scores of the network and of the geometric blender, as an evaluation would measure them."""
+        """Return the scores of the network and of the geometric blender, as an evaluation would measure them."""
         assert isinstance(network, BlendNetwork)
         network = deepcopy(network).cpu()  # where the kernels are
         sums = dict.fromkeys(("psnr_db", "ssim", "geometric_psnr_db", "geometric_ssim"), 0.0)
@@ -349,7 +349,7 @@ class BlendTask:
         return {name: value / len(self.validation) for name, value in sums.items()}
 
     def _crop(self, rng: np.random.Generator) -> dict[str, Map]:
-        """A random window of a random sample, perhaps mirrored, its colours in any order."""
+        """Return a random window of a random sample, perhaps mirrored, its colours in any order."""
         sample = self.training.read(int(rng.integers(len(self.training))))
         width, height = sample.views.target.size
         left, top = rng.integers(width - self.crop_width + 1), rng.integers(height - self.crop_height + 1)
@@ -390,12 +390,12 @@ def crop_arrays(
 
 
 def _filled_up(array: Map, views: int) -> Map:
-    """Values per view, (K, ...), with zeros for the views that are not there."""
+    """Return the values per view, (K, ...), with zeros for the views that are not there."""
     return np.concatenate([array, np.zeros((views - len(array), *array.shape[1:]), np.float32)])
 
 
 def recoloured(arrays: Mapping[str, Map], order: np.ndarray) -> dict[str, Map]:
-    """The arrays of a crop with red, green and blue in another order."""
+    """Return the arrays of a crop with red, green and blue in another order."""
     colours = arrays["colours"][:, order]
     channels = arrays["channels"].copy()
     small = channels[: 3 * len(colours)].reshape(len(colours), 3, *channels.shape[1:])
@@ -405,6 +405,6 @@ def recoloured(arrays: Mapping[str, Map], order: np.ndarray) -> dict[str, Map]:
 
 
 def mirrored(arrays: Mapping[str, Map], mirror: bool) -> dict[str, Map]:
-    """The arrays of a crop, left and right swapped: no channel knows its side, angles and lengths stay what they are."""
+    """Return the arrays of a crop, left and right swapped: no channel knows its side, angles and lengths stay what they are."""
     flipped = {name: array[..., ::-1] if mirror and array.ndim > 1 else array for name, array in arrays.items()}
     return {name: np.ascontiguousarray(array) for name, array in flipped.items()}

@@ -30,7 +30,7 @@ ARGUMENTS = """
 
 
 def _training(what: str) -> Callable[..., None]:
-    """The subcommand of a network, with the options that its training uses."""
+    """Return the subcommand of a network, with the options that its training uses."""
     used = options_class(what)
 
     def train(out: Output, training: Any) -> None:

@@ -40,13 +40,13 @@ def stored_arrays(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def camera_arrays(cameras: Sequence[Camera]) -> dict[str, Any]:
-    """Cameras as arrays: a row of K, pose, size and depth range each, and their names."""
+    """Return the cameras as arrays: a row of K, pose, size and depth range each, and their names."""
     rows = [[*each.K.ravel(), *each.world_to_camera.ravel(), *each.size, each.near, each.far] for each in cameras]
     return {"cameras": np.array(rows), "names": np.array([each.name for each in cameras])}
 
 
 def stored_cameras(arrays: Mapping[str, Any]) -> list[Camera]:
-    """The cameras of `camera_arrays`, in their order."""
+    """Return the cameras of `camera_arrays`, in their order."""
     return [_camera(str(name), row) for name, row in zip(arrays["names"], arrays["cameras"], strict=True)]
 
 
@@ -77,13 +77,13 @@ class InstantSample:
         return torch.as_tensor(np.ascontiguousarray(np.moveaxis(self.truth, 2, 0))).float() / 255
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "InstantSample":
-        """The window of the target that starts at pixel (left, top); sources stay whole."""
+        """Return the window of the target that starts at pixel (left, top); sources stay whole."""
         target = self.instant.target.cropped(left, top, width, height)
         truth = self.truth[top : top + height, left : left + width]
         return InstantSample(replace(self.instant, target=target), truth)
 
     def focused(self, margin_px: int = FOCUS_MARGIN_PX, multiple: int = FOCUS_MULTIPLE) -> "InstantSample":
-        """The same with each source cut to what the target's window can show of it at any depth, all to one size.
+        """Return the same with each source cut to what the target's window can show of it at any depth, all to one size.
 
         Args:
             multiple: sides are multiples of this number of pixels, if the sources are large enough.
@@ -99,7 +99,7 @@ class InstantSample:
         return InstantSample(replace(self.instant, sources=sources), self.truth)
 
     def recoloured(self, order: tuple[int, ...]) -> "InstantSample":
-        """The same with red, green and blue in another order, in sources and truth alike."""
+        """Return the same with red, green and blue in another order, in sources and truth alike."""
         sources = tuple(replace(source, image=np.ascontiguousarray(source.image[..., order])) for source in self.instant.sources)
         return InstantSample(replace(self.instant, sources=sources), np.ascontiguousarray(self.truth[..., order]))
 

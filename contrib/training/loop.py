@@ -67,7 +67,7 @@ def write_state(folder: Path, state: TrainingState) -> None:
 
 
 def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> TrainingState:
-    """The state of a folder poured into a fresh one; the fresh one itself where there is none."""
+    """Return the state of a folder poured into a fresh one; the fresh one itself where there is none."""
     path = state_file(folder)
     if not path.is_file():
         return fresh
@@ -159,7 +159,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
 
 
 def _options(task: Task) -> dict[str, object]:
-    """The fields of a task that its repr shows."""
+    """Return the fields of a task that its repr shows."""
     if not is_dataclass(task) or isinstance(task, type):
         return {}
     values = asdict(task)
@@ -277,7 +277,7 @@ class _Steps(Dataset[Any]):
 
 
 def _batches(task: Task, start: int, stop: int, workers: int) -> Iterator[Any]:
-    """The batches of steps start..stop-1 in order; which worker process makes which does not change them."""
+    """Yield the batches of steps start..stop-1 in order; which worker process makes which does not change them."""
     loader = DataLoader(
         _Steps(task),
         batch_size=None,

@@ -73,11 +73,11 @@ class TrainingOptions:
     validate_every: int = field(default=500, metadata=_of(decides=False))
 
     def words(self, what: str) -> list[str]:
-        """The options that ask for the training of a network, how it is computed included, as `ggvs-eval` takes them."""
+        """Return the options that ask for the training of a network, how it is computed included, as `ggvs-eval` takes them."""
         return self._options(_used_by(what), str)
 
     def card_words(self, what: str) -> list[str]:
-        """The options that decide what the network learns, without the folders that captures and weights are in."""
+        """Return the options that decide what the network learns, without the folders that captures and weights are in."""
         return self._options([each for each in _used_by(what) if each.metadata[DECIDES]], _name)
 
     def _options(self, used: list[Field[Any]], text: Callable[[object], str]) -> list[str]:
@@ -93,7 +93,7 @@ class TrainingOptions:
 
 
 def options_class(what: str) -> type:
-    """The class of those options that the training of a network uses, by which the command line shows no others."""
+    """Return the class of those options that the training of a network uses, by which the command line shows no others."""
     used = [(each.name, each.type, field(default=each.default)) for each in _used_by(what)]
     return make_dataclass("UsedOptions", used, namespace={"__doc__": TrainingOptions.__doc__}, frozen=True)
 

@@ -42,7 +42,7 @@ def build_scene(number: int) -> Instant:
 
 
 def repainted(geometry: Geometry, rng: np.random.Generator, share: float) -> list[Material]:
-    """The materials of a geometry, a share of those that do not shine replaced by skins."""
+    """Return the materials of a geometry, a share of those that do not shine replaced by skins."""
     bank = skins()
     return [
         bank[int(rng.integers(len(bank)))] if not material.emission and rng.random() < share else material
@@ -194,18 +194,18 @@ class StereoRig:
         return self.eye + self.baseline_m * self.axes[0]
 
     def rays(self, x: Array, y: Array) -> Array32:
-        """Rays through image positions, pixel centres at halves, (...,) each; of unit depth, room frame, (N, 3)."""
+        """Return the rays through image positions, pixel centres at halves, (...,) each; of unit depth, room frame, (N, 3)."""
         across, down = (x - self.centre[0]) / self.focal_px, (y - self.centre[1]) / self.focal_px
         directions = across[..., None] * self.axes[0] + down[..., None] * self.axes[1] + self.axes[2]
         return directions.reshape(-1, 3).astype(np.float32)
 
     def positions(self, step: int = 1) -> tuple[Array, Array]:
-        """Pixel centres, every N pixels, x and y, (H, W) each."""
+        """Return the pixel centres, every N pixels, x and y, (H, W) each."""
         y, x = np.mgrid[step // 2 : self.size[1] : step, step // 2 : self.size[0] : step] + 0.5
         return x, y
 
     def depth(self, geometry: Geometry, step: int = 1) -> Map:
-        """Depth of the left picture, metres, `FARTHEST_M` where nothing is, (H, W), or of every N pixels."""
+        """Return the depth of the left picture, metres, `FARTHEST_M` where nothing is, (H, W), or of every N pixels."""
         x, y = self.positions(step)
         depth = np.full(x.size, FARTHEST_M, np.float32)
         hits = geometry.cast(self.eye.astype(np.float32), self.rays(x, y))
@@ -238,7 +238,7 @@ def stereo_sample(seed: int, width: int, height: int, sensor: bool = True) -> St
 
 
 def scene_of(seed: int) -> Instant:
-    """The scene that the pair of a seed is taken of."""
+    """Return the scene that the pair of a seed is taken of."""
     return _kept_scene(scene_number(seed))
 
 
@@ -252,7 +252,7 @@ _kept_scene = lru_cache(maxsize=SCENES_AT_A_TIME)(build_scene)
 
 
 def _painted(scene: Instant, rng: np.random.Generator) -> Instant:
-    """The scene with other paint, and one more lamp whose light falls without shadows."""
+    """Return the scene with other paint, and one more lamp whose light falls without shadows."""
     geometry = copy(scene.static)  # shares vertices and the tree of rays
     geometry.materials = repainted(geometry, rng, float(rng.choice([0.0, 0.5, 1.0])))
     towards = unit(rng.standard_normal(3)).astype(np.float32)
@@ -303,7 +303,7 @@ def _pose(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def find_visible(geometry: Geometry, rig: StereoRig, depth: Map) -> Mask:
-    """Mask of the points of the left picture that are within the right one and are not hidden from its eye, (H, W).
+    """Return the mask of the points of the left picture that are within the right one and are not hidden from its eye, (H, W).
 
     What is within the last hundredth of the way to a point does not hide it, so that no surface hides itself.
     """
@@ -323,7 +323,7 @@ def _row_error(rng: np.random.Generator, rig: StereoRig) -> Array:
 
 
 def render(scene: Instant, rig: StereoRig, eye: Array, x: Array, y: Array) -> Array32:
-    """Linear light at image positions, (H, W, 3): one ray each, four where surfaces end."""
+    """Return the linear light at image positions, (H, W, 3): one ray each, four where surfaces end."""
     light, depth = _shaded(scene, rig, eye, x, y)
     edges = _edges(depth.reshape(x.shape))
     rows = np.flatnonzero(edges)
@@ -335,7 +335,7 @@ def render(scene: Instant, rig: StereoRig, eye: Array, x: Array, y: Array) -> Ar
 
 
 def _edges(depth: Map) -> Mask:
-    """Pixels at which inverse depth bends, (H, W)."""
+    """Return the pixels at which inverse depth bends, (H, W)."""
     inverse = 1 / cv2.copyMakeBorder(depth, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     middle = inverse[1:-1, 1:-1]
     across = np.abs(inverse[1:-1, :-2] - 2 * middle + inverse[1:-1, 2:])
@@ -344,7 +344,7 @@ def _edges(depth: Map) -> Mask:
 
 
 def _shaded(scene: Instant, rig: StereoRig, eye: Array, x: Array, y: Array) -> tuple[Array32, Array32]:
-    """Linear light, (N, 3), and depth, (N,), along the rays through image positions."""
+    """Return the linear light, (N, 3), and depth, (N,), along the rays through image positions."""
     rays, geometry = rig.rays(x, y), scene.static
     hits = geometry.cast(eye.astype(np.float32), rays)
     finish = read_finish(geometry, hits, 1 / rig.focal_px)
@@ -355,7 +355,7 @@ def _shaded(scene: Instant, rig: StereoRig, eye: Array, x: Array, y: Array) -> t
 
 
 def expose_pair(pictures: list[Array32], rng: np.random.Generator, sensor: bool) -> tuple[Image8, Image8]:
-    """Two pictures as two cameras take them that share a style but not their settings."""
+    """Return two pictures as two cameras take them that share a style but not their settings."""
     exposure = 0.35 * float(exp(rng.normal(0, 0.45))) / max(float(np.median(pictures[0])), 1e-3)
     left, right = (expose(exposure * light) for light in pictures)
     if not sensor:

@@ -18,7 +18,7 @@ from ggvs_eval.raft_config import COMPACT, RaftShape
 
 
 def sequence_loss(flows: Sequence[Tensor], last: Tensor, truth: Tensor, decay: float = 0.9, largest_px: float = 700.0) -> Tensor:
-    """Mean absolute error of every iteration's flow, later ones weighing more (RAFT-Stereo, section 3.4).
+    """Return the mean absolute error of every iteration's flow, later ones weighing more (RAFT-Stereo, section 3.4).
 
     Args:
         flows: after each of n iterations, in cells, (B, 1, h, w).
@@ -123,7 +123,7 @@ class StereoTask:
         return self.batch_size * self.width * self.height
 
     def network(self) -> nn.Module:
-        """A fresh network."""
+        """Return a fresh network."""
         torch.manual_seed(self.seed)
         return RaftStereo(self.config)
 
@@ -144,7 +144,7 @@ class StereoTask:
         }
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
-        """Error of every iteration's flow, and of the match that the features alone would choose."""
+        """Return the error of every iteration's flow, and of the match that the features alone would choose."""
         assert isinstance(network, RaftStereo)
         flows, last, (left, right) = network(batch["left"], batch["right"], self.iterations, batch["initial"])
         truth = -batch["disparity"][:, None]
@@ -192,7 +192,7 @@ class StereoTask:
         return figures
 
     def _start(self, sample: StereoSample, rng: np.random.Generator) -> Map:
-        """Initial flow in cells, (h, w)."""
+        """Return the initial flow in cells, (h, w)."""
         kind = rng.uniform()
         height, width = (size // self.config.factor for size in (self.height, self.width))
         if kind < self.started:
@@ -211,7 +211,7 @@ class StereoTask:
 
 
 def _range(sample: StereoSample) -> int:
-    """The disparity that a pairing of cameras with known depth range would search up to, with a margin."""
+    """Return the disparity that a pairing of cameras with known depth range would search up to, with a margin."""
     return int(sample.disparity.max() * 1.15) + 2
 
 

@@ -29,7 +29,7 @@ class Schedule:
     average: float = 0.998
 
     def rate(self, step: int, steps: int) -> float:
-        """Learning rate of one step of a training of that many steps."""
+        """Return the learning rate of one step of a training of that many steps."""
         cooling = max(1, int(self.cool_down * steps))
         return self.learning_rate * min(1.0, (step + 1) / self.warm_up, (steps - step) / cooling)
 
@@ -62,10 +62,10 @@ class Task(Protocol):
         """Pixels of target views that a step learns from."""
 
     def network(self) -> nn.Module:
-        """A fresh network with seeded weights."""
+        """Return a fresh network with seeded weights."""
 
     def batch(self, step: int) -> Any:
-        """The samples of one step: tensors in a tuple, list, dict or dataclass. Runs in a worker process."""
+        """Return the samples of one step: tensors in a tuple, list, dict or dataclass. Runs in a worker process."""
 
     def loss(self, network: nn.Module, batch: Any) -> tuple[Tensor, Mapping[str, float]]:
         """Return the loss to be minimised, and figures for the log."""
@@ -74,7 +74,7 @@ class Task(Protocol):
         """Make a trained network ready for use: statistics that small crops estimate badly are computed from whole views."""
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
-        """Figures on data that is never trained on."""
+        """Return the figures on data that is never trained on."""
 
 
 def recompute_statistics(network: nn.Module, views: Iterable[Callable[[nn.Module], object]]) -> None:

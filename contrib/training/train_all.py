@@ -51,7 +51,7 @@ class Training:
         return self.folder / "train.log"
 
     def steps_done(self) -> int:
-        """Steps in its log; 0 before the first."""
+        """Return the steps in its log; 0 before the first."""
         line = last_line(self.folder / "log.csv")
         number = line.partition(",")[0]
         return int(number) + 1 if number.isdigit() else 0
@@ -97,7 +97,7 @@ def run_trainings(trainings: Sequence[Training], jobs: int) -> dict[str, str]:
 
 
 def last_line(path: Path) -> str:
-    """The last line of a file that is not empty, nothing where there is none; a line that is being written counts."""
+    """Return the last line of a file that is not empty, nothing where there is none; a line that is being written counts."""
     try:
         with path.open("rb") as file:
             file.seek(max(file.seek(0, os.SEEK_END) - TAIL_BYTES, 0))
@@ -254,7 +254,7 @@ def train_all(
 
 
 def planned_trainings(folder: Path, request: TrainingOptions, networks: Sequence[Network] = NETWORKS) -> list[Training]:
-    """The command of each network's training."""
+    """Return the command of each network's training."""
     trainings = []
     for what, guidance in networks:
         name = weights_name(guidance) if what == "blend" else what

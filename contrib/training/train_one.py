@@ -46,7 +46,7 @@ def baseline_task(
     is_trained: bool = False,
     crop: tuple[int, int] | None = None,
 ) -> "BaselineTask":
-    """The training of a baseline on the views that the blending network learns from.
+    """Return the training of a baseline on the views that the blending network learns from.
 
     Args:
         name: one of `TRAINED_BASELINES`.
@@ -122,7 +122,7 @@ class BaselineTask:
         return self.batch_size * self.recipe.crop_pixels
 
     def network(self) -> nn.Module:
-        """A fresh network."""
+        """Return a fresh network."""
         torch.manual_seed(self.recipe.seed)
         network: nn.Module = self.recipe.network()
         return network
@@ -144,7 +144,7 @@ class BaselineTask:
         return {name: torch.as_tensor(values) for name, values in drawn.items()}
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
-        """Mean over the crops; ``passed_over`` counts the views that a crop skipped, see `_crop_loss`."""
+        """Return the mean over the crops; ``passed_over`` counts the views that a crop skipped, see `_crop_loss`."""
         network.train()
         if self.has_statistics:
             freeze_statistics(network)
@@ -172,7 +172,7 @@ class BaselineTask:
         raise TrainingError(f"{self.name}: wanted training views, got none that it can render: {reason}; give others")
 
     def _crop(self, sample: InstantSample, place: Sequence[float]) -> InstantSample:
-        """The window at a place of a sample, regardless of the sample's size."""
+        """Return the window at a place of a sample, regardless of the sample's size."""
         width, height = sample.instant.target.size
         across, down = self.recipe.crop_width, self.recipe.crop_height
         left, top = int(place[0] * (width - across + 1)), int(place[1] * (height - down + 1))
@@ -195,7 +195,7 @@ class BaselineTask:
         return self.recipe.validated_view(network, instant)
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
-        """Scores of the validation views that the method can render, their means."""
+        """Return the scores of the validation views that the method can render, their means."""
         network.eval()
         scores = []
         for index in (index for index, refusal in enumerate(self._refusals) if refusal is None):
@@ -208,7 +208,7 @@ class BaselineTask:
         return {name: sum(each[name] for each in scores) / len(scores) for name in scores[0]}
 
     def _scores(self, view: Map, truth: Image8) -> dict[str, float]:
-        """A whole view as an evaluation would measure it; pixels without their neighbours have no SSIM."""
+        """Return a whole view as an evaluation would measure it; pixels without their neighbours have no SSIM."""
         step = self.recipe.validated_step
         if step > 1:
             return {"psnr_db": psnr(view, truth[::step, ::step] / np.float32(255))}
@@ -237,7 +237,7 @@ def train_one(what: str, folder: Path, request: TrainingOptions) -> tuple[Path, 
 
 
 def planned_task(what: str, cache: Path, request: TrainingOptions) -> Task:
-    """The task that is asked for, its samples in place."""
+    """Return the task that is asked for, its samples in place."""
     if what == "stereo":
         return StereoTask(seed=request.seed, schedule=Schedule() if request.start_from is None else stereo_task.FINE_TUNING)
     is_trained = request.start_from is not None

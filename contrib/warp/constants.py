@@ -107,7 +107,7 @@ class StepConstants:
         self._filled: tuple[Any, ...] = ()
 
     def __getattr__(self, name: str) -> Tensor:
-        """A group of numbers on the device."""
+        """Return a group of numbers on the device."""
         try:
             return self.__dict__["_tensors"][name]
         except KeyError:
@@ -191,7 +191,7 @@ class StepConstants:
 
 
 def _place(camera: Camera, before: Remembered | None) -> int:
-    """Place of a camera in the stacks of the instant before, -1 where it was not there at this size."""
+    """Return the place of a camera in the stacks of the instant before, -1 where it was not there at this size."""
     named = [each.name == camera.name and each.size == camera.size for each in before.cameras] if before else []
     return named.index(True) if True in named else NO_VIEW
 

@@ -36,7 +36,7 @@ def keep_surfaces(depth: wp.array3d[wp.float32], share: wp.float32, out: wp.arra
 
 @wp.func
 def mirrored(at: wp.int32, size: wp.int32) -> wp.int32:
-    """Row or column that a border by reflection shows."""
+    """Return the row or column that a border by reflection shows."""
     n = at
     if n < 0:
         n = -n
@@ -113,7 +113,7 @@ def fill_columns(
 
 @wp.func
 def moved(m: wp.array[wp.float32], u: wp.float32, v: wp.float32, depth: wp.float32) -> wp.vec3f:
-    """Image coordinates and depth in another camera of a pixel at a depth."""
+    """Return the image coordinates and depth in another camera of a pixel at a depth."""
     x = depth * (m[0] * u + m[1] * v + m[2]) + m[9]
     y = depth * (m[3] * u + m[4] * v + m[5]) + m[10]
     z = depth * (m[6] * u + m[7] * v + m[8]) + m[11]
@@ -131,7 +131,7 @@ class Limits:
 
 @wp.func
 def look_up(depth: wp.array2d[wp.float32], at: wp.vec3f, share: wp.float32) -> wp.float32:
-    """Depth of a map between its pixels, or of that which is nearest in depth where two surfaces meet."""
+    """Return the depth of a map between its pixels, or of that which is nearest in depth where two surfaces meet."""
     height = depth.shape[0]
     width = depth.shape[1]
     x = wp.clamp(at[0] - 0.5, 0.0, wp.float32(width - 1))

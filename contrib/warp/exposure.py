@@ -80,7 +80,7 @@ def reduce_images(images: wp.array4d[wp.uint8], sizes: wp.array2d[wp.int32], out
 
 @wp.func
 def pixel_of(pictures: wp.array4d[wp.float32], k: wp.int32, y: wp.int32, x: wp.int32) -> wp.vec3f:
-    """Colour of a reduced picture."""
+    """Return the colour of a reduced picture."""
     return wp.vec3f(pictures[k, y, x, 0], pictures[k, y, x, 1], pictures[k, y, x, 2])
 
 
@@ -167,7 +167,7 @@ def look_up(
 
 @wp.func
 def ordered(value: wp.float32) -> wp.uint32:
-    """Bits of a float that sort as the floats do."""
+    """Return the bits of a float that sort as the floats do."""
     bits = wp.cast(value, wp.uint32)
     if (bits >> wp.uint32(31)) > wp.uint32(0):
         return ~bits
@@ -176,7 +176,7 @@ def ordered(value: wp.float32) -> wp.uint32:
 
 @wp.func
 def value_of(key: wp.uint32) -> wp.float32:
-    """The float of `ordered` bits."""
+    """Return the float of `ordered` bits."""
     if (key >> wp.uint32(31)) > wp.uint32(0):
         return wp.cast(key & wp.uint32(0x7FFFFFFF), wp.float32)
     return wp.cast(~key, wp.float32)
@@ -192,7 +192,7 @@ def combined(looks: wp.array3d[wp.float32], pair: wp.int32, channel: wp.int32, s
 
 @wp.func
 def third(packed: wp.int64, n: wp.int32) -> wp.int32:
-    """One of three counts that are summed as one number."""
+    """Return one of three counts that are summed as one number."""
     return wp.int32((packed >> wp.int64(20 * n)) & wp.int64(1048575))
 
 
@@ -553,7 +553,7 @@ def darken(picture: wp.array3d[wp.float32], factors: wp.array3d[wp.float32], out
 def estimate_exposure(
     images: Tensor, depths: Tensor, before: ExposureState, c: StepConstants, t: Tables, out: ExposureState
 ) -> Exposure:
-    """Gains and fall-off that make the sources agree, as `ExposureCompensation.gains`.
+    """Return the gains and fall-off that make the sources agree, as `ExposureCompensation.gains`.
 
     Args:
         images: of the sources, (K, H, W, 3), uint8.
@@ -590,7 +590,7 @@ def estimate_exposure(
 
 
 def compensate(images: Tensor, exposure: Exposure) -> Tensor:
-    """Images times their gains and without fall-off, (K, H, W, 3), uint8, as `flattened`."""
+    """Return the images times their gains and without fall-off, (K, H, W, 3), uint8, as `flattened`."""
     out = torch.empty_like(images)
     launch(shade_views, images.shape[:3], images, exposure.gains, exposure.factors, out)
     return out
@@ -604,7 +604,7 @@ def leave_out(depths: Tensor, exposure: Exposure) -> Tensor:
 
 
 def show_fall_off(picture: Tensor, exposure: Exposure) -> Tensor:
-    """A picture (3, H, W) of compensated sources as the target's lens would show it, as `fallen_off`."""
+    """Return a picture (3, H, W) of compensated sources as the target's lens would show it, as `fallen_off`."""
     out = torch.empty_like(picture)
     launch(darken, picture.shape[1:], picture, exposure.factors, out)
     return out

@@ -102,7 +102,7 @@ def mix_views(
 
 @wp.func
 def unlike(centre: wp.float32, value: wp.float32, most: wp.float32) -> wp.float32:
-    """Squared difference of two depths, at most `most`, which it is where the second is unknown."""
+    """Return the squared difference of two depths, at most `most`, which it is where the second is unknown."""
     difference = centre - value
     square = wp.min(difference * difference, most)
     if not (value > 0.0):
@@ -214,7 +214,7 @@ def weigh_depths(depths: Tensor, c: StepConstants, t: Tables) -> Tensor:
 
 
 def trust_past(features: Tensor, alphas: Tensor, c: StepConstants, options: OnlineOptions) -> Tensor:
-    """Gain of the past's evidence for each ray, (H, W); -1 where there is no past."""
+    """Return the gain of the past's evidence for each ray, (H, W); -1 where there is no past."""
     gain = torch.empty(alphas.shape[1:], device=alphas.device)
     launch(gain_of_past, gain.shape, features, alphas, c.previous, c.flags, options.beta_temporal, gain)
     return gain

@@ -150,7 +150,7 @@ vec8 = wp.types.vector(length=8, dtype=wp.float32)
 
 @wp.func_native(_LOAD4)
 def load4(values: wp.array(dtype=wp.float32), index: wp.int32) -> wp.vec4f:
-    """Four numbers at once."""
+    """Return four numbers at once."""
 
 
 @wp.func_native(_STORE4)

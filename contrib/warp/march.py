@@ -36,7 +36,7 @@ class Field:
 
 @wp.func
 def field_of(numbers: wp.array[wp.float32], width: wp.int32, height: wp.int32) -> Field:
-    """The field of a step's numbers."""
+    """Return the field of a step's numbers."""
     field = Field()
     field.near = numbers[NEAR]
     field.far = numbers[END]
@@ -216,7 +216,7 @@ def add_view(
     z: wp.float32,
     tau: wp.float32,
 ) -> wp.vec2f:
-    """One view's weighted distance at a sample, and its weight (Eqs. 9, 13, 14)."""
+    """Return one view's weighted distance at a sample, and its weight (Eqs. 9, 13, 14)."""
     depth_k = z * (m[6] * pixel[0] + m[7] * pixel[1] + m[8]) + m[11]
     if not (depth_k > 0.0):
         return wp.vec2f(0.0, 0.0)

@@ -56,12 +56,12 @@ def taps_of(
     weights: wp.array(dtype=wp.float32),
     bias: wp.array(dtype=wp.float32),
 ) -> vec12:
-    """The filter of a pixel: leaky limit, condition, and the last layer."""
+    """Return the filter of a pixel: leaky limit, condition, and the last layer."""
 
 
 @wp.func
 def reflected(at: wp.int32, size: wp.int32) -> wp.int32:
-    """Row of an image that a row of it with a border of one shows."""
+    """Return the row of an image that a row of it with a border of one shows."""
     n = at - 1
     if n < 0:
         n = -n
@@ -72,7 +72,7 @@ def reflected(at: wp.int32, size: wp.int32) -> wp.int32:
 
 @wp.func
 def normal(raw: wp.float32, stats: wp.array[wp.float32], gains: wp.array2d[wp.float32], c: wp.int32) -> wp.float32:
-    """Normalised, limited below."""
+    """Return the normalised, limited below."""
     return wp.max((raw + gains[2, c] - stats[0]) * stats[1] * gains[0, c] + gains[1, c], 0.0)
 
 
@@ -96,7 +96,7 @@ def final_moments(partial: wp.array2d[wp.float64], count: wp.float64, epsilon: w
 
 @lru_cache(maxsize=4)
 def kernels_of(kind: Any) -> SimpleNamespace:
-    """The kernels that read or write activations of a type of Warp."""
+    """Return the kernels that read or write activations of a type of Warp."""
     load8, store8 = wide_access(kind)
 
     @wp.kernel(module="unique")
@@ -429,7 +429,7 @@ class DeviceNetwork:
         return out
 
     def refined(self, image: Tensor, spread: Tensor, seen: Tensor, logarithm: Tensor, depth: Tensor, small: Tensor) -> Tensor:
-        """The composed picture, (3, H, W), with every pixel's filter applied, in [0, 1].
+        """Return the composed picture, (3, H, W), with every pixel's filter applied, in [0, 1].
 
         Args:
             spread: of the views, (H, W).
@@ -462,7 +462,7 @@ class DeviceNetwork:
         return torch.empty((height + 2, width + 2, channels), dtype=self.dtype, device=self._device)
 
     def _block(self, padded: Tensor, layers: Any) -> Layer:
-        """Two convolutions, each normalised by anyone who reads it."""
+        """Return two convolutions, each normalised by anyone who reads it."""
         filters, gains = next(layers)
         raw = self._convolved(padded, filters)
         inner = self._padded(*raw.shape)
@@ -477,7 +477,7 @@ class DeviceNetwork:
         return functional.conv2d(padded.permute(2, 0, 1)[None], filters)[0].permute(1, 2, 0).contiguous()
 
     def _moments(self, raw: Tensor, gains: Tensor) -> Tensor:
-        """Mean of a layer's output and one over its deviation, (2,)."""
+        """Return the mean of a layer's output and one over its deviation, (2,)."""
         blocks = max(1, min(MOST_BLOCKS, raw.numel() // (CHANNELS * BLOCK)))
         partial = torch.empty((blocks, 2), dtype=torch.float64, device=raw.device)
         stats = torch.empty(2, device=raw.device)

@@ -104,7 +104,7 @@ def unit(v: wp.vec3f) -> wp.vec3f:
 
 @wp.func
 def inverse(depth: wp.float32, length: wp.float32) -> wp.float32:
-    """A length over a depth, 0 where that is unknown."""
+    """Return a length over a depth, 0 where that is unknown."""
     value = wp.float32(0.0)
     if depth > 0.0:
         value = length / depth
@@ -393,7 +393,7 @@ def reduced_maps(maps: DeviceMaps, t: Tables) -> tuple[Tensor, Tensor]:
 
 
 def input_channels(means: Tensor, depths: Tensor, places: Tensor, registered: bool, most: int, c: StepConstants) -> Tensor:
-    """Input channels of the network, (channels, h, w), see `input_channels` of the compiled path.
+    """Return the input channels of the network, (channels, h, w), see `input_channels` of the compiled path.
 
     Args:
         means, depths: by `reduced_maps`.

@@ -27,7 +27,7 @@ def image_point(m: wp.array[wp.float32], pixel: wp.vec2f, depth: wp.float32) -> 
 
 @wp.func
 def colour(image: wp.array3d[wp.uint8], y: wp.int32, x: wp.int32) -> wp.vec3f:
-    """Levels of a pixel."""
+    """Return the levels of a pixel."""
     return wp.vec3f(wp.float32(image[y, x, 0]), wp.float32(image[y, x, 1]), wp.float32(image[y, x, 2]))
 
 
@@ -142,7 +142,7 @@ def depth_at(
 
 @wp.func
 def cubic_shares(f: wp.float32) -> wp.vec4f:
-    """Catmull-Rom weights of four neighbours, `f` behind the second."""
+    """Return the Catmull-Rom weights of four neighbours, `f` behind the second."""
     return wp.vec4f(
         f * (f * (1.0 - 0.5 * f) - 0.5),
         1.0 + f * f * (1.5 * f - 2.5),
@@ -153,7 +153,7 @@ def cubic_shares(f: wp.float32) -> wp.vec4f:
 
 @wp.func
 def cubic_colour(image: wp.array3d[wp.uint8], width: wp.int32, height: wp.int32, u: wp.float32, v: wp.float32) -> wp.vec3f:
-    """Catmull-Rom sample, limited to 0 .. 255; the border is repeated."""
+    """Return the Catmull-Rom sample, limited to 0 .. 255; the border is repeated."""
     first_x = wp.int32(u + 0.5) - 1
     first_y = wp.int32(v + 0.5) - 1
     across = cubic_shares(u - 0.5 - wp.float32(first_x))
@@ -257,7 +257,7 @@ def register_pixels(
 def settle_depth(
     fused: Tensor, images: Tensor, splats: DeviceSplats, c: StepConstants, t: Tables, odd: Tensor | None = None
 ) -> Tensor:
-    """Fused depth, (H, W), replaced where most views and the colours of all except odd ones support a splat's."""
+    """Return the fused depth, (H, W), replaced where most views and the colours of all except odd ones support a splat's."""
     if min(min(size) for size in t.sizes.views) < 2:  # colours cannot be interpolated
         return fused
     settled = torch.empty_like(fused)

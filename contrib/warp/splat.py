@@ -58,7 +58,7 @@ class Footprint:
 
 @wp.func
 def project(p: wp.array[wp.float32], column: wp.int32, row: wp.int32, source_depth: wp.float32) -> Footprint:
-    """Steps 1 to 4 of the splat; `p` is a row of `projectors`."""
+    """Return the steps 1 to 4 of the splat; `p` is a row of `projectors`."""
     f = Footprint()
     f.visible = False
     if source_depth > 0.0 and source_depth < 1e30:
@@ -328,7 +328,7 @@ def splat_views(images: Tensor, depths: Tensor, masks: Tensor, c: StepConstants,
 def _splat_group(
     views: tuple[Tensor, ...], across: int, tiles: int, per_gaussian: float, out: tuple[Tensor, Tensor, Tensor]
 ) -> Tensor:
-    """Views whose pairs are sorted together; returns how many pairs a Gaussian has."""
+    """Return the views whose pairs are sorted together; returns how many pairs a Gaussian has."""
     depths, device = views[0], views[0].device
     count, capacity = depths.numel(), int(per_gaussian * depths.numel()) + 1
     keys, ids = (torch.empty(2 * count, dtype=torch.int32, device=device) for _ in range(2))

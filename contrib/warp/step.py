@@ -65,7 +65,7 @@ class State:
 
     @classmethod
     def empty(cls, sizes: Sizes, rows: int, device: torch.device) -> "State":
-        """A state in which nothing is remembered."""
+        """Return a state in which nothing is remembered."""
         (wide, high), (width, height), (w, h), views = sizes.largest, sizes.whole, sizes.cells, len(sizes.views)
 
         def zeros(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -319,7 +319,7 @@ class DeviceGuided:
         return program.results, found, (queued_s, sum(parts.values()))
 
     def _program(self, instant: Instant, sources: Sequence[SourceView]) -> tuple[Program, list[int]]:
-        """The program of an instant's sizes, and the rows of its pairs of sources in the table of ratios."""
+        """Return the program of an instant's sizes, and the rows of its pairs of sources in the table of ratios."""
         names = [source.camera.name for source in sources]
         pairs = [(min(pair), max(pair)) for pair in combinations(names, 2)]
         if self._latest is None or self._latest[2].index != instant.index - 1:
@@ -339,7 +339,7 @@ class DeviceGuided:
         return self._programs[sizes, room], rows
 
     def _states(self, program: Program) -> tuple[State, int]:
-        """The state that a step reads, and the number of the program's own that it writes.
+        """Return the state that a step reads, and the number of the program's own that it writes.
 
         What the target showed at another size is not read: that program's own takes its place.
         """
@@ -415,7 +415,7 @@ class DeviceGuided:
 
 
 def _stages(begun_s: float, step: tuple[float, float]) -> dict[str, float]:
-    """Seconds until the step was queued, of the step, and from its end to the picture."""
+    """Return the seconds until the step was queued, of the step, and from its end to the picture."""
     queued_s, seconds = step
     return {"upload": queued_s - begun_s, "step": seconds, "download": max(perf_counter() - queued_s - seconds, 0.0)}
 
@@ -436,7 +436,7 @@ class _Clock:
         self._marks.append((part, event))
 
     def seconds(self) -> dict[str, float]:
-        """Seconds of each part."""
+        """Return the seconds of each part."""
         spans = [(part, one, two) for (part, one), (_, two) in pairwise(self._marks)]
         if self._device.type == "cuda":
             self._marks[-1][1].synchronize()

@@ -85,7 +85,7 @@ def take_depths(
 
 @wp.func
 def corners_of(at: wp.vec3f, width: wp.int32, height: wp.int32) -> Corners:
-    """Corners for a bilinear look-up; the border is repeated."""
+    """Return the corners for a bilinear look-up; the border is repeated."""
     column = wp.min(wp.max(at[0] - 0.5, 0.0), wp.float32(width - 1))
     row = wp.min(wp.max(at[1] - 0.5, 0.0), wp.float32(height - 1))
     return corners_around(row, column, height, width)
@@ -93,7 +93,7 @@ def corners_of(at: wp.vec3f, width: wp.int32, height: wp.int32) -> Corners:
 
 @wp.func
 def between(a: wp.float32, b: wp.float32, c: wp.float32, d: wp.float32, fx: wp.float32, fy: wp.float32) -> wp.float32:
-    """Bilinear value of two upper and two lower neighbours."""
+    """Return the bilinear value of two upper and two lower neighbours."""
     return (1.0 - fy) * ((1.0 - fx) * a + fx * b) + fy * ((1.0 - fx) * c + fx * d)
 
 
@@ -175,7 +175,7 @@ def look_at_cells(
 def light_at(
     sums: wp.array3d[wp.float32], c: wp.int32, y: wp.int32, x: wp.int32, height: wp.int32, width: wp.int32
 ) -> wp.float32:
-    """Mean change of light at a cell, of sums over wide areas: three colours and their weight."""
+    """Return the mean change of light at a cell, of sums over wide areas: three colours and their weight."""
     h = sums.shape[1]
     w = sums.shape[2]
     v = wp.max((wp.float32(y) + 0.5) * (wp.float32(h) / wp.float32(height)) - 0.5, 0.0)
@@ -480,7 +480,7 @@ def remember_background(
     c: StepConstants,
     out: tuple[Tensor, Tensor],
 ) -> Tensor:
-    """The picture (3, H, W) with its holes filled from memory, see `RememberedBackground.step`; `out` is the memory."""
+    """Return the picture (3, H, W) with its holes filled from memory, see `RememberedBackground.step`; `out` is the memory."""
     filled = torch.empty_like(image)
     launch(remember, depth.shape, image, depth, splats.alphas, still, c.flags, *before, *out, filled)
     return filled

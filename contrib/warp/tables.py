@@ -46,7 +46,7 @@ class Sizes:
         return max(len(self.views) * (len(self.views) - 1) // 2, 1)
 
     def lattice(self, by: int, rows: int) -> list[tuple[int, int, int]]:
-        """Step, columns and rows of the lattice of each view's reduced image; at least N rows, if it has them."""
+        """Return the step, columns and rows of the lattice of each view's reduced image; at least N rows, if it has them."""
         lattices = []
         for view in self.views:
             width, height = (max(side // by, 1) for side in view)
@@ -94,12 +94,12 @@ class Tables:
         self.pooling = cache(self.pooling)  # type: ignore[method-assign]
 
     def tensor(self, values: Any) -> Tensor:
-        """Numbers on the device: whole ones int32, others float32."""
+        """Return the numbers on the device: whole ones int32, others float32."""
         array = np.asarray(values)
         return torch.from_numpy(array.astype(np.int32 if array.dtype.kind in "iu" else np.float32)).to(self.device)
 
     def pairs(self) -> tuple[Tensor, Tensor]:
-        """Both sources of each pair, (P, 2), and the ordered pairs, there and back, (2 P, 2)."""
+        """Return both sources of each pair, (P, 2), and the ordered pairs, there and back, (2 P, 2)."""
         pairs = list(combinations(range(len(self.sizes.views)), 2)) or [(0, 0)]
         return self.tensor(pairs), self.tensor([order for j, k in pairs for order in ((j, k), (k, j))])
 
@@ -108,7 +108,7 @@ class Tables:
         return self.tensor(self.sizes.lattice(by, rows))
 
     def past_size(self, width: int, height: int) -> Tensor:
-        """Size of the march of the instant before, (1, 2)."""
+        """Return the size of the march of the instant before, (1, 2)."""
         return self.tensor([[width, height]])
 
     def area_cells(self, lengths: tuple[int, ...], counts: tuple[int, ...]) -> tuple[Tensor, Tensor]:
@@ -127,32 +127,32 @@ class Tables:
         return self.tensor(np.stack([first, np.minimum(first + 1, coarse - 1)], axis=1)), self.tensor(at - first)
 
     def middles(self, lengths: tuple[int, ...], counts: tuple[int, ...]) -> Tensor:
-        """Pixel in the middle of each cell of lines, (N, cells)."""
+        """Return the pixel in the middle of each cell of lines, (N, cells)."""
         places = np.zeros((len(lengths), max(counts)), np.int64)
         for n, each in enumerate(zip(lengths, counts, strict=True)):
             places[n, : each[1]] = rules.middles(*each)
         return self.tensor(places)
 
     def widening(self, size: int) -> Tensor:
-        """Matrix that averages a line of cells over areas as wide as light, as cv2's resize and blur do."""
+        """Return the matrix that averages a line of cells over areas as wide as light, as cv2's resize and blur do."""
         small = -(-size // (rules.LIGHT_PX // rules.REDUCTION))
         lines: Array = np.eye(size, dtype=np.float64)
         averaged = cv2.resize(lines, (size, small), interpolation=cv2.INTER_AREA)
         return self.tensor(cv2.GaussianBlur(averaged, (1, 9), sigmaX=1, sigmaY=1))
 
     def pooling(self, size: int) -> Tensor:
-        """Matrix that blurs a line of cells over the window of the changes of views."""
+        """Return the matrix that blurs a line of cells over the window of the changes of views."""
         lines: Array = np.eye(size, dtype=np.float64)
         taps = round(8 * rules.POOL + 1) | 1
         return self.tensor(cv2.GaussianBlur(lines, (1, taps), sigmaX=rules.POOL, sigmaY=rules.POOL))
 
     def wide(self, maps: Tensor) -> Tensor:
-        """Sums of maps (..., h, w) over areas as wide as light."""
+        """Return the sums of maps (..., h, w) over areas as wide as light."""
         down, across = (self.widening(size) for size in maps.shape[-2:])
         return (down @ maps @ across.T).contiguous()
 
     def pooled(self, maps: Tensor) -> Tensor:
-        """Means of maps (..., h, w) over the window of the changes of views."""
+        """Return the means of maps (..., h, w) over the window of the changes of views."""
         down, across = (self.pooling(size) for size in maps.shape[-2:])
         return (down @ maps @ across.T).contiguous()
 
@@ -169,7 +169,7 @@ def _area_cells(length: int, cells: int) -> tuple[Any, Any]:
 
 
 def masked_median(values: Tensor, mask: Tensor) -> Tensor:
-    """Median of the values that count, the mean of the two middle ones of an even number; 0 where none does.
+    """Return the median of the values that count, the mean of the two middle ones of an even number; 0 where none does.
 
     Torch's own reads it back, or takes at most 16 million values.
 
@@ -206,7 +206,7 @@ class Corners:
 
 @wp.func
 def corners_around(row: wp.float32, column: wp.float32, height: wp.int32, width: wp.int32) -> Corners:
-    """Corners of a place in pixels, 0 in the middle of the first; the last pixel repeats beyond the image."""
+    """Return the corners of a place in pixels, 0 in the middle of the first; the last pixel repeats beyond the image."""
     found = Corners()
     found.y0 = wp.min(wp.int32(row), height - 1)
     found.x0 = wp.min(wp.int32(column), width - 1)

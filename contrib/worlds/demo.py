@@ -58,7 +58,7 @@ def film_demo(folder: Path, options: DemoOptions, workers: int | None = None) ->
 
 
 def _executor(workers: int) -> Executor:
-    """Processes that start afresh: forked ones would inherit the threads of torch and OpenCV."""
+    """Return the processes that start afresh: forked ones would inherit the threads of torch and OpenCV."""
     if workers == 1:
         return ThreadPoolExecutor(1)
     return worker_pool(workers)
@@ -88,7 +88,7 @@ def _await(doing: str, jobs: list[Future[T]]) -> list[T]:
 
 
 def _description(options: DemoOptions) -> str:
-    """The text of demo.json; of options that came later it names those that are used, so that old demos stay valid."""
+    """Return the text of demo.json; of options that came later it names those that are used, so that old demos stay valid."""
     unused = {name for name in LATER if getattr(options, name) == getattr(DemoOptions, name)}
     chosen = {name: value for name, value in asdict(options).items() if name not in unused}
     described = {

@@ -109,7 +109,7 @@ DOMAINS: dict[str, Domain] = {
 
 
 def find_domain(name: str) -> Domain:
-    """The domain of that name."""
+    """Return the domain of that name."""
     if name not in DOMAINS:
         raise CaptureError(f"domain {name!r}: wanted one of {', '.join(DOMAINS)}; correct the name")
     return DOMAINS[name]
@@ -129,7 +129,7 @@ def domain_options(name: str, seed: int, width: int | None = None, height: int |
 
 
 def _drawn(name: str, domain: Domain, seed: int) -> dict[str, Any]:
-    """Strengths of a training capture; plain rooms keep those that they have always had."""
+    """Return the strengths of a training capture; plain rooms keep those that they have always had."""
     rng = np.random.default_rng([seed, 84] if name == PLAIN else [seed, 87, *name.encode()])
     drawn = {option: float(rng.uniform(*limits)) for option, limits in domain.strengths.items()}
     return {option: round(value) if option == "jpeg_quality" else value for option, value in drawn.items()}

@@ -37,7 +37,7 @@ def pack_room(name: str, folder: Path) -> None:
 
 
 def _left_out(folder: Path, place: Path) -> set[str]:
-    """Names in a folder of the demo that are packed in another form."""
+    """Return the names in a folder of the demo that are packed in another form."""
     return {path.name for path in (folder / PATH_IMAGES, folder / SCENE) if path.parent == place}
 
 

@@ -105,7 +105,7 @@ def open_capture(
 
 
 def detect_layout(path: Path, layout: str | None = None) -> str:
-    """The layout of a capture.
+    """Return the layout of a capture.
 
     Args:
         layout: the only one to consider; all when None.
@@ -124,7 +124,7 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
 
 
 def calibration_mark(path: Path) -> tuple[str, tuple[str, ...]] | None:
-    """A name in a folder that shows a calibration, and the layouts that have it; None where there is none, or no folder.
+    """Return a name in a folder that shows a calibration, and the layouts that have it; None where there is none, or no folder.
 
     The marks of layouts go first; files that hold camera matrices in a form that nothing here reads are of no layout.
     """
@@ -156,7 +156,7 @@ def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
 
 
 def _captures_within(path: Path) -> list[str]:
-    """Folders one or two levels below that hold a capture, when a whole data set was named instead of a scene."""
+    """Return the folders one or two levels below that hold a capture, when a whole data set was named instead of a scene."""
     captures: list[Path] = []
     level = [path]
     for _ in range(2):

@@ -12,7 +12,7 @@ HEADER_ERRORS = (OSError, ValueError, TypeError, ArithmeticError, EOFError, Synt
 
 
 def map_array(path: Path) -> np.ndarray:
-    """An array of numbers in a file, not read yet.
+    """Return an array of numbers in a file, not read yet.
 
     A header that claims more than the file holds is refused. Pickles, archives and arrays of objects are refused unread.
 

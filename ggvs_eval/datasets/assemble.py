@@ -145,7 +145,7 @@ def _is_file_name(name: str) -> bool:
 
 
 def _fit_camera(camera: Camera, source: SizedSource, path: Path) -> Camera:
-    """The camera at the size of its frames, which may be a uniformly scaled one."""
+    """Return the camera at the size of its frames, which may be a uniformly scaled one."""
     width, height = source.size
     if not has_shape((width, height), camera.size):
         tags = source.orientations if isinstance(source, ImageFrames) else ()
@@ -158,7 +158,7 @@ def _fit_camera(camera: Camera, source: SizedSource, path: Path) -> Camera:
 
 
 def common_count(path: Path, sources: Mapping[str, FrameSource]) -> int:
-    """The number of frames of every camera."""
+    """Return the number of frames of every camera."""
     counts = {name: source.n_frames for name, source in sources.items()}
     if len(set(counts.values())) > 1:
         shown = listed([f"{name} {count}" for name, count in counts.items()])
@@ -167,7 +167,7 @@ def common_count(path: Path, sources: Mapping[str, FrameSource]) -> int:
 
 
 def common_rate(path: Path, sources: Mapping[str, FrameSource]) -> float:
-    """The frame rate of a rig whose cameras have equally many frames.
+    """Return the frame rate of a rig whose cameras have equally many frames.
 
     Raises:
         CaptureError: constant rates that differ; variable ones where frames of one number differ by over half a step.
@@ -191,7 +191,7 @@ def common_rate(path: Path, sources: Mapping[str, FrameSource]) -> float:
 
 
 def largest_lag_s(sources: Mapping[str, FrameSource]) -> float | None:
-    """The largest distance in time of frames of one number, by the videos' time stamps; None where some are no videos."""
+    """Return the largest distance in time of frames of one number, by the videos' time stamps; None where some are no videos."""
     times = [video.times_s for video in _videos(sources).values() if video]
     if len(times) < len(sources):
         return None
@@ -242,7 +242,7 @@ def write_crop(folder: Path, crop: Crop) -> Path:
 
 
 def crop_lens(name: str, lens: Lens, frames: Size, crop: Crop | None) -> Lens:
-    """The lens of a camera's frames; of pictures that are whole, or only scaled, the lens as it is.
+    """Return the lens of a camera's frames; of pictures that are whole, or only scaled, the lens as it is.
 
     Args:
         frames: (width, height) of the frames, pixels; the crop is of pixels of the calibrated size.
@@ -338,7 +338,7 @@ def apply_known_traps(capture: Capture, leave_out: bool = True) -> Capture:
 
 @cache
 def known_traps() -> tuple[KnownTrap, ...]:
-    """The traps that ship with the package.
+    """Return the traps that ship with the package.
 
     Examples:
         >>> [(trap.scenes, trap.camera) for trap in known_traps() if trap.leave_out]

@@ -86,7 +86,7 @@ def refuse(kind: str, path: Path) -> str | None:
 
 
 def find_calibration_files(path: Path, kind: str | None = None) -> list[Path]:
-    """The calibration files in a folder, of one kind or of the first that is there; the file itself where it is one.
+    """Return the calibration files in a folder, of one kind or of the first that is there; the file itself where it is one.
 
     A file for each camera is usual with OpenCV, so there may be several.
     """
@@ -162,14 +162,14 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
 
 
 def find_unread(path: Path) -> Path | None:
-    """The first file in a folder that holds cameras in a form of no kind; None where there is none."""
+    """Return the first file in a folder that holds cameras in a form of no kind; None where there is none."""
     files = sorted(each for each in path.iterdir() if each.suffix.lower() in (".toml", ".yml", ".yaml", ".xml", ".json"))
     others = (each for each in files if each.is_file() and each.name not in OWN)
     return next((each for each in others if CAMERAS.search(_text(each))), None)
 
 
 def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:
-    """The files of `find_calibration_files`, and what reads them."""
+    """Return the files of `find_calibration_files`, and what reads them."""
     files = list_entries(path) if path.is_dir() else [path]
     for each in KINDS.values() if kind is None else [KINDS[kind]]:
         if fitting := [file for file in files if each.fits(file)]:
@@ -178,7 +178,7 @@ def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamer
 
 
 def _text(file: Path) -> str:
-    """The text of a file; none where it cannot be read."""
+    """Return the text of a file; none where it cannot be read."""
     try:
         return read_plain_text(file, LARGEST_XML_BYTES)
     except (OSError, UnicodeDecodeError):

@@ -58,7 +58,7 @@ class FileCamera:
     is_metric: bool = False
 
     def lens(self, frame_size: tuple[int, int] | None, crop: Crop | None = None) -> Lens:
-        """The lens at the size of the calibration, which is taken to be that of the frames where the file names none.
+        """Return the lens at the size of the calibration, which is taken to be that of the frames where the file names none.
 
         Args:
             frame_size: (width, height) of the frames, pixels.
@@ -141,7 +141,7 @@ def _is_given(table: Mapping[str, Any], key: str) -> bool:
 
 
 def _table_name(key: str, table: Mapping[str, Any]) -> str:
-    """The name of a camera: that in its table, caliscope's for its videos, or the table's own."""
+    """Return the name of a camera: that in its table, caliscope's for its videos, or the table's own."""
     numbered = next((f"{word}_{table[at]}" for word, at in (("cam", "cam_id"), ("port", "port")) if at in table), key)
     return str(table.get("name", numbered))
 
@@ -200,7 +200,7 @@ def _pose(rotation: Array, translation: Array) -> Array:
 
 
 def _rotation(values: Array) -> Array:
-    """A rotation matrix of itself, or of Rodrigues' vector."""
+    """Return a rotation matrix of itself, or of Rodrigues' vector."""
     return values if values.shape == (3, 3) else np.asarray(cv2.Rodrigues(values.reshape(3, 1))[0], np.float64)
 
 
@@ -233,7 +233,7 @@ def _xml_numbers(path: Path, camera: ElementTree.Element, tag: str) -> Any:
 
 
 def _numbers(path: Path, section: str, table: Mapping[str, Any], key: str, shape: tuple[int, ...] | None) -> Array:
-    """The numbers of a key as an array of this shape, of any length where None."""
+    """Return the numbers of a key as an array of this shape, of any length where None."""
     value = table.get(key)
     rows = value if isinstance(value, list) else []
     flat: Sequence[Any] = [each for row in rows for each in (row if isinstance(row, list) else [row])]

@@ -58,7 +58,7 @@ def frames_in(path: Path, arrangement: str, even_empty: bool = False) -> list[tu
 
 
 def find_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
-    """Frames of known cameras by the first arrangement that holds those of any.
+    """Return the frames of known cameras by the first arrangement that holds those of any.
 
     Args:
         image_names: camera -> its image in the calibration, relative to ``images/`` or to the capture.
@@ -117,7 +117,7 @@ def instead_of_frames(path: Path, names: Iterable[str] = ()) -> str:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names in a message, not thousands of them."""
+    """Return the names in a message, not thousands of them."""
     names = list(names)
     return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
 

@@ -43,7 +43,7 @@ class NoisyFrames:
         return digest_values(self.source.digest, "noise", self.camera_name, repr(self.sigma_255), str(self.seed))
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
-        """Frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
+        """Yield the frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
         for frame, image in enumerate(self.source.frames(start, stop), start):
             yield self._expose(image, frame)
 
@@ -67,7 +67,7 @@ class HeldFrames:
         return digest_values(self.source.digest, "held", str(self.frame), str(self.n_frames))
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
-        """The frame, decoded once, for each of start <= t < stop."""
+        """Yield the frame, decoded once, for each of start <= t < stop."""
         if start < stop:
             still = next(self.source.frames(self.frame, self.frame + 1))
             for _ in range(start, stop):
@@ -88,7 +88,7 @@ class HeldDepths:
         return digest_values(self.source.digest, "held", str(self.frame), str(self.n_frames))
 
     def depths(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
-        """The depth, read once, for each of start <= t < stop."""
+        """Yield the depth, read once, for each of start <= t < stop."""
         if start < stop:
             still = next(self.source.depths(self.frame, self.frame + 1))
             for _ in range(start, stop):
@@ -96,7 +96,7 @@ class HeldDepths:
 
 
 def perturb_capture(capture: Capture, edit: CaptureEdit) -> Capture:
-    """The same cameras with their frames as wanted, the frames that serve as truth included.
+    """Return the same cameras with their frames as wanted, the frames that serve as truth included.
 
     Args:
         edit: what is done to it; nothing with the defaults.

@@ -149,7 +149,7 @@ def _matrix(rows: Matrix, size: int, what: str) -> Array:
 
 
 def _lens(camera: CameraTable, frames: SizedSource, pixel_centre: str, crop: Crop | None, file: Path) -> Lens:
-    """The lens of the frames: where they are a part of the calibrated picture, of that part."""
+    """Return the lens of the frames: where they are a part of the calibrated picture, of that part."""
     if camera.crop is not None and len(camera.crop) != 2:
         raise CaptureError(f"{file}: camera {camera.name}: wanted crop = [column, row], got {list(camera.crop)}; correct it")
     K = _matrix(camera.K, 3, f"{file}: K of {camera.name}")

@@ -49,13 +49,13 @@ def load_colmap(path: Path, units: GivenUnits) -> Capture:
 
 
 def find_model(path: Path) -> Path | None:
-    """The folder of the first sparse model below a capture."""
+    """Return the folder of the first sparse model below a capture."""
     folders = (path / folder for folder in MODEL_FOLDERS)
     return next((folder for folder in folders if any((folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt"))), None)
 
 
 def by_camera(folder: Path, views: Sequence[CalibratedView]) -> dict[str, CalibratedView]:
-    """The views of a model by the names of their cameras, see `camera_names`."""
+    """Return the views of a model by the names of their cameras, see `camera_names`."""
     names = camera_names([view.image_name for view in views])
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -101,14 +101,14 @@ def load_frame_folders(path: Path, units: GivenUnits) -> Capture:
 
 
 def numbered_folders(parent: Path, name: re.Pattern[str]) -> dict[int, Path]:
-    """Folders of instants with pictures in ``images/``, by their numbers, in the order of time."""
+    """Return the folders of instants with pictures in ``images/``, by their numbers, in the order of time."""
     matches = [(name.fullmatch(each.name), each) for each in sorted(parent.iterdir())] if parent.is_dir() else []
     numbered = {int(match[match.re.groups]): folder for match, folder in matches if match and list_images(folder / "images")}
     return dict(sorted(numbered.items()))
 
 
 def instant_pictures(instants: dict[int, Path]) -> dict[str, list[tuple[int, Path]]]:
-    """Pictures of each camera with the numbers of their instants, by the name of the picture."""
+    """Return the pictures of each camera with the numbers of their instants, by the name of the picture."""
     pictures: dict[str, list[tuple[int, Path]]] = {}
     for number, folder in instants.items():
         for file in list_images(folder / "images"):
@@ -159,7 +159,7 @@ def _folders(path: Path) -> list[Path]:
 
 
 def _numbered(path: Path) -> dict[int, Path]:
-    """Camera number -> its folder."""
+    """Return the camera number -> its folder."""
     numbered: dict[int, Path] = {}
     for folder in _folders(path):
         other = numbered.setdefault(int(folder.name.removeprefix("cam")), folder)

@@ -56,7 +56,7 @@ class CalibratedView:
 
 
 def model_cameras(views: Mapping[str, CalibratedView], path: Path) -> list[Camera]:
-    """The pinhole cameras of the views' undistorted images, by name; `path` is the file named in errors.
+    """Return the pinhole cameras of the views' undistorted images, by name; `path` is the file named in errors.
 
     Reading:
         near = 0.8 times the 1st, far = 1.2 times the 99th percentile of the depth of the points that a view sees. Points are for
@@ -76,12 +76,12 @@ def model_cameras(views: Mapping[str, CalibratedView], path: Path) -> list[Camer
 
 
 def median_depths(views: Iterable[CalibratedView]) -> list[float]:
-    """Median depth of the points of each view that sees any, world units."""
+    """Return the median depth of the points of each view that sees any, world units."""
     return [view.depth_percentiles[1] for view in views if view.depth_percentiles]
 
 
 def read_model(folder: Path) -> list[CalibratedView]:
-    """The registered images of a model in the order of their names.
+    """Return the registered images of a model in the order of their names.
 
     Args:
         folder: holds cameras, images and perhaps points3D, as text or binary.
@@ -108,7 +108,7 @@ def read_model(folder: Path) -> list[CalibratedView]:
 
 
 def undistorted(source: SizedSource, lens: Lens, K: Array) -> SizedSource:
-    """The frames as pinhole frames; the source itself where the lens does not distort.
+    """Return the frames as pinhole frames; the source itself where the lens does not distort.
 
     Args:
         source: frames at the size of the calibration, or uniformly scaled.
@@ -138,7 +138,7 @@ def _view(folder: Path, image: dict[str, Any]) -> CalibratedView:
 
 
 def lens_of_colmap(model: str, params: Sequence[float], width: int, height: int) -> Lens:
-    """The lens of a COLMAP camera.
+    """Return the lens of a COLMAP camera.
 
     Raises:
         CameraError: a model that OpenCV cannot express, or parameters that do not fit it.
@@ -200,7 +200,7 @@ def _camera_line(number: int, camera: Camera) -> str:
 
 
 def _image_lines(number: int, camera: Camera, sightings: Sightings) -> list[str]:
-    """Pose with name, and the sightings as x, y and number of the point."""
+    """Return the pose with name, and the sightings as x, y and number of the point."""
     from scipy.spatial.transform import Rotation
 
     quaternion = Rotation.from_matrix(camera.rotation).as_quat(canonical=True, scalar_first=True)
@@ -210,7 +210,7 @@ def _image_lines(number: int, camera: Camera, sightings: Sightings) -> list[str]
 
 
 def _point_lines(cameras: Sequence[Camera], sightings: Sequence[Sightings], points: Array) -> Iterable[str]:
-    """Place, colour, error, and the track: number of the image and of the sighting in it, from 0."""
+    """Yield the place, colour, error, and the track: number of the image and of the sighting in it, from 0."""
     tracks: dict[int, list[str]] = {}
     colours: dict[int, list[Image8]] = {}
     errors_px: dict[int, list[float]] = {}

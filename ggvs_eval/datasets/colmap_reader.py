@@ -25,7 +25,7 @@ FEWEST_POINTS = 10  # seen from a camera, of which a depth range can be taken
 
 
 def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
-    """The registered images of a sparse model in the order of their names.
+    """Return the registered images of a sparse model in the order of their names.
 
     Args:
         folder: holds cameras, images and perhaps points3D, as text or binary.

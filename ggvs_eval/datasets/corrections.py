@@ -69,7 +69,7 @@ class CorrectedFrames:
         return digest_values(self.source.digest, "corrected", str(self.start), str(self.n_frames), *map(repr, self.gain))
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
-        """Frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
+        """Yield the frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
         levels = np.arange(256)[:, None] / np.array(self.gain)
         table = np.clip(np.rint(levels), 0, 255).astype(np.uint8)[:, None]  # (256, 1, 3)
         for image in self.source.frames(start + self.start, stop + self.start):
@@ -90,7 +90,7 @@ class ShiftedDepths:
         return digest_values(self.source.digest, "shifted", str(self.start), str(self.n_frames))
 
     def depths(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
-        """Depth of frames start <= t < stop one by one."""
+        """Yield the depth of frames start <= t < stop one by one."""
         yield from self.source.depths(start + self.start, stop + self.start)
 
 
@@ -100,7 +100,7 @@ def corrections_file(path: Path) -> Path:
 
 
 def read_corrections(file: Path) -> dict[str, Correction]:
-    """Corrections by camera; none where there is no file.
+    """Return the corrections by camera; none where there is no file.
 
     Raises:
         CaptureError: a damaged file, a camera named twice, a gain that is no gain.
@@ -135,7 +135,7 @@ def write_corrections(file: Path, corrections: Mapping[str, Correction]) -> None
 
 
 def apply_corrections(capture: Capture, corrections: Mapping[str, Correction], file: Path) -> Capture:
-    """The capture with its cameras in step and of one brightness; a note says what was done.
+    """Return the capture with its cameras in step and of one brightness; a note says what was done.
 
     Raises:
         CaptureError: a camera that the capture does not have, or offsets that leave no instant.

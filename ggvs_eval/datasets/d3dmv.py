@@ -81,7 +81,7 @@ def _pose_file(file: Path) -> Path:
 
 
 def _frame_folders(path: Path) -> dict[str, Path]:
-    """The folder of each camera in the order of names. Without backgrounds, frames/camXX is DyNeRF's arrangement."""
+    """Return the folder of each camera in the order of names. Without backgrounds, frames/camXX is DyNeRF's arrangement."""
     parent = path / "frames" if (path / "background").is_dir() and (path / "frames").is_dir() else path
     return {name: frames.path for name, frames in frames_in(parent, "CAM/") if re.fullmatch(r"cam\d+", name)}
 
@@ -94,7 +94,7 @@ def _background(path: Path, name: str) -> ImageFrames:
 
 
 def _read_cameras(file: Path, names: list[str]) -> list[Camera]:
-    """Row i is the i-th camera."""
+    """Return the row i is the i-th camera."""
     if len({len(name) for name in names}) > 1:
         mismatch = f"{min(names, key=len)} and {max(names, key=len)}"
         raise CaptureError(f"{file.parent}: wanted camera numbers of one length, got {mismatch}; add leading zeros")

@@ -70,7 +70,7 @@ class Placed(NamedTuple):
 
 
 def ranged_cameras(rig: Sequence[Placed], file: Path) -> list[Camera]:
-    """The cameras of a rig; those without a depth range get that of `rig_depth_range`, and say that it is guessed."""
+    """Return the cameras of a rig; those without a depth range get that of `rig_depth_range`, and say that it is guessed."""
     guesses = rig_depth_range([each.world_to_camera for each in rig])
     cameras = []
     for (name, K, pose, size, given), guess in zip(rig, guesses, strict=True):
@@ -132,7 +132,7 @@ def rig_depth_range(poses: Sequence[Array]) -> list[tuple[float, float]]:
 
 
 def _looked_at(centres: Array, axes: Array) -> Array:
-    """The point nearest to all optical axes, (3,)."""
+    """Return the point nearest to all optical axes, (3,)."""
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     return np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, centres), rcond=None)[0]
 
@@ -144,7 +144,7 @@ def _median_spacing(centres: Array) -> float:
 
 
 def neighbour_distances(centres: Array) -> Array:
-    """Distance of each of at least two points to its nearest neighbour, (N,).
+    """Return the distance of each of at least two points to its nearest neighbour, (N,).
 
     Args:
         centres: (N, 3).
@@ -155,7 +155,7 @@ def neighbour_distances(centres: Array) -> Array:
 
 
 def _convergence_rad(axes: Array) -> float:
-    """Median angle between the axes and their mean."""
+    """Return the median angle between the axes and their mean."""
     mean = axes.mean(axis=0)
     mean /= max(float(np.linalg.norm(mean)), 1e-12)  # cameras around the scene look in directions that cancel out
     return float(np.median(np.arccos(np.clip(axes @ mean, -1, 1))))
@@ -184,7 +184,7 @@ def points_depth_range(
 
 
 def read_points(path: Path) -> Array:
-    """The vertices of a PLY file, (N, 3)."""
+    """Return the vertices of a PLY file, (N, 3)."""
     import trimesh
 
     try:
@@ -202,7 +202,7 @@ def read_points(path: Path) -> Array:
 
 
 def settle_depth_ranges(capture: Capture, measure: bool = True) -> Capture:
-    """The capture with the best depth range of each camera that there is; what is not given is noted.
+    """Return the capture with the best depth range of each camera that there is; what is not given is noted.
 
     Args:
         measure: match its first frames where a range is not given.
@@ -242,7 +242,7 @@ def settle_depth_ranges(capture: Capture, measure: bool = True) -> Capture:
 
 
 def matched_points(capture: Capture) -> Array:
-    """Points that the first frames of neighbouring cameras share, triangulated, (N, 3) in the world."""
+    """Return the points that the first frames of neighbouring cameras share, triangulated, (N, 3) in the world."""
     cameras = _neighbourhoods(capture.cameras)
     features = [_features(capture, camera.name) for camera in cameras]
     points = [np.empty((0, 3))]
@@ -256,7 +256,7 @@ def matched_points(capture: Capture) -> Array:
 
 
 def _neighbourhoods(cameras: Sequence[Camera]) -> list[Camera]:
-    """All cameras of a rig; of a large one some all over it, each with its nearest."""
+    """Return all cameras of a rig; of a large one some all over it, each with its nearest."""
     if len(cameras) <= MOST_CAMERAS:
         return list(cameras)
     centres = np.stack([camera.centre for camera in cameras])
@@ -276,7 +276,7 @@ def _matchable(camera: Camera, cameras: Sequence[Camera]) -> Camera:
 
 
 def _features(capture: Capture, name: str) -> Features:
-    """Features of a camera's first frame; none if unreadable (reported elsewhere)."""
+    """Return the features of a camera's first frame; none if unreadable (reported elsewhere)."""
     try:
         return find_features(capture.frame(name, 0))
     except CaptureError:
@@ -286,7 +286,7 @@ def _features(capture: Capture, name: str) -> Features:
 def _ranged(
     capture: Capture, ranges: Mapping[str, tuple[float, float]], origin: RangeOrigin, medians: Sequence[float], note: str
 ) -> Capture:
-    """The capture with the near and far of some cameras replaced, and the guess of its units with them."""
+    """Return the capture with the near and far of some cameras replaced, and the guess of its units with them."""
     cameras = [
         replace(camera, near=ranges[camera.name][0], far=ranges[camera.name][1], range_origin=origin)
         if camera.name in ranges
@@ -300,7 +300,7 @@ def _ranged(
 
 
 def _rounded(depth: float, upwards: bool) -> float:
-    """Two significant digits, from below or above."""
+    """Return two significant digits, from below or above."""
     step = 10.0 ** (np.floor(np.log10(depth)) - DIGITS + 1)
     return float(f"{(np.ceil if upwards else np.floor)(depth / step) * step:.{DIGITS}g}")
 

@@ -163,7 +163,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
 
 def _filmed(path: Path) -> tuple[list[EasyMocapView], dict[str, CameraFrames], list[str]]:
-    """The cameras with a pose and frames, their frames, and notes on those that are left out."""
+    """Return the cameras with a pose and frames, their frames, and notes on those that are left out."""
     placed, unplaced = read_views(path / INTRINSICS, path / EXTRINSICS)
     frames, beside = find_frames(path, {view.name: f"{view.name}.png" for view in placed})
     views = [view for view in placed if view.name in frames]
@@ -206,7 +206,7 @@ def _depth_ranges(path: Path, views: Sequence[EasyMocapView], lenses: Sequence[L
 
 
 def _hull_corners(path: Path) -> Array:
-    """The corners of the hulls' bounds in all frames, (N, 3), world."""
+    """Return the corners of the hulls' bounds in all frames, (N, 3), world."""
     corners = []
     for file in list_files(path / HULLS, (".npy",)):
         try:

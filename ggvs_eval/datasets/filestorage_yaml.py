@@ -43,7 +43,7 @@ class FileStorageYaml:
             raise self._refused("OpenCV YAML, which begins with %YAML:1.0", repr(lines[0][:40]) if lines else "no line")
 
     def texts(self, key: str) -> list[str]:
-        """A sequence of texts; empty where it is absent or something else."""
+        """Return a sequence of texts; empty where it is absent or something else."""
         value = self._entries.get(key, "").strip()
         if value.startswith("[") and value.endswith("]"):
             items = value[1:-1].split(",")
@@ -57,11 +57,11 @@ class FileStorageYaml:
         return key in self._entries
 
     def text(self, key: str) -> str:
-        """A text without its quotes; empty where it is absent."""
+        """Return a text without its quotes; empty where it is absent."""
         return _unquoted(self._entries.get(key, ""))
 
     def number(self, key: str) -> float | None:
-        """A positive number; None where it is absent."""
+        """Return a positive number; None where it is absent."""
         if not self.has(key):
             return None
         value = _number(self._entries[key])
@@ -89,7 +89,7 @@ class FileStorageYaml:
         return matrix.reshape(shape or (rows, columns))
 
     def _fields(self, key: str) -> dict[str, str]:
-        """The four fields of a matrix as texts."""
+        """Return the four fields of a matrix as texts."""
         value = self._entries[key]
         fields = dict(FIELD.findall(value))
         is_matrix = (value.startswith("!!opencv-matrix") and "dt" in fields) or value.startswith("rows")
@@ -137,7 +137,7 @@ class FileStorageYaml:
 
 
 def parse_xml(path: Path, text: str, form: str) -> ElementTree.Element:
-    """The root of an XML text without declarations."""
+    """Return the root of an XML text without declarations."""
     try:
         if "<!" in text.replace("<!--", ""):
             raise refused(path, "XML without declarations", "one that begins with <!")
@@ -147,12 +147,12 @@ def parse_xml(path: Path, text: str, form: str) -> ElementTree.Element:
 
 
 def refused(path: Path, form: str, content: str) -> CaptureError:
-    """The error of a camera file that holds something else than was wanted."""
+    """Return the error of a camera file that holds something else than was wanted."""
     return CaptureError(f"{path}: wanted {form}, got {' '.join(content.split())[:160]}; restore or export the file again")
 
 
 def _number(text: str) -> float:
-    """A number as OpenCV writes it, NaN where the text is none: ``1.``, ``-.Inf``."""
+    """Return a number as OpenCV writes it, NaN where the text is none: ``1.``, ``-.Inf``."""
     plain = re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text.strip())
     return float(plain[0]) if plain else float("nan")
 

@@ -115,7 +115,7 @@ class ImageFrames:
             yield image
 
     def _in_time(self, numbered: Sequence[tuple[Number | None, Path]]) -> tuple[Path, ...]:
-        """The files in the order of their frame numbers, which must go in even steps."""
+        """Return the files in the order of their frame numbers, which must go in even steps."""
         counts = Counter(number for number, _ in numbered)
         wrong = [number for number, count in counts.items() if count > 1 or (number is None and len(numbered) > 1)]
         if wrong:
@@ -181,7 +181,7 @@ def has_shape(size: tuple[int, int], calibrated: tuple[float, float]) -> bool:
 
 
 def _read_header(file: Path) -> PictureHeader:
-    """Size and kind of an image, without decoding it."""
+    """Return the size and kind of an image, without decoding it."""
     from PIL.Image import DecompressionBombError
 
     try:

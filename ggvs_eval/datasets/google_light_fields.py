@@ -162,7 +162,7 @@ def load_positions(path: Path, units: GivenUnits, positions: Sequence[int] | Non
 
 
 def _read_position(path: Path) -> list[list[_SpacesView]]:
-    """The views of each position of the rig."""
+    """Return the views of each position of the rig."""
     file = path / MODELS
     models = load_models(file)
     if not isinstance(models, list) or not models or not all(isinstance(at, list) and at for at in models):
@@ -204,7 +204,7 @@ def _image(view: _SpacesView) -> ImageFrames:
 
 
 def _placed(view: _SpacesView) -> Placed:
-    """The camera at the size of its image on disk."""
+    """Return the camera at the size of its image on disk."""
     model, (width, height) = view.model, _image(view).size
     if not has_shape((width, height), (model.width, model.height)):
         calibrated = f"{model.width:g} x {model.height:g}"

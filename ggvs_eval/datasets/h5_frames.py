@@ -107,7 +107,7 @@ class H5Frames:
 
 
 def h5_parts(path: Path) -> dict[str, list[H5Frames]]:
-    """The frames of every camera, for each of the known datasets that a file holds.
+    """Return the frames of every camera, for each of the known datasets that a file holds.
 
     Raises:
         CaptureError: no file, no ``rgb``, or datasets of other types, shapes or lengths than their names promise.

@@ -79,12 +79,12 @@ def write_llff_poses(path: Path, poses: Sequence[LlffPose]) -> None:
 
 
 def llff_pose(camera: Camera) -> LlffPose:
-    """The row of a camera; its principal point is taken to be the image centre and its focal length the mean of both."""
+    """Return the row of a camera; its principal point is taken to be the image centre and its focal length the mean of both."""
     return LlffPose(camera.world_to_camera, (camera.height, camera.width, camera.focal_px), camera.near, camera.far)
 
 
 def llff_camera(pose: LlffPose, name: str, path: Path) -> Camera:
-    """The camera of a row, at the size the poses were made for; `path` is the file named in errors."""
+    """Return the camera of a row, at the size the poses were made for; `path` is the file named in errors."""
     height, width, focal_px = pose.hwf
     K = np.array([[focal_px, 0.0, width / 2], [0.0, focal_px, height / 2], [0.0, 0.0, 1.0]])
     try:
@@ -159,7 +159,7 @@ def load_dynerf(path: Path, units: GivenUnits) -> Capture:
 
 
 def _find_sources(path: Path) -> dict[str, SizedSource]:
-    """The frames of each camera in the order of names, by the first arrangement that is there."""
+    """Return the frames of each camera in the order of names, by the first arrangement that is there."""
     for place in PLACES:
         name = r"\d+" if place.startswith("images/") else r"cam\d+"
         sources = dict(sorted(found for found in frames_in(path, place, even_empty=True) if re.fullmatch(name, found[0])))
@@ -178,7 +178,7 @@ def _check_name_lengths(path: Path, names: list[str]) -> None:
 
 
 def _describe(names: list[str]) -> str:
-    """The names in a few words: first, last, and the numbers missing between them."""
+    """Return the names in a few words: first, last, and the numbers missing between them."""
     if not all(name.removeprefix("cam").isdecimal() for name in names):
         return f"{names[0]}..{names[-1]}"
     numbers = {int(name.removeprefix("cam")) for name in names}
@@ -260,13 +260,13 @@ def load_meetroom(path: Path, units: GivenUnits) -> Capture:
 
 
 def _videos(path: Path) -> dict[int, CameraFrames]:
-    """Camera number -> its video."""
+    """Return the camera number -> its video."""
     videos = [(VIDEO.fullmatch(name), video) for name, video in frames_in(path, "CAM.mp4")]
     return {int(match[1]): video for match, video in videos if match}
 
 
 def _instants(path: Path) -> dict[int, Path]:
-    """Folders of the instants by their numbers, in the order of time."""
+    """Return the folders of the instants by their numbers, in the order of time."""
     for parent in (path / name for name in FRAMES):
         folders = numbered_folders(parent, INSTANT)
         if folders and (next(iter(folders.values())) / POSES).is_file():
@@ -275,7 +275,7 @@ def _instants(path: Path) -> dict[int, Path]:
 
 
 def _pictures(path: Path, instants: dict[int, Path]) -> dict[int, NumberedFrames]:
-    """Camera number -> its pictures."""
+    """Return the camera number -> its pictures."""
     matches = [(PICTURE.fullmatch(name), files) for name, files in instant_pictures(instants).items()]
     return {int(match[1]): NumberedFrames(path, tuple(files)) for match, files in matches if match}
 

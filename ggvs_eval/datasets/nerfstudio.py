@@ -120,7 +120,7 @@ def _read_frames(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def _image(path: Path, file_path: str) -> str:
-    """The picture of a frame as `require_frames` looks for it; NeRF's own files leave its suffix out."""
+    """Return the picture of a frame as `require_frames` looks for it; NeRF's own files leave its suffix out."""
     relative = file_path.removeprefix("./").removeprefix("images/")
     if PurePosixPath(relative).suffix.lower() in IMAGE_SUFFIXES or not relative.isprintable() or len(relative) > 1000:
         return relative
@@ -158,7 +158,7 @@ def _world_to_camera(frame: Mapping[str, Any]) -> Array:
 
 
 def _lens(frame: Mapping[str, Any], frame_size: tuple[int, int]) -> Lens:
-    """The lens of a frame, whose picture has that size."""
+    """Return the lens of a frame, whose picture has that size."""
     width, height = int(frame.get("w", frame_size[0])), int(frame.get("h", frame_size[1]))
     is_fisheye = bool(frame.get("is_fisheye"))
     model = frame.get("camera_model", FISHEYE_MODEL if is_fisheye else "OPENCV")

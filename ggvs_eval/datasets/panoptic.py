@@ -73,7 +73,7 @@ def _read(file: Path) -> Iterator[tuple[str, _View]]:
 
 
 def _views(meta: Mapping[str, Any]) -> Iterator[tuple[str, _View]]:
-    """The cameras of a file; of each all instants are read, since a camera that moves would be a wrong one."""
+    """Yield the cameras of a file; of each all instants are read, since a camera that moves would be a wrong one."""
     K, poses = np.array(meta["k"], np.float64), np.array(meta["w2c"], np.float64)  # (T, N, 3, 3), (T, N, 4, 4)
     files, numbers = meta["fn"], meta["cam_id"]
     if K.ndim != 4 or K.shape[2:] != (3, 3) or poses.shape != (*K.shape[:2], 4, 4) or not np.isfinite(poses).all():
@@ -89,7 +89,7 @@ def _views(meta: Mapping[str, Any]) -> Iterator[tuple[str, _View]]:
 
 
 def _folder(file: str) -> str:
-    """Folder of an image, which is its camera's name."""
+    """Return the folder of an image, which is its camera's name."""
     parts = PurePosixPath(file).parts
     if len(parts) != 2 or ".." in parts or parts[0] == "/" or not file.isprintable() or len(file) > 200:
         raise ValueError(f"the image {file!r:.60}, wanted CAM/FRAME.jpg")
@@ -97,7 +97,7 @@ def _folder(file: str) -> str:
 
 
 def _checked(files: Sequence[Sequence[str]], index: int, name: str) -> list[str]:
-    """The images of one camera in order, all in its folder."""
+    """Return the images of one camera in order, all in its folder."""
     own = [str(row[index]) for row in files]
     if any(_folder(file) != name for file in own):
         raise ValueError(f"images of several folders for camera {name}")

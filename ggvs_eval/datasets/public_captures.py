@@ -54,11 +54,11 @@ class PublicDataset:
         return (*(self.folders or self.archives), *(each.scene for each in self.by_hand))
 
     def folder(self) -> Path:
-        """Folder of its captures."""
+        """Return the folder of its captures."""
         return cache_folder() / "captures" / self.name
 
     def place(self, scene: str) -> Path:
-        """Folder of a scene, present or not."""
+        """Return the folder of a scene, present or not."""
         return self.folder() / self.archives[0] / scene if scene in self.folders else self.folder() / scene
 
 
@@ -71,14 +71,14 @@ class DatasetTable:
 
 @cache
 def public_datasets() -> dict[str, PublicDataset]:
-    """All of them by name."""
+    """Return all of them by name."""
     text = resources.files(__package__).joinpath(FILE).read_text(encoding="utf-8")
     table = build_table(DatasetTable, parse_toml(text, FILE, CaptureError), FILE, "", CaptureError)
     return {dataset.name: dataset for dataset in table.dataset}
 
 
 def find_scene(name: str) -> tuple[PublicDataset, str]:
-    """The data set and the scene that ``DATASET:SCENE`` names."""
+    """Return the data set and the scene that ``DATASET:SCENE`` names."""
     dataset_name, _, scene = name.partition(":")
     datasets = public_datasets()
     if dataset_name not in datasets:
@@ -92,7 +92,7 @@ def find_scene(name: str) -> tuple[PublicDataset, str]:
 
 
 def locate(path: Path) -> Path:
-    """The folder of a capture: the path itself, or where ``DATASET:SCENE`` was put by `get_capture`."""
+    """Return the folder of a capture: the path itself, or where ``DATASET:SCENE`` was put by `get_capture`."""
     name = str(path)
     if path.exists() or not NAME.fullmatch(name) or name.partition(":")[0] not in public_datasets():
         return path

@@ -98,7 +98,7 @@ def read_sequence(path: Path) -> RgbdSequence:
 
 
 def _numbered(folder: Path, files: Sequence[Path]) -> dict[int, Path]:
-    """The files by the last number in their names, in the order of numbers."""
+    """Return the files by the last number in their names, in the order of numbers."""
     files_by_number: dict[int, Path] = {}
     try:
         numbers = numbers_in([file.stem.partition(".")[0] if file.name.startswith("frame-") else file.stem for file in files])
@@ -157,7 +157,7 @@ def _read_extrinsics(folder: Path) -> Array | None:
 
 
 def _read_extrinsic(file: Path) -> Array:
-    """A rigid transform, (4, 4); the identity where there is no file."""
+    """Return a rigid transform, (4, 4); the identity where there is no file."""
     matrix = _read_matrix(file, (4,)) if file.is_file() else np.eye(4)
     rotation = matrix[:3, :3]
     is_transform = np.isfinite(matrix).all() and np.allclose(matrix[3], [0, 0, 0, 1])

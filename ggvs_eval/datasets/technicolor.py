@@ -79,7 +79,7 @@ def _find_frames(path: Path) -> tuple[Path, dict[int, list[tuple[int, Path]]]] |
 
 
 def _read_rows(file: Path) -> np.ndarray:
-    """The parameters, (cameras, 12)."""
+    """Return the parameters, (cameras, 12)."""
     try:
         _, _, numbers = read_plain_text(file).partition("\n")
         rows = [row for row in parse_numbers(numbers, 2) if row]

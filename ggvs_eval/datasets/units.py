@@ -41,7 +41,7 @@ def choose_units(
     of_data_set: Units | None = None,
     median_depths: Sequence[float] | None = None,
 ) -> Units:
-    """World units per metre, from the best that there is.
+    """Return the world units per metre, from the best that there is.
 
     In this order: what the user gives (a number or a TOML file), ``units.toml`` in the capture, ``demo.json`` of a synthetic
     capture, what is known of the data set, a guess from the depth of the scene.
@@ -61,7 +61,7 @@ def choose_units(
 
 
 def guess_units_per_metre(cameras: Sequence[Camera], median_depths: Sequence[float] | None = None) -> float:
-    """World units per metre where nothing better is known: the median depth of the scene is taken for 2 metres.
+    """Return the world units per metre where nothing better is known: the median depth of the scene is taken for 2 metres.
 
     Args:
         median_depths: median scene depth per camera in world units; the geometric mean of near and far where absent.
@@ -75,7 +75,7 @@ def guess_units_per_metre(cameras: Sequence[Camera], median_depths: Sequence[flo
 
 
 def read_note(path: Path, key: str) -> float | None:
-    """A number that a synthetic capture notes about itself in ``demo.json``; None where there is no such file or note."""
+    """Return a number that a synthetic capture notes about itself in ``demo.json``; None where there is no such file or note."""
     file = path / DEMO_NOTES
     if not file.is_file():
         return None
@@ -87,7 +87,7 @@ def read_note(path: Path, key: str) -> float | None:
 
 
 def triangulate(cameras: Sequence[Camera], uv: Array) -> tuple[Array, float]:
-    """The point nearest to the rays of one marked point in several images.
+    """Return the point nearest to the rays of one marked point in several images.
 
     Args:
         cameras: at least two, at different places.

@@ -108,7 +108,7 @@ def _write(members: Iterator[_Member], folder: Path, limits: Limits) -> None:
 
 
 def _safe(member: PurePosixPath) -> PurePosixPath:
-    """The member's path if it stays inside and has no signs in it that some system takes for more than a name."""
+    """Return the member's path if it stays inside and has no signs in it that some system takes for more than a name."""
     if member.is_absolute() or ".." in member.parts or UNSAFE_PATH.search(str(member)):
         raise _RefusedError(f"holds {str(member)!r}, which leads outside of it; nothing was unpacked, pack it again")
     return member

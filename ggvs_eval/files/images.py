@@ -40,7 +40,7 @@ def quantise(image: NDArray[np.floating]) -> Image8:
 
 
 def to_8_bit(image: NDArray[np.generic]) -> Image8:
-    """An image as it will be saved: uint8 as it is, floats in [0, 1] rounded."""
+    """Return an image as it will be saved: uint8 as it is, floats in [0, 1] rounded."""
     return np.asarray(image, np.uint8) if image.dtype == np.uint8 else quantise(np.asarray(image, np.float64))
 
 
@@ -61,7 +61,7 @@ def read_image(path: Path, as_stored: bool = False) -> Image8:
 
 
 def read_encoded(path: Path) -> NDArray[np.uint8]:
-    """The bytes of a picture's file."""
+    """Return the bytes of a picture's file."""
     try:
         encoded = np.frombuffer(read_plain(path, LARGEST_PICTURE), np.uint8)
     except OSError as error:
@@ -72,7 +72,7 @@ def read_encoded(path: Path) -> NDArray[np.uint8]:
 
 
 def decode_image(encoded: NDArray[np.uint8], flags: int) -> NDArray[np.generic] | None:
-    """The image that a file's bytes hold, as ``cv2.imdecode`` gives it; None where they hold none."""
+    """Return the image that a file's bytes hold, as ``cv2.imdecode`` gives it; None where they hold none."""
     if not encoded.size or _is_cut_png(encoded.tobytes()):
         return None
     try:

@@ -26,12 +26,12 @@ def is_junk(name: str) -> bool:
 
 
 def list_entries(folder: Path) -> list[Path]:
-    """The files and folders in a folder by name, junk aside; none where there is no folder."""
+    """Return the files and folders in a folder by name, junk aside; none where there is no folder."""
     return sorted(entry for entry in folder.iterdir() if not is_junk(entry.name)) if folder.is_dir() else []
 
 
 def list_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
-    """The entries of a folder with one of some suffixes, in lower case here and in any on disk."""
+    """Return the entries of a folder with one of some suffixes, in lower case here and in any on disk."""
     return [entry for entry in list_entries(folder) if entry.suffix.lower() in suffixes]
 
 
@@ -50,12 +50,12 @@ def list_files_below(folder: Path, suffixes: tuple[str, ...] = IMAGE_SUFFIXES) -
 
 
 def same_name(name: str) -> str:
-    """A name as names are compared: macOS writes an umlaut as two characters, others as one (NFD and NFC)."""
+    """Return a name as names are compared: macOS writes an umlaut as two characters, others as one (NFD and NFC)."""
     return unicodedata.normalize("NFC", name)
 
 
 def find_below(folder: Path, relative: str) -> Path:
-    """The file or folder of a relative name, as the disk spells it: umlauts and the suffix's case may differ.
+    """Return the file or folder of a relative name, as the disk spells it: umlauts and the suffix's case may differ.
 
     Returns:
         folder / relative where there is none.
@@ -74,7 +74,7 @@ def _spelling(name: str) -> tuple[str, str]:
 
 
 def unread_pictures(folder: Path) -> str:
-    """Pictures in a folder whose format is not read, and what to do; empty where there are none."""
+    """Return the pictures in a folder whose format is not read, and what to do; empty where there are none."""
     counts = Counter(file.suffix.lower() for file in list_files(folder, UNREAD_PICTURES))
     listed = " and ".join(f"{count} {suffix}" for suffix, count in counts.most_common())
     return f"{listed} unsupported pictures: convert them to .png" if listed else ""

@@ -13,7 +13,7 @@ STAMP_FROM = 10**9  # seconds since 1970, and all that counts finer
 
 
 def numbers_in(stems: Sequence[str]) -> list[Number | None]:
-    """The last number in each of the names of one folder's frames, without their suffixes; None where there is none.
+    """Return the last number in each of the names of one folder's frames, without their suffixes; None where there is none.
 
     Digits, a point and digits are one number, as time stamps have it, unless they are fields of a name: then the text before
     the point is the same in all of them, and the digits behind it count.
@@ -47,7 +47,7 @@ def is_stamp(number: Number) -> bool:
 
 
 def camera_names(image_names: Sequence[str]) -> list[str]:
-    """The camera that each of a rig's pictures is of, one picture per camera.
+    """Return the camera that each of a rig's pictures is of, one picture per camera.
 
     A camera is called like its picture without the suffix; like a folder above it where pictures of several cameras are called
     alike, or where their names are numbers alone, which are those of frames.

@@ -23,7 +23,7 @@ def write_packed(file: BinaryIO, maps: Mapping[str, NDArray[np.generic]]) -> Non
 
 
 def unpack(members: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The arrays of an ``.npz`` by their names, packed or plain.
+    """Return the arrays of an ``.npz`` by their names, packed or plain.
 
     Raises:
         ValueError: a member that is not of the size it says.

@@ -82,7 +82,7 @@ def read_picture_header(path: Path) -> PictureHeader:
 
 
 def read_orientation(encoded: bytes) -> int:
-    """The EXIF orientation of a picture's bytes; 1 where they say none, or nothing that makes sense."""
+    """Return the EXIF orientation of a picture's bytes; 1 where they say none, or nothing that makes sense."""
     from PIL import Image
 
     if EXIF_MARK not in encoded[:EXIF_WITHIN] and EXIF_CHUNK not in encoded:

@@ -49,7 +49,7 @@ def check_plain(path: Path, most_bytes: int | None = None) -> int:
 
 
 def read_plain(path: Path, most_bytes: int) -> bytes:
-    """The content of a regular file; arguments and errors as of `check_plain`."""
+    """Return the content of a regular file; arguments and errors as of `check_plain`."""
     check_plain(path, most_bytes)
     # Not blocking, should it have become a pipe meanwhile.
     with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
@@ -60,7 +60,7 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
 
 
 def read_plain_text(path: Path, most_bytes: int = LARGEST_TEXT) -> str:
-    """The text (UTF-8, or what its byte order mark says) of a regular file; line ends become those of Unix.
+    """Return the text (UTF-8, or what its byte order mark says) of a regular file; line ends become those of Unix.
 
     Raises:
         OSError: as of `check_plain`.
@@ -71,7 +71,7 @@ def read_plain_text(path: Path, most_bytes: int = LARGEST_TEXT) -> str:
 
 
 def coding_of(content: bytes) -> str:
-    """The coding of a text by its first bytes; UTF-8 where they are no byte order mark."""
+    """Return the coding of a text by its first bytes; UTF-8 where they are no byte order mark."""
     return next((coding for mark, coding in MARKS.items() if content.startswith(mark)), "utf-8")
 
 
@@ -86,7 +86,7 @@ def comma_hint(word: str) -> str:
 
 
 def parse_numbers(text: str, first_line: int = 1) -> list[list[float]]:
-    """The numbers in each line of a text.
+    """Return the numbers in each line of a text.
 
     Raises:
         ValueError: a word that is no number; the message has its line, counted from `first_line`.
@@ -121,5 +121,5 @@ def _refused(path: Path, reason: str) -> NotPlainError:
 
 
 def ffmpeg_name(path: Path) -> str:
-    """A path as FFmpeg takes it: what precedes a colon in a relative one would be a protocol."""
+    """Return a path as FFmpeg takes it: what precedes a colon in a relative one would be a protocol."""
     return os.path.abspath(path)

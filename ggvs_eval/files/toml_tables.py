@@ -17,7 +17,7 @@ LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){64}""")
 
 
 def parse_toml(text: str, file: str, error: type[GgvsError]) -> dict[str, Any]:
-    """The values of a TOML text.
+    """Return the values of a TOML text.
 
     Raises:
         error: not TOML.
@@ -41,7 +41,7 @@ def load_toml(text: str) -> dict[str, Any]:
 
 
 def read_toml(path: Path, error: type[GgvsError]) -> dict[str, Any]:
-    """The values of a TOML file.
+    """Return the values of a TOML file.
 
     Raises:
         error: absent, not text, or not TOML.
@@ -82,7 +82,7 @@ def key_of(name: str) -> str:
 
 
 def _table(kind: type[Table], values: dict[str, Any], section: str, faults: list[str]) -> Table:
-    """The table as far as it can be read; what is wrong with it is added to `faults`."""
+    """Return the table as far as it can be read; what is wrong with it is added to `faults`."""
     fields = {key_of(field.name): field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(kind)
     faults += [

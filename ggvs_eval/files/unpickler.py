@@ -125,7 +125,7 @@ class _PlainUnpickler(pickle._Unpickler):
         return makers[f"{module}.{name}"]
 
     def _encode(self, text: Any, encoding: Any) -> bytes:
-        """Bytes that were pickled as text."""
+        """Return the bytes that were pickled as text."""
         if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
             raise ValueError("a text in another encoding than bytes are pickled in")
         self.encodable -= len(text)
@@ -186,7 +186,7 @@ def _from_buffer(content: Any, kind: Any, shape: Any, order: Any) -> _Array:
 
 
 def _numbers(content: Any, kind: Any, shape: Any, order: Literal["C", "F"]) -> NDArray[np.generic]:
-    """An array of numbers; its bytes are there already, so that no claimed shape can ask for more memory."""
+    """Return an array of numbers; its bytes are there already, so that no claimed shape can ask for more memory."""
     if not isinstance(kind, _DataType) or not isinstance(content, bytes | bytearray):
         raise ValueError("an array that is not made of numbers")
     if not isinstance(shape, tuple) or len(shape) > MOST_AXES or any(type(length) is not int or length < 0 for length in shape):
@@ -195,7 +195,7 @@ def _numbers(content: Any, kind: Any, shape: Any, order: Literal["C", "F"]) -> N
 
 
 def _finished(value: Any, budget: Iterator[int], depth: int = 0) -> Any:
-    """The value with its arrays in place; lists may share their items, so that few of them can represent very many."""
+    """Return the value with its arrays in place; lists may share their items, so that few of them can represent very many."""
     if next(budget, None) is None:
         raise ValueError(f"more than {MOST_VALUES} values")
     if isinstance(value, _Array) and value.values is not None:

@@ -16,7 +16,7 @@ PARALLEL_PREFIX = "module."  # torch's DataParallel puts it before every name
 
 
 def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Tensor]:
-    """The tensors of a weights file by name.
+    """Return the tensors of a weights file by name.
 
     Args:
         keys: path of the state dict in a checkpoint: ``("net",)`` for ``checkpoint["net"]``. Safetensors of this package hold
@@ -40,7 +40,7 @@ def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Ten
 
 
 def configuration_of(path: Path, names: Collection[str], of: str) -> str | None:
-    """Name of the configuration that a weights file says it is.
+    """Return the name of the configuration that a weights file says it is.
 
     Returns:
         The name, None where the file says nothing: a checkpoint of the authors, or a copy of it, which is the full one.
@@ -52,7 +52,7 @@ def configuration_of(path: Path, names: Collection[str], of: str) -> str | None:
 
 
 def read_notes(path: Path) -> dict[str, str]:
-    """The texts in the header of safetensors; none of a checkpoint, or where there is no file."""
+    """Return the texts in the header of safetensors; none of a checkpoint, or where there is no file."""
     if path.suffix != ".safetensors" or not path.is_file():
         return {}
     try:

@@ -61,7 +61,7 @@ class GaussianCloud:
                 )
 
     def __len__(self) -> int:
-        """Number of Gaussians."""
+        """Return the number of Gaussians."""
         return self.means.shape[0]
 
     @property
@@ -70,11 +70,11 @@ class GaussianCloud:
         return isqrt(self.sh.shape[1]) - 1
 
     def parameters(self) -> dict[str, torch.Tensor]:
-        """The five tensors by name, in the order of the fields."""
+        """Return the five tensors by name, in the order of the fields."""
         return {name: getattr(self, name) for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh")}
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "GaussianCloud":
-        """The cloud on another device or in another kind of float."""
+        """Return the cloud on another device or in another kind of float."""
         return replace(self, **{name: tensor.to(device=device, dtype=dtype) for name, tensor in self.parameters().items()})
 
     @classmethod
@@ -144,7 +144,7 @@ def harmonic_basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
 
 
 def harmonic_colours(sh: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-    """Colours of Gaussians seen along unit directions, (N, 3): the sum of harmonics plus 0.5, not below 0.
+    """Return the colours of Gaussians seen along unit directions, (N, 3): the sum of harmonics plus 0.5, not below 0.
 
     Args:
         sh: (N, (degree + 1)^2, 3).
@@ -178,7 +178,7 @@ def turned_harmonics(sh: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
 
 
 def _spread(device: torch.device) -> torch.Tensor:
-    """Unit vectors, enough to distinguish all harmonics, (100, 3): a spiral of golden angles."""
+    """Return the unit vectors, enough to distinguish all harmonics, (100, 3): a spiral of golden angles."""
     number = torch.arange(100, dtype=torch.float64, device=device)
     z = 1 - (2 * number + 1) / len(number)
     angle, radius = number * pi * (3 - sqrt(5)), (1 - z * z).sqrt()
@@ -186,5 +186,5 @@ def _spread(device: torch.device) -> torch.Tensor:
 
 
 def coefficients_of(colour: torch.Tensor) -> torch.Tensor:
-    """The constant coefficient that shows a colour, same shape: the inverse of `harmonic_colours` at degree 0."""
+    """Return the constant coefficient that shows a colour, same shape: the inverse of `harmonic_colours` at degree 0."""
     return (colour - 0.5) / CONSTANT

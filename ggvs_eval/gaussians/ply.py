@@ -32,7 +32,7 @@ LEAST_OPACITY = 1e-6  # the logit of 0 and 1 is infinite
 
 
 def decompressed(chunks: NDArray[np.void], packed: NDArray[np.void], sh: NDArray[np.void] | None = None) -> NDArray[np.void]:
-    """The rows of the same cloud in the layout of 3D Gaussian splatting.
+    """Return the rows of the same cloud in the layout of 3D Gaussian splatting.
 
     Args:
         chunks: bounds of each chunk, ``min_x`` ...
@@ -70,13 +70,13 @@ def decompressed(chunks: NDArray[np.void], packed: NDArray[np.void], sh: NDArray
 
 
 def _parts(words: NDArray[np.uint32], bits: tuple[int, ...]) -> Array:
-    """The numbers that share a word, the first in its highest bits, each in [0, 1], (N, len(bits))."""
+    """Return the numbers that share a word, the first in its highest bits, each in [0, 1], (N, len(bits))."""
     shifts = np.cumsum((0, *bits[:0:-1]))[::-1]
     return np.stack([(words >> shift & (1 << n) - 1) / ((1 << n) - 1) for shift, n in zip(shifts, bits, strict=True)], axis=1)
 
 
 def _quaternions(words: NDArray[np.uint32]) -> Array:
-    """Unit quaternions, w first, (N, 4)."""
+    """Return the unit quaternions, w first, (N, 4)."""
     others = (_parts(words & np.uint32((1 << 30) - 1), (10, 10, 10)) - 0.5) * np.sqrt(2)
     largest = np.sqrt(np.maximum(1 - np.square(others).sum(axis=1), 0))
     quaternions = np.empty((len(words), 4))
@@ -180,7 +180,7 @@ class _Element(NamedTuple):
 
 
 def _read_header(file: IO[bytes], path: Path) -> list[_Element]:
-    """The elements of a file that begins with its Gaussians, or of a compressed one."""
+    """Return the elements of a file that begins with its Gaussians, or of a compressed one."""
     lines = _header_lines(file, path)
     order = ORDERS.get(lines[1][1] if len(lines) > 1 and lines[1][:1] == ["format"] and len(lines[1]) > 1 else "")
     if order is None:
@@ -220,7 +220,7 @@ def _read_element(lines: list[list[str]], order: str, path: Path) -> _Element:
 
 
 def _header_lines(file: IO[bytes], path: Path) -> list[list[str]]:
-    """Words of each line up to ``end_header``."""
+    """Return the words of each line up to ``end_header``."""
     lines: list[list[str]] = []
     for line in iter(lambda: file.readline(LONGEST_HEADER), b""):
         if not lines and line.strip() != b"ply":

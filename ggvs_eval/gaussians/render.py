@@ -106,7 +106,7 @@ class _Splat(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, camera: Camera, near: float, *tensors: torch.Tensor | None) -> Pictures:
-        """Sums of colour, transmittance, sums of depth, and radii."""
+        """Return the sums of colour, transmittance, sums of depth, and radii."""
         from ggvs_eval.kernels import _gaussians
 
         colour, transmittance, depth, radii, frame = _gaussians.render(
@@ -120,7 +120,7 @@ class _Splat(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *by_pictures: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        """Derivatives by the tensors that want one."""
+        """Return the derivatives by the tensors that want one."""
         from ggvs_eval.kernels import _gaussians
 
         tensors = ctx.saved_tensors

@@ -98,7 +98,7 @@ def project(cloud: GaussianCloud, camera: Camera, near: float) -> Ellipses:
 
 
 def rotations(quaternions: torch.Tensor) -> torch.Tensor:
-    """Rotation matrices of quaternions of any length but 0, w first: (N, 4) -> (N, 3, 3)."""
+    """Return the rotation matrices of quaternions of any length but 0, w first: (N, 4) -> (N, 3, 3)."""
     w, x, y, z = torch.nn.functional.normalize(quaternions, dim=-1).unbind(-1)
     rows = [
         *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -177,7 +177,7 @@ def _listed(ellipses: Ellipses, across: int, down: int) -> tuple[torch.Tensor, t
 
 
 def _groups(numbers: torch.Tensor, starts: torch.Tensor) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-    """Tiles with lists of like lengths: the tiles' numbers (G,), and their lists (G, M), filled up with -1."""
+    """Yield the tiles with lists of like lengths: the tiles' numbers (G,), and their lists (G, M), filled up with -1."""
     lengths = starts.diff()
     order = torch.argsort(lengths, descending=True)
     in_order = lengths[order].tolist()

@@ -30,7 +30,7 @@ class Similarity:
 
 
 def align_similarity(source: Array, target: Array) -> Similarity:
-    """The similarity that takes source points to target points with the least sum of squared distances.
+    """Return the similarity that takes source points to target points with the least sum of squared distances.
 
     Closed form of Umeyama, "Least-squares estimation of transformation parameters between two point patterns", 1991: rotation
     from the singular vectors of the covariance with the last one turned where that would mirror (eq. 39, 40), scale from its
@@ -61,7 +61,7 @@ def align_similarity(source: Array, target: Array) -> Similarity:
 
 
 def rig_extent(cameras: Mapping[str, Camera]) -> float:
-    """The largest distance between two camera centres, world units."""
+    """Return the largest distance between two camera centres, world units."""
     centres = np.array([camera.centre for camera in cameras.values()])
     return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
 
@@ -92,6 +92,6 @@ def pose_differences(estimated: Mapping[str, Camera], given: Mapping[str, Camera
 
 
 def _angle_rad(rotation: Array) -> float:
-    """Angle of a rotation; from the skew part too, since the cosine alone says nothing below 1e-8."""
+    """Return the angle of a rotation; from the skew part too, since the cosine alone says nothing below 1e-8."""
     skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
     return float(np.arctan2(np.linalg.norm(skew) / 2, (np.trace(rotation) - 1) / 2))

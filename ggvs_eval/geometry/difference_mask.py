@@ -20,7 +20,7 @@ def difference_mask(
     beta: float = 0.6,
     channels: Literal["largest", "mean"] = "largest",
 ) -> NDArray[np.float32]:
-    """Weight of the new depth against the filtered history, per pixel of one source camera (Eq. 1).
+    """Return the weight of the new depth against the filtered history, per pixel of one source camera (Eq. 1).
 
     Args:
         current: frame at instant t, RGB uint8, (H, W, 3).
@@ -57,7 +57,7 @@ def colour_change(current: Image8, previous: Image8) -> Map:
 def mask_of(
     change: Map, size: tuple[int, int], *, lambda_t: float, beta: float, channels: Literal["largest", "mean"]
 ) -> NDArray[np.float32]:
-    """The mask of a `colour_change` at the images' size, height and width; the rest as in `difference_mask`."""
+    """Return the mask of a `colour_change` at the images' size, height and width; the rest as in `difference_mask`."""
     red, green, blue = np.moveaxis(np.abs(change), -1, 0)
     difference = np.maximum(np.maximum(red, green), blue) if channels == "largest" else (red + green + blue) / np.float32(3)
     mask = np.minimum(difference / np.float32(lambda_t) + np.float32(beta), np.float32(1.0))

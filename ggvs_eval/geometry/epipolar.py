@@ -66,7 +66,7 @@ def find_features(image: Image8) -> Features:
 
 
 def match_features(first: Features, second: Features) -> NDArray[np.int64]:
-    """Features that are each other's clear nearest, (M, 2) indices into first and second."""
+    """Return the features that are each other's clear nearest, (M, 2) indices into first and second."""
     if min(len(first.uv), len(second.uv)) < 2:
         return np.empty((0, 2), np.int64)
     likeness = first.descriptors @ second.descriptors.T  # (N, M), cosines
@@ -104,7 +104,7 @@ class MatchedPair:
     colours_second: NDArray[np.float32]
 
     def seen_from(self, camera: int) -> tuple[int, Array, Array]:
-        """The other camera, the points in `camera` and those in the other."""
+        """Return the other camera, the points in `camera` and those in the other."""
         if camera == self.first:
             return self.second, self.uv_first, self.uv_second
         return self.first, self.uv_second, self.uv_first
@@ -132,7 +132,7 @@ def match_pair(first: int, second: int, one: Features, other: Features, longest_
 
 
 def consistent(uv_first: Array, uv_second: Array, tolerance_px: float) -> NDArray[np.bool_]:
-    """Mask of the matches that agree with the epipolar geometry most of them share, without any calibration, (M,)."""
+    """Return the mask of the matches that agree with the epipolar geometry most of them share, without any calibration, (M,)."""
     try:
         _, inliers = cv2.findFundamentalMat(uv_first, uv_second, cv2.USAC_MAGSAC, tolerance_px, 0.9999, 5000)
     except cv2.error:  # OpenCV 5 raises where it finds no model at all
@@ -143,7 +143,7 @@ def consistent(uv_first: Array, uv_second: Array, tolerance_px: float) -> NDArra
 
 
 def epipolar_errors(one: Camera, other: Camera, uv_one: Array, uv_other: Array) -> Array:
-    """Distance of matched points from each other's epipolar lines under a calibration, pixels, (M,).
+    """Return the distance of matched points from each other's epipolar lines under a calibration, pixels, (M,).
 
     Root of the mean square of the distances in both images.
 
@@ -190,7 +190,7 @@ def ray_depths(one: Camera, other: Camera, uv_one: Array, uv_other: Array) -> tu
 
 
 def tolerances(camera: Camera) -> tuple[float, float]:
-    """Median epipolar error above which a camera is looked at, and above which it is bad, pixels."""
+    """Return the median epipolar error above which a camera is looked at, and above which it is bad, pixels."""
     longest = max(camera.size)
     return max(WARN_PX, WARN_SHARE * longest), max(BAD_PX, BAD_SHARE * longest)
 
@@ -207,7 +207,7 @@ def sound_matches(one: Camera, other: Camera, pair: MatchedPair) -> tuple[NDArra
 
 
 def neighbour_pairs(cameras: Sequence[Camera], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
-    """Pair every camera with its `count` nearest, each pair once, smaller index first.
+    """Return the pair every camera with its `count` nearest, each pair once, smaller index first.
 
     Near means near in place and in viewing direction: cameras back to back are close and share nothing.
     """
@@ -219,7 +219,7 @@ def neighbour_pairs(cameras: Sequence[Camera], count: int = NEIGHBOURS) -> list[
 
 
 def remoteness(camera: Camera, other: Camera) -> float:
-    """Distance of the centres, doubled at 90 degrees between the axes and tripled back to back."""
+    """Return the distance of the centres, doubled at 90 degrees between the axes and tripled back to back."""
     distance = float(np.linalg.norm(camera.centre - other.centre))
     return distance * (2.0 - float(camera.axis @ other.axis))
 

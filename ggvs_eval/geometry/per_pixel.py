@@ -15,7 +15,7 @@ LEAST_PARALLAX_RAD = 2e-3  # cameras nearer than this are at one place
 
 
 def view_weights(target: Camera, cameras: Sequence[Camera], shares: Sequence[float] | None = None) -> NDArray[np.float32]:
-    """Weight of each source view among those that show a pixel; only ratios matter.
+    """Return the weight of each source view among those that show a pixel; only ratios matter.
 
     Args:
         cameras: of the source views, at least one.
@@ -52,7 +52,7 @@ def mean_parallax(target: Camera, camera: Camera) -> float:
 
 
 def weighted_mean(colours: Sequence[Map], weights: Sequence[Map], factors: Sequence[float] | None = None) -> Map:
-    """Mean of the views' colours, however small their weights; black where none has any.
+    """Return the mean of the views' colours, however small their weights; black where none has any.
 
     Args:
         colours: each (H, W, C) with at least three channels, float32; the first three count.
@@ -86,7 +86,7 @@ def weighted_mean(colours: Sequence[Map], weights: Sequence[Map], factors: Seque
 
 
 def largest_feature(features: Sequence[Map], alphas: Sequence[Map], *, channel: int, least_alpha: float, otherwise: float) -> Map:
-    """Largest value of one feature among the views that cover a pixel.
+    """Return the largest value of one feature among the views that cover a pixel.
 
     Args:
         features: of each splatted view, (H, W, C), float32.

@@ -36,7 +36,7 @@ def rigid_between(first: Camera, second: Camera) -> NDArray[np.float64]:
 
 
 def as_image(array: NDArray, camera: Camera, what: str, error: type[GgvsError]) -> NDArray[np.float32]:
-    """The array as C-contiguous float32 if its height and width are the camera's; copies only what is not so already.
+    """Return the array as C-contiguous float32 if its height and width are the camera's; copies only what is not so already.
 
     Raises:
         GgvsError: the given kind of it; the array has another size than the camera.
@@ -50,7 +50,7 @@ def as_image(array: NDArray, camera: Camera, what: str, error: type[GgvsError]) 
 
 
 def as_image8(array: ArrayLike | None, camera: Camera, error: type[GgvsError]) -> Image8:
-    """The array itself if it is an image of the camera, RGB uint8 (H, W, 3).
+    """Return the array itself if it is an image of the camera, RGB uint8 (H, W, 3).
 
     Raises:
         GgvsError: the given kind of it; the message says what to do about what came.

@@ -65,11 +65,11 @@ class RectifiedPair:
         return self.left_inside & matched & (disparity > 0)
 
     def warp_left(self, image: Image8) -> Image8:
-        """The reference image on the canvas."""
+        """Return the reference image on the canvas."""
         return _warp(image, self.left_map)
 
     def warp_right(self, image: Image8) -> Image8:
-        """The partner's image on the canvas."""
+        """Return the partner's image on the canvas."""
         return _warp(image, self.right_map)
 
 
@@ -216,7 +216,7 @@ def at_matches(right: Values, disparity: Map) -> Values:
 
 
 def _rectifying_rotation(reference: Camera, partner: Camera) -> tuple[Array, float]:
-    """World to rectified axes: x towards the partner, z as near as can be to both viewing directions."""
+    """Return the world to rectified axes: x towards the partner, z as near as can be to both viewing directions."""
     towards = partner.centre - reference.centre
     baseline = float(length(towards))
     forward = reference.axis + partner.axis
@@ -230,17 +230,17 @@ def _rectifying_rotation(reference: Camera, partner: Camera) -> tuple[Array, flo
 
 
 def _rays(camera: Camera) -> Array:
-    """Viewing rays in the camera's own frame, z = 1, (H, W, 3)."""
+    """Return the viewing rays in the camera's own frame, z = 1, (H, W, 3)."""
     return _rays_at(camera, camera.pixel_centres())
 
 
 def _corner_rays(camera: Camera) -> Array:
-    """Rays of the four outermost pixels, (2, 2, 3)."""
+    """Return the rays of the four outermost pixels, (2, 2, 3)."""
     return _rays_at(camera, np.stack(np.meshgrid(*([0.5, side - 0.5] for side in camera.size)), axis=-1))
 
 
 def _rays_at(camera: Camera, uv: Array) -> Array:
-    """Viewing rays of pixels (H, W, 2) in the camera's own frame, z = 1, (H, W, 3)."""
+    """Return the viewing rays of pixels (H, W, 2) in the camera's own frame, z = 1, (H, W, 3)."""
     uv = (uv - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
     return np.concatenate([uv, np.ones((*uv.shape[:2], 1))], axis=-1)
 

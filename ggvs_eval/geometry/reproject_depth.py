@@ -77,7 +77,7 @@ def _slope(z: Array, focal_px: float) -> Array:
 def _footprints(
     source: Camera, target: Camera, transform: Array, rays: Array, inverse: Array, slopes: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First column and row of the target whose centre each piece covers, and one past the last, (2, N) each."""
+    """Return the first column and row of the target whose centre each piece covers, and one past the last, (2, N) each."""
     corners = []
     for across, down in CORNERS:
         shift = np.array([[across / source.K[0, 0]], [down / source.K[1, 1]]])
@@ -95,7 +95,7 @@ def _footprints(
 
 
 def _draw(target: Camera, low: NDArray[np.int64], high: NDArray[np.int64], normals: Array, offsets: Array) -> Map:
-    """The nearest piece in each pixel, (H, W); one pass for each place within the largest footprint."""
+    """Return the nearest piece in each pixel, (H, W); one pass for each place within the largest footprint."""
     nearest = np.full(target.height * target.width, np.inf)
     widths, heights = high - low
     for down in range(int(heights.max(initial=0))):

@@ -16,7 +16,7 @@ APART_DEG = 20  # so that the neighbours of a target can be matched with each ot
 
 
 def shown_share(target: Camera, sources: Sequence[Camera], cameras: Sequence[Camera], sensed: Collection[str] = ()) -> float:
-    """Share of the target's view, see `share_of_view`, that its sources can show: they see it and can know its depth.
+    """Return the share of the target's view, see `share_of_view`, that its sources can show: they see it and can know its depth.
 
     Args:
         target: whose view.
@@ -81,7 +81,7 @@ def advise_sight(target: Camera, k: int, cameras: Sequence[Camera], sensed: Coll
 
 
 def _matchable(source: Camera, partners: Sequence[Camera], points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Mask of the points that some partner sees from a direction like the source's, (P,)."""
+    """Return the mask of the points that some partner sees from a direction like the source's, (P,)."""
     matched = np.zeros(len(points), bool)
     for partner in partners:
         matched |= sees(partner, points) & (ray_angles(source, partner, points) <= MOST_STEREO_RAD)

@@ -25,7 +25,7 @@ FLAT = 0.02  # height of the rig over its length, below which its cameras form a
 
 
 def find_triplet(target: Camera, cameras: Sequence[Camera]) -> dict[int, float]:
-    """The cameras of the triangle that contains a view, and its barycentric coordinates there.
+    """Return the cameras of the triangle that contains a view, and its barycentric coordinates there.
 
     Directions from a point that the rig looks at are triangulated on the sphere, so that cameras on a plane, an arc or a dome
     all have neighbours. A view outside of them all belongs to the nearest edge.
@@ -67,7 +67,7 @@ def find_triplet(target: Camera, cameras: Sequence[Camera]) -> dict[int, float]:
 
 
 def _pivot(cameras: Sequence[Camera]) -> Array:
-    """The point that the cameras look at, (3,): nearest to all axes and, by a little, to the middle of what they see."""
+    """Return the point that the cameras look at, (3,): nearest to all axes and, by a little, to the middle of what they see."""
     middles = np.stack([each.centre + each.axis * 2 / (1 / each.near + 1 / each.far) for each in cameras])
     across = np.stack([np.eye(3) - np.outer(each.axis, each.axis) for each in cameras])  # takes the part along the axis away
     centres = np.stack([each.centre for each in cameras])
@@ -186,7 +186,7 @@ def choose_sources(target: Camera, cameras: Sequence[Camera], k: int, how: Sourc
 
 
 def turn_rad(one: Camera, other: Camera) -> float:
-    """Angle between the viewing directions of two cameras.
+    """Return the angle between the viewing directions of two cameras.
 
     Examples:
         >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
@@ -213,12 +213,12 @@ def _triplet_shares(target: Camera, others: Sequence[Camera], k: int) -> dict[in
 
 
 def _share(margin: float) -> float:
-    """A share that does not depend on the last bits of a sum."""
+    """Return a share that does not depend on the last bits of a sum."""
     return round(min(max(margin, LEAST_SHARE), 1.0), 6)
 
 
 def _coverage_shares(target: Camera, others: Sequence[Camera], k: int) -> dict[int, float]:
-    """Index in `others` -> share; falls as the best set without a camera becomes as good as the best of all."""
+    """Return the index in `others` -> share; falls as the best set without a camera becomes as good as the best of all."""
     points = sample_view(target)
     worth = np.stack([_worth(target, camera, points) for camera in others])  # (N, P)
     pool, worth = _pool(worth, k)
@@ -243,7 +243,7 @@ SHARES = {"nearest": _nearest_shares, "coverage": _coverage_shares, "triplet": _
 
 
 def _pool(worth: Array, k: int) -> tuple[NDArray[np.int64], Array]:
-    """The cameras that see most, few enough to compare all sets of them, and what they are worth.
+    """Return the cameras that see most, few enough to compare all sets of them, and what they are worth.
 
     What a camera is worth fades as it comes near the edge of the pool, so that it enters and leaves it unnoticed.
 
@@ -267,7 +267,7 @@ def _pool(worth: Array, k: int) -> tuple[NDArray[np.int64], Array]:
 
 @lru_cache(maxsize=16)
 def _sets(count: int, k: int) -> NDArray[np.bool_]:
-    """All sets of `k` of `count` cameras, first cameras first, (S, count)."""
+    """Return all sets of `k` of `count` cameras, first cameras first, (S, count)."""
     sets = np.zeros((comb(count, k), count), bool)
     for row, members in enumerate(combinations(range(count), k)):
         sets[row, list(members)] = True
@@ -294,7 +294,7 @@ def _worth(target: Camera, source: Camera, points: Array) -> Array:
 
 
 def sample_view(target: Camera) -> Array:
-    """Points all over the target's view at depths from near to far, (P, 3) in the world."""
+    """Return the points all over the target's view at depths from near to far, (P, 3) in the world."""
     across, down = ((np.arange(n) + 0.5) / n * size for n, size in zip(GRID, target.size, strict=True))
     u, v, inverse = np.meshgrid(across, down, np.linspace(1 / target.near, 1 / target.far, DEPTHS))
     return target.unproject(np.stack([u, v], axis=-1), 1 / inverse).reshape(-1, 3)
@@ -329,7 +329,7 @@ def _inside(camera: Camera, points: Array, border: float) -> Array:
 
 
 def ray_angles(target: Camera, source: Camera, points: Array) -> Array:
-    """Angle at each point between the rays to two cameras, radians, (P,)."""
+    """Return the angle at each point between the rays to two cameras, radians, (P,)."""
     rays = [points - camera.centre for camera in (target, source)]
     cosine = (rays[0] * rays[1]).sum(axis=-1) / np.maximum(np.prod([np.linalg.norm(ray, axis=-1) for ray in rays], axis=0), 1e-12)
     return np.arccos(np.clip(cosine, -1.0, 1.0))

@@ -125,7 +125,7 @@ def _features(source: SourceView, extra: Map | None) -> tuple[Array32 | Image8, 
 
 
 def _common_channels(sources: Sequence[SourceView], extras: Sequence[Map | None]) -> int:
-    """Number of features of every source, the extra one included."""
+    """Return the number of features of every source, the extra one included."""
     if len(sources) != len(extras):
         raise RenderError(f"splat: wanted an extra feature of every source or of none, got {len(extras)} of {len(sources)}")
     channels = set()
@@ -175,7 +175,7 @@ def splat_points(source: SourceView, target: Camera, *, near: float, extra: Map 
 
 
 def float_features(image: Array32 | Image8, extra: Map | None = None) -> Array32:
-    """An image, levels of 8 bit as shares of 255, and one more feature, (H, W, C); a copy unless it is that already."""
+    """Return an image, levels of 8 bit as shares of 255, and one more feature, (H, W, C); a copy unless it is that already."""
     shares = image.astype(np.float32) / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32, copy=False)
     return shares if extra is None else np.concatenate([shares, extra[..., None]], axis=-1, dtype=np.float32)
 

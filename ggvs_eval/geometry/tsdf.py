@@ -187,7 +187,7 @@ def _field(
     gain: NDArray[np.float32] | None = None,
     limit: float = 0.0,
 ) -> Field:
-    """One depth image as the kernel takes it; without a gain its weight is taken as it is."""
+    """Return one depth image as the kernel takes it; without a gain its weight is taken as it is."""
     return (
         pinhole(camera),
         rigid_between(target, camera),

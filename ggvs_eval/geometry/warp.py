@@ -169,7 +169,7 @@ def _source_fields(target: Camera, source: SourceView) -> tuple[Any, ...]:
 
 
 def _image8(source: SourceView) -> Image8:
-    """The image of a view, C-contiguous, as the kernels that look it up want it."""
+    """Return the image of a view, C-contiguous, as the kernels that look it up want it."""
     image = as_image8(source.image, source.camera, RenderError)
     if image.size < 6:  # the kernels read bytes by fours
         raise RenderError(f"camera {source.camera.name}: wanted an image of at least two pixels, got {image.shape}")

@@ -64,7 +64,7 @@ class CodeTree:
                 yield from (".".join([*above, stem]).removesuffix(".__init__") for stem in stems)
 
     def file(self, module: str) -> Path | None:
-        """Source or extension module of a dotted name; None where there is none of that name."""
+        """Return the source or extension module of a dotted name; None where there is none of that name."""
         _, *parts = module.split(".")
         apart = dict(self.apart).get(parts[0]) if parts else None
         path = apart.joinpath(*parts[1:]) if apart else self.folder.joinpath(*parts)
@@ -72,7 +72,7 @@ class CodeTree:
         return next((file for file in (path / "__init__.py", *beside) if file.is_file()), None)
 
     def closure(self, *roots: str, unfollowed: Collection[str] = ()) -> tuple[str, ...]:
-        """Names of some modules and of all that they import of the package, sorted.
+        """Return the names of some modules and of all that they import of the package, sorted.
 
         Args:
             roots: dotted names, e.g. ``ggvs_eval.metrics.image``.
@@ -96,7 +96,7 @@ class CodeTree:
 
 
 def code_identity(*roots: str, unfollowed: Collection[str] = ()) -> str:
-    """Hash of the installed code that some modules run; arguments as of `CodeTree.closure`.
+    """Return the hash of the installed code that some modules run; arguments as of `CodeTree.closure`.
 
     A module of a plug-in counts with all sources of its package; what it takes of this one is not followed.
     """
@@ -109,14 +109,14 @@ def code_identity(*roots: str, unfollowed: Collection[str] = ()) -> str:
 
 @cache
 def package_digest() -> str:
-    """Hash of the whole package, which machines that share jobs must have in common."""
+    """Return the hash of the whole package, which machines that share jobs must have in common."""
     tree = installed_code()
     return tree.digest(list(tree.modules()))
 
 
 @cache
 def installed_code() -> CodeTree:
-    """The package as it is installed here."""
+    """Return the package as it is installed here."""
     folder = Path(str(ggvs_eval.__file__)).parent
     specs = {room: importlib.util.find_spec(f"{PACKAGE}.{room}") for room in ROOMS_APART if not (folder / room).is_dir()}
     return CodeTree(folder, tuple((room, Path(str(spec.origin)).parent) for room, spec in specs.items() if spec))
@@ -146,7 +146,7 @@ def _code_of(tree: CodeTree, module: str) -> _Code:
 
 
 def what_runs(source: str) -> str:
-    """A source without what moves no result: comments, docstrings (any statement that is a string alone) and empty lines.
+    """Return a source without what moves no result: comments, docstrings (any statement that is a string alone) and empty lines.
 
     Rows are taken out, not tokens written anew: versions of Python cut f-strings in different ways.
     """
@@ -168,7 +168,7 @@ def what_runs(source: str) -> str:
 
 
 def _imports(tree: CodeTree, package: str, source: ast.AST) -> Iterator[str]:
-    """Modules of the package that a source of `package` imports anywhere except for the type checker."""
+    """Yield the modules of the package that a source of `package` imports anywhere except for the type checker."""
     for node in ast.iter_child_nodes(source):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             node = ast.Module(node.orelse, [])

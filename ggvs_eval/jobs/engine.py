@@ -75,7 +75,7 @@ class Engine:
         return run_in_processes(work, items, self.jobs)
 
     def place(self, path: Path) -> Path:
-        """A path as every worker understands it: those of dask may work in another folder."""
+        """Return a path as every worker understands it: those of dask may work in another folder."""
         if self.engine == "dask" and (reason := ENGINES.why_absent("dask")):
             raise AbsentPartError(reason)  # before anything is read
         return path.resolve() if self.engine == "dask" else path
@@ -85,7 +85,7 @@ Workers = int | Engine  # a number means that many processes of this machine
 
 
 def as_engine(workers: Workers) -> Engine:
-    """The engine of N processes, or the engine itself."""
+    """Return the engine of N processes, or the engine itself."""
     return Engine(workers) if isinstance(workers, int) else workers
 
 
@@ -181,7 +181,7 @@ def start_remedy() -> str:
 
 
 def last_error(text: str) -> str:
-    r"""The exception that a process ended with, in one line, out of what it printed; empty where it ended with none.
+    r"""Return the exception that a process ended with, in one line, out of what it printed; empty where it ended with none.
 
     Examples:
         >>> last_error("Traceback (most recent call last):\n  File ...\nKeyError: 'cam00'\n")

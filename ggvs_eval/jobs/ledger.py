@@ -59,7 +59,7 @@ class Failure:
     traceback: str = ""
 
     def __str__(self) -> str:
-        """Name the job and the reason in one line."""
+        """Return the name the job and the reason in one line."""
         return f"{self.name}: {' '.join(self.message.split())}"
 
     @classmethod
@@ -174,7 +174,7 @@ def read_status(root: Path) -> list[StageStatus]:
 
 
 def describe_status(root: Path) -> str:
-    """The same as text: a line per stage, then jobs in hand, failures, and the size of the folder."""
+    """Return the same as text: a line per stage, then jobs in hand, failures, and the size of the folder."""
     lines = []
     for stage in read_status(root):
         counts = f"{stage.done} done, {len(stage.in_hand)} running, {len(stage.failed)} failed, {len(stage.missing)} missing"
@@ -222,7 +222,7 @@ def _left_s(begun_s: float, done: list[Entry], left: int) -> float | None:
 
 
 def _size(folder: Path) -> int:
-    """Bytes of the files below a folder; linked files count where they are stored."""
+    """Return the bytes of the files below a folder; linked files count where they are stored."""
     total = 0
     for where, _, files in os.walk(folder):
         for name in files:

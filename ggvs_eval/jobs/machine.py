@@ -92,7 +92,7 @@ def has_room(running: int, pids: Iterable[int]) -> bool:
 
 
 def _field(file: Path, name: str, unit_bytes: int) -> float:
-    """A number from a file of `name number` lines, in bytes; infinite where it is not there."""
+    """Return a number from a file of `name number` lines, in bytes; infinite where it is not there."""
     try:
         for line in file.read_text().splitlines():
             if line.startswith(name):

@@ -20,12 +20,12 @@ NO_SEMAPHORES = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENO
 
 
 def default_workers() -> int:
-    """Processes that suit this machine: one per CPU that we may use."""
+    """Return the processes that suit this machine: one per CPU that we may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
 def worker_pool(workers: int) -> Executor:
-    """A pool of fresh processes, each with its share of the CPUs; this very process where there can be no other.
+    """Return a pool of fresh processes, each with its share of the CPUs; this very process where there can be no other.
 
     Processes are spawned, not forked: threads and libraries of the parent would not survive a fork.
     """

@@ -63,14 +63,14 @@ def set_simd_level(name: str) -> None:
 
 
 def get_simd_level() -> str:
-    """The instruction set in use: as set, else ``GGVS_EVAL_SIMD``, else the best one of this processor."""
+    """Return the instruction set in use: as set, else ``GGVS_EVAL_SIMD``, else the best one of this processor."""
     if "level" not in _settings:
         set_simd_level(os.environ.get("GGVS_EVAL_SIMD") or available_levels()[-1])
     return SIMD_LEVELS[_settings["level"]]
 
 
 def available_levels() -> tuple[str, ...]:
-    """The instruction sets this processor runs, slowest first."""
+    """Return the instruction sets this processor runs, slowest first."""
     from ggvs_eval.kernels import _core
 
     return SIMD_LEVELS[: _core.best_level() + 1]

@@ -21,7 +21,7 @@ GAUSSIAN_REACH = 4
 
 
 def product(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
-    """Matrix product, (..., N, M) by (..., M, K), each sum from the first term to the last.
+    """Return the matrix product, (..., N, M) by (..., M, K), each sum from the first term to the last.
 
     Examples:
         >>> product(np.diag([2.0, 3.0]), np.array([[1.0, 2.0], [3.0, 4.0]])).tolist()
@@ -31,7 +31,7 @@ def product(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
 
 
 def transformed(matrix: NDArray[Any], vectors: NDArray[Any]) -> NDArray[Any]:
-    """Vectors (..., M) after a matrix (N, M), (..., N)."""
+    """Return the vectors (..., M) after a matrix (N, M), (..., N)."""
     return np.einsum("ij,...j->...i", matrix, vectors)
 
 
@@ -41,12 +41,12 @@ def length(vectors: NDArray[Any]) -> NDArray[Any]:
 
 
 def unit(vectors: NDArray[Any]) -> NDArray[Any]:
-    """Vectors (..., N) at length 1; those of length 0 stay."""
+    """Return the vectors (..., N) at length 1; those of length 0 stay."""
     return vectors / np.maximum(length(vectors), 1e-30)[..., None]
 
 
 def inverse(matrix: Array) -> Array:
-    """Inverse of a matrix (3, 3), by its cofactors."""
+    """Return the inverse of a matrix (3, 3), by its cofactors."""
     after, before = [1, 2, 0], [2, 0, 1]
     cofactors = matrix[after][:, after] * matrix[before][:, before] - matrix[after][:, before] * matrix[before][:, after]
     return cofactors.T / (cofactors[0] * matrix[0]).sum()
@@ -58,7 +58,7 @@ def sin(angle_rad: ArrayLike) -> Any:
 
 
 def cos(angle_rad: ArrayLike) -> Any:
-    """Cosine, as `sin`."""
+    """Return the cosine, as `sin`."""
     return _number(_film.cos(np.asarray(angle_rad)))
 
 
@@ -86,19 +86,19 @@ def arctan(slope: float) -> float:
 
 
 def rotation_about(angle_rad: float, axis: Sequence[float] | Array) -> Array:
-    """Rotation matrix about an axis of any length, (3, 3), after Rodrigues."""
+    """Return the rotation matrix about an axis of any length, (3, 3), after Rodrigues."""
     x, y, z = unit(np.asarray(axis, np.float64))
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + sin(angle_rad) * cross + (1 - cos(angle_rad)) * product(cross, cross)
 
 
 def rotation_by(vector: Array) -> Array:
-    """Rotation matrix of a rotation vector: its axis, as long as its angle in radians, (3, 3)."""
+    """Return the rotation matrix of a rotation vector: its axis, as long as its angle in radians, (3, 3)."""
     return rotation_about(float(length(vector)), vector)
 
 
 def rotation_vector(matrix: Array) -> Array:
-    """Rotation vector of a rotation matrix that turns by less than half a turn, (3,)."""
+    """Return the rotation vector of a rotation matrix that turns by less than half a turn, (3,)."""
     skew = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]) / 2
     sine, cosine = float(length(skew)), (matrix[0, 0] + matrix[1, 1] + matrix[2, 2] - 1) / 2
     return skew * (2 * arctan(sine / (1 + cosine)) / sine if sine else 1.0)
@@ -133,7 +133,7 @@ def blur(image: NDArray[Any], sigma_px: float) -> Array32:
 
 
 def _means(lines: Array32, count: int) -> Array32:
-    """Means of `count` equal parts of the lines, (N, ...), (count, ...)."""
+    """Return the means of `count` equal parts of the lines, (N, ...), (count, ...)."""
     size = len(lines) / count
     begin = np.arange(count) * len(lines) / count
     if size == int(size):
@@ -158,12 +158,12 @@ def _interpolated(lines: Array32, count: int) -> Array32:
 
 
 def _column(weights: Array, axes: int) -> Array32:
-    """Weights (count, taps) of lines with this many axes, one array for each tap."""
+    """Return the weights (count, taps) of lines with this many axes, one array for each tap."""
     return weights.T.astype(np.float32).reshape(weights.shape[::-1] + (1,) * (axes - 1))
 
 
 def _weighted_sum(lines: Any, weights: Array32) -> Array32:
-    """Sum of the lines by their weights, from the first to the last."""
+    """Return the sum of the lines by their weights, from the first to the last."""
     total: Any = None
     for line, weight in zip(lines, weights, strict=True):
         part = line * weight
@@ -172,5 +172,5 @@ def _weighted_sum(lines: Any, weights: Array32) -> Array32:
 
 
 def _number(values: NDArray[Any]) -> Any:
-    """A float where there is one value alone, as NumPy's functions give it."""
+    """Return a float where there is one value alone, as NumPy's functions give it."""
     return values[()] if values.ndim == 0 else values

@@ -51,14 +51,14 @@ def refuse_easyvolcap(path: Path, request: FrameRequest) -> str | None:
 
 
 def easyvolcap_files(path: Path, request: FrameRequest) -> list[Path]:
-    """The renders and the copies of the truth."""
+    """Return the renders and the copies of the truth."""
     del request
     (place,) = _easyvolcap_places(path)
     return [file for file, _, _, suffix in _easyvolcap_pictures(place) if suffix != "_error"]
 
 
 def find_easyvolcap(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
-    """The renders by view and frame, after their copies of the truth were compared with the captured frames.
+    """Return the renders by view and frame, after their copies of the truth were compared with the captured frames.
 
     Raises:
         RenderError: a camera number that the capture does not have, or copies of the truth that are not its frames.
@@ -103,13 +103,13 @@ def _copy(file: Path) -> Path:
 
 
 def _easyvolcap_places(path: Path) -> list[Path]:
-    """Folders of renders: this one, its ``RENDER/``, or those of its tags."""
+    """Return the folders of renders: this one, its ``RENDER/``, or those of its tags."""
     candidates = [path, path / EASYVOLCAP_FOLDER, *sorted(path.glob(f"*/{EASYVOLCAP_FOLDER}"))]
     return [place for place in candidates if _easyvolcap_pictures(place)]
 
 
 def _easyvolcap_pictures(folder: Path) -> list[tuple[Path, int, int, str]]:
-    """Pictures with the frame, the camera and the suffix of their names."""
+    """Return the pictures with the frame, the camera and the suffix of their names."""
     matched = [(file, EASYVOLCAP_NAME.fullmatch(file.stem)) for file in list_images(folder)]
     return [(file, int(match[1]), int(match[2]), match[3] or "") for file, match in matched if match]
 
@@ -137,14 +137,14 @@ def refuse_flat_set(path: Path, request: FrameRequest) -> str | None:
 
 
 def flat_set_files(path: Path, request: FrameRequest) -> list[Path]:
-    """The pictures of both sides."""
+    """Return the pictures of both sides."""
     del request
     (pair,) = _pairs(path)
     return [*list_files_below(pair.rendered), *list_files_below(pair.truth)]
 
 
 def find_flat_set(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
-    """The renders by view and frame, after their copies of the truth were compared with the captured frames.
+    """Return the renders by view and frame, after their copies of the truth were compared with the captured frames.
 
     Raises:
         RenderError: lists that do not match each other, names without a view where no truth determines the order, or
@@ -212,7 +212,7 @@ def _found_by_name(
 
 
 def _pairs(path: Path) -> list[_Pair]:
-    """The sets of a folder: its own, or those below ``test/`` of a model folder."""
+    """Return the sets of a folder: its own, or those below ``test/`` of a model folder."""
     places = [path, path / "test", *sorted(path.glob("ours_*")), *sorted(path.glob("test/ours_*"))]
     pairs = [_Pair(place / rendered, place / truth) for place in places for rendered, truth in PAIRS]
     return [pair for pair in pairs if list_files_below(pair.rendered) and _has_truth(pair)]

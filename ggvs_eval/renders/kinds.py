@@ -47,7 +47,7 @@ WEAKEST = "names"  # pictures can be next to the renders
 
 
 def detect(path: Path, request: FrameRequest) -> str:
-    """The kind of some renders, a key of `KINDS`."""
+    """Return the kind of some renders, a key of `KINDS`."""
     reasons = {name: kind.refuse(path, request) for name, kind in KINDS.items()}
     fitting = [name for name, reason in reasons.items() if reason is None]
     if len(fitting) > 1 and WEAKEST in fitting:

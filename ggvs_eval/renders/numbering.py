@@ -119,7 +119,7 @@ def _means_nothing(number: int | None, request: FrameRequest) -> bool:
 
 
 def _decide(numbers: Mapping[str, Numbers], request: FrameRequest) -> tuple[int, str]:
-    """The number that the capture's first instant bears, and the line that says so."""
+    """Return the number that the capture's first instant bears, and the line that says so."""
     used = sorted(set().union(*numbers.values()))
     if not used:
         return 0, "no frame has a number in its name"
@@ -133,7 +133,7 @@ def _decide(numbers: Mapping[str, Numbers], request: FrameRequest) -> tuple[int,
 
 
 def _first_number(used: Sequence[int], request: FrameRequest) -> int:
-    """The number of the capture's first instant, from the numbers of all views."""
+    """Return the number of the capture's first instant, from the numbers of all views."""
     if used[0] > request.n_frames:
         return _beyond(used, request)
     from_0, from_1 = (_fits(used, first, request) for first in (0, 1))
@@ -163,7 +163,7 @@ def _fits(used: Sequence[int], first: int, request: FrameRequest) -> bool:
 
 
 def _beyond(used: Sequence[int], request: FrameRequest) -> int:
-    """The first of numbers of which none can be an instant."""
+    """Return the first of numbers of which none can be an instant."""
     shifted = _shifted(used, used[0])
     if shifted == set(range(request.n_frames)) or (request.frames.start == 0 and shifted == set(request.frames)):
         return used[0]
@@ -174,7 +174,7 @@ def _beyond(used: Sequence[int], request: FrameRequest) -> int:
 
 
 def _ambiguous(used: Sequence[int], request: FrameRequest) -> RenderError:
-    """Numbers that may be counted from 0 or from 1."""
+    """Return the numbers that may be counted from 0 or from 1."""
     start = request.frames.start
     return RenderError(
         f"frames are numbered {as_ranges(list(used))}, which can be the instants {as_ranges(list(used))} or, counted from 1, "

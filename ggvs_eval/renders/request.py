@@ -48,7 +48,7 @@ class FrameRequest:
     first_frame: int | None = None
 
     def truth(self, view: str, frame: int) -> Image8:
-        """The captured frame, (H, W, 3) uint8 RGB."""
+        """Return the captured frame, (H, W, 3) uint8 RGB."""
         return read_image(frame_path(self.truth_root / view, frame))
 
 
@@ -60,7 +60,7 @@ class RenderedView(Protocol):
         """Frame numbers that there are, rising."""
 
     def faults(self, size: tuple[int, int]) -> dict[int, str]:
-        """Frame number -> why this frame cannot be used at (width, height), e.g. ``64 x 48 instead of 128 x 96``."""
+        """Return the frame number -> why this frame cannot be used at (width, height), e.g. ``64 x 48 instead of 128 x 96``."""
 
     def write(self, folder: Path, numbers: tuple[int, ...]) -> list[str]:
         """Put these frames into a folder as ``<frame>.png``; returns remarks for people."""
@@ -147,7 +147,7 @@ def fit(renders: RenderSet, request: FrameRequest) -> Fit:
 
 
 def _absent(frames: list[int], view: str, renders: RenderSet, request: FrameRequest) -> str:
-    """Frames that are not there, how they would be numbered, and what is there instead."""
+    """Return the frames that are not there, how they would be numbered, and what is there instead."""
     numbered = f" (numbered {as_ranges([frame + renders.first for frame in frames])})" if renders.first else ""
     lacking = f"all {len(frames)} frames" if len(frames) == len(request.frames) else as_ranges(frames) + numbered
     return f"{lacking}, but {renders.hints[view]}" if renders.hints.get(view) else lacking
@@ -187,7 +187,7 @@ def _listed(items: Sequence[str]) -> str:
 
 
 def read_header(path: Path) -> PictureHeader:
-    """Size and kind of a picture, without decoding it."""
+    """Return the size and kind of a picture, without decoding it."""
     try:
         check_plain(path, LARGEST_PICTURE)
     except OSError as error:
@@ -231,7 +231,7 @@ class PixelRemarks:
             self._grey.append(number)
 
     def notes(self) -> list[str]:
-        """A line for each kind of remarkable frame; none where there are none."""
+        """Return a line for each kind of remarkable frame; none where there are none."""
         black, grey = (f"{counted(len(some), 'frame')} ({as_ranges(some)})" for some in (self._black, self._grey))
         notes = [f"{black} all zero (failed rendering?); scored anyway"] if self._black else []
         return notes + ([f"{grey} grey: the same level is measured in all three channels"] if self._grey else [])
@@ -255,7 +255,7 @@ class PictureView:
         return tuple(sorted(self.pictures))
 
     def faults(self, size: tuple[int, int]) -> dict[int, str]:
-        """Frames that are damaged, of another size, or not of 8 bits."""
+        """Return the frames that are damaged, of another size, or not of 8 bits."""
         faults = {number: _fault(path, size) for number, path in sorted(self.pictures.items())}
         return {number: fault for number, fault in faults.items() if fault}
 

@@ -88,7 +88,7 @@ def _numbered(folder: Path, suffixes: tuple[str, ...], noun: str) -> list[Path]:
 
 
 def _read_depth(path: Path) -> Map:
-    """One map out of one file."""
+    """Return one map out of one file."""
     if path.suffix.lower() in ARRAY_SUFFIXES:
         depth = _load(path)
         if depth.ndim != 2:
@@ -101,7 +101,7 @@ def _read_depth(path: Path) -> Map:
 
 
 def _one_channel(path: Path, picture: NDArray[np.generic]) -> Map:
-    """The levels of a picture whose colours are alike."""
+    """Return the levels of a picture whose colours are alike."""
     values = np.asarray(picture, np.float32)
     if values.ndim == 2:
         return values
@@ -112,7 +112,7 @@ def _one_channel(path: Path, picture: NDArray[np.generic]) -> Map:
 
 
 def _load(path: Path) -> NDArray[Any]:
-    """An array of numbers, mapped where it can be."""
+    """Return an array of numbers, mapped where it can be."""
     try:
         check_plain(path)
         if path.suffix.lower() == ".npy":
@@ -129,7 +129,7 @@ def _load(path: Path) -> NDArray[Any]:
 
 
 def _member(path: Path) -> str:
-    """The array of an archive that holds the frames: the only one, or the one called ``depth``."""
+    """Return the array of an archive that holds the frames: the only one, or the one called ``depth``."""
     members = npz_members(path)
     if len(members) != 1 and MEMBER not in members:
         raise RenderError(f"{path}: wanted one array, got {', '.join(members) or 'none'}; save one, or call it {MEMBER}")

@@ -28,7 +28,7 @@ Claims = Mapping[tuple[str, int], Path]
 
 
 def difference(one: Image8, other: Image8) -> float:
-    """Mean absolute difference in levels of 255; infinite where the sizes differ."""
+    """Return the mean absolute difference in levels of 255; infinite where the sizes differ."""
     if one.shape != other.shape:
         return math.inf
     return float(cv2.norm(one, other, cv2.NORM_L1)) / one.size
@@ -146,7 +146,7 @@ def find_order(copies: Sequence[Path], request: FrameRequest) -> Order:
 
 
 def _possible_orders(count: int, request: FrameRequest) -> Iterable[Order]:
-    """Every different order with that many pictures."""
+    """Yield every different order with that many pictures."""
     rankings = [request.views, tuple(sorted(request.views)), tuple(name for name in request.cameras if name in request.views)]
     earlier_orders: list[Mapping[int, tuple[str, int]]] = []
     for views in dict.fromkeys([*rankings, *((view,) for view in request.views)]):

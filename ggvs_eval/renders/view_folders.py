@@ -36,12 +36,12 @@ def refuse_folders(path: Path, request: FrameRequest) -> str | None:
 
 
 def folder_files(path: Path, request: FrameRequest) -> list[Path]:
-    """The pictures of the views."""
+    """Return the pictures of the views."""
     return [file for view in request.views for file in _pictures(path, view)]
 
 
 def find_folders(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
-    """The views' pictures by frame number."""
+    """Return the views' pictures by frame number."""
     pictures = {view: _pictures(path, view) for view in request.views}
     items = {
         view: list(zip(frame_numbers(path / view, [file.stem for file in some], view), some, strict=True))
@@ -58,12 +58,12 @@ def refuse_flat(path: Path, request: FrameRequest) -> str | None:
 
 
 def flat_files(path: Path, request: FrameRequest) -> list[Path]:
-    """The pictures of the views."""
+    """Return the pictures of the views."""
     return [file for file, place in _places(path, request).items() if place]
 
 
 def find_flat(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
-    """The pictures by the view and the number in their names."""
+    """Return the pictures by the view and the number in their names."""
     items: dict[str, list[tuple[int | None, Path]]] = {}
     extras = []
     for file, place in _places(path, request).items():
@@ -75,7 +75,7 @@ def find_flat(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSe
 
 
 def _places(path: Path, request: FrameRequest) -> dict[Path, tuple[str, int | None] | None]:
-    """The pictures of a folder, with the view and number of those that name one of each."""
+    """Return the pictures of a folder, with the view and number of those that name one of each."""
     pictures = list_images(path)
     named = places_of(path, [file.stem for file in pictures], request.views)
     wanted = {1} if len(request.frames) > 1 else {0, 1}
@@ -96,7 +96,7 @@ def picture_set(
     request: FrameRequest,
     is_temporary: bool,
 ) -> RenderSet:
-    """Pictures of views under the protocol's frame numbers.
+    """Return the pictures of views under the protocol's frame numbers.
 
     Args:
         items: view -> number in the name, and file, of each of its pictures.
@@ -140,12 +140,12 @@ def refuse_run(path: Path, request: FrameRequest) -> str | None:
 
 
 def run_files(path: Path, request: FrameRequest) -> list[Path]:
-    """The pictures of the method."""
+    """Return the pictures of the method."""
     return folder_files(_method_folder(path, request), request)
 
 
 def find_run(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
-    """The method's pictures, which bear the numbers of their instants."""
+    """Return the method's pictures, which bear the numbers of their instants."""
     folder = _method_folder(path, request)
     if request.first_frame is not None:
         return find_folders(folder, request, is_temporary)
@@ -154,7 +154,7 @@ def find_run(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet
 
 
 def _method_folder(path: Path, request: FrameRequest) -> Path:
-    """The method of the wanted name, else the only one."""
+    """Return the method of the wanted name, else the only one."""
     labels = RunFolder(path).labels()
     return path / "renders" / (request.label if request.label in labels else labels[0])
 
@@ -172,7 +172,7 @@ def instead_of(path: Path, view: str, request: FrameRequest) -> str:
 
 
 def instead_of_all(path: Path, request: FrameRequest) -> str:
-    """The same where no view is there at all."""
+    """Return the same where no view is there at all."""
     present = {file.name if file.is_dir() else re.split(r"_(?=[^_]*$)", file.stem)[0] for file in list_entries(path)}
     others = [name for name in request.cameras if name in present]
     if others and present.isdisjoint(request.views):
@@ -189,7 +189,7 @@ def instead_of_all(path: Path, request: FrameRequest) -> str:
 
 
 def respelled(view: str, names: Mapping[str, str], request: FrameRequest) -> str:
-    """The name that was probably meant to be a view's, with a remedy; empty where there is none."""
+    """Return the name that was probably meant to be a view's, with a remedy; empty where there is none."""
     others = {name: shown for name, shown in names.items() if name not in request.cameras}
     for name, shown in others.items():
         if name.casefold() == view.casefold():

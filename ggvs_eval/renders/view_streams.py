@@ -70,7 +70,7 @@ class ArrayStack:
         return {}
 
     def frames(self, start: int, stop: int) -> Iterator[NDArray[np.generic]]:
-        """Frames start <= t < stop one by one, RGB (H, W, 3), uint8 or float64 in [0, 1] except for a little overshoot.
+        """Yield the frames start <= t < stop one by one, RGB (H, W, 3), uint8 or float64 in [0, 1] except for a little overshoot.
 
         Raises:
             RenderError: a file that ends early, NaN, or values that are not in [0, 1].
@@ -168,7 +168,7 @@ def _other_shape(shape: tuple[int, ...]) -> str:
 
 
 def npz_members(path: Path) -> list[str]:
-    """Names of the arrays in an ``.npz``."""
+    """Return the names of the arrays in an ``.npz``."""
     try:
         check_plain(path)
         with zipfile.ZipFile(path) as archive:
@@ -180,7 +180,7 @@ def npz_members(path: Path) -> list[str]:
 
 
 def read_small_array(path: Path, member: str) -> np.ndarray:
-    """One array of an ``.npz`` as a whole, nothing unpickled."""
+    """Return one array of an ``.npz`` as a whole, nothing unpickled."""
     try:
         check_plain(path)
         with np.load(path, allow_pickle=False) as archive:
@@ -203,7 +203,7 @@ class FrameStream(Protocol):
         """List the changes by reading them as RGB."""
 
     def frames(self, start: int, stop: int) -> Iterator[NDArray[np.generic]]:
-        """Frames start <= t < stop one by one, RGB (H, W, 3), uint8 or float in [0, 1]."""
+        """Yield the frames start <= t < stop one by one, RGB (H, W, 3), uint8 or float in [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ class StreamView:
         return tuple(sorted(self.indices))
 
     def faults(self, size: tuple[int, int]) -> dict[int, str]:
-        """All frames where the stream has another size."""
+        """Return all frames where the stream has another size."""
         fault = size_fault(self.stream.size, size)
         return dict.fromkeys(self.numbers, fault) if fault else {}
 
@@ -266,12 +266,12 @@ def refuse_videos(path: Path, request: FrameRequest) -> str | None:
 
 
 def video_files(path: Path, request: FrameRequest) -> list[Path]:
-    """The videos of the views."""
+    """Return the videos of the views."""
     return _of_views(path, VIDEO_SUFFIXES, request)
 
 
 def find_videos(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
-    """The views' videos: frame t of each is frame start + t, or t where all hold the whole capture."""
+    """Return the views' videos: frame t of each is frame start + t, or t where all hold the whole capture."""
     del is_temporary  # decoded either way
     by_view = _one_each(path, VIDEO_SUFFIXES, request)
     streams = {view: (file.name, VideoFrames(file)) for view, file in by_view.items()}
@@ -287,7 +287,7 @@ def refuse_arrays(path: Path, request: FrameRequest) -> str | None:
 
 
 def array_files(path: Path, request: FrameRequest) -> list[Path]:
-    """The files that hold the arrays."""
+    """Return the files that hold the arrays."""
     return [path] if path.is_file() else _of_views(path, ARRAY_SUFFIXES, request)
 
 
@@ -368,7 +368,7 @@ def _found(
 
 
 def _stack(file: Path) -> ArrayStack:
-    """The array of a file that is one view's."""
+    """Return the array of a file that is one view's."""
     if file.suffix.lower() == ".npy":
         return ArrayStack(file)
     members = npz_members(file)
@@ -381,7 +381,7 @@ def _stack(file: Path) -> ArrayStack:
 
 
 def _one_each(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> dict[str, Path]:
-    """View -> its file."""
+    """Return the view -> its file."""
     by_view: dict[str, Path] = {}
     for view, file in _by_view(path, suffixes, request):
         if view in by_view:

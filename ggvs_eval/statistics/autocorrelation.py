@@ -100,18 +100,18 @@ class ErrorOfMean:
         return cls(posterior.weights, scales, freedom, short, uncalled)
 
     def tail(self, size: float) -> float:
-        """Probability of an error of at least this size, up or down."""
+        """Return the probability of an error of at least this size, up or down."""
         return float(tail_probability(np.float64(size), self.weights, self.scales, self.freedom))
 
     def half_width(self, tail: float) -> float:
-        """Error that is reached, up or down, with probability `tail`."""
+        """Return the error that is reached, up or down, with probability `tail`."""
         widest = self.greatest_half_width(tail)
         if widest <= 0.0 or self.tail(widest) >= tail:
             return widest
         return float(brentq(lambda size: self.tail(size) - tail, 0.0, widest, xtol=1e-13 * widest, rtol=1e-13))
 
     def greatest_half_width(self, tail: float) -> float:
-        """The same under the strongest correlation that is thought of, however unlikely."""
+        """Return the same under the strongest correlation that is thought of, however unlikely."""
         return max(float(self.scales.max()) * -float(stdtrit(self.freedom, tail / 2.0)), 0.0)
 
 
@@ -172,7 +172,7 @@ def correlation_posterior(series: ArrayLike) -> Posterior:
 
 @lru_cache(maxsize=16)
 def correlation_models(frames: int) -> Models:
-    """The models of a series of this many frames: autoregressive ones, and some with additional noise of each frame."""
+    """Return the models of a series of this many frames: autoregressive ones, and some with additional noise of each frame."""
     longest = frames / LEAST_WORTH
     strongest = (longest - 1.0) / (longest + 1.0)
     grid = np.tanh(np.linspace(math.atanh(LEAST_CORRELATION), math.atanh(strongest), CORRELATIONS))
@@ -186,7 +186,7 @@ def correlation_models(frames: int) -> Models:
 
 
 def model_variances(frames: int, correlations: Array, shares: Array, prior: Array) -> Models:
-    """Variances of the mean and of the cosine coefficients of series, exactly.
+    """Return the variances of the mean and of the cosine coefficients of series, exactly.
 
     Coefficient j of lag l overlaps itself by (1 - l / T) cos(pi j l / T) - sin(pi j l / T) / (T sin(pi j / T)); the sums over
     lags are a cosine and a sine transform, so that memory grows with T alone.
@@ -206,7 +206,7 @@ def model_variances(frames: int, correlations: Array, shares: Array, prior: Arra
 
 
 def tail_probability(size: Array | np.float64, weights: Array, scales: Array, freedom: float) -> Array:
-    """Two-sided probability of errors of at least this size (...,) under mixtures of Student's t, (..., G) each."""
+    """Return the two-sided probability of errors of at least this size (...,) under mixtures of Student's t, (..., G) each."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.abs(size)[..., None] / scales
     tails = np.where(np.isnan(ratio), 1.0, 2.0 * stdtr(freedom, -ratio))
@@ -214,12 +214,12 @@ def tail_probability(size: Array | np.float64, weights: Array, scales: Array, fr
 
 
 def total_half_width(parts: Sequence[ErrorOfMean], tail: float) -> float:
-    """Half width of the sum of independent errors: half widths add as roots of squares (Zou & Donner 2008)."""
+    """Return half width of the sum of independent errors: half widths add as roots of squares (Zou & Donner 2008)."""
     return math.hypot(*(part.half_width(tail) for part in parts))
 
 
 def total_tail(parts: Sequence[ErrorOfMean], size: float) -> float:
-    """Probability at which the half width of the sum is `size`; never below 1e-12."""
+    """Return the probability at which the half width of the sum is `size`; never below 1e-12."""
     if size == 0.0:
         return 1.0
     if len(parts) == 1:
@@ -231,5 +231,5 @@ def total_tail(parts: Sequence[ErrorOfMean], size: float) -> float:
 
 
 def _even(correlations: Array) -> Array:
-    """Weights that make points evenly spaced in artanh represent an even spread."""
+    """Return the weights that make points evenly spaced in artanh represent an even spread."""
     return (1.0 - correlations**2) / (1.0 - correlations**2).sum()

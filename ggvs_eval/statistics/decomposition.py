@@ -84,12 +84,12 @@ class TwoWay:
         return (self.ss_view + self.ss_rest) / (frames * (views - ddof))
 
     def sdt(self, ddof: int = 1) -> float:
-        """Mean over the views of the standard deviation over time, from the parts alone."""
+        """Return the mean over the views of the standard deviation over time, from the parts alone."""
         _check_count(self.rest.shape[1], ddof, "frames")
         return float((self.time + self.rest).std(axis=1, ddof=ddof).mean())
 
     def sdv(self, ddof: int = 1) -> float:
-        """Mean over the frames of the standard deviation over views, from the parts alone."""
+        """Return the mean over the frames of the standard deviation over views, from the parts alone."""
         _check_count(self.rest.shape[0], ddof, "views")
         return float((self.view[:, None] + self.rest).std(axis=0, ddof=ddof).mean())
 

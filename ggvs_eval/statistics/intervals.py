@@ -95,12 +95,12 @@ class Spread:
         return "" if self.is_clear(level) or not self._greatest else self._greatest.uncalled
 
     def p_value(self) -> float:
-        """Two-sided p value of the number being 0."""
+        """Return the two-sided p value of the number being 0."""
         return total_tail(self.parts, abs(self.value))
 
 
 def intervals(results: Results, metric: str, dataset: str, level: float = LEVEL) -> dict[str, Interval]:
-    """Interval of one metric's number for every method: the mean over frames, then views, then scenes.
+    """Return the interval of one metric's number for every method: the mean over frames, then views, then scenes.
 
     Args:
         metric: name as in the table; of what is no mean, the influence of each view and frame is taken, see `pooling.Pooling`.
@@ -112,7 +112,7 @@ def intervals(results: Results, metric: str, dataset: str, level: float = LEVEL)
 
 
 def table_intervals(table: PooledTable, level: float = LEVEL) -> dict[str, Interval]:
-    """The same of a metric that is pooled already."""
+    """Return the same of a metric that is pooled already."""
     bounded = {}
     for label, value in table.values.items():
         try:

@@ -100,7 +100,7 @@ class Judgement:
         return frozenset(level) if len(level) <= len(self.comparisons) else frozenset()
 
     def interval(self, label: str) -> Interval | None:
-        """Interval of a method; its note also says why it was not compared with the best."""
+        """Return the interval of a method; its note also says why it was not compared with the best."""
         interval, one = self.intervals.get(label), self.comparisons.get(label)
         if interval is None or one is None or one.p_value is not None or one.note == interval.note:
             return interval
@@ -214,14 +214,14 @@ def judge(
 
 
 def _variants(ranked: Sequence[str], own: Collection[str]) -> tuple[str, list[str]]:
-    """The plainest of one method's labels, and the others that it represents where there are others to compete with."""
+    """Return the plainest of one method's labels, and the others that it represents where there are others to compete with."""
     mine = [label for label in ranked if label in own]
     plainest = min(mine, key=lambda label: ("+" in label, len(label)), default="")
     return plainest, [] if len(mine) == len(ranked) else [label for label in mine if label != plainest]
 
 
 def _elsewhere(results: Results, metric: str, dataset: str) -> dict[str, str]:
-    """Methods that lack a scene, view or frame of a metric which others have."""
+    """Return the methods that lack a scene, view or frame of a metric which others have."""
     table = results.table[(results.table["metric"] == metric) & (results.table["dataset"] == dataset)]
     places = {
         label_of(str(method), str(variant)): set(zip(rows["scene"], rows["view"].fillna(""), rows["frame"], strict=True))

@@ -48,7 +48,7 @@ class PooledScene:
         return np.full((1, views), 1.0 / views), np.full((1, frames), 1.0 / frames)
 
     def minus(self, other: "PooledScene") -> "PooledScene":
-        """The difference to another method under the same weights."""
+        """Return the difference to another method under the same weights."""
         if (self.views, self.frames) != (other.views, other.frames):
             sizes = " and ".join(f"{len(scene.views)} x {len(scene.frames)}" for scene in (self, other))
             raise ResultsError(f"{self.scene}: not the same views and frames ({sizes}); score both methods on the same frames")
@@ -99,7 +99,7 @@ class PooledTable:
     no_interval: str = ""
 
     def scenes_of(self, label: str) -> tuple[PooledScene, ...]:
-        """The scenes of one method."""
+        """Return the scenes of one method."""
         if label not in self.scenes:
             raise ResultsError(self.refusals.get(label, f"{label}: no values in the results; score it"))
         return self.scenes[label]
@@ -141,6 +141,6 @@ def _cells(results: Results, metric: str, parts: Sequence[str], dataset: str) ->
 
 
 def _mean(by_scene: "Mapping[str, Mapping[str, pd.DataFrame]]", metric: str) -> float:
-    """Mean over frames, then views, then scenes, as in the summary."""
+    """Return the mean over frames, then views, then scenes, as in the summary."""
     per_scene = [rows[metric].groupby("view", dropna=False)["value"].mean().mean() for rows in by_scene.values()]
     return float(sum(per_scene) / len(per_scene))

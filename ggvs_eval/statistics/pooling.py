@@ -60,11 +60,11 @@ class Pooling:
         return cls(record["rule"], tuple(record["parts"]), record["settings"])
 
     def record(self) -> dict[str, Any]:
-        """The same as JSON values."""
+        """Return the same as JSON values."""
         return {"rule": self.rule, "parts": list(self.parts), "settings": dict(self.settings)}
 
     def pool(self, *values: Array) -> Pool:
-        """The number as a function of the weights, from the (V, T) values of each part."""
+        """Return the number as a function of the weights, from the (V, T) values of each part."""
         return RULES[self.rule](*values, **self.settings)
 
 
@@ -79,12 +79,12 @@ def powers_of_means(powers: Mapping[str, float]) -> Pooling:
 
 
 def pool_mean(values: Array) -> Pool:
-    """Mean over frames, then views, of (V, T)."""
+    """Return the mean over frames, then views, of (V, T)."""
     return lambda views, frames: (views * (frames @ values.T)).sum(axis=1)
 
 
 def pool_powers(*parts: Array, powers: tuple[float, ...]) -> Pool:
-    """Mean over views of the product of powers of means over frames, each part (V, T)."""
+    """Return the mean over views of the product of powers of means over frames, each part (V, T)."""
 
     def pool(views: Array, frames: Array) -> Array:
         product = views
@@ -97,12 +97,12 @@ def pool_powers(*parts: Array, powers: tuple[float, ...]) -> Pool:
 
 
 def pool_products(*parts: Array) -> Pool:
-    """Mean over frames, then views, of the product of some parts, each (V, T)."""
+    """Return the mean over frames, then views, of the product of some parts, each (V, T)."""
     return pool_mean(np.prod(parts, axis=0))
 
 
 def pool_sdt(values: Array, ddof: int = 1) -> Pool:
-    """Mean over views of the standard deviation over frames of (V, T)."""
+    """Return the mean over views of the standard deviation over frames of (V, T)."""
     centred, factor = values - values.mean(axis=1, keepdims=True), _unbiased(values.shape[1], ddof)
 
     def pool(views: Array, frames: Array) -> Array:
@@ -113,7 +113,7 @@ def pool_sdt(values: Array, ddof: int = 1) -> Pool:
 
 
 def pool_sdv(values: Array, ddof: int = 1) -> Pool:
-    """Mean over frames of the standard deviation over views of (V, T)."""
+    """Return the mean over frames of the standard deviation over views of (V, T)."""
     centred, factor = values - values.mean(axis=0, keepdims=True), _unbiased(values.shape[0], ddof)
 
     def pool(views: Array, frames: Array) -> Array:

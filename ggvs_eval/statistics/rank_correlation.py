@@ -79,7 +79,7 @@ def rank_correlation(strengths: Sequence[float], worse: Sequence[float]) -> floa
 
 
 def _least(strengths: Sequence[float], rows: Array) -> float | None:
-    """The least strength from which on the worsening exceeds the spread, of values (N, S)."""
+    """Return the least strength from which on the worsening exceeds the spread, of values (N, S)."""
     spread = np.maximum(rows.std(axis=0, ddof=1), rows[:, 0].std(ddof=1))
     tells = (rows - rows[:, :1]).mean(axis=0) > spread
     tells[0] = False

@@ -52,7 +52,7 @@ def cut_out(image: Image8, alpha: NDArray[np.uint8]) -> Image8:
 
 
 def median_background(frames: Image8) -> Image8:
-    """Median over time, per pixel and channel, (H, W, 3).
+    """Return the median over time, per pixel and channel, (H, W, 3).
 
     Reading:
         The original takes every 25th of some hundreds of frames; this takes evenly spaced ones, at most 32.
@@ -62,7 +62,7 @@ def median_background(frames: Image8) -> Image8:
 
 
 def create_lzf(file: Any, key: str, shape: tuple[int, ...], chunk: tuple[int, ...]) -> Any:
-    """An empty uint8 dataset with shuffle and LZF."""
+    """Return an empty uint8 dataset with shuffle and LZF."""
     return file.create_dataset(key, shape, np.uint8, chunks=chunk, compression="lzf", shuffle=True, track_times=False)
 
 

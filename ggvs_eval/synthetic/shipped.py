@@ -142,7 +142,7 @@ def write_quick(folder: Path) -> Path:
 
 
 def quick_protocol() -> Protocol:
-    """The demo's protocol over a few frames, without a camera path, by the metrics that README shows."""
+    """Return the demo's protocol over a few frames, without a camera path, by the metrics that README shows."""
     protocol = load_protocol(MAIN)
     measurement = replace(protocol.measurement, metrics=METRICS, ceilings=Measurement.ceilings, lpips_every=1)
     return replace(protocol.shortened(None, 0), name="quick", frames=FRAMES, measurement=measurement)

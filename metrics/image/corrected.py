@@ -77,7 +77,7 @@ class CorrectedScorer:
 
 
 def _corrected(rendered: Image8, truth: TruthFrame, colour_map: ColourMap | None) -> Image:
-    """The frame after the map of its view, or after its own where there is none; once for all metrics and their parts."""
+    """Return the frame after the map of its view, or after its own where there is none; once for all metrics and their parts."""
 
     def compute() -> Image:
         if colour_map is not None:
@@ -178,7 +178,7 @@ class ColourMoments:
         self._sums += sums * np.outer(unit, unit)
 
     def map(self) -> ColourMap:
-        """The least-squares affine map from rendered to true colours.
+        """Return the least-squares affine map from rendered to true colours.
 
         Returns:
             (3, 4) so that truth is about map @ (r, g, b, 1), colours in [0, 1]; the shortest such map where the rendered colours
@@ -193,7 +193,7 @@ class ColourMoments:
 
 
 def fit_colour_map(rendered: Image, truth: Image) -> ColourMap:
-    """One map for all frames of a view.
+    """Return one map for all frames of a view.
 
     Args:
         rendered: frames (T, H, W, 3).
@@ -206,7 +206,7 @@ def fit_colour_map(rendered: Image, truth: Image) -> ColourMap:
 
 
 def apply_colour_map(colour_map: ColourMap, frame: Image) -> NDArray[np.float32]:
-    """The frame as the map changes it.
+    """Return the frame as the map changes it.
 
     Args:
         frame: (H, W, 3), uint8 in 0..255 or float in [0, 1].
@@ -218,5 +218,5 @@ def apply_colour_map(colour_map: ColourMap, frame: Image) -> NDArray[np.float32]
 
 
 def unit_range(frame: Image) -> NDArray[np.float32]:
-    """A frame as floats in [0, 1]."""
+    """Return a frame as floats in [0, 1]."""
     return frame.astype(np.float32) / np.float32(white_level(frame))

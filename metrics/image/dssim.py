@@ -12,7 +12,7 @@ VARIANTS: dict[int, SsimName] = {1: "uniform7", 2: "uniform7-range2"}
 
 
 def dssim(rendered: Image, truth: Image, data_range: int = 1) -> float:
-    """Structural dissimilarity of one frame, (1 - SSIM) / 2.
+    """Return the structural dissimilarity of one frame, (1 - SSIM) / 2.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].

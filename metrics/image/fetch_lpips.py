@@ -34,7 +34,7 @@ FETCH_COMMAND = "python -m ggvs_eval.metrics.image.fetch_lpips"
 
 
 def weights_path(net: LpipsNet) -> Path:
-    """The safetensors file of a network, present or not."""
+    """Return the safetensors file of a network, present or not."""
     return cache_folder() / f"lpips-v0.1-{net.removesuffix('-bf16')}.safetensors"
 
 

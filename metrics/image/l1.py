@@ -8,7 +8,7 @@ from ggvs_eval.metrics.metric import QUALITY, ViewMetric
 
 
 def l1(rendered: Image, truth: Image) -> float:
-    """Mean absolute error over pixels and channels on the scale 0..255; lower is better.
+    """Return the mean absolute error over pixels and channels on the scale 0..255; lower is better.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
@@ -32,7 +32,7 @@ def l1(rendered: Image, truth: Image) -> float:
 
 
 def masked_l1(rendered: Image, truth: Image, mask: Mask) -> float:
-    """Mean absolute error of the pixels inside a mask on the scale 0..255.
+    """Return the mean absolute error of the pixels inside a mask on the scale 0..255.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].

@@ -132,13 +132,13 @@ def compare_features(rendered: Features, truth: Features, net: LpipsNet) -> Lpip
 
 
 def _compiled_distances(rendered: Any, truth: Any, weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Weighted squared difference of the unit feature vectors of two frames, (H, W)."""
+    """Return the weighted squared difference of the unit feature vectors of two frames, (H, W)."""
     ours, theirs = map(_as_array, (rendered, truth))
     return _features.compare_features(ours, theirs, weights, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
 
 def _as_array(layer: "NDArray[np.float32] | torch.Tensor") -> NDArray[np.float32]:
-    """Features (H, W, C) of an array, or of a tensor (1, C, H, W) on the CPU."""
+    """Return the features (H, W, C) of an array, or of a tensor (1, C, H, W) on the CPU."""
     return layer if isinstance(layer, np.ndarray) else np.ascontiguousarray(layer[0].permute(1, 2, 0).numpy())
 
 
@@ -225,7 +225,7 @@ class LpipsScorer:
 
 
 def weights_file(options: MetricOptions) -> Path:
-    """The weights that a protocol's LPIPS needs."""
+    """Return the weights that a protocol's LPIPS needs."""
     return weights_path(options.lpips_net)
 
 

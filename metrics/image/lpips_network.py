@@ -106,7 +106,7 @@ def _heads(path: Path, net: LpipsNet, device: str) -> "list[NDArray[np.float32]]
 
 
 def _read_arrays(path: Path, net: LpipsNet) -> dict[str, NDArray[np.float32]]:
-    """The arrays of a network's file, by their names."""
+    """Return the arrays of a network's file, by their names."""
     from safetensors import SafetensorError
     from safetensors.numpy import load_file
 
@@ -126,7 +126,7 @@ def _read_arrays(path: Path, net: LpipsNet) -> dict[str, NDArray[np.float32]]:
 
 
 def _kernel(tensor: "torch.Tensor") -> "torch.Tensor":
-    """A convolution's kernel in the fastest memory layout; its bias stays as it is."""
+    """Return a convolution's kernel in the fastest memory layout; its bias stays as it is."""
     import torch
 
     return tensor.contiguous(memory_format=torch.channels_last) if tensor.ndim == 4 else tensor

@@ -66,7 +66,7 @@ def _maps(x: Planes, y: Planes) -> tuple[Planes, Planes]:
 
 
 def _centred(values: Planes, mask: Mask, shape: tuple[int, ...]) -> Planes:
-    """Values of the windows of a scale whose centre is mostly inside, (N, 3)."""
+    """Return the values of the windows of a scale whose centre is mostly inside, (N, 3)."""
     reach = WINDOW_PX // 2
     share = cv2.resize(mask.astype(np.float32), shape[1::-1], interpolation=cv2.INTER_AREA)
     chosen = values[share[reach:-reach, reach:-reach] >= 0.5]
@@ -82,7 +82,7 @@ def _blur(image: Planes) -> Planes:
 
 
 def _halved(image: Planes) -> Planes:
-    """Means of 2 x 2 pixels; an odd size has a rim of zeros first."""
+    """Return the means of 2 x 2 pixels; an odd size has a rim of zeros first."""
     padded = np.pad(image, [(size % 2, size % 2) for size in image.shape[:2]] + [(0, 0)])
     height, width = (size // 2 for size in padded.shape[:2])
     return np.asarray(padded[: 2 * height, : 2 * width].reshape(height, 2, width, 2, -1).mean(axis=(1, 3)))

@@ -25,7 +25,7 @@ BETA = 0.6
 
 
 def moving_mask(truth: NDArray[np.uint8], previous: NDArray[np.uint8]) -> Mask:
-    """Mask the pixels where the captured view moves, by the paper's difference mask (Eq. 1).
+    """Return the mask the pixels where the captured view moves, by the paper's difference mask (Eq. 1).
 
     Args:
         truth: captured frame, (H, W, 3) uint8.
@@ -100,7 +100,7 @@ class PairPartScorer(PartScorer):
 
 
 def metric_of_part(metric: ViewMetric, region: Region) -> ViewMetric:
-    """A metric that has an `inside`, of a region; the mask is computed once for all."""
+    """Return a metric that has an `inside`, of a region; the mask is computed once for all."""
     name, inside = f"{metric.name}_{region}", metric.inside
     if inside is None:
         raise MetricError(f"{metric.name} cannot be computed for a part of the image")

@@ -10,7 +10,7 @@ PERCENT = 100.0
 
 
 def sharpness(image: Image) -> float:
-    """Mean absolute difference of neighbouring pixels, the total variation over space per pixel.
+    """Return the mean absolute difference of neighbouring pixels, the total variation over space per pixel.
 
     Args:
         image: (H, W, 3), uint8 in 0..255 or float in [0, 1].
@@ -41,7 +41,7 @@ def sharpness(image: Image) -> float:
 
 
 def mean_difference(first: Image, second: Image) -> float:
-    """Mean absolute difference over pixels and channels, per cent of white."""
+    """Return the mean absolute difference over pixels and channels, per cent of white."""
     return PERCENT * float(cv2.norm(*same_kind(first, second), cv2.NORM_L1)) / (white_level(first) * first.size)
 
 

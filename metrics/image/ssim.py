@@ -28,7 +28,7 @@ ROWS_AT_ONCE = 32  # so that the planes in between stay in cache
 
 
 def ssim(rendered: Image, truth: Image) -> float:
-    """Structural similarity of one frame (Wang et al. 2004), mean over the RGB channels.
+    """Return the structural similarity of one frame (Wang et al. 2004), mean over the RGB channels.
 
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
@@ -86,7 +86,7 @@ class SsimVariant:
     describe: str
 
     def taps(self) -> NDArray[np.float64]:
-        """The window along one axis, sum 1."""
+        """Return the window along one axis, sum 1."""
         radius = self.window_px // 2
         offsets = np.arange(-radius, radius + 1)
         weights = np.exp(-0.5 * (offsets / SIGMA_PX) ** 2) if self.is_gaussian else np.ones(self.window_px)
@@ -130,7 +130,7 @@ def ssim_map(rendered: Image, truth: Image, name: SsimName = "gaussian-valid") -
 
 
 def ssim_variant(rendered: Image, truth: Image, name: SsimName) -> float:
-    """Mean of `ssim_map` over windows and channels; the fast kernel where the variant is its own.
+    """Return the mean of `ssim_map` over windows and channels; the fast kernel where the variant is its own.
 
     Raises:
         MetricError: as of `ssim_map`, or values that are not finite.
@@ -200,7 +200,7 @@ def windows_inside(rendered: Image, truth: Image, mask: Mask, name: SsimName = "
 
 
 def _chosen(values: Plane, mask: Mask, name: SsimName) -> Plane:
-    """Values of a map whose windows are inside a mask, (N, 3)."""
+    """Return the values of a map whose windows are inside a mask, (N, 3)."""
     variant = SSIM_VARIANTS[name]
     check_mask(mask, tuple(size if variant.pads_with_zeros else size + variant.window_px - 1 for size in values.shape[:2]))
     window, radius = np.ones((variant.window_px, variant.window_px), np.uint8), variant.window_px // 2
@@ -217,7 +217,7 @@ def _no_window(name: SsimName) -> MetricError:
 
 
 def _bounding_box(mask: Mask) -> tuple[slice, slice]:
-    """Rows and columns of the smallest rectangle around what is true; empty where nothing is."""
+    """Return the rows and columns of the smallest rectangle around what is true; empty where nothing is."""
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     if not rows.size:
         return slice(0, 0), slice(0, 0)
@@ -225,7 +225,7 @@ def _bounding_box(mask: Mask) -> tuple[slice, slice]:
 
 
 def _unit_range(image: Image, variant: SsimVariant) -> Plane:
-    """The frame as floats in [0, 1], with the black border that the variant wants."""
+    """Return the frame as floats in [0, 1], with the black border that the variant wants."""
     unit = image.astype(np.float32) / np.float32(white_level(image))
     border = variant.window_px // 2 if variant.pads_with_zeros else 0
     return np.pad(unit, ((border, border), (border, border), (0, 0)))

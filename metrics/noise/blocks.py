@@ -42,7 +42,7 @@ def block_means(planes: NDArray, size: int = BLOCK_PX) -> Field:
 
 
 def static_limit(histogram: NDArray) -> int:
-    """The last bin of block energies that noise explains.
+    """Return the last bin of block energies that noise explains.
 
     Args:
         histogram: blocks per bin of `ENERGY_EDGES`, (E,).
@@ -88,7 +88,7 @@ class ChangeTable:
         return np.array([static_limit(histograms[level]) for level in nearest])
 
     def n_within(self, limits: NDArray[np.int64]) -> int:
-        """Blocks that count as static under these limits."""
+        """Return the blocks that count as static under these limits."""
         return int(self._fine[_within(limits)][:, 0].sum())
 
     def add(self, later: Image8, earlier: Image8) -> None:
@@ -109,7 +109,7 @@ class ChangeTable:
             self._coarse[index] += _sums(levels_of(colours.mean(axis=-1)), bins, columns)
 
     def covariance(self, limits: NDArray[np.int64]) -> Array:
-        """Covariance of RGB noise of single pixels, (3, 3), grey levels squared."""
+        """Return the covariance of RGB noise of single pixels, (3, 3), grey levels squared."""
         sums = self._fine[_within(limits)].sum(axis=0)
         return _matrix(sums[1:7] / max(sums[0], 1))
 
@@ -153,12 +153,12 @@ def levels_of(values: NDArray) -> NDArray[np.int64]:
 
 
 def _within(limits: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Mask of the static bins of brightness and energy, (N_LEVELS, N_ENERGIES)."""
+    """Return the mask of the static bins of brightness and energy, (N_LEVELS, N_ENERGIES)."""
     return np.arange(N_ENERGIES) <= limits[:, None]
 
 
 def _products(change: Field) -> Field:
-    """The six different products of the channels, (H, W, 6), in the order of `PLANES`."""
+    """Return the six different products of the channels, (H, W, 6), in the order of `PLANES`."""
     return np.concatenate([change * change, change * change[..., [1, 2, 0]]], axis=-1)
 
 
@@ -170,14 +170,14 @@ def _matrix(planes: Array) -> Array:
 
 
 def _pooled(blocks: NDArray, combine: np.ufunc) -> NDArray:
-    """Each two by two blocks combined to one; a last odd row or column is left out."""
+    """Return each two by two blocks combined to one; a last odd row or column is left out."""
     rows, columns = (side // 2 * 2 for side in blocks.shape[:2])
     even = blocks[:rows, :columns]
     return combine(combine(even[::2, ::2], even[1::2, ::2]), combine(even[::2, 1::2], even[1::2, 1::2]))
 
 
 def _sums(level: NDArray[np.int64], energy: NDArray[np.int64], columns: Field) -> Array:
-    """Counts and sums of each column by brightness and energy, (N_LEVELS, N_ENERGIES, 1 + columns)."""
+    """Return the counts and sums of each column by brightness and energy, (N_LEVELS, N_ENERGIES, 1 + columns)."""
     rows, width = level.shape
     key = (level * N_ENERGIES + energy).ravel()
     weights = columns[:rows, :width].reshape(len(key), -1).T
@@ -186,7 +186,7 @@ def _sums(level: NDArray[np.int64], energy: NDArray[np.int64], columns: Field) -
 
 
 def _along(planes: Array, axes: Array) -> Array:
-    """Variances along the axes, (3,), of a covariance stored as `PLANES`."""
+    """Return the variances along the axes, (3,), of a covariance stored as `PLANES`."""
     return np.einsum("ia,ij,ja->a", axes, _matrix(planes), axes)
 
 
@@ -204,7 +204,7 @@ def octaves(measured: Array) -> Array:
 
 
 def enlarged(coarse: Field, grain: int) -> Field:
-    """A field of blocks of `grain` pixels, one value per pixel."""
+    """Return a field of blocks of `grain` pixels, one value per pixel."""
     if grain == 1:
         return coarse
     return np.asarray(cv2.resize(coarse, None, fx=grain, fy=grain, interpolation=cv2.INTER_CUBIC), dtype=np.float32)
@@ -237,6 +237,6 @@ def octave_responses() -> tuple[Array, Array]:
 
 
 def shares_of(octave_variance: Array) -> Array:
-    """Share of each grain in the variance of all channels, (6,)."""
+    """Return the share of each grain in the variance of all channels, (6,)."""
     total = octave_variance.sum()
     return octave_variance.sum(axis=1) / total if total > 0 else np.zeros(len(octave_variance))

@@ -63,18 +63,18 @@ class NoiseModel:
         return float((self.octave_variance * self.octave_held).sum() / total) if total > 0 else 0.0
 
     def sigma_at(self, image: NDArray) -> Field:
-        """Standard deviation of the noise at each value of an image, same shape, grey levels of 255."""
+        """Return the standard deviation of the noise at each value of an image, same shape, grey levels of 255."""
         levels = np.arange(256)
         curves = np.stack([np.interp(levels, self.brightness_255, self.sigma_255[:, c]) for c in range(3)], axis=-1)
         index = np.rint(np.clip(image, 0, 255)).astype(np.uint8)
         return np.stack([cv2.LUT(index[..., c], curves[:, c].astype(np.float32)) for c in range(3)], axis=-1)
 
     def sample(self, clean: NDArray, random: np.random.Generator) -> Image8:
-        """One noisy recording of a clean frame (H, W, 3) in 0..255, rounded to 8 bit."""
+        """Return one noisy recording of a clean frame (H, W, 3) in 0..255, rounded to 8 bit."""
         return next(self.sample_video([clean], random))
 
     def sample_video(self, clean: Iterable[NDArray], random: np.random.Generator) -> Iterator[Image8]:
-        """A noisy recording of clean frames, one by one; what noise keeps over time is kept."""
+        """Yield a noisy recording of clean frames, one by one; what noise keeps over time is kept."""
         noise = NoiseStream(self, random)
         for frame in clean:
             yield np.rint(np.clip(frame + noise.draw(frame), 0, 255)).astype(np.uint8)
@@ -94,7 +94,7 @@ class NoiseStream:
         self._deviation = np.sqrt(np.maximum(np.einsum("ia,oa,ia->i", model.axes, model.octave_variance, model.axes), 1e-12))
 
     def draw(self, clean: NDArray) -> Field:
-        """Noise of the next frame, (H, W, 3), grey levels of 255, to be added to `clean` (H, W, 3) in 0..255."""
+        """Return the noise of the next frame, (H, W, 3), grey levels of 255, to be added to `clean` (H, W, 3) in 0..255."""
         height, width = clean.shape[:2]
         unit = np.zeros((height, width, 3), np.float32)
         for octave, variance in enumerate(self._model.octave_variance):
@@ -103,7 +103,7 @@ class NoiseStream:
         return unit * (self._model.sigma_at(clean) / self._deviation.astype(np.float32))
 
     def _octave(self, octave: int, height: int, width: int) -> Field:
-        """Noise of one grain, drawn on its own coarse grid and carried over from the frame before."""
+        """Return the noise of one grain, drawn on its own coarse grid and carried over from the frame before."""
         grain = SCALES_PX[octave]
         held = self._model.octave_held[octave].astype(np.float32)
         rows, columns = -(-height // grain), -(-width // grain)
@@ -153,7 +153,7 @@ class NoiseEstimator:
         self._frames += 1
 
     def finish(self) -> NoiseModel:
-        """The noise of all frames."""
+        """Return the noise of all frames."""
         if self._frames < 2:
             raise MetricError(f"noise: wanted 2 frames or more, got {self._frames}")
         limits = (self._long if self._long.n_blocks >= MIN_BLOCKS else self._short).limits()
@@ -175,7 +175,7 @@ class NoiseEstimator:
 
 
 def estimate_noise(frames: Iterable[Image8]) -> NoiseModel:
-    """Noise of one captured view.
+    """Return the noise of one captured view.
 
     Args:
         frames: (H, W, 3) uint8 in order, consumed as a stream.

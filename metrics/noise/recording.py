@@ -51,7 +51,7 @@ class CleanFrame(NamedTuple):
 
 
 def observe(frames: Iterable[Image8]) -> tuple[NoiseModel, Field]:
-    """First pass: the noise, and an average over the last frames to start the second pass from."""
+    """Return the first pass: the noise, and an average over the last frames to start the second pass from."""
     estimator, background = NoiseEstimator(), np.zeros((1, 1, 3), np.float32)
     for index, frame in enumerate(frames):
         estimator.add(frame)
@@ -95,7 +95,7 @@ def rounded(frame: NDArray) -> Image8:
 
 
 def _with_neighbours(frames: Iterable[Image8]) -> Iterator[tuple[list[Image8], Image8, list[Image8]]]:
-    """Each frame with those before it, the nearest first, and those after it."""
+    """Yield each frame with those before it, the nearest first, and those after it."""
     past: deque[Image8] = deque(maxlen=AROUND_FRAMES)
     stream = iter(frames)
     future = deque(islice(stream, AROUND_FRAMES + 1))
@@ -113,7 +113,7 @@ def _clean_moving(
     variance: Field,
     noise: NoiseModel,
 ) -> Field:
-    """A frame where it moves: averaged over neighbours while a block does not change, smoothed where it does at once."""
+    """Return a frame where it moves: averaged over neighbours while a block does not change, smoothed where it does at once."""
     total, count = frame.astype(np.float32), np.ones(blocks.shape, np.float32)
     for side in neighbours:
         unchanged = blocks
@@ -141,14 +141,14 @@ def _smoothed(frame: Image8, sigma: Field) -> Field:
 
 
 def _still(energy: Field) -> NDArray[np.bool_]:
-    """Blocks that do not move; next to one that does, less is allowed, since a rim that moves changes little."""
+    """Return the blocks that do not move; next to one that does, less is allowed, since a rim that moves changes little."""
     moving = (energy > STILL_FACTOR).astype(np.uint8)
     beside = cv2.dilate(moving, np.ones((3, 3), np.uint8)) > 0
     return np.asarray(energy <= np.where(beside, RIM_FACTOR, STILL_FACTOR))
 
 
 def _to_pixels(blocks: NDArray, shape: tuple[int, ...]) -> NDArray:
-    """Values of blocks at their pixels, (H, W, 1); the last blocks reach to the border."""
+    """Return the values of blocks at their pixels, (H, W, 1); the last blocks reach to the border."""
     rows, columns = (np.minimum(np.arange(side) // BLOCK_PX, side // BLOCK_PX - 1) for side in shape[:2])
     return blocks[rows][:, columns][..., None]
 
@@ -180,7 +180,7 @@ def with_colour_detail(frame: Field) -> Field:
 
 
 def _strength(colour: Field, luma: Field) -> Field:
-    """Ratio of the local deviations, with the sign of the covariance, (h, w, 3)."""
+    """Return the ratio of the local deviations, with the sign of the covariance, (h, w, 3)."""
     window = (WINDOW_PX, WINDOW_PX)
     of_luma, of_colour, together = (cv2.blur(product, window) for product in (luma * luma, colour * colour, colour * luma))
     ratio = np.sqrt(of_colour / (of_luma[..., None] + LEAST_VARIANCE))
@@ -229,7 +229,7 @@ class Recorder:
         self.sigma_255 = self._find_sensor_noise()
 
     def clean(self) -> Iterator[CleanFrame]:
-        """The clean frames, one by one, with the detail of colour that the codec took."""
+        """Yield the clean frames, one by one, with the detail of colour that the codec took."""
         return iter(self._start) if self.noise.n_frames <= TRIAL_FRAMES else self._clean()
 
     @cached_property
@@ -248,7 +248,7 @@ class Recorder:
         return self._film(self.clean(), sigma_255, number)
 
     def doubt(self) -> str:
-        """Reason why another recording cannot be simulated; empty where it can."""
+        """Return the reason why another recording cannot be simulated; empty where it can."""
         weakest = KEEPING_STEPS * self._coding.step_255
         if self.sigma_255 < weakest:
             hidden = f"below {weakest:.1f} grey levels x264 hides it at crf {self._coding.crf:g}"
@@ -272,7 +272,7 @@ class Recorder:
         return VideoFrames(path)
 
     def _find_sensor_noise(self) -> float:
-        """Standard deviation of the noise before the codec, grey levels of 255.
+        """Return the standard deviation of the noise before the codec, grey levels of 255.
 
         Reading:
             What a codec leaves of weak noise changes from frame to frame no more than what the codec does alone, but every

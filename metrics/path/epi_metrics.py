@@ -87,7 +87,7 @@ def find_lines(epi: Image, slope_range_px: tuple[float, float]) -> Lines:
 
 
 def _filtered(epi: Image) -> tuple[Array32, Array32]:
-    """The EPI smoothed along x by a Gaussian and its derivative, both (V, W, 3) on the scale 0..255."""
+    """Return the EPI smoothed along x by a Gaussian and its derivative, both (V, W, 3) on the scale 0..255."""
     scaled = epi.astype(np.float32) * np.float32(255.0 / white_level(epi))
     x = np.arange(-4.0, 5.0)
     gaussian = np.exp(-0.5 * (x / SMOOTHING_PX) ** 2)
@@ -99,7 +99,7 @@ def _filtered(epi: Image) -> tuple[Array32, Array32]:
 
 
 def _upright_lines(smooth: Array32, gradient: Array32, shear: int, limits: tuple[float, float], first_column: int) -> Lines:
-    """Lines whose slope is within `limits`, half a pixel around `shear` at most."""
+    """Return the lines whose slope is within `limits`, half a pixel around `shear` at most."""
     xx, xv, vv = (_over_window(pairs, shear, first_column) for pairs in _pair_tensors(smooth, gradient, shear))
     moved = np.divide(xv, xx, out=np.zeros_like(xx), where=xx > 1e-6)  # how much less than `shear` a line moves per pose
     np.clip(moved, shear - limits[1], shear - limits[0], out=moved)
@@ -118,12 +118,12 @@ def _pair_tensors(smooth: Array32, gradient: Array32, shear: int) -> tuple[Array
 
 
 def _shifted(shift: int) -> slice:
-    """Columns that remain when an image is read `shift` further right."""
+    """Return the columns that remain when an image is read `shift` further right."""
     return slice(shift, None) if shift >= 0 else slice(None, shift)
 
 
 def _over_window(pairs: Array32, shear: int, first_column: int) -> Array32:
-    """Weighted sum over the pairs around each pose, along the sheared lines, (V - 4, X)."""
+    """Return the weighted sum over the pairs around each pose, along the sheared lines, (V - 4, X)."""
     n_poses, width = pairs.shape[0] + 1, pairs.shape[1] + abs(shear)
     total = np.zeros((n_poses - 4, width - 2 * first_column), np.float32)
     left = min(shear, 0)  # a pair's column at its earlier pose starts there when `here` was cut on the left
@@ -173,7 +173,7 @@ class HorizontalPath:
     far: float
 
     def widened(self, factor: float) -> "HorizontalPath":
-        """The same path with a depth range that begins nearer and ends farther by this factor."""
+        """Return the same path with a depth range that begins nearer and ends farther by this factor."""
         return replace(self, near=self.near / factor, far=self.far * factor)
 
     def slope_px(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -219,7 +219,7 @@ def horizontal_path(cameras: Sequence[Camera]) -> HorizontalPath:
 
 
 def _even_step(offsets: NDArray[np.float64], camera: Camera, near: float) -> float:
-    """Step in world units along x of centres (V, 3) in the first pose's frame."""
+    """Return the step in world units along x of centres (V, 3) in the first pose's frame."""
     step = float(offsets[-1, 0]) / (len(offsets) - 1)
     if step == 0 or not np.isfinite(step):
         raise MetricError(f"pose {camera.name}: wanted a camera that moves along its rows, got no displacement; move it")
@@ -379,12 +379,12 @@ def _median(bins: NDArray[np.int64]) -> float | None:
 
 
 def _inner(depth: NDArray[np.float32], lines: Lines) -> NDArray[np.float32]:
-    """The part of an EPI's depth where lines were measured."""
+    """Return the part of an EPI's depth where lines were measured."""
     return depth[2:-2, lines.first_column : depth.shape[1] - lines.first_column]
 
 
 def _is_measured(lines: Lines, least_texture_255: float) -> NDArray[np.bool_]:
-    """Mask where texture and coherence suffice to trust a slope."""
+    """Return the mask where texture and coherence suffice to trust a slope."""
     coherent = lines.across - lines.along >= SLOPE_COHERENCE * (lines.across + lines.along)
     return coherent & (lines.across >= least_texture_255**2)
 

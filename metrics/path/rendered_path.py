@@ -93,14 +93,14 @@ def reprojection_step(before: Pose, after: Pose, depth_tolerance: float = DEPTH_
 
 
 def _checked_image(camera: Camera, image: Image) -> NDArray[np.float32]:
-    """The image as float32 in [0, 1]."""
+    """Return the image as float32 in [0, 1]."""
     if image.shape != (camera.height, camera.width, 3):
         raise MetricError(f"pose {camera.name}: wanted an image {camera.height} x {camera.width} x 3, got {image.shape}")
     return image.astype(np.float32) / np.float32(white_level(image))
 
 
 def checked_depth(camera: Camera, depth: NDArray[np.float32] | None) -> NDArray[np.float32]:
-    """The depth of a pose if it has one that fits its camera."""
+    """Return the depth of a pose if it has one that fits its camera."""
     if depth is None:
         raise MetricError(f"pose {camera.name}: no depth; wanted depth along the path")
     if depth.shape != (camera.height, camera.width) or not np.isfinite(depth).all() or (depth < 0).any():
@@ -208,7 +208,7 @@ class RenderedPath:
         return self._steps
 
     def epis(self) -> Iterator[Image]:
-        """Epipolar plane images, one per chosen row, each (V, W, 3)."""
+        """Yield the epipolar plane images, one per chosen row, each (V, W, 3)."""
         return (np.stack([rows[index] for rows in self._images]) for index in range(len(self.rows)))
 
     def look(self, index: int) -> tuple[Image, NDArray[np.float32] | None]:
@@ -267,5 +267,5 @@ class PathMetric(Metric):
 
 
 def whole_path(names: tuple[str, ...], *values: float) -> list[Value]:
-    """Values of the whole path."""
+    """Return the values of the whole path."""
     return [(name, None, value) for name, value in zip(names, values, strict=True)]

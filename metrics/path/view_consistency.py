@@ -31,7 +31,7 @@ ROUNDING_255 = 1.0 / 3.0  # mean absolute difference of two images that differ b
 
 
 def warping_error(poses: Iterable[Pose], depth_tolerance: float = DEPTH_TOLERANCE) -> float:
-    """Warping error E_warp (Lai et al., ECCV 2018) of images along a camera path, the flow taken from depth and poses.
+    """Return the warping error E_warp (Lai et al., ECCV 2018) of images along a camera path, the flow taken from depth and poses.
 
     Args:
         poses: camera, image (H, W, 3) uint8 in 0..255 or float in [0, 1], and depth (H, W) float32, world units, 0 = unknown; in
@@ -115,7 +115,7 @@ class Reprojection:
 
 
 def mean_reprojection(steps: Sequence[StepError]) -> Reprojection:
-    """Mean over the steps of a path, each with equal weight.
+    """Return the mean over the steps of a path, each with equal weight.
 
     Raises:
         MetricError: no step whose poses see a surface in common, or images without any texture, whose error no shift explains.
@@ -130,7 +130,7 @@ def mean_reprojection(steps: Sequence[StepError]) -> Reprojection:
 
 
 def _measure_reprojection(path: RenderedPath) -> list[Value]:
-    """Error and visible share of every step, at its first pose, and of the whole path."""
+    """Return the error and visible share of every step, at its first pose, and of the whole path."""
     mean = mean_reprojection(path.steps)
     per_step = list(enumerate(path.steps))
     return [

@@ -12,7 +12,7 @@ from ggvs_eval.metrics.metric import DepthMetric, Series
 
 
 def depth_mtv(later: Map, earlier: Map, static: Mask | None = None) -> float:
-    """Mean absolute change of log depth from one frame to the next, times 100: mTV of a depth video.
+    """Return the mean absolute change of log depth from one frame to the next, times 100: mTV of a depth video.
 
     Args:
         later: depth at t + 1, (H, W) float, any unit, 0 or not finite = unknown; inverse depth (disparity) gives the same value.
@@ -41,7 +41,7 @@ def depth_mtv(later: Map, earlier: Map, static: Mask | None = None) -> float:
 
 
 def depth_mtv2(depths: Sequence[Map], static: Mask | None = None) -> float:
-    """Mean absolute second difference of log depth over time, times 100: an even approach has none.
+    """Return the mean absolute second difference of log depth over time, times 100: an even approach has none.
 
     Args:
         depths: three frames in order, as for `depth_mtv`.
@@ -61,7 +61,7 @@ def depth_mtv2(depths: Sequence[Map], static: Mask | None = None) -> float:
 
 
 def depth_blinking(later: Map, earlier: Map, static: Mask | None = None) -> float:
-    """Part of the pixels whose depth is known in only one of two neighbouring frames: holes that come and go.
+    """Return the part of the pixels whose depth is known in only one of two neighbouring frames: holes that come and go.
 
     Args:
         later: see `depth_mtv`.
@@ -85,7 +85,7 @@ def depth_blinking(later: Map, earlier: Map, static: Mask | None = None) -> floa
 
 
 def depth_sharpness(depth: Map) -> float:
-    """Mean absolute difference of log depth between neighbouring pixels, times 100: edges, slopes, and noise.
+    """Return the mean absolute difference of log depth between neighbouring pixels, times 100: edges, slopes, and noise.
 
     Args:
         depth: see `depth_mtv`.
@@ -112,7 +112,7 @@ def depth_sharpness(depth: Map) -> float:
 
 
 def _variation(depths: Sequence[Map], static: Mask | None) -> float:
-    """First or second absolute difference of log depth over two or three frames, mean over what is known in all."""
+    """Return the first or second absolute difference of log depth over two or three frames, mean over what is known in all."""
     logarithms = [_log(depth) for depth in _checked(depths, static)]
     with np.errstate(invalid="ignore"):
         change = logarithms[0] - logarithms[1] if len(depths) == 2 else logarithms[0] - 2 * logarithms[1] + logarithms[2]

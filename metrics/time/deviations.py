@@ -15,7 +15,7 @@ Errors = Mapping[str, Mapping[int, float]]  # view -> frame -> L1
 
 
 def sdt(l1_255: ArrayLike, ddof: int = 1) -> float:
-    """Standard deviation of the error over time, mean over the views; lower is steadier.
+    """Return the standard deviation of the error over time, mean over the views; lower is steadier.
 
     Args:
         l1_255: L1 of each view and frame on the scale 0..255, (V, T), T >= 2.
@@ -39,7 +39,7 @@ def sdt(l1_255: ArrayLike, ddof: int = 1) -> float:
 
 
 def sdv(l1_255: ArrayLike, ddof: int = 1) -> float:
-    """Standard deviation of the error over the views, mean over the frames; lower is more even.
+    """Return the standard deviation of the error over the views, mean over the frames; lower is more even.
 
     Args:
         l1_255: L1 of each view and frame on the scale 0..255, (V, T), V >= 2.

@@ -91,7 +91,7 @@ class FlickerMeter:
         self._pairs += 1
 
     def finish(self) -> Flicker:
-        """The measures of all instants."""
+        """Return the measures of all instants."""
         if self._pairs < 1:
             raise MetricError(f"flicker: wanted 2 frames or more, got {int(self._previous is not None)}")
         has_static = self._static[:, 0].sum() >= MIN_BLOCKS
@@ -112,14 +112,14 @@ class FlickerMeter:
         )
 
     def _noise_of_moving(self) -> float:
-        """Energy of the noise in all moving blocks: that of still ones as bright, or of all where too few are."""
+        """Return the energy of the noise in all moving blocks: that of still ones as bright, or of all where too few are."""
         blocks, _, energy, _ = self._static.T
         overall = energy.sum() / max(blocks.sum(), 1)
         noise = np.where(blocks >= MIN_BLOCKS, energy / np.maximum(blocks, 1), overall)
         return float(noise @ self._moving[:, 0])
 
     def _still(self, energy: Field) -> NDArray[np.bool_]:
-        """Blocks whose change is noise, and whose neighbours' is."""
+        """Return the blocks whose change is noise, and whose neighbours' is."""
         bins = np.searchsorted(ENERGY_EDGES, energy / 2, side="right") - 1  # half of a change's energy is the noise's variance
         self._histogram += np.bincount(bins.ravel(), minlength=N_ENERGIES)
         moving = (bins > static_limit(self._histogram)).astype(np.uint8)
@@ -152,7 +152,7 @@ def _change(later: Image8, earlier: Image8) -> NDArray[np.int16]:
 
 
 def _energy(change: NDArray[np.int16]) -> Field:
-    """Mean square of each block of 8 x 8 pixels over its pixels and channels."""
+    """Return the mean square of each block of 8 x 8 pixels over its pixels and channels."""
     squares = cv2.multiply(change, change, dtype=cv2.CV_32F)
     return np.asarray(block_means(squares).mean(axis=-1), dtype=np.float32)
 

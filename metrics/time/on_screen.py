@@ -120,7 +120,7 @@ class ScreenMetric(Metric):
 
 
 def metric_on_screen(metric: ViewMetric) -> ScreenMetric:
-    """The metric of the displayed frames, ``PSNR_stream`` and so on."""
+    """Return the metric of the displayed frames, ``PSNR_stream`` and so on."""
     return ScreenMetric(
         name=f"{metric.name}{ON_SCREEN}",
         kind=metric.kind,

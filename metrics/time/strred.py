@@ -205,7 +205,7 @@ def pair_difference(rendered: Entropies, truth: Entropies) -> PairDifference:
 
 
 def pool(differences: Sequence[PairDifference], pooling: StedPooling = "means") -> StRred:
-    """Scores of a view from the differences of its pairs.
+    """Return the scores of a view from the differences of its pairs.
 
     Args:
         differences: at least one.
@@ -229,7 +229,7 @@ def _as_luma(frame: NDArray) -> NDArray:
 
 
 def _correlate(image: Array, kernel: Array) -> Array:
-    """Correlation of the image reflected at its border (the edge not repeated), same size."""
+    """Return the correlation of the image reflected at its border (the edge not repeated), same size."""
     return np.asarray(cv2.filter2D(image, cv2.CV_64F, kernel, borderType=cv2.BORDER_REFLECT_101), dtype=np.float64)
 
 

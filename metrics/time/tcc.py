@@ -81,12 +81,12 @@ def device_change_ssim(
 
 
 def _change(first: Image, second: Image) -> Image:
-    """Absolute difference in the kind of the images; 8-bit ones do not wrap around."""
+    """Return the absolute difference in the kind of the images; 8-bit ones do not wrap around."""
     return cv2.absdiff(*same_kind(first, second))
 
 
 def _inside(pair: FramePair, mask: Mask) -> float | None:
-    """The term of the frame and the one before over the windows inside a mask."""
+    """Return the term of the frame and the one before over the windows inside a mask."""
     if pair.previous is None or pair.truth.previous is None:
         return None
     changes = _change(pair.previous, pair.rendered), _change(pair.truth.previous, pair.truth.image)

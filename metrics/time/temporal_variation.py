@@ -46,7 +46,7 @@ def mtv(later: Image, earlier: Image, static: Mask | None = None) -> float:
 
 
 def mtv2(frames: Sequence[Image], static: Mask | None = None) -> float:
-    """Mean absolute second difference of a rendering over time, times 100: even and slow motion cancels.
+    """Return the mean absolute second difference of a rendering over time, times 100: even and slow motion cancels.
 
     Args:
         frames: three rendered frames in order, each (H, W, 3), uint8 in 0..255 or float in [0, 1].
@@ -74,7 +74,7 @@ def mtv2(frames: Sequence[Image], static: Mask | None = None) -> float:
 
 
 def _variation(frames: Sequence[Image], static: Mask | None) -> float:
-    """First or second absolute difference of two or three frames, mean inside the mask, per cent of white."""
+    """Return the first or second absolute difference of two or three frames, mean inside the mask, per cent of white."""
     for frame in frames:
         check_pair(frame, frame)
         if frame.shape != frames[0].shape or frame.dtype != frames[0].dtype:
@@ -88,7 +88,7 @@ def _variation(frames: Sequence[Image], static: Mask | None) -> float:
 
 
 def _differing(first: Image, second: Image, third: Image | None = None) -> tuple[Image, Image]:
-    """Two images whose difference is the first, or second, difference of the frames, in a type that holds it."""
+    """Return two images whose difference is the first, or second, difference of the frames, in a type that holds it."""
     if third is None:
         return first, second
     wide = cv2.CV_16S if first.dtype == np.uint8 else cv2.CV_64F

@@ -209,7 +209,7 @@ def protocol(
 
 
 def _together(reasons: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Cameras of one reason in one line: their names, of many the first, the last and their number."""
+    """Return the cameras of one reason in one line: their names, of many the first, the last and their number."""
     names: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         names.setdefault(reason, []).append(name)

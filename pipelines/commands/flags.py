@@ -81,7 +81,7 @@ class CaptureOptions:
 
 
 def given_units(words: str | None) -> GivenUnits:
-    """The number or the file that ``--units`` gives."""
+    """Return the number or the file that ``--units`` gives."""
     if words is None or words.endswith(".toml"):
         return None if words is None else Path(words)
     try:

@@ -76,7 +76,7 @@ def _show_warning(
 
 
 def _without_plugins(words: Sequence[str]) -> list[str]:
-    """The command line without ``--plugin FILE.py``, which any verb takes; the files' objects are known from then on."""
+    """Return the command line without ``--plugin FILE.py``, which any verb takes; the files' objects are known from then on."""
     left = list(words)
     while PLUGIN in left:
         at = left.index(PLUGIN)
@@ -139,13 +139,13 @@ def _is_foreign(command: Callable[..., None], words: Sequence[str]) -> bool:
 
 
 def _about(command: Callable[..., None]) -> str:
-    """The paragraphs of a command's docstring before its arguments, each on one line."""
+    """Return the paragraphs of a command's docstring before its arguments, each on one line."""
     text = inspect.cleandoc(command.__doc__ or "").partition("\n\nArgs:")[0]
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
 
 
 def _overview(program: str, commands: Commands) -> str:
-    """The commands of a program by their groups, each with its line of help; of what ships nothing is loaded."""
+    """Return the commands of a program by their groups, each with its line of help; of what ships nothing is loaded."""
     groups: dict[str, dict[str, str]] = {}
     for name in commands:
         verb = VERBS.get(name) if commands is COMMANDS else None

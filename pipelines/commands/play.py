@@ -128,7 +128,7 @@ def view(
 
 
 def _open(source: Path, reading: CaptureOptions, jobs: int) -> RunPlan | Capture:
-    """The prepared run of a run folder, or a capture."""
+    """Return the prepared run of a run folder, or a capture."""
     from ggvs_eval.pipelines.run.evaluate import reopen
 
     return reopen(source, jobs) if (source / "protocol.toml").is_file() else reading.open(source)

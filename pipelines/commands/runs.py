@@ -345,7 +345,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
 
 
 def _flags(options: Any, default: Any) -> list[str]:
-    """A frozen dataclass of options as words of the command line; only what differs from its defaults.
+    """Return a frozen dataclass of options as words of the command line; only what differs from its defaults.
 
     Args:
         options: values that are truth values, numbers, texts, paths or None.
@@ -409,7 +409,7 @@ def _protocol(source: str | None, capture: Capture) -> Protocol:
 
 
 def _missing_renders(run: RunFolder) -> str:
-    """Views that methods of a merged run lack, as text; empty where nothing is missing."""
+    """Return the views that methods of a merged run lack, as text; empty where nothing is missing."""
     from ggvs_eval.coverage import read_import
 
     views = run.protocol().views.test

@@ -34,7 +34,7 @@ class Finding:
 
 
 def worst(findings: Iterable[Finding]) -> Verdict:
-    """The most harmful of some verdicts; ``ok`` where there are none."""
+    """Return the most harmful of some verdicts; ``ok`` where there are none."""
     return max((finding.verdict for finding in findings), key=SEVERITY.__getitem__, default="ok")
 
 
@@ -44,5 +44,5 @@ def graded(value: float, warn_above: float, bad_above: float) -> Verdict:
 
 
 def verdict_of(is_certain: bool) -> Verdict:
-    """The stronger or the weaker verdict on a fault."""
+    """Return the stronger or the weaker verdict on a fault."""
     return "certain" if is_certain else "likely"

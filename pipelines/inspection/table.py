@@ -39,7 +39,7 @@ def findings_table(
     heads: tuple[str, str] = ("question", "camera"),
     most_lines: int = MOST_LINES,
 ) -> str:
-    """One line per question with the worst verdict where the rig has an answer, and one for each group that deviates.
+    """Return one line per question with the worst verdict where the rig has an answer, and one for each group that deviates.
 
     Args:
         findings: of any subjects and questions; questions come in the order of their first finding.
@@ -67,7 +67,7 @@ def _merged(lines: Sequence[Line]) -> list[Line]:
 
 
 def _question_lines(findings: Sequence[Finding], most_lines: int) -> list[Line]:
-    """The line of the rig, and those of groups that deviate; the first names the question."""
+    """Return the line of the rig, and those of groups that deviate; the first names the question."""
     rig = next((finding for finding in findings if finding.subject == RIG), None)
     lines: list[Line] = []
     if rig is not None:

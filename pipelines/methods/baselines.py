@@ -47,12 +47,12 @@ FIXED_BASELINES: dict[str, OnlineMethod] = {
 
 
 def method_of_label(baseline: LearnedBaseline, label: str) -> OnlineMethod:
-    """The rendition of a learned baseline that a label names."""
+    """Return the rendition of a learned baseline that a label names."""
     return next(learned_method(baseline, each) for each in baseline.renditions if baseline.label(each) == label)
 
 
 def learned_method(baseline: LearnedBaseline, rendition: Rendition) -> OnlineMethod:
-    """A network that renders with the weights that ship, if any do, or with a checkpoint of its authors."""
+    """Return a network that renders with the weights that ship, if any do, or with a checkpoint of its authors."""
     retrained = rendition.retrained
     return OnlineMethod(
         f"{rendition.title} (retrained, {retrained})" if retrained else rendition.title,

@@ -54,7 +54,7 @@ class FittedMethod(SceneMethod):
         self.make_fitter()
 
     def identity(self, unit: RenderUnit) -> dict[str, Any]:
-        """The fit, which has not used the rendered views, and the places of the targets."""
+        """Return the fit, which has not used the rendered views, and the places of the targets."""
         return {"fit": self._fit(unit).sha256, "shots": unit.identity_of_shots()}
 
     def scene(self, unit: RenderUnit) -> FittedScene:
@@ -71,7 +71,7 @@ class FittedMethod(SceneMethod):
         return self.make_fitter().load(fit.folder)
 
     def configured(self, label: str, variant: str) -> "FittedMethod":
-        """The method with other options of its fitter, and another seed."""
+        """Return the method with other options of its fitter, and another seed."""
         values = option_values(variant)
         words = option_words(values)
         seed = values.pop("seed", 0)
@@ -82,7 +82,7 @@ class FittedMethod(SceneMethod):
         return configured
 
     def on(self, device: str) -> "FittedMethod":
-        """The method on a device, where its fitter takes one."""
+        """Return the method on a device, where its fitter takes one."""
         takes_device = "device" in [each.name for each in fields(resolve_name(self.fitter))]
         return replace(self, device=device) if takes_device else self
 
@@ -93,7 +93,7 @@ class FittedMethod(SceneMethod):
 
 
 def fitted_method(title: str, describe: str, fitter: str, online: bool = False, departs: str = "") -> FittedMethod:
-    """A method by its `SceneFitter`, ``module:class``; `online` where it sees nothing of the future."""
+    """Return a method by its `SceneFitter`, ``module:class``; `online` where it sees nothing of the future."""
     return FittedMethod(title, describe, (fitter.partition(":")[0],), fitter, online=online, usual=False, departs=departs)
 
 
@@ -133,7 +133,7 @@ class StoredSplats(SceneMethod):
 
     @classmethod
     def of(cls, label: str, path: Path) -> "StoredSplats":
-        """The method of a label, which is its title too."""
+        """Return the method of a label, which is its title too."""
         describe = f"fitted 3D Gaussians, {path.name}, rendered by this package"
         return cls(label, describe, reading_modules(path), path.resolve(), online=False, usual=False, uses_depth=False)
 
@@ -147,7 +147,7 @@ class StoredSplats(SceneMethod):
         open_splats(self.path)
 
     def identity(self, unit: RenderUnit) -> dict[str, Any]:
-        """The files, the clip that they belong to, and the places of the targets."""
+        """Return the files, the clip that they belong to, and the places of the targets."""
         instants = [0, unit.capture.n_frames]
         return {"splats": digest_files(splats_files(self.path)), "instants": instants, "shots": unit.identity_of_shots()}
 

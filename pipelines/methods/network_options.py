@@ -24,7 +24,7 @@ AS_SHIPPED = NetworkOptions()
 
 
 def checked_device(wanted: str) -> str:
-    """The device of a name, ``auto`` included."""
+    """Return the device of a name, ``auto`` included."""
     if wanted == "cpu":  # needs no torch
         return wanted
     from ggvs_eval.compute_device import compute_device

@@ -15,7 +15,7 @@ from ggvs_eval.results import split_label
 
 
 def _checked(name: str, offered: object) -> MethodSpec:
-    """A method of a plug-in: a `MethodSpec`, or what makes an object with `Method.step`."""
+    """Return a method of a plug-in: a `MethodSpec`, or what makes an object with `Method.step`."""
     if isinstance(offered, MethodSpec):
         return replace(offered, usual=False, foreign=True)
     if not callable(offered):
@@ -29,12 +29,12 @@ METHODS: Registry[MethodSpec] = Registry("methods", built_in.METHODS, _checked)
 
 
 def usual_methods() -> tuple[str, ...]:
-    """Labels of the methods that are rendered where none are named."""
+    """Return the labels of the methods that are rendered where none are named."""
     return tuple(label for label in built_in.USUAL_METHODS if label in METHODS)
 
 
 def weights_takers() -> list[str]:
-    """Labels of the methods whose weights the user can give."""
+    """Return the labels of the methods whose weights the user can give."""
     return [name for name, spec in METHODS.built_in().items() if isinstance(spec, OnlineMethod) and "weights" in spec.takes]
 
 
@@ -52,7 +52,7 @@ def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec
 
 
 def _found(label: str, checkpoints: Mapping[str, Path]) -> MethodSpec:
-    """The method of a label on the CPU."""
+    """Return the method of a label on the CPU."""
     method, _ = split_label(label)
     if method in checkpoints:
         return _with_checkpoint(label, checkpoints[method])

@@ -75,7 +75,7 @@ class RenderUnit:
         }
 
     def identity_of_shots(self) -> list[list[float]]:
-        """The same of what is rendered from a scene, which knows no sources."""
+        """Return the same of what is rendered from a scene, which knows no sources."""
         return [[number, frame, *_values(target)] for number, frame, target in self.shots]
 
     def instants(self, method: Method) -> Iterator[Instant]:

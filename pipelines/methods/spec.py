@@ -76,7 +76,7 @@ TAKEN = ("options", "weights", "device")  # keywords that are in a label, or rec
 
 
 def shipped(name: str) -> Path:
-    """A file of trained weights that ships."""
+    """Return a file of trained weights that ships."""
     return Path(str(resources.files("ggvs_eval.pipelines") / "weights" / name))
 
 
@@ -157,7 +157,7 @@ class MethodSpec(ABC):
         return foreign(f"method {self.title}: {what}", kind) if self.foreign else nullcontext()
 
     def configured(self, label: str, variant: str) -> "MethodSpec":
-        """The method with the options that its label names.
+        """Return the method with the options that its label names.
 
         Raises:
             RenderError: options that it does not have.
@@ -165,7 +165,7 @@ class MethodSpec(ABC):
         raise RenderError(f"method {label}: {self.title} has no options to set, got {variant}")
 
     def on(self, _device: str) -> "MethodSpec":
-        """The method with its networks on a device; one without networks stays as it is."""
+        """Return the method with its networks on a device; one without networks stays as it is."""
         return self
 
 
@@ -222,16 +222,16 @@ class OnlineMethod(MethodSpec):
         self.make()
 
     def identity(self, unit: RenderUnit) -> dict[str, Any]:
-        """Settings, weights and inputs."""
+        """Return the settings, weights and inputs."""
         return {"settings": self.settings, "weights": [digest_weights(file) for file in self.weights], **unit.identity()}
 
     def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
-        """Step through the instants; only the frames of one are in memory."""
+        """Yield the step through the instants; only the frames of one are in memory."""
         method = self.make()
         return map(method.step, unit.instants(method))
 
     def configured(self, label: str, variant: str) -> "OnlineMethod":
-        """The method with other `OnlineOptions`, at a fraction of the size, or both.
+        """Return the method with other `OnlineOptions`, at a fraction of the size, or both.
 
         Raises:
             RenderError: options that it does not have, or a scale that is none.
@@ -253,14 +253,14 @@ class OnlineMethod(MethodSpec):
         return replace(self, title=title, usual=False, given=given, modules=modules, departs=departs)
 
     def on(self, device: str) -> "OnlineMethod":
-        """The method with its networks on a device."""
+        """Return the method with its networks on a device."""
         if device == self.device or "device" not in self.takes:
             return self
         modules = (*self.modules, *self.device_modules)
         return replace(self, given={**self.given, "device": device}, device=device, modules=modules)
 
     def rendering_with(self, checkpoint: Path) -> "OnlineMethod":
-        """The method with a file of weights that the user gave."""
+        """Return the method with a file of weights that the user gave."""
         given, takes = {**self.given, "weights": checkpoint}, tuple(name for name in self.takes if name != "weights")
         return replace(self, title=self.title_from or self.title, given=given, takes=takes, weights=(checkpoint,))
 
@@ -348,7 +348,7 @@ def _digest_of(file: Path, _size: int, _mtime_ns: int) -> str:
 
 
 def option_values(variant: str) -> dict[str, Any]:
-    """Options of a variant such as ``motion=linear+seed=1``: numbers and truth values as such, anything else a word.
+    """Return the options of a variant such as ``motion=linear+seed=1``: numbers and truth values as such, anything else a word.
 
     Examples:
         >>> option_values("motion=linear+seed=1")
@@ -358,7 +358,7 @@ def option_values(variant: str) -> dict[str, Any]:
 
 
 def option_words(values: Mapping[str, Any]) -> str:
-    """Options as titles say them, in their order: what counts something is named in the plural.
+    """Return the options as titles say them, in their order: what counts something is named in the plural.
 
     Examples:
         >>> option_words({"motion": "linear", "steps": 3000, "seed": 1, "save_every": 100, "background": False})

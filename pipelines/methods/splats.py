@@ -58,7 +58,7 @@ class SplatsScene(FittedScene):
         return sorted(self._by_number)
 
     def cloud(self, index: int) -> "GaussianCloud":
-        """The Gaussians of an instant."""
+        """Return the Gaussians of an instant."""
         first, last = self.instants[0], self.instants[-1]
         place = self._by_number.get(index if len(self._by_number) > 1 else first)
         if place is None:
@@ -149,7 +149,7 @@ def splats_notes(path: Path) -> list[str]:
 
 
 def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, tuple[Path, int]]:
-    """Frame number -> file and the mesh in it; a cloud of all instants is of frame 0."""
+    """Return the frame number -> file and the mesh in it; a cloud of all instants is of frame 0."""
     if len(files) == 1:
         return {frame: (path, mesh) for frame, mesh in FILES[GLB].frames(path).items()} if _is_glb(path) else {0: (files[0], 0)}
     numbers: dict[int, tuple[Path, int]] = {}

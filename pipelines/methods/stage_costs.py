@@ -32,22 +32,22 @@ STAGES: dict[str, str] = {
 
 
 def depth_cost(matcher: str) -> float | None:
-    """Core-seconds per megapixel of a depth map; None where they are not known."""
+    """Return the core-seconds per megapixel of a depth map; None where they are not known."""
     return DEPTH.get(matcher.partition(":")[0].partition("+")[0])
 
 
 def render_cost(label: str) -> float | None:
-    """Core-seconds per megapixel of a method's frame; None where they are not known."""
+    """Return the core-seconds per megapixel of a method's frame; None where they are not known."""
     return RENDERED.get(split_label(label)[0])
 
 
 def score_cost(measurement: Measurement) -> float:
-    """Core-seconds per megapixel of scoring one method's frame."""
+    """Return the core-seconds per megapixel of scoring one method's frame."""
     wants_lpips = any(name.startswith("LPIPS") for name in measurement.metrics)
     return SCORED + wants_lpips * LPIPS[measurement.lpips_net] / measurement.lpips_every
 
 
 def stage_of(kind: str) -> str:
-    """The row of a plan's table that a kind of piece belongs to."""
+    """Return the row of a plan's table that a kind of piece belongs to."""
     stages = {"truth": "decoding", "fit": "fits", "render": "rendering", "path render": "rendering", "score": "scoring"}
     return stages.get(kind, "depth")

@@ -99,11 +99,11 @@ class BlendNetwork(nn.Module):
         return {**tensors, **zeros}
 
     def forward(self, channels: Tensor) -> Tensor:
-        """Input channels (B, inputs, h, w) to raw outputs (B, views + 4 + features, h, w)."""
+        """Return the input channels (B, inputs, h, w) to raw outputs (B, views + 4 + features, h, w)."""
         return self.unet(channels)
 
     def refine(self, picture: Tensor, outputs: "BlendOutputs", views: Mapping[str, Tensor]) -> Tensor:
-        """The composed picture with the refiner's changes, if the network has one.
+        """Return the composed picture with the refiner's changes, if the network has one.
 
         Args:
             picture: what the outputs compose, (B, 3, H, W).
@@ -173,7 +173,7 @@ def small_outputs(raw: Tensor, weights: Tensor, most_views: int) -> Tensor:
 
 
 def compose_tensors(outputs: BlendOutputs, colours: Tensor, coverage: Tensor) -> Tensor:
-    """The views over the background (Eqs. 4-5).
+    """Return the views over the background (Eqs. 4-5).
 
     Args:
         colours: the views, (B, K, 3, H, W).
@@ -190,7 +190,7 @@ def compose_tensors(outputs: BlendOutputs, colours: Tensor, coverage: Tensor) ->
 
 
 def weighted_mean_tensor(values: Tensor, weights: Tensor) -> Tensor:
-    """Mean over the views, 0 where no view has weight.
+    """Return the mean over the views, 0 where no view has weight.
 
     Args:
         values: (B, K, C, H, W).
@@ -223,7 +223,7 @@ class UNet(nn.Module):
         self.last = nn.Conv2d(width, outputs, 1)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Channels in, (B, inputs, H, W), to channels out, (B, outputs, H, W); any size of at least one pixel."""
+        """Return the channels in, (B, inputs, H, W), to channels out, (B, outputs, H, W); any size of at least one pixel."""
         height, width = features.shape[2:]
         added = (*margins(width), *margins(height))
         features = functional.pad(features, added, mode="replicate")
@@ -239,7 +239,7 @@ class UNet(nn.Module):
 
 
 def _block(before: int, after: int) -> nn.Sequential:
-    """Two times padding by reflection, 3 x 3 convolution, normalisation over all channels and pixels, ReLU."""
+    """Return two times padding by reflection, 3 x 3 convolution, normalisation over all channels and pixels, ReLU."""
     layers: list[nn.Module] = []
     for channels in (before, after):
         layers.append(nn.Conv2d(channels, after, 3, padding=1, padding_mode="reflect"))
@@ -249,7 +249,7 @@ def _block(before: int, after: int) -> nn.Sequential:
 
 
 def margins(size: int) -> tuple[int, int]:
-    """Pixels to add before and behind a side, so that every level divides it."""
+    """Return the pixels to add before and behind a side, so that every level divides it."""
     missing = max(LEAST_SIZE_PX - size, -size % SIZE_MULTIPLE)
     return missing // 2, missing - missing // 2
 
@@ -296,7 +296,7 @@ def _layers(unet: UNet, given: NDArray[np.intp] | None) -> list[tuple[Map, Map, 
 
 
 def packed_once(module: nn.Module, key: Hashable, pack: Callable[[], Packed]) -> Packed:
-    """Packed layers of a module, cached; packed again when a parameter or the key changes.
+    """Return the packed layers of a module, cached; packed again when a parameter or the key changes.
 
     Args:
         module: whose parameters `pack` reads.
@@ -311,22 +311,22 @@ def packed_once(module: nn.Module, key: Hashable, pack: Callable[[], Packed]) ->
 
 
 def _version(parameter: nn.Parameter) -> int:
-    """Number of writes to a tensor; inference tensors, which nothing trains, do not count."""
+    """Return the number of writes to a tensor; inference tensors, which nothing trains, do not count."""
     return -1 if parameter.is_inference() else parameter._version
 
 
 def parameter_map(module: nn.Module, name: str) -> Map:
-    """A parameter as a float32 array."""
+    """Return a parameter as a float32 array."""
     return module.get_parameter(name).detach().float().cpu().numpy()
 
 
 def weights_name(guidance: Guidance) -> str:
-    """Name of a network's weights, without file suffix."""
+    """Return the name of a network's weights, without file suffix."""
     return f"blend{SUFFIXES[guidance]}"
 
 
 def shipped_blend_weights(guidance: Guidance = "registered") -> Path:
-    """File of the weights that ship.
+    """Return the file of the weights that ship.
 
     Raises:
         WeightsError: none ship for that guidance.
@@ -344,7 +344,7 @@ def shipped_blend_weights(guidance: Guidance = "registered") -> Path:
 
 @lru_cache(maxsize=4)
 def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
-    """The network of a weights file, in evaluation mode; its configuration is known from the tensors' shapes.
+    """Return the network of a weights file, in evaluation mode; its configuration is known from the tensors' shapes.
 
     Args:
         path: safetensors, or a torch checkpoint that is a state dict.
@@ -363,7 +363,7 @@ def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
 
 
 def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> BlendNetworkShape:
-    """The configuration whose parameters these are: by names, shapes and the scale that is kept among them."""
+    """Return the configuration whose parameters these are: by names, shapes and the scale that is kept among them."""
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     first, last = shapes.get("unet.down.0.0.weight", ()), shapes.get("unet.last.weight", ())
     scale = int(tensors["scale"]) if shapes.get("scale") == () else 0

@@ -50,7 +50,7 @@ class Blender(Protocol):
     """Makes the image; with geometric weights (`GeometricBlender`) or learned ones."""
 
     def blend(self, inputs: BlendingInputs) -> Blended:
-        """The target view of one instant."""
+        """Return the target view of one instant."""
 
 
 def push_pull(colour: Map, covered: NDArray[np.bool_], out: Map | None = None) -> Map:
@@ -94,7 +94,7 @@ class GeometricBlender:
     background: bool = True
 
     def blend(self, inputs: BlendingInputs) -> Blended:
-        """The target view of one instant."""
+        """Return the target view of one instant."""
         sources = inputs.instant.sources
         cameras, shares = [source.camera for source in sources], [source.share for source in sources]
         weights = view_weights(inputs.instant.target, cameras, shares).tolist()
@@ -103,7 +103,7 @@ class GeometricBlender:
         return Blended(look_up(inputs.instant.target, inputs.depth, sources, weights, background, tolerance))
 
     def _background(self, splats: Sequence[Splat], weights: Sequence[float]) -> Map:
-        """The splatted views' weighted mean, holes filled or black."""
+        """Return the splatted views' weighted mean, holes filled or black."""
         alphas = [view.alpha for view in splats]
         mean = weighted_mean([view.features for view in splats], alphas, weights)
         covered = alphas[0] > COVERED_ALPHA

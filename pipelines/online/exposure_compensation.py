@@ -65,7 +65,7 @@ class ExposureCompensation:
         self.slope, self._corner = 0.0, 1.0
 
     def step(self, instant: Instant, tolerance: float) -> Instant:
-        """The instant with its source images multiplied by `gains` and without fall-off; they stay in 8 bit.
+        """Return the instant with its source images multiplied by `gains` and without fall-off; they stay in 8 bit.
 
         A source whose colours are like no other's, black for an instant, is left out where others agree.
         """
@@ -107,7 +107,7 @@ class ExposureCompensation:
         return flattened(source.image, source.camera, gain, self.slope, self._corner)
 
     def _solve(self, sources: Sequence[SourceView], tolerance: float) -> Array:
-        """Logarithm of every source's gain, (K, 3), whose mean is about 0: weighted least squares over all pairs."""
+        """Return the logarithm of every source's gain, (K, 3), whose mean is about 0: weighted least squares over all pairs."""
         pairs, samples, likeness = shared_looks(sources, tolerance)
         self._odd = odd_ones(likeness)
         self.slope = self._falloff.step([(looks[:, :3].mean(axis=1), looks[:, 3]) for looks in pairs.values()], self._corner)
@@ -147,7 +147,7 @@ def odd_ones(likeness: Array) -> NDArray[np.bool_]:
 
 
 def shared_looks(sources: Sequence[SourceView], tolerance: float) -> tuple[dict[tuple[int, int], Map], list[int], Array]:
-    """Pair every two sources by what they see together, at the lattices of both.
+    """Return the pair every two sources by what they see together, at the lattices of both.
 
     Args:
         sources: the views.
@@ -229,24 +229,24 @@ def log_ratios(
 
 
 def _squared_tangents(points: Map) -> Map:
-    """Squared tangents of the angles from the axis of points in a camera's frame, (N, 3)."""
+    """Return the squared tangents of the angles from the axis of points in a camera's frame, (N, 3)."""
     return np.asarray((points[:, 0] ** 2 + points[:, 1] ** 2) / points[:, 2] ** 2, np.float32)
 
 
 def linear(colours: Map) -> NDArray[np.bool_]:
-    """Mask colours (..., 3) whose channels all are in the range in which a sensor is assumed to be linear."""
+    """Return the mask colours (..., 3) whose channels all are in the range in which a sensor is assumed to be linear."""
     return np.asarray(np.logical_and.reduce((colours >= DARK) & (colours <= BRIGHT), axis=-1))
 
 
 def reduced(image: Image8) -> Map:
-    """Means of whole blocks of 4 x 4 pixels, float32; a few rows and columns may be left over."""
+    """Return the means of whole blocks of 4 x 4 pixels, float32; a few rows and columns may be left over."""
     height, width = (max(size // REDUCTION, 1) for size in image.shape[:2])
     blocks = image[: height * REDUCTION, : width * REDUCTION]
     return cv2.resize(blocks, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
 
 
 def sampled(image: Map, x: Map, y: Map) -> Map:
-    """Bilinear samples of an image (h, w, 3) at positions whose integers are the centres of pixels, (N, 3)."""
+    """Return the bilinear samples of an image (h, w, 3) at positions whose integers are the centres of pixels, (N, 3)."""
     height, width = image.shape[:2]
     x, y = np.clip(x, 0, width - 1).astype(np.float32), np.clip(y, 0, height - 1).astype(np.float32)
     left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
@@ -259,7 +259,7 @@ def sampled(image: Map, x: Map, y: Map) -> Map:
 
 
 def gained_image(image: Image8, gain: Map) -> Image8:
-    """An 8-bit image with its channels multiplied, rounded and clipped to 8 bit."""
+    """Return an 8-bit image with its channels multiplied, rounded and clipped to 8 bit."""
     return np.asarray(cv2.transform(image, np.diag(gain)), np.uint8)
 
 
@@ -289,7 +289,7 @@ class LensFallOff:
         self._count, self._slope = 0, 0.0
 
     def step(self, pairs: Sequence[tuple[Map, Map]], corner: float) -> float:
-        """The slope by the present instant and those before, 0 where none can be measured.
+        """Return the slope by the present instant and those before, 0 where none can be measured.
 
         Args:
             pairs: of each pair of sources, what they see together: the logarithm of the ratio of its two brightnesses, (N,), and
@@ -318,7 +318,7 @@ def fit_slope(ratios: Map, spans: Map, corner: float) -> tuple[float, float]:
 
 
 def shared_slope(slopes: Sequence[tuple[float, float]], corner: float) -> float:
-    """Mean of the pairs' slopes by their weights, shrunk by how far they disagree; 0 of fewer than two pairs.
+    """Return the mean of the pairs' slopes by their weights, shrunk by how far they disagree; 0 of fewer than two pairs.
 
     Examples:
         >>> round(shared_slope([(-0.20, 90.0), (-0.21, 60.0), (-0.19, 80.0)], corner=1.0), 2)
@@ -345,12 +345,12 @@ def squared_tangents(camera: Camera) -> tuple[Array, Array]:
 
 
 def corner_of(cameras: Sequence[Camera]) -> float:
-    """The largest squared tangent in any picture of the cameras."""
+    """Return the largest squared tangent in any picture of the cameras."""
     return max(float(down.max() + across.max()) for down, across in map(squared_tangents, cameras))
 
 
 def flattened(image: Image8, camera: Camera, gain: Map, slope: float, corner: float) -> Image8:
-    """A source image as it would be under no lens's fall-off, times a gain per channel; 8 bit.
+    """Return a source image as it would be under no lens's fall-off, times a gain per channel; 8 bit.
 
     What is brightest is kept and the rest darkened, so that nothing is cut off.
     """

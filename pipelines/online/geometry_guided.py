@@ -42,7 +42,7 @@ SAME_SURFACE_TAU = 2.0  # truncation distances within which a view's depth and t
 
 
 def diagnostics_maps(depth: Map | None, splats: Sequence[Splat], still: Map) -> dict[str, Map]:
-    """The maps of `Rendering.diagnostics` except for the shares of the views, at a quarter of the size, see `cells`.
+    """Return the maps of `Rendering.diagnostics` except for the shares of the views, at a quarter of the size, see `cells`.
 
     Args:
         depth: fused depth, (H, W), world units, 0 where unknown; None without fusion.
@@ -184,7 +184,7 @@ class GeometryGuided:
         return [self._filter.step(instant.index, source) for source in instant.sources[part]]
 
     def _compensated(self, filtered: Instant) -> Instant:
-        """The instant with its sources brought to one colour, if that is wanted."""
+        """Return the instant with its sources brought to one colour, if that is wanted."""
         return self._compensation.step(filtered, self._tau(filtered)) if self.options.compensated else filtered
 
     def _weights(self, filtered: Instant) -> list[Map]:
@@ -239,7 +239,7 @@ class GeometryGuided:
         return splats
 
     def _fused_depth(self, filtered: Instant, weights: list[Map], splats: list[Splat], changes: Changes) -> Map:
-        """The depth of the ray march, settled by colours where most views contradict it."""
+        """Return the depth of the ray march, settled by colours where most views contradict it."""
         depth = self._march(filtered, weights, self._previous_depth(filtered, splats, changes)).depth
         if not self.options.settled:
             return depth
@@ -263,11 +263,11 @@ class GeometryGuided:
         return march
 
     def _tau(self, instant: Instant) -> float:
-        """The truncation distance, world units."""
+        """Return the truncation distance, world units."""
         return self.options.tau_m * instant.units_per_metre
 
     def _previous_depth(self, instant: Instant, splats: list[Splat], changes: Changes) -> PreviousDepth | None:
-        """The fused depth of the instant before as one more depth camera, trusted where nothing moves (Eqs. 13-14)."""
+        """Return the fused depth of the instant before as one more depth camera, trusted where nothing moves (Eqs. 13-14)."""
         if not self.options.temporal or self._previous is None or self._previous.index != instant.index - 1:
             return None
         informed = [view for view, change in zip(splats, changes, strict=True) if change is not None]
@@ -287,7 +287,7 @@ class GeometryGuided:
 
 
 def target_mask(splats: list[Splat], views: Literal["largest", "mean"] = "largest") -> Map:
-    """Motion in the target view: the largest splatted difference mask, 1 (all is new) where no view covers the pixel.
+    """Return the motion in the target view: the largest splatted difference mask, 1 (all is new) where no view covers the pixel.
 
     Args:
         splats: forward renderings of the views that were there at the instant before; the fourth feature is the difference mask.
@@ -339,7 +339,7 @@ class RememberedBackground:
         self._memory: _Memory | None = None
 
     def step(self, index: int, target: Camera, image: Map, depth: Map, splats: Sequence[Splat], still: Map) -> Map:
-        """The output of an instant with its holes filled from memory.
+        """Return the output of an instant with its holes filled from memory.
 
         Args:
             index: of the instant; after a gap, or from another pose, nothing is remembered.

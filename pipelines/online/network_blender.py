@@ -78,7 +78,7 @@ class Overview:
 
 
 def overview(maps: BlendMaps, scale: int) -> Overview:
-    """All that follows from the views alone.
+    """Return all that follows from the views alone.
 
     Args:
         maps: the K views.
@@ -136,7 +136,7 @@ class Composed:
     shown: Map
 
     def image(self) -> Map:
-        """The picture, (H, W, 3), in [0, 1]."""
+        """Return the picture, (H, W, 3), in [0, 1]."""
         return np.ascontiguousarray(np.moveaxis(self.picture, 0, -1).clip(0, 1))
 
 
@@ -176,7 +176,7 @@ def refined(refiner: Refiner, picture: Composed, depth: Map | None, small: Map, 
 
 
 def _conditioned(layers: list[tuple[Map, Map, int]], refiner: Refiner, picture: Composed) -> list[tuple[Map, Map, int]]:
-    """The layers as the statistics of a picture change them: shifted biases, scaled inputs of the last one.
+    """Return the layers as the statistics of a picture change them: shifted biases, scaled inputs of the last one.
 
     Weights of half precision times statistics of few bits are exact in doubles, sums too: equal bits on every processor.
     """
@@ -204,7 +204,7 @@ def statistics_of(picture: Composed) -> NDArray[np.float64]:
 
 
 def _detail(picture: Map) -> Map:
-    """Absolute second differences of the mean colour, of every eighth row; 0 in a picture that has none."""
+    """Return the absolute second differences of the mean colour, of every eighth row; 0 in a picture that has none."""
     parts = slice(1, -1, ROW_STEP_PX), slice(0, -2, ROW_STEP_PX), slice(2, None, ROW_STEP_PX)
     red, green, blue = picture
     rows, above, below = ((red[part] + green[part] + blue[part]) / np.float32(3) for part in parts)
@@ -213,7 +213,7 @@ def _detail(picture: Map) -> Map:
 
 
 def _log_means(values: Map) -> list[float]:
-    """Logarithms of the geometric and of the arithmetic mean."""
+    """Return the logarithms of the geometric and of the arithmetic mean."""
     wide = values.astype(np.float64)
     return [float(np.log(wide + LEAST).mean()), float(np.log(wide.mean() + LEAST))]
 
@@ -230,7 +230,7 @@ def _layers(refiner: Refiner) -> list[tuple[Map, Map, int]]:
 
 
 def view_shares(small: Map, reduced: BlendMaps) -> Map:
-    """Share of each view in the composed picture (Eqs. 4-5) at the network's own size, (K, h, w).
+    """Return the share of each view in the composed picture (Eqs. 4-5) at the network's own size, (K, h, w).
 
     Args:
         small: `small_outputs` of the network, (K + 4 + F, h, w).
@@ -298,7 +298,7 @@ class NetworkBlender:
         compute_device(self.device)
 
     def blend(self, inputs: BlendingInputs) -> Blended:
-        """The target view of one instant.
+        """Return the target view of one instant.
 
         Raises:
             DeviceError: the GPU's memory is out.
@@ -374,6 +374,6 @@ def blend_start(maps: BlendMaps) -> dict[str, Map]:
 
 
 def filled_picture(maps: BlendMaps) -> Map:
-    """The views blended by coverage and their weights, what none covers filled from its surroundings, (H, W, 3)."""
+    """Return the views blended by coverage and their weights, what none covers filled from its surroundings, (H, W, 3)."""
     blended = weighted_mean(list(maps.colours), list(maps.coverage), maps.weights.tolist())
     return push_pull(blended, np.max(maps.alphas, axis=0) > COVERED_ALPHA)

@@ -55,7 +55,7 @@ class BlendMaps:
     shares: tuple[float, ...] | None = None
 
     def reduced(self, scale: int) -> "BlendMaps":
-        """The maps of a camera with N times fewer pixels: averages, except depths: one pixel of each block.
+        """Return the maps of a camera with N times fewer pixels: averages, except depths: one pixel of each block.
 
         Sizes that `scale` does not divide are continued by their last row and column.
         """
@@ -86,7 +86,7 @@ class BlendMaps:
 
 
 def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
-    """The maps of one instant, views ordered by the distance of their cameras from the target, ties by name.
+    """Return the maps of one instant, views ordered by the distance of their cameras from the target, ties by name.
 
     Reading:
         The paper blends the splats. Splats are blurred by the Gaussians' footprint; with ``registered`` guidance each source
@@ -102,13 +102,13 @@ def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
 
 
 def in_order(inputs: BlendingInputs) -> tuple[list[SourceView], list[Splat]]:
-    """Source views and their splats, nearest camera first."""
+    """Return the source views and their splats, nearest camera first."""
     order = nearest_first(inputs)
     return [inputs.instant.sources[k] for k in order], [inputs.splats[k] for k in order]
 
 
 def maps_of(inputs: BlendingInputs, stacks: tuple[Map, Map, Map]) -> BlendMaps:
-    """The maps of one instant, colours, coverage and visibilities of the views in their order being known."""
+    """Return the maps of one instant, colours, coverage and visibilities of the views in their order being known."""
     sources, splats = in_order(inputs)
     cameras, shares = tuple(source.camera for source in sources), tuple(source.share for source in sources)
     alphas, depths = tuple(view.alpha for view in splats), tuple(view.depth for view in splats)
@@ -116,7 +116,7 @@ def maps_of(inputs: BlendingInputs, stacks: tuple[Map, Map, Map]) -> BlendMaps:
 
 
 def nearest_first(inputs: BlendingInputs) -> list[int]:
-    """Numbers of the source views, nearest camera first."""
+    """Return the numbers of the source views, nearest camera first."""
     cameras, target = [source.camera for source in inputs.instant.sources], inputs.instant.target
     if len(cameras) != len(inputs.splats):
         raise RenderError(f"blending network: wanted one splat per source view, got {len(inputs.splats)} for {len(cameras)}")
@@ -129,7 +129,7 @@ def nearness(camera: Camera, target: Camera) -> tuple[float, str]:
 
 
 def _averaged(maps: Map, scale: int) -> Map:
-    """Mean of each block, of maps (K, H, W) or (K, H, W, 3)."""
+    """Return the mean of each block, of maps (K, H, W) or (K, H, W, 3)."""
     views, height, width, *channels = maps.shape
     means = np.empty((views, -(-height // scale), -(-width // scale), *channels), np.float32)
     for view, mean in zip(maps, means, strict=True):
@@ -143,13 +143,13 @@ def _averaged(maps: Map, scale: int) -> Map:
 
 
 def _parts(size: int, scale: int) -> list[slice]:
-    """The whole blocks of a side and what is left of it: only that needs to be continued, which copies."""
+    """Return the whole blocks of a side and what is left of it: only that needs to be continued, which copies."""
     whole = size // scale * scale
     return [part for part in (slice(0, whole), slice(whole, size)) if part.start < part.stop]
 
 
 def _whole_blocks(image: Map, scale: int) -> Map:
-    """An image continued by its last row and column to whole blocks."""
+    """Return an image continued by its last row and column to whole blocks."""
     below, right = -image.shape[0] % scale, -image.shape[1] % scale
     if not (below or right):
         return image
@@ -157,18 +157,18 @@ def _whole_blocks(image: Map, scale: int) -> Map:
 
 
 def _continued(maps: Map, height: int, width: int) -> Map:
-    """Maps (..., H, W) with their last row and column repeated up to a size."""
+    """Return the maps (..., H, W) with their last row and column repeated up to a size."""
     missing = [(0, 0)] * (maps.ndim - 2) + [(0, height - maps.shape[-2]), (0, width - maps.shape[-1])]
     return np.pad(maps, missing, mode="edge")
 
 
 def channel_count(views: int, guidance: Guidance) -> int:
-    """Number of channels of `input_channels`: as printed 9 K + 1."""
+    """Return the number of channels of `input_channels`: as printed 9 K + 1."""
     return {"registered": 10 * views + 1, "channels": 9 * views + 1, "none": 8 * views, "naive": 6 * views}[guidance]
 
 
 def present_channels(count: int, views: int, guidance: Guidance) -> NDArray[np.intp]:
-    """Number the channels of `count` views among those of a network made for `views`, whose others are 0."""
+    """Return the number the channels of `count` views among those of a network made for `views`, whose others are 0."""
     guided = guidance in GUIDED
     of_a_view = [3] + [1] * (channel_count(1, guidance) - guided - 3)  # colours, then one of each other group
     numbers, first = [], 0
@@ -182,7 +182,7 @@ def present_channels(count: int, views: int, guidance: Guidance) -> NDArray[np.i
 
 
 def guide_depth(maps: BlendMaps, guidance: Guidance) -> Map:
-    """The depth of the surface that angles are measured at, (H, W), world units, 0 where unknown.
+    """Return the depth of the surface that angles are measured at, (H, W), world units, 0 where unknown.
 
     Reading:
         The paper's ablation takes the fused depth away; angles are then measured at the splatted depth of the nearest view that
@@ -196,13 +196,13 @@ def guide_depth(maps: BlendMaps, guidance: Guidance) -> Map:
 
 
 def reference_depth(depth: Map, camera: Camera) -> float:
-    """The length that depths and distances are measured in: the median of what is known, or the far plane."""
+    """Return the length that depths and distances are measured in: the median of what is known, or the far plane."""
     depths = depth[depth > 0]
     return float(np.median(depths)) if depths.size else camera.far
 
 
 def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None, unit: float | None = None) -> Map:
-    """The channels of the network's input.
+    """Return the channels of the network's input.
 
     Args:
         maps: the views, K of them.
@@ -248,26 +248,26 @@ def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None
 
 
 def _widened(group: Map, count: int, views: int) -> Map:
-    """A group of `count` views with zeros for those that are not there, up to `views`."""
+    """Return a group of `count` views with zeros for those that are not there, up to `views`."""
     absent = (views - count) * (len(group) // count)
     return np.concatenate([group, np.zeros((absent, *group.shape[1:]), np.float32)]) if absent else group
 
 
 def surface_points(camera: Camera, depth: Map) -> Map:
-    """The points of a depth map in its camera's frame, (3, H, W), float32."""
+    """Return the points of a depth map in its camera's frame, (3, H, W), float32."""
     across, down = ray_slopes(camera)
     return np.stack([depth * across, depth * down[:, None], depth])
 
 
 def ray_slopes(camera: Camera) -> tuple[Map, Map]:
-    """Slopes x / z of the rays through each column, (W,), and y / z of those through each row, (H,), float32."""
+    """Return the slopes x / z of the rays through each column, (W,), and y / z of those through each row, (H,), float32."""
     across = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     down = (np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
     return across.astype(np.float32), down.astype(np.float32)
 
 
 def surface_normals(points: Map, has_depth: NDArray[np.bool_]) -> Map:
-    """Unit normals of a depth map, towards the camera, from central differences (one-sided at the border).
+    """Return the unit normals of a depth map, towards the camera, from central differences (one-sided at the border).
 
     Args:
         points: in the camera's frame, (3, H, W).
@@ -296,7 +296,7 @@ def _centre(camera: Camera, target: Camera) -> Map:
 
 
 def _constant(values: Sequence[float], size: tuple[int, ...]) -> Map:
-    """One constant map per value, (K, H, W)."""
+    """Return one constant map per value, (K, H, W)."""
     return np.broadcast_to(np.array(values, np.float32)[:, None, None], (len(values), *size))
 
 
@@ -319,7 +319,7 @@ def _unit(vectors: Map) -> Map:
 
 
 def network_channels(maps: BlendMaps, guidance: Guidance, views: int) -> Map:
-    """The channels of the network's input, (channels, H, W); by the kernel where the fused depth guides.
+    """Return the channels of the network's input, (channels, H, W); by the kernel where the fused depth guides.
 
     Args:
         maps: the views, K of them, of the network's own size.

@@ -112,7 +112,7 @@ def _crossings(
 
 
 def _field(cameras: Sequence[_View], rays: Rays, z: Values, tau: float, reading: FieldReading) -> tuple[Values, Values]:
-    """Fused distance, in tau, and sum of the weights at one depth of each ray (Eqs. 9-10)."""
+    """Return the fused distance, in tau, and sum of the weights at one depth of each ray (Eqs. 9-10)."""
     total, weighted = np.zeros(rays.size), np.zeros(rays.size)
     for view in cameras:
         distance, weight = _share(view, rays, z, tau, reading)
@@ -122,7 +122,7 @@ def _field(cameras: Sequence[_View], rays: Rays, z: Values, tau: float, reading:
 
 
 def _share(view: _View, rays: Rays, z: Values, tau: float, reading: FieldReading) -> tuple[Values, Values]:
-    """One camera's clamped distance, in tau, and its weight."""
+    """Return one camera's clamped distance, in tau, and its weight."""
     camera, points = view.camera, view.directions[rays] * z[:, None] + view.start
     ahead = points[:, 2] > 0
     depth_of = np.where(ahead, points[:, 2], 1.0)
@@ -142,7 +142,7 @@ def _share(view: _View, rays: Rays, z: Values, tau: float, reading: FieldReading
 
 
 def sample_depth(depth: NDArray[np.float32], u: Values, v: Values, tolerance: float) -> Values:
-    """Depth at image coordinates: bilinear where the four neighbours are known and close, else the nearest.
+    """Return the depth at image coordinates: bilinear where the four neighbours are known and close, else the nearest.
 
     At the border the neighbours are the last four pixels.
 

@@ -88,7 +88,7 @@ def picture_statistics(picture: Tensor, spread: Tensor) -> Tensor:
 
 
 def filtered(picture: Tensor, taps: Tensor) -> Tensor:
-    """A picture plus its differences to neighbours, weighted by filters that change from pixel to pixel.
+    """Return a picture plus its differences to neighbours, weighted by filters that change from pixel to pixel.
 
     Args:
         picture: (B, 3, H, W).
@@ -134,13 +134,13 @@ def evidence(picture: Tensor, colours: Tensor, weights: Tensor, visibilities: Te
 
 
 def relief(logarithm: Tensor, has_depth: Tensor) -> Tensor:
-    """Logarithm of depth less its mean over what is known within 5 x 5 pixels, (B, H, W), 0 where unknown."""
+    """Return the logarithm of depth less its mean over what is known within 5 x 5 pixels, (B, H, W), 0 where unknown."""
     both = torch.stack([logarithm * has_depth, has_depth.float()], dim=1)
     means = functional.avg_pool2d(both, 5, 1, 2)
     return (logarithm - means[:, 0] / means[:, 1].clamp(min=1e-6)) * has_depth
 
 
 def local_range(values: Tensor, size_px: int) -> Tensor:
-    """Largest less smallest value within a square window, (B, H, W)."""
+    """Return the largest less smallest value within a square window, (B, H, W)."""
     both = torch.stack([values, -values], dim=1)
     return functional.max_pool2d(both, size_px, 1, size_px // 2).sum(dim=1)

@@ -150,7 +150,7 @@ class RecurrentOutput:
         self._shown: _Shown | None = None
 
     def step(self, index: int, target: Camera, image: Map, still: Map) -> Map:
-        """The output of an instant.
+        """Return the output of an instant.
 
         Args:
             index: of the instant; after a gap, or from another pose, the past does not count.
@@ -176,7 +176,7 @@ class RecurrentOutput:
 
 
 def _finite(past: Map, last: Map, new: Map) -> tuple[Map, Map, Map, Mask]:
-    """Three images of cells, black where any of them is not finite, and where all are: nothing else has a past."""
+    """Return three images of cells, black where any of them is not finite, and where all are: nothing else has a past."""
     known = np.isfinite(past + last + new).all(axis=2)
     return *(np.where(known[..., None], image, np.float32(0)) for image in (past, last, new)), known
 
@@ -207,7 +207,7 @@ def agreement(new: Map, mean: Map, last: Map, count: Map) -> Map:
 
 
 def mixed(image: Map, past: Map, weight: Map, change: Map) -> Map:
-    """The past mixed into an image where it has weight and is finite, except for what changed over wide areas.
+    """Return the past mixed into an image where it has weight and is finite, except for what changed over wide areas.
 
     Args:
         image: (H, W, 3), float32.
@@ -262,7 +262,7 @@ def stillness(
 
 
 def _pixels(target: Camera, depth: Map, views: Sequence[SourceView], changes: Sequence[Change], tolerance: float) -> list[Warp]:
-    """Change of single pixels in each view, where the cells of the target look."""
+    """Return the change of single pixels in each view, where the cells of the target look."""
     return [
         warp_change(target, depth, replace(view, image=change.now), change.before, tolerance)
         for view, change in zip(views, changes, strict=True)
@@ -270,7 +270,7 @@ def _pixels(target: Camera, depth: Map, views: Sequence[SourceView], changes: Se
 
 
 def _means(target: Camera, depth: Map, views: Sequence[SourceView], changes: Sequence[Change], tolerance: float) -> list[Warp]:
-    """Change of mean colours in each view, where the cells of the target look."""
+    """Return the change of mean colours in each view, where the cells of the target look."""
     found = []
     for view, change in zip(views, changes, strict=True):
         height, width = change.colours.shape[:2]
@@ -303,7 +303,7 @@ def shared_change(views: Sequence[Warp]) -> tuple[Map, Map, Map]:
 
 
 def splatted_change(splats: Sequence[Splat], beta_mask: float, lambda_t: float) -> Map:
-    """The largest change of colour that a source sees at each cell and next to it: Eq. 1 undone, in the target view.
+    """Return the largest change of colour that a source sees at each cell and next to it: Eq. 1 undone, in the target view.
 
     Args:
         splats: forward renderings, at least one, whose fourth feature is the difference mask.
@@ -322,7 +322,7 @@ def splatted_change(splats: Sequence[Splat], beta_mask: float, lambda_t: float) 
 
 
 def cells(image: Map, size: tuple[int, int] | None = None) -> Map:
-    """The pixel in the middle of each cell of an image (H, W, ...), a copy.
+    """Return the pixel in the middle of each cell of an image (H, W, ...), a copy.
 
     Args:
         image: at full size.
@@ -338,7 +338,7 @@ def cells(image: Map, size: tuple[int, int] | None = None) -> Map:
 
 
 def middle_rays(camera: Camera) -> Camera:
-    """The camera whose pixels show what `cells` takes of another one's image: the middles of pixels, not of cells."""
+    """Return the camera whose pixels show what `cells` takes of another one's image: the middles of pixels, not of cells."""
     height, width = (-(-side // REDUCTION) for side in (camera.height, camera.width))
     small = camera.resized(width, height)
     offset = [0.5 * width / camera.width, 0.5 * height / camera.height]
@@ -346,12 +346,12 @@ def middle_rays(camera: Camera) -> Camera:
 
 
 def middles(side: int, count: int) -> NDArray[np.int64]:
-    """Number of the pixel in the middle of each of N cells of a line."""
+    """Return the number of the pixel in the middle of each of N cells of a line."""
     return ((2 * np.arange(count, dtype=np.int64) + 1) * side) // (2 * count)
 
 
 def light(change: Map, weight: Map) -> Map:
-    """Mean of a change of colour per cell, (h, w, 3), over areas as wide as light, by weights (h, w)."""
+    """Return the mean of a change of colour per cell, (h, w, 3), over areas as wide as light, by weights (h, w)."""
     block = LIGHT_PX // REDUCTION
     small = (-(-weight.shape[1] // block), -(-weight.shape[0] // block))
     parts = cv2.merge([*(change[..., channel] * weight for channel in range(3)), weight])
@@ -361,13 +361,13 @@ def light(change: Map, weight: Map) -> Map:
 
 
 def mean_square(change: Map) -> Map:
-    """Energy of a change of colour, (h, w, 3), per channel."""
+    """Return the energy of a change of colour, (h, w, 3), per channel."""
     red, green, blue = np.moveaxis(change * change, -1, 0)  # numpy sums so short an axis five times as slowly
     return np.asarray((red + green + blue) / np.float32(3), np.float32)
 
 
 def pooled(maps: Map) -> Map:
-    """Means over the window of `POOL` cells of maps (h, w, n), as (n, h, w)."""
+    """Return the means over the window of `POOL` cells of maps (h, w, n), as (n, h, w)."""
     return np.moveaxis(cv2.GaussianBlur(maps, (0, 0), POOL), -1, 0)
 
 

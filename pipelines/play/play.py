@@ -44,12 +44,12 @@ class Timing:
         )
 
     def milliseconds(self) -> dict[str, tuple[float, float]]:
-        """Median and 95th percentile of each stage, without the first frame where there are more."""
+        """Return the median and 95th percentile of each stage, without the first frame where there are more."""
         warm = self.rows[1:] or self.rows
         return {stage: _percentiles([row[stage] for row in warm if stage in row]) for stage in warm[0]}
 
     def table(self) -> str:
-        """One line per stage, and the frames per second of the median step and of all that was done per frame."""
+        """Return one line per stage, and the frames per second of the median step and of all that was done per frame."""
         times = self.milliseconds()
         lines = [f"{'ms per frame':14s}{'p50':>9s}{'p95':>9s}"]
         lines += [f"{stage:14s}{median:9.1f}{high:9.1f}" for stage, (median, high) in times.items()]
@@ -90,7 +90,7 @@ def require_writable(out: Path) -> None:
 
 
 def _views(playback: Playback, synthesizer: OnlineSynthesizer, timing: Timing) -> Iterator[Image8]:
-    """The video's frames, each made when it is asked for."""
+    """Yield the video's frames, each made when it is asked for."""
     steps = list(zip(playback.instants, playback.poses, strict=True))
     for instant, pose in track(steps, "playing"):
         timing.seen.append(seen_share(pose, playback.capture.cameras))

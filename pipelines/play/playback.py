@@ -25,7 +25,7 @@ FRAMES_OF_STILLS = 90
 
 
 def camera_loop(cameras: Sequence[Camera], count: int, width: int | None = None) -> list[Camera]:
-    """Poses once around the middle of a rig, evenly spaced in phase; the last is followed by the first.
+    """Return the poses once around the middle of a rig, evenly spaced in phase; the last is followed by the first.
 
     Each pose is a mean of the cameras around a point that runs along an ellipse in the rig's two main directions, weighted by a
     Gaussian of their distance from it, so that it is between cameras and looks where they look, be they in rows, on an arc,
@@ -52,7 +52,7 @@ def camera_loop(cameras: Sequence[Camera], count: int, width: int | None = None)
 
 
 def _places(centres: Array) -> Array:
-    """The cameras' places along the two directions in which the rig is widest, from the middle of its extent, (N, 2)."""
+    """Return the cameras' places along the two directions in which the rig is widest, from the middle of its extent, (N, 2)."""
     offsets = centres - centres.mean(axis=0)
     directions = np.linalg.svd(offsets, full_matrices=False)[2][:2]
     places = offsets @ directions.T
@@ -71,7 +71,7 @@ def _weights(places: Array, count: int) -> Array:
 
 
 def _view(cameras: Sequence[Camera], centres: Array, width: int | None) -> Camera:
-    """Intrinsics of the camera in the middle, at an even size, with the depth range of all."""
+    """Return the intrinsics of the camera in the middle, at an even size, with the depth range of all."""
     middle = cameras[int(np.argmin(np.linalg.norm(centres - centres.mean(axis=0), axis=1)))]
     if width is not None:
         if width < 2:
@@ -198,7 +198,7 @@ def blocks_of(needed: Mapping[int, set[str]], most: int) -> Iterator[tuple[range
 
 
 def _instants(capture: Capture, frames: range, n_frames: int | None) -> list[int]:
-    """The frame number of each step; one instant is shown again and again."""
+    """Return the frame number of each step; one instant is shown again and again."""
     if n_frames is not None and n_frames < 1:
         raise RenderError(f"{capture.path}: wanted at least 1 frame to play, got {n_frames}")
     if len(frames) == 1:
@@ -235,7 +235,7 @@ def _jobs(capture: Capture, poses: Sequence[Camera], k: int, options: DepthOptio
 def _frames_by_camera(
     blocks: Sequence[tuple[range, set[str]]], jobs: Mapping[str, DepthJob], options: DepthOptions
 ) -> dict[str, list[int]]:
-    """Frames of each camera that take part: of sources, and of those that their depth is matched with."""
+    """Return the frames of each camera that take part: of sources, and of those that their depth is matched with."""
     frames_by_camera: dict[str, set[int]] = {}
     for block, names in blocks:
         frames = range(options.first_needed(block.start), block.stop)

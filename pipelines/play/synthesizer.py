@@ -119,7 +119,7 @@ class OnlineSynthesizer:
         self._index = 0
 
     def sources(self, target: Camera) -> list[Camera]:
-        """The cameras that a step towards this target takes, nearest first; one of the target's own name is left out.
+        """Return the cameras that a step towards this target takes, nearest first; one of the target's own name is left out.
 
         Raises:
             CameraError: fewer than K are left, or none of them looks the target's way.
@@ -127,7 +127,7 @@ class OnlineSynthesizer:
         return [each.camera for each in choose_sources(target, self.cameras, self.k, self._choice)]
 
     def needed(self, target: Camera) -> list[str]:
-        """Names of the cameras whose images a step without depth takes: the sources, and those they are matched with.
+        """Return the names of the cameras whose images a step without depth takes: the sources, and those they are matched with.
 
         Raises:
             CameraError: see `sources`.
@@ -196,7 +196,7 @@ class OnlineSynthesizer:
     def _found_depth(
         self, names: Sequence[str], images: Mapping[str, Image8]
     ) -> tuple[Mapping[str, DepthMap | DeviceDepth], dict[str, float]]:
-        """Depth of some cameras, on the device where the method takes it there, and the seconds that it took."""
+        """Return the depth of some cameras, on the device where the method takes it there, and the seconds that it took."""
         finder = self._finder()
         begun_s = finder.clock_s()
         found = finder.estimate(names, images)
@@ -225,7 +225,7 @@ def _check_names(given: Mapping[str, object], names: Sequence[str], target: Came
 
 
 def _source_view(source: ChosenSource, image: Image8, source_depth: Map | DepthMap | DeviceDepth) -> SourceView:
-    """A copy of what a camera gives, since methods remember it and cameras write into the same memory again."""
+    """Return a copy of what a camera gives, since methods remember it and cameras write into the same memory again."""
     camera = source.camera
     shape = (camera.height, camera.width)
     image = as_image8(image, camera, RenderError)
@@ -256,7 +256,7 @@ def _checked_depth(camera: Camera, depth: Map) -> Map:
 
 
 def seen_share(target: Camera, cameras: Sequence[Camera]) -> float:
-    """Share of a view that some camera sees from nearly its own direction, by calibration alone.
+    """Return the share of a view that some camera sees from nearly its own direction, by calibration alone.
 
     Below `LEAST_SEEN` the view is outside of what the rig sees, and most of its rim is guessed.
 

@@ -29,7 +29,7 @@ RECORDS = (".json", ".toml", ".parquet", ".csv")
 
 
 def seen_from(target: Camera, keys: Mapping[str, str]) -> dict[str, Any]:
-    """A target and its sources' depth, as a note says them.
+    """Return a target and its sources' depth, as a note says them.
 
     Args:
         keys: source camera -> key of its depth in the depth store.
@@ -100,7 +100,7 @@ class MadeFiles:
         self.note(map(_frame_name, numbers))
 
     def _noted(self) -> dict[str, list[Any]]:
-        """File name -> status and digest, as far as made from the same."""
+        """Return the file name -> status and digest, as far as made from the same."""
         record = _read_record(self.folder / DIGESTS)
         return record["files"] if record["made_from"] == json.loads(json.dumps(self.made_from)) else {}
 
@@ -160,7 +160,7 @@ class CachedFrames:
 
 
 def cached_capture(capture: Capture, names: Collection[str], root: Path) -> Capture:
-    """The capture with some cameras read from where `cache_frames` writes them, whether they are there yet or not."""
+    """Return the capture with some cameras read from where `cache_frames` writes them, whether they are there yet or not."""
     sources: list[FrameSource] = [
         CachedFrames(root / name, capture.n_frames, source.digest) if name in names else source
         for name, source in zip(capture.camera_names, capture.sources, strict=True)
@@ -189,7 +189,7 @@ def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: P
 
 
 def frames_left(capture: Capture, numbers: Mapping[str, Sequence[int]], root: Path) -> dict[str, list[int]]:
-    """Camera -> frames that `cache_frames` would write, in the order of time; arguments as of that."""
+    """Return the camera -> frames that `cache_frames` would write, in the order of time; arguments as of that."""
     return {name: _camera_files(capture, name, root).missing_frames(frames) for name, frames in numbers.items()}
 
 
@@ -207,7 +207,7 @@ def cache_path(images: ImageFrames, size: tuple[int, int], resize_filter: Resize
 
 
 def path_left(images: ImageFrames, size: tuple[int, int], resize_filter: ResizeFilter, folder: Path) -> list[int]:
-    """Poses whose true images `cache_path` would write; arguments as of that."""
+    """Return the poses whose true images `cache_path` would write; arguments as of that."""
     return _made_files(folder, images, size, resize_filter).missing_frames(range(images.n_frames))
 
 

@@ -37,7 +37,7 @@ def write_disocclusions(
 
 
 def mask_files(folder: Path, capture: Capture, target: Camera, keys: Mapping[str, str]) -> MadeFiles:
-    """The masks of one view as a folder holds them; arguments as of `write_disocclusions`."""
+    """Return the masks of one view as a folder holds them; arguments as of `write_disocclusions`."""
     code = code_identity(__name__, splat_depth.__module__, unfollowed=(__name__,))
     return MadeFiles(folder, seen_from(target, keys) | {"units_per_metre": capture.units_per_metre, "code": code})
 

@@ -89,7 +89,7 @@ def reopen(root: Path, workers: Workers, labels: Sequence[str] = (), networks: N
 
 
 def recorded_capture(run: RunFolder) -> Capture:
-    """The capture of a run folder, with the cameras, units and noise it had when the run was prepared."""
+    """Return the capture of a run folder, with the cameras, units and noise it had when the run was prepared."""
     record = run.capture_record()
     if "truth" in record:
         raise ResultsError(

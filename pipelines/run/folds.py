@@ -121,7 +121,7 @@ def _exchange(folds: list[list[int]], distances: Array) -> None:
 
 
 def _closeness(folds: Sequence[Sequence[int]], distances: Array) -> list[float]:
-    """Distances between cameras of the same fold, ascending."""
+    """Return the distances between cameras of the same fold, ascending."""
     return sorted(float(distances[i, j]) for fold in folds for i, j in combinations(fold, 2))
 
 
@@ -188,6 +188,6 @@ def _path_instants(fitter: SceneFitter, frames: range, path_frame: int) -> range
 
 
 def visible_cameras(capture: Capture, protocol: Protocol) -> Capture:
-    """The capture without the cameras that no method may see (``views.sources``)."""
+    """Return the capture without the cameras that no method may see (``views.sources``)."""
     sources = protocol.views.sources
     return capture.without([name for name in capture.camera_names if name not in sources], "not seen") if sources else capture

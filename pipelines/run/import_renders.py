@@ -164,7 +164,7 @@ def _copy_linked(folder: Path, label: str) -> None:
 
 
 def plain_label(name: str) -> str:
-    """A name that renders can have, made of that of their folder.
+    """Return a name that renders can have, made of that of their folder.
 
     Examples:
         >>> plain_label("my renders (2)"), plain_label("enerf")
@@ -199,7 +199,7 @@ def _identity(request: FrameRequest, path: Path, sources: list[Path], allow_part
 
 
 def _black_truth(request: FrameRequest) -> list[str]:
-    """Captured frames of which every pixel is 0; the size of their files gives them away."""
+    """Return the captured frames of which every pixel is 0; the size of their files gives them away."""
     notes = []
     for view in request.views:
         width, height = request.sizes[view]

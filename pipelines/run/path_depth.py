@@ -41,7 +41,7 @@ def write_path_depth(
 
 
 def path_files(folder: Path, capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int) -> MadeFiles:
-    """The depth of a path as a folder holds it; arguments as of `write_path_depth`."""
+    """Return the depth of a path as a folder holds it; arguments as of `write_path_depth`."""
     options = OnlineOptions()
     made_from = {
         "poses": [seen_from(target, keys) for target, keys in poses],
@@ -54,7 +54,7 @@ def path_files(folder: Path, capture: Capture, poses: Sequence[tuple[Camera, dic
 
 
 def poses_left(files: MadeFiles, n_poses: int) -> list[int]:
-    """Poses of a path of N poses whose depth is missing or outdated."""
+    """Return the poses of a path of N poses whose depth is missing or outdated."""
     poses = {pose_file(files.folder, pose).name: pose for pose in range(n_poses)}
     return [poses[name] for name in files.missing(poses)]
 
@@ -71,7 +71,7 @@ def read_path_depth(folder: Path, pose: int) -> NDArray[np.float32]:
 
 
 def pose_file(folder: Path, pose: int) -> Path:
-    """File of one pose's depth."""
+    """Return the file of one pose's depth."""
     return folder / f"{pose:04d}.npy"
 
 

@@ -35,7 +35,7 @@ PATH_NOTE = "ground truth of a camera on the path, measured like the methods."
 
 
 def ceiling_jobs(run: RunFolder, protocol: Protocol, views: Sequence[str]) -> list[Job]:
-    """The jobs that estimate what perfect renderings of some test views would score, from their captured frames alone.
+    """Return the jobs that estimate what perfect renderings of some test views would score, from their captured frames alone.
 
     Returns:
         One per test view; empty where the protocol wants none.
@@ -111,7 +111,7 @@ def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], record
 
 
 def _means(records: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[str]) -> dict[str, float | str]:
-    """Mean over the views of each metric; the reason where one of them has none."""
+    """Return the mean over the views of each metric; the reason where one of them has none."""
     means: dict[str, float | str] = {}
     for metric in metrics:
         absent = {view: record["not_computed"] | record.get(f"no_{kind}", {}) for view, record in records.items()}

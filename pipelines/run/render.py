@@ -77,7 +77,7 @@ class RunJobs:
         return [fit for fit in self.fit if fit.is_done() or any((fit.label, unit) in wanted for unit in fit.units)]
 
     def of_units(self, units: Collection[str] | None) -> "RunJobs":
-        """Jobs of a shard; all where None."""
+        """Return the jobs of a shard; all where None."""
         if units is None:
             return self
         fits, renders = ([job for job in jobs if not set(units).isdisjoint(job.units)] for jobs in (self.fit, self.render))
@@ -85,7 +85,7 @@ class RunJobs:
 
 
 def render_job(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit) -> UnitJob:
-    """The job that renders one unit by one method."""
+    """Return the job that renders one unit by one method."""
     identity = {"method": label, "code": method_code(spec), **spec.identity(unit)}
     if spec.device != "cpu":  # whose bits are equal everywhere
         from ggvs_eval.compute_device import describe_device
@@ -99,7 +99,7 @@ def render_job(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit) -
 
 
 def method_code(spec: MethodSpec) -> str:
-    """Hash of the code that a method's frames are made by, from the captured ones to the files."""
+    """Return the hash of the code that a method's frames are made by, from the captured ones to the files."""
     return code_identity(*spec.modules, RenderUnit.__module__)
 
 
@@ -148,7 +148,7 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
 
 
 def fit_job(capture: Capture, fit: FitPlan, spec: FittedMethod, shared: Path) -> UnitJob:
-    """The job of one fit; its folder is the scene, and ``job.json`` says what it took.
+    """Return the job of one fit; its folder is the scene, and ``job.json`` says what it took.
 
     Args:
         capture: whose footage is prepared by the time the job runs.
@@ -256,12 +256,12 @@ class FitClock:
 
 
 def diagnostics_picture(name: str, values: Map, target: Camera) -> Image8:
-    """One map of `Rendering.diagnostics` in the colours of its kind, (h, w, 3)."""
+    """Return one map of `Rendering.diagnostics` in the colours of its kind, (h, w, 3)."""
     return _PICTURES[name](values, target)
 
 
 def view_colours(weights: Map) -> Image8:
-    """Weights as a mixture of one colour per source view; dark where the background takes over.
+    """Return the weights as a mixture of one colour per source view; dark where the background takes over.
 
     Args:
         weights: (K, h, w); what is missing to a sum of 1 is the background's. From the eighth view on colours come again.

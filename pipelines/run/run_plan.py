@@ -35,7 +35,7 @@ from ggvs_eval.run_folder import RunFolder, read_json
 
 
 def choose_path(capture: Capture, protocol: Protocol) -> CameraPath:
-    """The protocol's poses, else the capture's own path where it has one, else a translation around the first test view.
+    """Return the protocol's poses, else the capture's own path where it has one, else a translation around the first test view.
 
     Returns:
         Poses at the size of a test view; none where the protocol wants none.
@@ -58,7 +58,7 @@ def choose_path(capture: Capture, protocol: Protocol) -> CameraPath:
 
 
 def _chosen_poses(poses: Sequence[PathCamera], view: Camera) -> tuple[Camera, ...]:
-    """Poses that the protocol lists, at the size of a test view."""
+    """Return the poses that the protocol lists, at the size of a test view."""
     cameras = (Camera.from_json(f"path{index:04d}", asdict(pose)) for index, pose in enumerate(poses))
     return tuple(camera.resized(*view.size) for camera in cameras)
 
@@ -173,7 +173,7 @@ class RunPlan:
         return RunJobs(tuple(fits), tuple(renders)).of_units(self.request.views)
 
     def rendered_labels(self) -> list[str]:
-        """Methods whose test views are all rendered, as far as the request names them."""
+        """Return the methods whose test views are all rendered, as far as the request names them."""
         open_labels = {job.label for job in self.jobs.render if job.units != (PATH,) and not job.is_done()}
         return [label for label in self.methods if label not in open_labels]
 
@@ -305,14 +305,14 @@ def plan_run(request: RunRequest) -> RunPlan:
 
 
 def _state_folds(protocol: Protocol, run: RunFolder, capture: Capture, is_needed: bool) -> Protocol:
-    """The protocol with the folds that its run folder states, or with those by rule where a fitted method needs them."""
+    """Return the protocol with the folds that its run folder states, or with those by rule where a fitted method needs them."""
     if not protocol.views.folds and run.protocol_file.is_file() and (kept := run.protocol()).agrees_with(protocol):
         protocol = kept
     return fill_folds(protocol, fit_capture(capture, protocol)) if is_needed else protocol
 
 
 def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
-    """The capture at the protocol's size."""
+    """Return the capture at the protocol's size."""
     for doing, names, key in (("tests", protocol.views.test, "test"), ("shows", protocol.views.sources, "sources")):
         absent = [name for name in names if name not in capture.camera_names]
         if absent:

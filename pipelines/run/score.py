@@ -203,7 +203,7 @@ def _collect(
     paths: Mapping[str, dict[str, Any]],
     perfect: Mapping[str, dict[str, Any]],
 ) -> Results:
-    """One tidy table of all jobs, with the metrics that are made of the values of several, such as SDV."""
+    """Return one tidy table of all jobs, with the metrics that are made of the values of several, such as SDV."""
     capture = run.capture_record()
     records = {view: read_json(run.scores(view) / JOB_FILE)["methods"] for view in protocol.views.test}
     rows: list[tuple[Any, ...]] = []
@@ -254,7 +254,7 @@ def _collect(
 
 
 def _fault(label: str, scene: str, found: Mapping[str, Any]) -> Fault:
-    """A finding of the quick checks as the results keep it; an offset is called by its direction."""
+    """Return a finding of the quick checks as the results keep it; an offset is called by its direction."""
     lag = found["values"].get("offset_frames", 0.0) if found["question"] == "frame offset" else 0.0
     called = "late" if lag < 0 else "early" if lag > 0 else ""
     told = {part: str(found[part]) for part in ("question", "verdict", "measured", "advice")}
@@ -264,7 +264,7 @@ def _fault(label: str, scene: str, found: Mapping[str, Any]) -> Fault:
 def _derived(
     protocol: Protocol, values: dict[str, dict[str, dict[int, float]]], not_computed: dict[str, str]
 ) -> list[tuple[Any, ...]]:
-    """Rows (view, frame, metric, value) of what is made of other metrics' values, of any views and frames.
+    """Return the rows (view, frame, metric, value) of what is made of other metrics' values, of any views and frames.
 
     Args:
         values: metric -> view -> frame -> value.
@@ -277,7 +277,7 @@ def _derived(
 
 
 def _along_path(protocol: Protocol, path: dict[str, Any] | None, not_computed: dict[str, str]) -> list[tuple[Any, ...]]:
-    """Rows (view, frame, metric, value) of the measures of a camera path, each over the whole path."""
+    """Return the rows (view, frame, metric, value) of the measures of a camera path, each over the whole path."""
     names = [metric.name for metric in select_metrics(protocol.measurement.metrics) if metric.kind == "path"]
     if path is None:
         not_computed.update(dict.fromkeys(names, "no images along a camera path"))
@@ -298,7 +298,7 @@ def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, 
 
 
 def _versions(run: RunFolder, renders: Sequence[str], records: Mapping[str, dict[str, Any]]) -> dict[str, str]:
-    """Package -> versions under which these renders and their values were made, and this one."""
+    """Return the package -> versions under which these renders and their values were made, and this one."""
     made = [record.get("versions", {}) for record in _render_records(run, renders).values()]
     made += [records[view][label].get("versions", {}) for label, view in (render.rsplit("/", 1) for render in renders)]
     return join_versions([installed_versions(), *made])

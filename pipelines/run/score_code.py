@@ -15,17 +15,17 @@ PATH_SCORES = "ggvs_eval.metrics.path_scores"
 
 
 def metric_code(metric: Metric) -> str:
-    """Hash of the code that measures a metric of a view."""
+    """Return the hash of the code that measures a metric of a view."""
     return code_identity(*metric.modules, READING, *SHARED, unfollowed=SHARED)
 
 
 def checks_code() -> str:
-    """Hash of the code of the checks that a view's frames go through."""
+    """Return the hash of the code of the checks that a view's frames go through."""
     return code_identity(CHECKS)
 
 
 def ceilings_code(names: Sequence[str]) -> str:
-    """Hash of the code that estimates the ceilings of some metrics."""
+    """Return the hash of the code that estimates the ceilings of some metrics."""
     modules = [module for name in names for module in METRICS[name].modules]
     return code_identity("ggvs_eval.metrics.ceilings", *modules, READING, *SHARED, unfollowed=SHARED)
 

@@ -54,7 +54,7 @@ def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list
 
 
 def path_poses(run: RunFolder) -> range:
-    """Numbers of the poses of the camera path; none where there is no path."""
+    """Return the numbers of the poses of the camera path; none where there is no path."""
     return range(len(read_json(run.path_record)["cameras"]) if run.path_record.is_file() else 0)
 
 

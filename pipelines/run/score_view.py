@@ -40,7 +40,7 @@ def view_job(
     device: str = "cpu",
     screens: Mapping[str, Screen | str] = NO_SCREENS,
 ) -> Job:
-    """The job of one view; in it all values of a method are stale when a frame changes, and one metric when its code does.
+    """Return the job of one view; in it all values of a method are stale when a frame changes, and one metric when its code does.
 
     Args:
         screens: label -> what is on the screen, or why nothing is, see `read_screens`; a value is stale when that changes, not
@@ -76,7 +76,7 @@ def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, An
 
 
 def _on_screen_identity(measurement: Measurement, options: MetricOptions, screen: Screen | str) -> dict[str, Any]:
-    """The same of the metrics of the screen, which also depend on the displayed frames."""
+    """Return the same of the metrics of the screen, which also depend on the displayed frames."""
     seen = {"absent": screen} if isinstance(screen, str) else {"shown": list(screen.shown), "first": screen.first}
     metrics = scored_on_screen(measurement.metrics)
     return {metric.name: _metric_identity(metric.of, options) | {"code": metric_code(metric)} | seen for metric in metrics}
@@ -169,7 +169,7 @@ def fresh_metrics(recorded: Mapping[str, Any], current: Mapping[str, Any]) -> se
 
 
 def _values_of(metrics: Collection[str], record: Mapping[str, Any], options: MetricOptions) -> dict[str, Any]:
-    """The part of a record that belongs to some metrics: their own values, and the parts that they are pooled from."""
+    """Return the part of a record that belongs to some metrics: their own values, and the parts that they are pooled from."""
     names = {name for metric in metrics for name in (metric, *METRICS[metric].pooling(options).parts)}
     values = [value for value in record.get("values", ()) if value[0] in names]
     reasons = record.get("not_computed", {})
@@ -221,7 +221,7 @@ def _score_screen(
     protocol: Protocol,
     options: MetricOptions,
 ) -> dict[str, Any]:
-    """Metrics of the displayed frames, from the first instant on that is scored."""
+    """Return the metrics of the displayed frames, from the first instant on that is scored."""
     if isinstance(screen, str):
         return {"values": [], "not_computed": dict.fromkeys(metrics, screen)}
     start, folder = protocol.frames.start, run.renders(label, view)
@@ -255,7 +255,7 @@ def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptio
 
 
 def truth_frames(run: RunFolder, view: str, frames: range, measurement: Measurement) -> Iterator[Image8]:
-    """The captured frames of a view at the size at which they are measured."""
+    """Yield the captured frames of a view at the size at which they are measured."""
     for _, truth in _instants((), partial(frame_path, run.truth(view)), frames, measurement):
         yield truth
 
@@ -274,7 +274,7 @@ def _read_mask(path: Path, measurement: Measurement) -> Mask:
 def _instants(
     shown: Sequence[Shown], truth: Shown, frames: range, measurement: Measurement
 ) -> Iterator[tuple[list[Image8], Image8]]:
-    """Every method's frame and the true one of each instant, at the size at which they are measured."""
+    """Yield every method's frame and the true one of each instant, at the size at which they are measured."""
     for index in frames:
         paths = [picture(index) for picture in (*shown, truth)]
         images = [read_image(path) for path in paths]

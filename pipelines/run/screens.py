@@ -29,7 +29,7 @@ def read_clocks(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: 
 
 
 def screens_of(protocol: Protocol, clocks: Mapping[str, Clock | str]) -> dict[str, Screen | str]:
-    """The displayed frames by these clocks, or why nothing does."""
+    """Return the displayed frames by these clocks, or why nothing does."""
     return {label: clock if isinstance(clock, str) else _screen(protocol, clock) for label, clock in clocks.items()}
 
 
@@ -57,7 +57,7 @@ def _screen(protocol: Protocol, clock: Clock) -> Screen | str:
 
 
 def _clock(run: RunFolder, stream: Stream, views: Sequence[str], label: str) -> Clock | str:
-    """Median time of each stage over all views without each view's first frame, as the table of times has it."""
+    """Return the median time of each stage over all views without each view's first frame, as the table of times has it."""
     stated = next((each.ms for each in stream.stated if each.method == label), None)
     if stated is not None:
         return {f"{STATED} {at}" if len(stated) > 1 else STATED: ms / 1000 for at, ms in enumerate(stated, 1)}

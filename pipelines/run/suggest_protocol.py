@@ -32,7 +32,7 @@ class Proposal:
 
 
 def suggest_protocol(capture: Capture) -> Protocol:
-    """The packaged protocol that fits a capture, or one by rule for a rig of your own; see `propose_protocol`."""
+    """Return the packaged protocol that fits a capture, or one by rule for a rig of your own; see `propose_protocol`."""
     return propose_protocol(capture).protocol
 
 
@@ -99,7 +99,7 @@ def _packaged_reasons(capture: Capture, protocol: Protocol, doubts: Mapping[str,
 
 
 def _own_split(capture: Capture, training: Sequence[str], doubts: Mapping[str, str]) -> tuple[Views, dict[str, str]]:
-    """The test views that the capture itself names, seen from its training views alone; and the reasons."""
+    """Return the test views that the capture itself names, seen from its training views alone; and the reasons."""
     reasons = {
         name: f"{'held out' if name in capture.test_views else 'stays a source'}: the capture's own split"
         + (f"; but {doubts[name]}" if name in doubts else "")
@@ -109,7 +109,7 @@ def _own_split(capture: Capture, training: Sequence[str], doubts: Mapping[str, s
 
 
 def hold_out(proposal: Proposal, capture: Capture, names: Sequence[str], doubts: Mapping[str, str]) -> Proposal:
-    """The proposal with test views that the user chose.
+    """Return the proposal with test views that the user chose.
 
     Raises:
         CaptureError: a name that is no camera of the capture.
@@ -129,7 +129,7 @@ def hold_out(proposal: Proposal, capture: Capture, names: Sequence[str], doubts:
 
 
 def _views(capture: Capture, synthesis: Synthesis, doubts: Mapping[str, str]) -> tuple[Views, dict[str, str]]:
-    """Every second camera that can serve, else the others that can, else every second one; and the reasons."""
+    """Return every second camera that can serve, else the others that can, else every second one; and the reasons."""
     names = capture.camera_names
     few = len(names[1::2]) <= MOST_VIEWS
     rule = "every second camera, at most nine" if few else f"nine of {len(names)} cameras, spread evenly"
@@ -178,7 +178,7 @@ def _classify_view(capture: Capture, name: str, synthesis: Synthesis, doubts: Ma
 
 
 def _measured_like(base: Protocol, capture: Capture) -> Measurement:
-    """The measurement of a protocol, at the same fraction of the capture's own size."""
+    """Return the measurement of a protocol, at the same fraction of the capture's own size."""
     measurement = base.measurement
     if not measurement.width:
         return measurement

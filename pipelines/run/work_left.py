@@ -82,7 +82,7 @@ class Stage:
     n_bytes: float
 
     def describe(self) -> str:
-        """One line."""
+        """Return one line."""
         known = self.count - self.unknown
         each = f"{self.seconds / known:.2g} s each" if known else "not known"
         whole = f", {duration(self.seconds)}" if known else ""
@@ -109,7 +109,7 @@ class Workload:
     pace: Callable[[], float] = pace
 
     def count(self, *kinds: Kind) -> int:
-        """Number of pieces left of some kinds."""
+        """Return the number of pieces left of some kinds."""
         return sum(piece.count for piece in self.pieces if piece.kind in kinds)
 
     @property
@@ -127,7 +127,7 @@ class Workload:
         return not self.pieces
 
     def describe(self) -> str:
-        """A few lines; none where everything is done."""
+        """Return a few lines; none where everything is done."""
         if self.is_nothing():
             return ""
         parts = [
@@ -168,7 +168,7 @@ class Workload:
         return sum(piece.count * self.frame_seconds.get(piece.label, 0.0) for piece in self.pieces if piece.label)
 
     def _stage(self, name: str) -> "Stage":
-        """Sum of what is left of a stage; frames of a method take as long as those that it has rendered."""
+        """Return the sum of what is left of a stage; frames of a method take as long as those that it has rendered."""
         pieces = [piece for piece in self.pieces if stage_of(piece.kind) == name]
         seconds, unknown = 0.0, 0
         for piece in pieces:
@@ -316,7 +316,7 @@ def work_left(plan: RunPlan) -> list[Piece]:
 
 
 def _truth_left(plan: RunPlan) -> dict[Path, int]:
-    """Captured frames that are missing or were changed, of each camera and along the path."""
+    """Return the captured frames that are missing or were changed, of each camera and along the path."""
     root, images, folder = plan.shared_root / "truth", plan.path_images, plan.run.path("truth")
     left = {root / name: len(frames) for name, frames in frames_left(plan.original, plan.frames_of_cameras(), root).items()}
     if images is not None:
@@ -325,20 +325,20 @@ def _truth_left(plan: RunPlan) -> dict[Path, int]:
 
 
 def _masks_left(plan: RunPlan, view: str) -> int:
-    """Missing or stale masks of one test view."""
+    """Return the missing or stale masks of one test view."""
     source_plan = plan.plans[view]
     files = mask_files(plan.run.disoccluded(view), plan.capture, source_plan.target, source_plan.depth_keys)
     return len(files.missing_frames(plan.frames))
 
 
 def _poses_left(plan: RunPlan) -> int:
-    """Missing or stale depth of poses."""
+    """Return the missing or stale depth of poses."""
     poses = [(pose.target, pose.depth_keys) for pose in plan.path]
     return len(poses_left(path_files(plan.run.path_depth, plan.capture, poses, plan.path_frame), len(poses)))
 
 
 def _depth_left(plan: RunPlan, store: DepthStore) -> dict[Kind, dict[Path, int]]:
-    """Missing depth maps by folder of the store: as found, and checked against others."""
+    """Return the missing depth maps by folder of the store: as found, and checked against others."""
     unchecked: dict[Path, int] = {}
     checked: dict[Path, int] = {}
     for jobs, frames in plan.depth_work():
@@ -350,7 +350,7 @@ def _depth_left(plan: RunPlan, store: DepthStore) -> dict[Kind, dict[Path, int]]
 
 
 def _count(store: DepthStore, key: str, frames: Sequence[int], counts: dict[Path, int]) -> int:
-    """Missing instants of a key, noted in `counts`."""
+    """Return the missing instants of a key, noted in `counts`."""
     missing = sum(not store.has(key, frame) for frame in frames)
     counts[store.folder(key)] = max(counts.get(store.folder(key), 0), missing)
     return missing
@@ -365,7 +365,7 @@ def _is_scored(run: RunFolder, view: str, labels: Sequence[str]) -> bool:
 
 
 def _frame_seconds(plan: RunPlan, label: str) -> list[float]:
-    """Mean seconds of a frame in each test view that a method has rendered."""
+    """Return the mean seconds of a frame in each test view that a method has rendered."""
     seconds = []
     for view in plan.plans:
         try:

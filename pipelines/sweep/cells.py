@@ -57,7 +57,7 @@ def sweep_cells(
     networks: NetworkOptions,
     shared: Path | None = None,
 ) -> tuple[list[Cell], dict[str, str]]:
-    """The runs of a sweep, and its rows that cannot be computed: title -> reason.
+    """Return the runs of a sweep, and its rows that cannot be computed: title -> reason.
 
     Args:
         shared: folder of the frames and the depth that all runs use; that of their capture in the sweep where None.
@@ -82,7 +82,7 @@ def sweep_cells(
 
 
 def shard_cells(cells: Sequence[Cell], shard: Shard) -> list[Cell]:
-    """The runs that a shard takes part in, with its units of each; one that only prepares has none of any."""
+    """Return the runs that a shard takes part in, with its units of each; one that only prepares has none of any."""
     if shard.is_whole:
         return list(cells)
     share = {cell.name: [unit for of, unit in shard.pick(units_of(cells)) if of is cell] for cell in cells}

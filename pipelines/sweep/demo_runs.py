@@ -51,12 +51,12 @@ class Unpacking:
     elsewhere: Path | None = None
 
     def __call__(self, folder: Path, name: str) -> Capture:
-        """The capture of a room's name; a folder that is there is taken as it is."""
+        """Return the capture of a room's name; a folder that is there is taken as it is."""
         place = self.elsewhere / folder.name if self.elsewhere and not folder.exists() else folder
         return self.open(write_room(place, name))
 
     def beside(self, root: Path) -> Capture:
-        """The main room, next to a run folder."""
+        """Return the main room, next to a run folder."""
         return self(capture_beside(root), MAIN)
 
 
@@ -181,7 +181,7 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
 
 
 def room_labels(labels: Sequence[str]) -> dict[str, Sequence[str]]:
-    """Name of a demo room -> its methods: small rooms have their own lists if these are the default ones."""
+    """Return the name of a demo room -> its methods: small rooms have their own lists if these are the default ones."""
     own = SMALL_ROOMS_METHODS if tuple(labels) == usual_methods() else {}
     return {name: own.get(name, labels) for name in ROOMS}
 
@@ -192,12 +192,12 @@ def demo_root(root: Path, name: str) -> Path:
 
 
 def k_root(root: Path) -> Path:
-    """Folder of the main room's sweep over K."""
+    """Return the folder of the main room's sweep over K."""
     return root.with_name(f"{root.name}-k")
 
 
 def k_sweep(labels: Sequence[str]) -> Sweep:
-    """The packaged sweep over K with those of its methods that are wanted."""
+    """Return the packaged sweep over K with those of its methods that are wanted."""
     sweep = load_sweep("k")
     return replace(sweep, row=tuple(row for row in sweep.row if row.method in labels))
 

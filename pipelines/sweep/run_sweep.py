@@ -113,7 +113,7 @@ def run_sweep(planned: SweepPlan, workers: Workers) -> SweepResult:
 
 
 def _with_means(table: pd.DataFrame, n_captures: int) -> pd.DataFrame:
-    """The table with the means over all captures, of lines that each of them has; of one capture, without its name."""
+    """Return the table with the means over all captures, of lines that each of them has; of one capture, without its name."""
     if n_captures == 1:
         return table.droplevel("capture")
     lines = table.groupby(level=["variant", "method"], sort=False)
@@ -132,7 +132,7 @@ def _write_table(table: pd.DataFrame, root: Path) -> None:
 
 
 def _with_lines(before: pd.DataFrame, lines: pd.DataFrame) -> pd.DataFrame:
-    """A table with more lines, which take the places of those of the same name.
+    """Return a table with more lines, which take the places of those of the same name.
 
     Reading:
         Where only one of the two names captures, the other's lines have an empty one: their runs are next to those folders.
@@ -147,7 +147,7 @@ def _with_lines(before: pd.DataFrame, lines: pd.DataFrame) -> pd.DataFrame:
 
 
 def _lines(cell: Cell, scores: Scores) -> pd.DataFrame:
-    """The rows of one run by their titles, with the time of a frame; what was measured becomes its results."""
+    """Return the rows of one run by their titles, with the time of a frame; what was measured becomes its results."""
     summary, rows = scores.collect().summary().droplevel("dataset"), [row for row in cell.rows if row.label in scores.labels]
     lines = pd.DataFrame([summary.loc[split_label(row.label)] for row in rows], index=[row.title for row in rows])
     lines["s/frame"] = [_seconds_per_frame(cell.run, row.label) for row in rows]
@@ -156,7 +156,7 @@ def _lines(cell: Cell, scores: Scores) -> pd.DataFrame:
 
 
 def _seconds_per_frame(run: RunFolder, label: str) -> float:
-    """Median over all frames of all views; nothing is known of frames that others rendered."""
+    """Return the median over all frames of all views; nothing is known of frames that others rendered."""
     if read_import(run, label) is not None:
         return float("nan")
     records = [read_json(run.renders(label, view) / JOB_FILE)["seconds"] for view in run.protocol().views.test]

@@ -57,12 +57,12 @@ class FrameStock:
         self._finder = None if playback.live is None else RigDepth(self.cameras, playback.live)
 
     def _image(self, name: str, instant: int) -> Image8:
-        """The frame of one camera at one instant, (H, W, 3)."""
+        """Return the frame of one camera at one instant, (H, W, 3)."""
         image, size = self._playback.capture.frame(name, instant), self._sizes[name]
         return image if size == image.shape[1::-1] else cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
 
     def _read(self, name: str, instant: int) -> tuple[Image8, DepthMap]:
-        """The frame and the depth of one camera at one instant, (H, W, 3) and (H, W)."""
+        """Return the frame and the depth of one camera at one instant, (H, W, 3) and (H, W)."""
         image, size = self.image(name, instant), self._sizes[name]
         if self._finder is not None:
             images = {each: self.image(each, instant) for each in self._finder.needed([name])}
@@ -79,7 +79,7 @@ class FrameStock:
 
 
 def fitted(camera: Camera, pixels: int) -> Camera:
-    """The camera at its own size, or at the largest one of its shape with at most N pixels.
+    """Return the camera at its own size, or at the largest one of its shape with at most N pixels.
 
     Examples:
         >>> import numpy as np
@@ -211,7 +211,7 @@ class LiveView:
 
 
 def layer_image(rendering: Rendering, layer: Layer, target: Camera, label: str) -> Image8:
-    """The picture, or a map behind it in colours, at the target's size."""
+    """Return the picture, or a map behind it in colours, at the target's size."""
     if layer == "picture":
         return quantise(rendering.image)
     maps = dict(rendering.diagnostics)
@@ -223,7 +223,7 @@ def layer_image(rendering: Rendering, layer: Layer, target: Camera, label: str) 
 
 
 def divided(images: Sequence[Image8], share: float) -> Image8:
-    """The first image left of a line, the second right of it; a single one as it is."""
+    """Return the first image left of a line, the second right of it; a single one as it is."""
     if len(images) == 1:
         return images[0]
     left, right = images
@@ -234,7 +234,7 @@ def divided(images: Sequence[Image8], share: float) -> Image8:
 
 
 def recorded_pose(request: ViewRequest, view: Camera, index: int) -> Camera:
-    """The pose of a request as a camera of a rig's own size and depth range, called ``pose0000``, ...
+    """Return the pose of a request as a camera of a rig's own size and depth range, called ``pose0000``, ...
 
     The vertical field of view is kept; a window of another shape shows more or less at the sides.
     """

@@ -26,13 +26,13 @@ def up_direction(cameras: Sequence[Camera]) -> Array:
 
 
 def middle_camera(cameras: Sequence[Camera]) -> Camera:
-    """The camera nearest to the middle of the rig."""
+    """Return the camera nearest to the middle of the rig."""
     centres = np.stack([camera.centre for camera in cameras])
     return cameras[int(np.argmin(np.linalg.norm(centres - centres.mean(axis=0), axis=1)))]
 
 
 def vertical_fov(camera: Camera) -> float:
-    """Vertical field of view, radians."""
+    """Return the vertical field of view, radians."""
     return float(2 * np.arctan(camera.height / (2 * camera.K[1, 1])))
 
 
@@ -42,7 +42,7 @@ def camera_orientation(camera: Camera) -> Array:
 
 
 def gazed_depth(stock: FrameStock, instant: int) -> float:
-    """Median depth that the middle camera sees, world units; the middle of its range where nothing is known."""
+    """Return the median depth that the middle camera sees, world units; the middle of its range where nothing is known."""
     camera = middle_camera(stock.cameras)
     depth = stock.read(camera.name, instant)[1].depth
     depths = depth[depth > 0]
@@ -50,7 +50,7 @@ def gazed_depth(stock: FrameStock, instant: int) -> float:
 
 
 def cloud(stock: FrameStock, instant: int, most: int = MOST_POINTS) -> tuple[Array, Image8]:
-    """The surface that all cameras see at an instant, thinned evenly.
+    """Return the surface that all cameras see at an instant, thinned evenly.
 
     Returns:
         Points in the world (N, 3) and their colours (N, 3), RGB uint8.

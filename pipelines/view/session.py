@@ -95,7 +95,7 @@ class Recording:
         return [recorded_pose(request, self.view, index) for index, request in enumerate(self.requests)]
 
     def _free_name(self, ending: str) -> Path:
-        """The first name in the folder that no file has."""
+        """Return the first name in the folder that no file has."""
         self.folder.mkdir(parents=True, exist_ok=True)
         names = (self.folder / f"path{index:03d}{ending}" for index in count())
         return next(name for name in names if not name.exists())
@@ -236,7 +236,7 @@ class Session:
         return ViewRequest(self._pose(), instant, methods, k, self._layer.value, float(self._divider.value))
 
     def _pose(self) -> Camera:
-        """The window's camera; square pixels, the principal point in the middle."""
+        """Return the window's camera; square pixels, the principal point in the middle."""
         state = self.client.camera
         view = middle_camera(self._stocks[1].cameras)
         width, height = max(state.image_width, 16), max(state.image_height, 16)
@@ -248,7 +248,7 @@ class Session:
         return replace(view, name="view", K=K, world_to_camera=world_to_camera, width=width, height=height)
 
     def _attempt(self, view: LiveView, request: ViewRequest) -> Picture | None:
-        """The picture, or a message in the page that says why there is none."""
+        """Return the picture, or a message in the page that says why there is none."""
         try:
             picture = view.picture(request)
         except GgvsError as error:

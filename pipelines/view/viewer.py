@@ -135,7 +135,7 @@ def start_guarded(listener: Listener, start: Callable[[], "viser.ViserServer"]) 
 def _asking(
     listener: Listener, process: Callable[["ServerConnection", "Request"], "Response | None"]
 ) -> Callable[["ServerConnection", "Request"], "Response | None"]:
-    """A server's own way to answer requests, behind the listener's."""
+    """Return a server's own way to answer requests, behind the listener's."""
 
     def answer(connection: "ServerConnection", request: "Request") -> "Response | None":
         if reason := listener.refusal(request):
@@ -150,7 +150,7 @@ def _asking(
 
 
 def _first_part(path: str) -> str:
-    """First part of the path of a request.
+    """Return the first part of the path of a request.
 
     Examples:
         >>> _first_part("/token/index.html?dark"), _first_part("/token?dark")
@@ -160,7 +160,7 @@ def _first_part(path: str) -> str:
 
 
 def _listening(host: str, port: int) -> socket.socket:
-    """A socket that listens at the port, or at the next free one."""
+    """Return a socket that listens at the port, or at the next free one."""
     try:
         family, _, _, _, address = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
         return _first_free(str(address[0]), port, family)
@@ -184,7 +184,7 @@ def _first_free(address: str, port: int, family: int) -> socket.socket:
 
 
 def _own_address(family: socket.AddressFamily) -> str:
-    """The address by which other machines reach this one; the loopback's where there is no way to others."""
+    """Return the address by which other machines reach this one; the loopback's where there is no way to others."""
     if family == socket.AF_INET:
         with socket.socket(family, socket.SOCK_DGRAM) as probe, suppress(OSError):
             probe.connect(ELSEWHERE)
@@ -230,7 +230,7 @@ class Viewer:
             self.server.stop()
 
     def __enter__(self) -> "Viewer":
-        """The viewer itself."""
+        """Return the viewer itself."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -272,7 +272,7 @@ def _attempt(session: Session, work: Callable[[], bool | None]) -> bool:
 
 
 def open_server(listener: Listener) -> "viser.ViserServer":
-    """A server without a scene, which cannot be made to publish itself."""
+    """Return a server without a scene, which cannot be made to publish itself."""
     import viser
     from viser import _messages
 

@@ -82,7 +82,7 @@ def write_depth_page(
 
 
 def render_depth_page(record: DepthRecord) -> str:
-    """The HTML of a record; equal records give equal text."""
+    """Return the HTML of a record; equal records give equal text."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -153,7 +153,7 @@ def _all(pool: Executor, running: list[Future[Any]], doing: str) -> list[Any]:
 
 
 def _measure_pairs(pool: Executor, capture: Capture, stored: Sequence[StoredDepth]) -> Pairs:
-    """Errors and matches of every pair, once, whichever of the two the depth was computed of."""
+    """Return the errors and matches of every pair, once, whichever of the two the depth was computed of."""
     frame_of: dict[tuple[str, str], int] = {}
     for each in stored:
         for partner in each.job.partner_names:
@@ -232,7 +232,7 @@ def _depth_range(statistics: Statistics, near: float, far: float) -> tuple[float
 
 
 def find_warnings(record: DepthRecord) -> list[str]:
-    """One or two sentences about each thing that looks wrong, what concerns most of the capture first."""
+    """Return one or two sentences about each thing that looks wrong, what concerns most of the capture first."""
     return [
         *_about_pairs(record.pairs),
         *(text for camera in record.cameras for text in _about_camera(camera)),
@@ -301,7 +301,7 @@ def _about_camera(camera: CameraRecord) -> Iterator[str]:
 
 
 def _about_outliers(record: DepthRecord) -> Iterator[str]:
-    """Cameras whose image, made again through their depth, is far worse than is usual here."""
+    """Yield the cameras whose image, made again through their depth, is far worse than is usual here."""
     made_again = [(camera, [each.again.error for each in camera.pictures.instants if each.again]) for camera in record.cameras]
     worst = [(camera, max(errors)) for camera, errors in made_again if errors]
     usual = float(np.median([error for _, error in worst])) if worst else 0.0

@@ -180,13 +180,13 @@ def _scale(turns: int, rows: slice, columns: list[slice]) -> float:
 
 
 def _spread(uv: Array) -> Array:
-    """A few of the matches, from all over the first image's rows."""
+    """Return a few of the matches, from all over the first image's rows."""
     order = np.lexsort((uv[:, 0, 0], uv[:, 0, 1]))
     return uv[order[np.unique(np.linspace(0, len(uv) - 1, min(DOTS, len(uv))).astype(np.intp))]]
 
 
 def _draw(window: Image8, places: Array, scale: float) -> Image8:
-    """A half at its final size, with guides and dots."""
+    """Return a half at its final size, with guides and dots."""
     size = max(1, int(window.shape[1] * scale)), max(1, int(window.shape[0] * scale))
     picture = np.ascontiguousarray(resize(window, *size, "area"))
     for number in range(1, GUIDES):

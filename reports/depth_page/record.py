@@ -54,7 +54,7 @@ class DepthStatistics:
 
 
 def measured_pixels(depth_map: DepthMap, filled_confidence: float) -> NDArray[np.bool_]:
-    """Pixels with a measured depth, (H, W).
+    """Return the pixels with a measured depth, (H, W).
 
     Reading:
         The store keeps no mark of filled pixels, only their low confidence. A measured pixel whose confidence is as low counts
@@ -125,7 +125,7 @@ def resynthesise(camera: Camera, depth: Map, image: Image8, other: Camera, other
 
 
 def _gain(truth: NDArray[np.uint8], warped: NDArray[np.float32]) -> tuple[float, float, float]:
-    """Median ratio of the pixels (N, 3) per channel; dark pixels show only noise."""
+    """Return the median ratio of the pixels (N, 3) per channel; dark pixels show only noise."""
     bright = (truth > 16) & (warped > 16)
     ratios = [truth[:, c][bright[:, c]] / warped[:, c][bright[:, c]] for c in range(3)]
     red, green, blue = (float(np.median(each)) if each.size >= FEWEST_PIXELS else 1.0 for each in ratios)
@@ -263,7 +263,7 @@ def _shrunk(image: Image8) -> Image8:
 
 
 def _sampled(values: Map) -> Map:
-    """A map at the size of a picture, by its nearest pixels: a mean of two depths is the depth of nothing."""
+    """Return a map at the size of a picture, by its nearest pixels: a mean of two depths is the depth of nothing."""
     height, width = values.shape
     size = (WIDTH_PX, max(1, round(height * WIDTH_PX / width))) if width > WIDTH_PX else (width, height)
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST_EXACT))
@@ -330,7 +330,7 @@ class CameraRecord:
     pictures: CameraPictures
 
     def label(self, stored: StoredDepth) -> str:
-        """The camera's name, with the partners where it has several jobs."""
+        """Return the camera's name, with the partners where it has several jobs."""
         return self.name if len(self.jobs) == 1 else f"{self.name} with {', '.join(stored.job.partner_names)}"
 
 
@@ -355,7 +355,7 @@ class DepthRecord:
     registrations: tuple[str, ...] = ()
 
     def pair(self, camera: str, partner: str) -> PairErrors:
-        """The errors of two cameras, in whichever order they were measured."""
+        """Return the errors of two cameras, in whichever order they were measured."""
         return next(pair for pair in self.pairs if {pair.camera, pair.partner} == {camera, partner})
 
     @property

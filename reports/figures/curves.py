@@ -71,25 +71,25 @@ class Panel:
     bounds: tuple[float, float, float, float]
 
     def x(self, frame: float) -> float:
-        """Horizontal place of a frame in the drawing, in its pixels."""
+        """Return the horizontal place of a frame in the drawing, in its pixels."""
         first, last = self.bounds[:2]
         return round(MARGIN[0] + (frame - first) / (last - first) * (SIZE[0] - MARGIN[0] - MARGIN[1]), 1)
 
     def y(self, value: float) -> float:
-        """Vertical place of a value in the drawing, in its pixels."""
+        """Return the vertical place of a value in the drawing, in its pixels."""
         low, high = self.bounds[2:]
         return round(MARGIN[2] + (high - value) / (high - low) * (SIZE[1] - MARGIN[2] - MARGIN[3]), 1)
 
     def points(self, curve: Curve) -> str:
-        """A curve as the points of an SVG polyline."""
+        """Return a curve as the points of an SVG polyline."""
         return " ".join(f"{self.x(frame)},{self.y(value)}" for frame, value in zip(curve.frames, curve.values, strict=True))
 
     def value_ticks(self) -> list[tuple[float, str]]:
-        """Places and texts of the vertical axis, two to seven round numbers."""
+        """Return the places and texts of the vertical axis, two to seven round numbers."""
         return [(self.y(value), text) for value, text in round_ticks(*self.bounds[2:])]
 
     def frame_ticks(self) -> list[tuple[float, str]]:
-        """Places and texts of the horizontal axis: first, middle and last frame."""
+        """Return the places and texts of the horizontal axis: first, middle and last frame."""
         first, last = (int(bound) for bound in self.bounds[:2])
         return [(self.x(frame), str(frame)) for frame in dict.fromkeys((first, (first + last) // 2, last))]
 
@@ -100,7 +100,7 @@ def method_numbers(names: Iterable[str]) -> dict[str, int]:
 
 
 def round_ticks(low: float, high: float) -> list[tuple[float, str]]:
-    """Two to seven round numbers from `low` to `high`, each with its text.
+    """Return two to seven round numbers from `low` to `high`, each with its text.
 
     Examples:
         >>> round_ticks(0, 400)
@@ -118,7 +118,7 @@ def curve_panels(run: MeasuredRun) -> tuple[Panel, ...]:
 
 
 def _metric_panels(run: MeasuredRun, metric: str) -> list[Panel]:
-    """One panel per view, all on the same axes, so that levels can be compared between views."""
+    """Return one panel per view, all on the same axes, so that levels can be compared between views."""
     curves = {view: _curves(run, metric, view) for view in run.protocol.views.test}
     values = [value for view in curves.values() for curve in view for value in curve.values]
     frames = [frame for view in curves.values() for curve in view for frame in curve.frames]

@@ -49,7 +49,7 @@ def parse_width(text: str) -> float:
 
 
 def parse_row(text: str) -> int | None:
-    """Number of an image row; None of ``auto``.
+    """Return the number of an image row; None of ``auto``.
 
     Raises:
         ResultsError: another text.
@@ -60,7 +60,7 @@ def parse_row(text: str) -> int | None:
 
 
 def only_methods(run: MeasuredRun, labels: Sequence[str]) -> MeasuredRun:
-    """The run with these methods alone, in this order; with all of them where none is named.
+    """Return the run with these methods alone, in this order; with all of them where none is named.
 
     Raises:
         ResultsError: a method that has no whole renders.
@@ -73,7 +73,7 @@ def only_methods(run: MeasuredRun, labels: Sequence[str]) -> MeasuredRun:
 
 
 def score_words(run: MeasuredRun, metrics: Sequence[str]) -> dict[str, str]:
-    """Label of a method -> its scores in words, as the tables print them: ``PSNR 33.67, LPIPS 0.08``.
+    """Return the label of a method -> its scores in words, as the tables print them: ``PSNR 33.67, LPIPS 0.08``.
 
     Args:
         metrics: which; PSNR and LPIPS, where they were measured, by default.

@@ -117,7 +117,7 @@ def draw_crops(
     look: FigureLook = FULL_LOOK,
     scores: Mapping[str, str] | None = None,
 ) -> tuple[Path, ...]:
-    """One frame of every method with its boxes, and below it what is in each box, with the mean absolute error there.
+    """Return one frame of every method with its boxes, and below it what is in each box, with the mean absolute error there.
 
     Args:
         regions: squares of one and the same frame.
@@ -147,7 +147,7 @@ def draw_crops(
 def draw_failures(
     run: MeasuredRun, files: Sequence[Path], label: str, cases: int = 3, look: FigureLook = FULL_LOOK
 ) -> tuple[Path, ...]:
-    """The worst squares of a method, one per view: place, reference, every method, and the method's error map."""
+    """Return the worst squares of a method, one per view: place, reference, every method, and the method's error map."""
     regions = find_regions(run, "worst", label, cases, one_per_view=True)
     labels = ("truth", *run.pictured)
     column_in = look.width_in / (len(labels) + 2)
@@ -183,7 +183,7 @@ def _grid(size: tuple[float, float], heights: list[float], columns: int) -> tupl
 
 
 def _pictures(run: MeasuredRun, region: Region) -> dict[str, Image8]:
-    """Label -> whole frame, the truth first."""
+    """Return the label -> whole frame, the truth first."""
     return {key: read_image(frame_path(folder, region.frame)) for key, folder in run.frame_folders(region.view).items()}
 
 
@@ -251,7 +251,7 @@ def write_side_by_side(run: MeasuredRun, out: Path, view: str | None = None) -> 
 
 
 def _frames(run: MeasuredRun, folders: dict[str, Path]) -> Iterator[Image8]:
-    """All pictures of each instant on one sheet."""
+    """Yield all pictures of each instant on one sheet."""
     columns = len(folders) if len(folders) <= IN_ONE_ROW else math.ceil(math.sqrt(len(folders)))
     full_height, full_width, _ = read_image(frame_path(folders["truth"], run.frames[0])).shape
     width = min(full_width, WIDEST // columns)
@@ -263,7 +263,7 @@ def _frames(run: MeasuredRun, folders: dict[str, Path]) -> Iterator[Image8]:
 
 
 def _sheet(pictures: Sequence[Image8], columns: int) -> Image8:
-    """Pictures of one size in rows, black where there is none, of even width and height."""
+    """Return the pictures of one size in rows, black where there is none, of even width and height."""
     height, width, _ = pictures[0].shape
     rows = math.ceil(len(pictures) / columns)
     sheet = np.zeros((rows * height + rows * height % 2, columns * width + columns * width % 2, 3), np.uint8)
@@ -274,7 +274,7 @@ def _sheet(pictures: Sequence[Image8], columns: int) -> Image8:
 
 
 def _strip(name: str, width: int) -> Image8:
-    """A name in white on black, (STRIP, width, 3)."""
+    """Return a name in white on black, (STRIP, width, 3)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -85,7 +85,7 @@ def find_regions(
     frame: int | None = None,
     one_per_view: bool = False,
 ) -> tuple[Region, ...]:
-    """The squares with the largest score, largest first.
+    """Return the squares with the largest score, largest first.
 
     Args:
         rule: see `RULES`.
@@ -110,7 +110,7 @@ def find_regions(
 def given_regions(
     run: MeasuredRun, squares: Sequence[Square], view: str | None = None, frame: int | None = None
 ) -> tuple[Region, ...]:
-    """The squares that somebody has chosen by eye.
+    """Return the squares that somebody has chosen by eye.
 
     Args:
         squares: at least one.
@@ -130,7 +130,7 @@ def given_regions(
 
 
 def read_errors(run: MeasuredRun, view: str, frame: int) -> ErrorMaps:
-    """Error of each method in each pixel of a frame."""
+    """Return the error of each method in each pixel of a frame."""
     return _errors(_read_frames(run, view, frame))
 
 
@@ -144,7 +144,7 @@ def _errors(images: Mapping[str, Image8]) -> ErrorMaps:
 
 
 def comparison_weight(truth: Image8, images: Iterable[Image8]) -> NDArray[np.float32]:
-    """Weight of each pixel in a comparison of pictures, (H, W), 0 to 1.
+    """Return the weight of each pixel in a comparison of pictures, (H, W), 0 to 1.
 
     Args:
         truth: or, on a virtual path, the mean of the methods.
@@ -192,7 +192,7 @@ def _mean_of_squares(values: NDArray[np.float32], side: int) -> NDArray[np.float
 
 
 def _search(run: MeasuredRun, rule: Rule, label: str, view: str, frame: int, count: int) -> tuple[Region, ...]:
-    """The square of the largest weighted score in a frame, and the next ones that overlap none of those before."""
+    """Return the square of the largest weighted score in a frame, and the next ones that overlap none of those before."""
     images = _read_frames(run, view, frame)
     shown = [image for key, image in images.items() if key != "truth" and (rule == "different" or key == label)]
     errors, weight = _errors(images), comparison_weight(images["truth"], shown)

@@ -86,7 +86,7 @@ class Slices:
 
 
 def epipolar_plane_image(folder: Path, n_poses: int, row: int) -> Image8:
-    """One row of the images along a camera path, stacked.
+    """Return one row of the images along a camera path, stacked.
 
     Args:
         folder: ``0000.png``, ... one per pose.
@@ -98,7 +98,7 @@ def epipolar_plane_image(folder: Path, n_poses: int, row: int) -> Image8:
 
 
 def temporal_slice(folder: Path, frames: range, row: int) -> Image8:
-    """One row of the frames of a fixed view, stacked over time.
+    """Return one row of the frames of a fixed view, stacked over time.
 
     Returns:
         (t, x, 3); static content is a vertical line, flicker is horizontal noise.
@@ -121,7 +121,7 @@ def _stack_rows(folder: Path, indices: range, row: int) -> Image8:
 
 
 def find_breaks(image: Image8, truth: Image8) -> tuple[Break, ...]:
-    """The places at which a slice changes most unlike the truth, the largest first; none where noise would explain them.
+    """Return the places at which a slice changes most unlike the truth, the largest first; none where noise would explain them.
 
     Args:
         image: slice of a method, (samples, x, 3).
@@ -156,7 +156,7 @@ def _with_breaks(strips: Sequence[Strip]) -> tuple[Strip, ...]:
 
 
 def most_changing_row(folder: Path, frames: range) -> int:
-    """The row of a fixed view with the largest mean change from frame to frame."""
+    """Return the row of a fixed view with the largest mean change from frame to frame."""
     change: np.ndarray | float = 0.0
     previous: np.ndarray | None = None
     for index in frames:
@@ -168,13 +168,13 @@ def most_changing_row(folder: Path, frames: range) -> int:
 
 
 def most_textured_row(images: Iterable[Image8]) -> int:
-    """The row with the strongest horizontal gradients, summed over images of one size."""
+    """Return the row with the strongest horizontal gradients, summed over images of one size."""
     strength = sum(np.abs(np.diff(image.astype(np.int16), axis=1)).mean(axis=(1, 2)) for image in images)  # (H,)
     return int(np.argmax(strength))
 
 
 def most_different_row(folders: Mapping[str, Path], indices: range) -> int | None:
-    """The row in which the methods' weighted absolute errors differ most; None where fewer than two differ.
+    """Return the row in which the methods' weighted absolute errors differ most; None where fewer than two differ.
 
     Args:
         folders: label -> frames, those of the truth as ``truth``; without it the mean of the methods represents it.
@@ -213,7 +213,7 @@ def path_folders(run: MeasuredRun, labels: Iterable[str]) -> tuple[dict[str, Pat
 
 
 def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
-    """Epipolar plane images of the truth and every method; None where the run has no camera path.
+    """Return the epipolar plane images of the truth and every method; None where the run has no camera path.
 
     Reading:
         The paper fixes a row without saying which; unless one is given, it is the row in which methods differ most. Where there
@@ -283,7 +283,7 @@ def all_slices(run: MeasuredRun) -> Sequence[Slices]:
 
 
 def slices_of(run: MeasuredRun, kind: SliceKind, row: int | None, view: str | None) -> Slices:
-    """Epipolar plane images or x-t slices of every method and the truth of a run.
+    """Return the epipolar plane images or x-t slices of every method and the truth of a run.
 
     Args:
         kind: ``epi`` along the camera path, ``time`` in a fixed view.

@@ -32,7 +32,7 @@ A_STREAM_SWEEP = "make one with `ggvs-eval sweep stream FOLDER --capture CAPTURE
 
 
 def read_k_table(sweep: Path) -> pd.DataFrame:
-    """The table of a sweep over K: rows (method, K), rising in K; of several captures their mean."""
+    """Return the table of a sweep over K: rows (method, K), rising in K; of several captures their mean."""
     file = sweep / SWEEP_FILE
     if not file.is_file():
         raise ResultsError(f"{sweep}: wanted the folder of a sweep, it has no {SWEEP_FILE}; {A_K_SWEEP}")
@@ -51,7 +51,7 @@ def read_k_table(sweep: Path) -> pd.DataFrame:
 
 
 def sweep_runs(sweep: Path) -> list[Path]:
-    """The run folders of a sweep that its table has lines of, in their order there."""
+    """Return the run folders of a sweep that its table has lines of, in their order there."""
     table = pd.read_csv(sweep / SWEEP_FILE, dtype={"capture": str, "variant": str}).fillna({"capture": ""})
     if "capture" not in table:
         return [sweep / variant for variant in dict.fromkeys(table["variant"])]
@@ -60,7 +60,7 @@ def sweep_runs(sweep: Path) -> list[Path]:
 
 
 def interval_widths(sweep: Path, metric: str) -> dict[tuple[int, float], float]:
-    """Half width of the interval of each number of a sweep over K, found by K and the number itself, rounded.
+    """Return half width of the interval of each number of a sweep over K, found by K and the number itself, rounded.
 
     The table of a sweep has its own titles, and its numbers are those of its runs: a number that no run has any more, or a
     mean over data sets, has no interval.
@@ -83,7 +83,7 @@ def draw_k(
     look: FigureLook | None = None,
     numbers: Mapping[str, int] | None = None,
 ) -> Path:
-    """A panel per metric and one for the time of a frame, a line per method; each K that was evaluated is a marker.
+    """Return a panel per metric and one for the time of a frame, a line per method; each K that was evaluated is a marker.
 
     Bars are 95 % intervals, as in the tables of the single runs.
 
@@ -157,7 +157,7 @@ class RatePanel:
     families: tuple[Family, ...]
 
     def x(self, per_second: float) -> float:
-        """Horizontal place of a rate in the drawing, in its pixels."""
+        """Return the horizontal place of a rate in the drawing, in its pixels."""
         return self.axes.x(math.log10(per_second))
 
     def line(self, family: Family) -> str:
@@ -165,14 +165,14 @@ class RatePanel:
         return " ".join(f"{self.x(mark.per_second)},{self.axes.y(mark.seen)}" for mark in family.marks)
 
     def rate_ticks(self) -> list[tuple[float, str]]:
-        """Places and texts of the horizontal axis: 1, 2, 5, 10, ... within it."""
+        """Return the places and texts of the horizontal axis: 1, 2, 5, 10, ... within it."""
         low, high = self.axes.bounds[:2]
         rates = (digit * 10.0**power for power in range(math.floor(low), math.ceil(high) + 1) for digit in (1, 2, 5))
         return [(self.x(rate), f"{rate:g}") for rate in rates if low <= math.log10(rate) <= high]
 
 
 def rate_panels(runs: Sequence[MeasuredRun]) -> tuple[RatePanel, ...]:
-    """A panel per metric of runs that differ in K alone, or of one; none where nothing is on a screen."""
+    """Return a panel per metric of runs that differ in K alone, or of one; none where nothing is on a screen."""
     streams = {run.protocol.stream for run in runs}
     (stream,) = streams if len(streams) == 1 else (None,)
     if stream is None:
@@ -205,7 +205,7 @@ def _panel(runs: Sequence[MeasuredRun], metric: str, fps: float) -> RatePanel | 
 
 
 def _marks(run: MeasuredRun, metric: str, several: bool) -> list[tuple[str, Mark]]:
-    """Methods of a run that have a rate and both numbers."""
+    """Return the methods of a run that have a rate and both numbers."""
     file = run.folder.stream_record
     records = read_json(file)["methods"] if file.is_file() else {}
     summary = run.results.summary().droplevel("dataset")

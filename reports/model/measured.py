@@ -55,7 +55,7 @@ class MetricNote:
 
 
 def read_metric_notes(run: Path) -> dict[str, MetricNote]:
-    """Metric -> its note, in the order in which the protocol names them."""
+    """Return the metric -> its note, in the order in which the protocol names them."""
     fields = {each.name for each in dataclasses.fields(MetricNote)} - {"name"}
     records = read_json(run / METRICS_FILE)
     for name, record in records.items():
@@ -98,7 +98,7 @@ def read_references(folder: RunFolder) -> tuple[Reference, ...]:
 
 
 def reference_rows(references: Sequence[Reference], group: str, notes: Sequence[MetricNote]) -> tuple[Row, ...]:
-    """The rows of one table; a reference without a number in it is left out, see `reference_remarks`."""
+    """Return the rows of one table; a reference without a number in it is left out, see `reference_remarks`."""
     return tuple(
         Row(reference.name, tuple(_cell(note, reference) for note in notes), "reference")
         for reference in references
@@ -125,7 +125,7 @@ def reference_remarks(references: Sequence[Reference], group: str, notes: Sequen
 
 
 def shared_references(runs: Sequence["MeasuredRun"]) -> tuple[Reference, ...]:
-    """The references of a table over several runs: means over the scenes, as its other numbers are."""
+    """Return the references of a table over several runs: means over the scenes, as its other numbers are."""
     scenes = dict.fromkeys(run.scene for run in runs)
     by_name: dict[tuple[str, str], dict[str, Reference]] = {}
     for run in runs:
@@ -135,13 +135,13 @@ def shared_references(runs: Sequence["MeasuredRun"]) -> tuple[Reference, ...]:
 
 
 def captured_values(references: Sequence[Reference]) -> dict[str, float]:
-    """Scores of the captured images along the camera path; empty where there are none."""
+    """Return the scores of the captured images along the camera path; empty where there are none."""
     along = [reference for reference in references if reference.group == "path"]
     return {metric: value for each in along for metric, value in each.values.items() if isinstance(value, float | int)}
 
 
 def _mean_reference(by_scene: Mapping[str, Reference], scenes: Collection[str]) -> Reference:
-    """One reference over all scenes; a metric that any of them lacks has the reason instead of a value."""
+    """Return one reference over all scenes; a metric that any of them lacks has the reason instead of a value."""
     first = next(iter(by_scene.values()))
     if len(scenes) == 1:
         return first
@@ -251,7 +251,7 @@ class MeasuredRun:
         return (*ours, *(label for label in self.pictured if label not in self.ours))
 
     def called(self, scene: str) -> "MeasuredRun":
-        """The same run with another name of its scene."""
+        """Return the same run with another name of its scene."""
         names = dict.fromkeys(self.results.scenes, scene)
         everything = None if self.all_results is None else with_scenes(self.all_results, names)
         return replace(self, results=with_scenes(self.results, names), all_results=everything)
@@ -295,7 +295,7 @@ def read_run(root: Path) -> MeasuredRun:
 
 
 def _left_out(run: MeasuredRun) -> set[str]:
-    """Methods that were never scored and do not have every frame: unfinished, partial, or refused in a view."""
+    """Return the methods that were never scored and do not have every frame: unfinished, partial, or refused in a view."""
     unscored = [label for label in run.folder.labels() if label not in run.labels]
     if not unscored:
         return set()
@@ -328,13 +328,13 @@ def read_scores(root: Path) -> MeasuredRun:
 
 
 def name_scenes(runs: Sequence[MeasuredRun]) -> list[MeasuredRun]:
-    """The runs with one name for each scene that was captured, see `ggvs_eval.merged_results.tell_scenes_apart`."""
+    """Return the runs with one name for each scene that was captured, see `ggvs_eval.merged_results.tell_scenes_apart`."""
     told = tell_scenes_apart([run.results for run in runs])
     return [run.called(", ".join(results.scenes)) for run, results in zip(runs, told, strict=True)]
 
 
 def find_replicas(labels: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Label of a fitted method -> labels of the same method by other seeds.
+    """Return the label of a fitted method -> labels of the same method by other seeds.
 
     Examples:
         >>> find_replicas(["ours", "4dgs", "4dgs+seed=1", "4dgs+motion=linear+seed=1"])
@@ -349,7 +349,7 @@ def find_replicas(labels: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def distinct_names(roots: Sequence[Path]) -> list[str]:
-    """Names of folders by the ends of their paths, as long as needed to distinguish all.
+    """Return the names of folders by the ends of their paths, as long as needed to distinguish all.
 
     Examples:
         >>> distinct_names([Path("a/run"), Path("b/run"), Path("b/other")])

@@ -154,7 +154,7 @@ class Table:
 
 
 def join_tables(tables: Sequence[Table], names: Sequence[str]) -> tuple[Table, ...]:
-    """One table per data set with these columns alone, in this order, from any tables.
+    """Return one table per data set with these columns alone, in this order, from any tables.
 
     Args:
         tables: whose columns are metrics.
@@ -167,7 +167,7 @@ def join_tables(tables: Sequence[Table], names: Sequence[str]) -> tuple[Table, .
 
 
 def _joined(tables: Sequence[Table], names: Sequence[str]) -> Table:
-    """Tables of one data set as one; a row that lacks a column has a dash there."""
+    """Return the tables of one data set as one; a row that lacks a column has a dash there."""
     places = [(table, at) for name in names for table in tables for at, column in enumerate(table.columns) if column.name == name]
     kinds = {row.name: (row.kind, row.label) for table in tables for row in table.rows}
     cells = {(table.key, row.name): row.cells for table in tables for row in table.rows}
@@ -187,7 +187,7 @@ def _cell_at(cells: Sequence[Cell] | None, at: int) -> Cell:
 
 
 def measured_cell(value: float | None, reason: str, interval: Interval | None = None, decimals: int | None = None) -> Cell:
-    """A cell with a rounded value and its interval if there is one, or with the reason for its absence."""
+    """Return a cell with a rounded value and its interval if there is one, or with the reason for its absence."""
     if value is None or math.isnan(value):
         return Cell(f"not computed: {reason}")
     if interval is None:
@@ -205,7 +205,7 @@ def format_value(value: float, decimals: int | None = None) -> str:
 
 
 def signed(value: float, decimals: int | None = None) -> str:
-    """A difference with its sign, rounded as `format_value` does.
+    """Return a difference with its sign, rounded as `format_value` does.
 
     Examples:
         >>> signed(0.25, 2), signed(-0.25, 2), signed(0.0, 2)
@@ -215,12 +215,12 @@ def signed(value: float, decimals: int | None = None) -> str:
 
 
 def spread_text(value: float, half_width: float, decimals: int | None = None, is_short: bool = False) -> str:
-    """An interval behind its value, ``± 0.21``, marked where the clip is too short for it."""
+    """Return an interval behind its value, ``± 0.21``, marked where the clip is too short for it."""
     return f"± {format_half_width(value, half_width, decimals)}{SHORT if is_short else ''}"
 
 
 def format_half_width(value: float, half_width: float, decimals: int | None = None) -> str:
-    """Half the width of an interval to the digits of its value, or to its first digit where that would print 0."""
+    """Return half the width of an interval to the digits of its value, or to its first digit where that would print 0."""
     if half_width <= 0.0:
         return "0"
     decimals = _decimals(value, decimals)

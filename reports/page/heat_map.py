@@ -44,7 +44,7 @@ class HeatMap:
 
 
 def heat_maps(run: MeasuredRun) -> tuple[HeatMap, ...]:
-    """One per metric that has a finite value for any view and frame, in the order of the protocol."""
+    """Return one per metric that has a finite value for any view and frame, in the order of the protocol."""
     maps = (_heat_map(run, metric) for metric in run.metrics)
     return tuple(heat_map for heat_map in maps if heat_map)
 
@@ -70,7 +70,7 @@ def _rounded(value: float) -> float | None:
 
 
 def heat_colours(count: int = 64) -> Image8:
-    """Colours from the best to the worst value, (1, count, 3): cividis, which looks the same to colour-blind readers.
+    """Return the colours from the best to the worst value, (1, count, 3): cividis, which looks the same to colour-blind readers.
 
     Reading:
         Bright is worse, as in the error maps, whichever direction the metric has.

@@ -174,7 +174,7 @@ def render_page(
 
 
 def page_numbers(groups: Sequence[RunGroup], sweeps: Sequence[SweepSection]) -> dict[str, int]:
-    """Number of each method of a page by its name, the same on all tabs and in the figures next to the page."""
+    """Return the number of each method of a page by its name, the same on all tabs and in the figures next to the page."""
     sections = [section for group in groups for section in group.sections]
     rates = [*(panel for one in sections for panel in one.rate_panels), *(panel for one in sweeps for panel in one.rates)]
     names = [section.run.name(label) for section in sections for label in section.run.labels]
@@ -201,7 +201,7 @@ def _coded(text: str) -> str:
 
 
 def run_address(root: Path, folder: Path | None) -> str:
-    """A run folder as an address from a page; empty where the page loads nothing, or they are too far apart.
+    """Return a run folder as an address from a page; empty where the page loads nothing, or they are too far apart.
 
     A page is in its run folder, or in that of a run next to it; a longer address would reveal the machine that made it.
     """
@@ -249,7 +249,7 @@ def _groups(groups: Sequence[RunGroup], folder: Path | None, plot: dict[str, Any
 
 
 def _over_time(verdict: Verdict, group: RunGroup) -> QualityOverTime | None:
-    """The headline metric of a group over the time of a frame; None where fewer than two methods have both."""
+    """Return the headline metric of a group over the time of a frame; None where fewer than two methods have both."""
     if verdict.column is None:
         return None
     values = [(one.name, one.cell.value) for one in (*verdict.contenders, *verdict.parts) if one.cell.value is not None]
@@ -273,7 +273,7 @@ def _parts(group: RunGroup) -> list[Part]:
 
 
 def _tab_names(groups: Sequence[RunGroup]) -> list[str]:
-    """Name each run for the run selector: its title, with as much more as needed to distinguish all runs."""
+    """Return the name each run for the run selector: its title, with as much more as needed to distinguish all runs."""
     runs = [(group, section.run) for group in groups for section in group.sections]
     names = [
         [run.title for _, run in runs],
@@ -285,13 +285,13 @@ def _tab_names(groups: Sequence[RunGroup]) -> list[str]:
 
 
 def _addresses(names: Sequence[str]) -> list[str]:
-    """The same in words of an address, no two alike."""
+    """Return the same in words of an address, no two alike."""
     slugs = [re.sub(r"[^\w.-]+", "-", name.lower()).strip("-") for name in names]
     return [slug if slug and slugs.count(slug) == 1 else f"{slug}-{at}".strip("-") for at, slug in enumerate(slugs)]
 
 
 def _without_empty_rows(table: Table) -> Table:
-    """The paper's rows, and those of ours that hold a number."""
+    """Return the paper's rows, and those of ours that hold a number."""
     return replace(
         table, rows=tuple(row for row in table.rows if row.is_grey or any(cell.value is not None for cell in row.cells))
     )
@@ -421,7 +421,7 @@ def _strip_picture(slices: Slices, strip: Strip) -> dict[str, Any]:
 
 
 def _sample_texts(slices: Slices, at: int) -> tuple[str, str]:
-    """Number of a sample of a slice, and its time in seconds where that is known."""
+    """Return the number of a sample of a slice, and its time in seconds where that is known."""
     return str(slices.first + at), f"{at / slices.fps:.2f} s" if slices.fps else ""
 
 

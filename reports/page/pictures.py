@@ -50,13 +50,13 @@ POSES_AT_MOST = 480  # over all methods; the browser decodes each of them for on
 
 
 def diagnostics_label(run: MeasuredRun) -> str | None:
-    """First method with diagnostics, ours before its variants; None where none has any."""
+    """Return the first method with diagnostics, ours before its variants; None where none has any."""
     first = run.protocol.views.test[0]
     return next((label for label in run.ours_first if (run.folder.renders(label, first) / DIAGNOSTICS).is_dir()), None)
 
 
 def diagnostics_folders(frames: Path, label: str, indices: range) -> Iterator[tuple[str, Path]]:
-    """Key and folder of each kind of picture that is there for every frame."""
+    """Yield the key and folder of each kind of picture that is there for every frame."""
     for name in MEANINGS:
         folder = frames / DIAGNOSTICS / name
         if folder.is_dir() and not missing_frames(folder, indices):
@@ -64,7 +64,7 @@ def diagnostics_folders(frames: Path, label: str, indices: range) -> Iterator[tu
 
 
 def diagnostics_name(run: MeasuredRun, key: str) -> str:
-    """Name a picture: of a method, of the truth, or of a method's diagnostics."""
+    """Return the name a picture: of a method, of the truth, or of a method's diagnostics."""
     label, _, name = key.partition("/")
     return f"{run.name(label)}: {MEANINGS[name][0]}" if name else run.name(label)
 
@@ -128,7 +128,7 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
 
 
 def _fit(run: MeasuredRun, samples: list[Image8], byte_budget: int) -> tuple[int, int]:
-    """Frames that are shown, every Nth, and their width in pixels: all of them, unless fewer are clearer."""
+    """Return the frames that are shown, every Nth, and their width in pixels: all of them, unless fewer are clearer."""
     n_pictures = len(run.protocol.views.test) * (1 + len(run.pictured))
     stride = math.ceil(len(run.frames) * n_pictures / FRAMES_AT_MOST)
     while True:
@@ -139,7 +139,7 @@ def _fit(run: MeasuredRun, samples: list[Image8], byte_budget: int) -> tuple[int
 
 
 def _diagnostics(run: MeasuredRun) -> dict[str, dict[str, Path]]:
-    """View -> key -> folder of a method's diagnostics, the same keys for every view."""
+    """Return the view -> key -> folder of a method's diagnostics, the same keys for every view."""
     label = diagnostics_label(run)
     folders_of = {
         view: {} if label is None else dict(diagnostics_folders(run.folder.renders(label, view), label, run.frames))
@@ -152,7 +152,7 @@ def _diagnostics(run: MeasuredRun) -> dict[str, dict[str, Path]]:
 def _compress_frames(
     run: MeasuredRun, diagnostics: dict[str, dict[str, Path]], width: int, instant: tuple[str, int]
 ) -> dict[str, tuple[str, str]]:
-    """Key -> compressed picture and error map of one view and frame; only methods have errors."""
+    """Return the key -> compressed picture and error map of one view and frame; only methods have errors."""
     view, frame = instant
     files = {key: frame_path(folder, frame) for key, folder in run.frame_folders(view).items()}
     truth = read_image(files["truth"])
@@ -184,17 +184,17 @@ def error_map(rendered: Image8, truth: Image8, file: Path) -> Image8:
 
 
 def error_scale(width: int = 256) -> Image8:
-    """The colours of `error_map` from 0 to its full scale, (1, width, 3)."""
+    """Return the colours of `error_map` from 0 to its full scale, (1, width, 3)."""
     return _magma(np.linspace(0, 255, width).round().astype(np.uint8)[None])
 
 
 def _magma(values: NDArray[np.uint8]) -> Image8:
-    """Colours of 8-bit values, (H, W) -> (H, W, 3)."""
+    """Return the colours of 8-bit values, (H, W) -> (H, W, 3)."""
     return np.ascontiguousarray(cv2.applyColorMap(values, cv2.COLORMAP_MAGMA)[..., ::-1], dtype=np.uint8)
 
 
 def _middle_frames(run: MeasuredRun) -> list[Image8]:
-    """The middle frame of the first views and methods, to try widths on."""
+    """Return the middle frame of the first views and methods, to try widths on."""
     frame = run.frames[len(run.frames) // 2]
     folders = [folder for view in run.protocol.views.test for folder in run.frame_folders(view).values()]
     return [read_image(frame_path(folder, frame)) for folder in folders[:24]]
@@ -255,7 +255,7 @@ def _encode(run: MeasuredRun, views: tuple[str, ...], width: int, fps: float, ke
 
 
 def _pictures(folders: list[Path], frames: range, width: int) -> Iterator[Image8]:
-    """Frames of folder after folder, reduced, a last odd row or column cut off (4:2:0 wants even sizes)."""
+    """Yield the frames of folder after folder, reduced, a last odd row or column cut off (4:2:0 wants even sizes)."""
     for folder in folders:
         for frame in frames[:VIDEO_FRAMES_AT_MOST]:
             image = shrink(read_image(frame_path(folder, frame)), width)
@@ -334,7 +334,7 @@ def _frame_pixels(run: MeasuredRun) -> int:
 
 
 def _n_frames(run: MeasuredRun) -> int:
-    """Frames of the truth and of all methods."""
+    """Return the frames of the truth and of all methods."""
     return len(run.frames) * len(run.protocol.views.test) * (1 + len(run.pictured))
 
 
@@ -349,12 +349,12 @@ def webp_bytes(image: Image8) -> bytes:
 
 
 def webp_uri(image: Image8) -> str:
-    """An RGB image as the address of a WebP picture."""
+    """Return an RGB image as the address of a WebP picture."""
     return "data:image/webp;base64," + base64.b64encode(webp_bytes(image)).decode("ascii")
 
 
 def png_uri(image: Image8) -> str:
-    """An RGB image as the address of a PNG picture, lossless."""
+    """Return an RGB image as the address of a PNG picture, lossless."""
     _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     return "data:image/png;base64," + base64.b64encode(np.asarray(encoded).tobytes()).decode("ascii")
 
@@ -368,7 +368,7 @@ def shrink(image: Image8, width: int) -> Image8:
 
 
 def fitting_width(samples: Sequence[Image8], bytes_each: float) -> int:
-    """The largest width, at most the samples' own, at which they take at most N bytes on average.
+    """Return the largest width, at most the samples' own, at which they take at most N bytes on average.
 
     Args:
         bytes_each: what one may take as WebP, before base64; the narrowest width of `WEBP_WIDTHS` is taken where nothing fits.

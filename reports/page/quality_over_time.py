@@ -48,14 +48,14 @@ class QualityOverTime:
     untimed: tuple[str, ...]
 
     def time_ticks(self) -> list[tuple[float, str]]:
-        """Places and texts of the horizontal axis: 1, 2, 5, 10, ... within it, milliseconds."""
+        """Return the places and texts of the horizontal axis: 1, 2, 5, 10, ... within it, milliseconds."""
         low, high = self.axes.bounds[:2]
         times = (digit * 10.0**power for power in range(math.floor(low), math.ceil(high) + 1) for digit in (1, 2, 5))
         return [(self.axes.x(math.log10(time)), f"{time:g}") for time in times if low <= math.log10(time) <= high]
 
 
 def quality_over_time(column: Column, values: Sequence[tuple[str, float]], timings: Sequence[Table]) -> QualityOverTime | None:
-    """Place each method that has a value and a time; None where fewer than two do.
+    """Return the place each method that has a value and a time; None where fewer than two do.
 
     Args:
         column: the metric.
@@ -82,7 +82,7 @@ def quality_over_time(column: Column, values: Sequence[tuple[str, float]], timin
 
 
 def _mean_time(name: str, timings: Sequence[Table]) -> float | None:
-    """Milliseconds of a frame of a method, the mean over runs; None where none was recorded."""
+    """Return the milliseconds of a frame of a method, the mean over runs; None where none was recorded."""
     found = [
         cell.value
         for table in timings

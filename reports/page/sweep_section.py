@@ -74,7 +74,7 @@ def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: boo
 
 
 def sweep_rates(sweep: Path) -> tuple[RatePanel, ...]:
-    """Quality on the screen over pictures per second, of the runs of a sweep on one capture that have a stream."""
+    """Return the quality on the screen over pictures per second, of the runs of a sweep on one capture that have a stream."""
     streamed = [run for run in sweep_runs(sweep) if RunFolder(run).stream_record.is_file()]
     return rate_panels([read_scores(run) for run in streamed]) if len({run.parent for run in streamed}) == 1 else ()
 
@@ -102,7 +102,7 @@ def _table(sweep: Path, notes: Mapping[str, MetricNote], caption: str) -> Table:
 
 
 def _level_words(level: str) -> str:
-    """A variant over K as a reader knows it, ``K = 2`` of ``k2``; anything else as it is."""
+    """Return a variant over K as a reader knows it, ``K = 2`` of ``k2``; anything else as it is."""
     return re.sub(r"^k(\d+)$", r"K = \1", level)
 
 
@@ -120,7 +120,7 @@ def _cell(value: float, note: MetricNote | None) -> Cell:
 
 
 def _panel(over_k: pd.DataFrame, metric: str, notes: Mapping[str, MetricNote]) -> Panel:
-    """One metric over K, a curve per method; time begins at 0."""
+    """Return one metric over K, a curve per method; time begins at 0."""
     column = _column(metric, notes)
     curves = []
     for method in dict.fromkeys(over_k.index.get_level_values("method")):

@@ -83,7 +83,7 @@ class Difference:
 
 
 def method_sides(run: Path, first: str, second: str) -> tuple[Side, Side]:
-    """Two methods of one run."""
+    """Return two methods of one run."""
     results = Results.read(run)
     names = read_json(run / METHODS_FILE)["names"]
     for label in (first, second):
@@ -96,7 +96,7 @@ def method_sides(run: Path, first: str, second: str) -> tuple[Side, Side]:
 
 
 def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
-    """Every method that two runs share.
+    """Return every method that two runs share.
 
     Raises:
         ResultsError: not scored runs, different protocols or captured frames, or no method in common.
@@ -114,7 +114,7 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
 
 
 def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
-    """Every metric that both have: over all views, and below it in each view.
+    """Return every metric that both have: over all views, and below it in each view.
 
     Args:
         other: the second.
@@ -145,7 +145,7 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
 
 
 def _no_bolder(comparison: Comparison, judgement: Judgement, labels: Sequence[str]) -> Comparison:
-    """The comparison of two methods; where either is the best of its table, by no smaller a p value than there."""
+    """Return the comparison of two methods; where either is the best of its table, by no smaller a p value than there."""
     found = next((judgement.comparisons.get(label) for label in labels if label != judgement.best), None)
     if judgement.best not in labels or found is None or comparison.outcome not in ("better", "worse"):
         return comparison
@@ -155,7 +155,7 @@ def _no_bolder(comparison: Comparison, judgement: Judgement, labels: Sequence[st
 
 
 def _per_view(both: Results, dataset: str, note: MetricNote, set_aside: str) -> list[Difference]:
-    """The same in each test view alone; nothing for what belongs to the whole rig or to the camera path."""
+    """Return the same in each test view alone; nothing for what belongs to the whole rig or to the camera path."""
     means = both.per_view(note.name)
     test_views = both.protocol_values.get("views", {}).get("test", means.columns)
     compared = {
@@ -169,7 +169,7 @@ def _per_view(both: Results, dataset: str, note: MetricNote, set_aside: str) -> 
 
 
 def _view_alone(both: Results, view: str) -> Results:
-    """The values of one view as if it were the whole rig, so that what is drawn anew is time alone."""
+    """Return the values of one view as if it were the whole rig, so that what is drawn anew is time alone."""
     return replace(both, table=both.table[both.table["view"] == view].assign(view=None))
 
 
@@ -245,7 +245,7 @@ def differences_text(differences: Sequence[Difference]) -> str:
 
 
 def differences_csv(differences: Mapping[str, Sequence[Difference]]) -> str:
-    """One line per pair of methods, metric and view, numbers unrounded."""
+    """Return one line per pair of methods, metric and view, numbers unrounded."""
     rows: list[list[object]] = []
     for name, one in ((name, one) for name, several in differences.items() for one in several):
         bounds = [

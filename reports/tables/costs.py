@@ -68,7 +68,7 @@ UNKNOWN_DIFFERENCE = "unknown: others made it"
 
 
 def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
-    """Label -> cost of its fits, one record per fold; of fitted methods alone."""
+    """Return the label -> cost of its fits, one record per fold; of fitted methods alone."""
     records: dict[str, list[dict[str, Any]]] = {}
     for label in run.labels:
         fits = [record["fit"] for record in render_records(run, label) if "fit" in record]
@@ -85,7 +85,7 @@ def cost_tables(run: MeasuredRun) -> tuple[Table, ...]:
 
 
 def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> Table | None:
-    """A column per cost that any method has; None where others made all frames."""
+    """Return a column per cost that any method has; None where others made all frames."""
     n_cameras = len(run.folder.capture_record().get("cameras", ()))
     ahead = read_json(run.folder.root / METHODS_FILE).get("look_ahead", ())
     lines = {
@@ -108,7 +108,7 @@ def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> T
 
 
 def _fit_cells(run: MeasuredRun, label: str, fits: Sequence[dict[str, Any]], n_cameras: int) -> tuple[Cell, ...]:
-    """Cells of `COST_COLUMNS` of a fitted method."""
+    """Return the cells of `COST_COLUMNS` of a fitted method."""
     counts = sorted({fit["cameras"] for fit in fits})
     span = f"to {counts[-1]} of {n_cameras}" if len(counts) > 1 else f"of {n_cameras}"
     machines = dict.fromkeys(f"{fit['threads']} thread{'s' * (fit['threads'] > 1)}, {fit['machine']}" for fit in fits)
@@ -129,7 +129,7 @@ def _fit_cells(run: MeasuredRun, label: str, fits: Sequence[dict[str, Any]], n_c
 
 
 def _other_cells(run: MeasuredRun, label: str, n_cameras: int, ahead: Collection[str]) -> tuple[Cell, ...]:
-    """The same of a method that renders each instant from its sources; of what others made that is unknown."""
+    """Return the same of a method that renders each instant from its sources; of what others made that is unknown."""
     records = render_records(run, label)
     is_known, not_fitted = bool(records) and "splats" not in records[0].get("identity", {}), Cell(NOT_FITTED)
     if not is_known:
@@ -155,7 +155,7 @@ def _number_cell(value: float) -> Cell:
 
 
 def fit_seconds(fits: Sequence[dict[str, Any]]) -> float:
-    """Seconds of a fit, the mean over its folds."""
+    """Return the seconds of a fit, the mean over its folds."""
     return float(sum(fit["seconds"] for fit in fits) / len(fits))
 
 
@@ -167,7 +167,7 @@ def _rendering_cell(run: MeasuredRun, label: str) -> Cell:
 
 
 def _seed_table(run: MeasuredRun) -> Table | None:
-    """Largest minus smallest number over the seeds of a fit; None where every method has one seed."""
+    """Return the largest minus smallest number over the seeds of a fit; None where every method has one seed."""
     if run.all_results is None:
         return None
     summary = run.all_results.summary().droplevel("dataset")
@@ -218,7 +218,7 @@ def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, 
 
 
 def difference_cell(note: MetricNote, comparison: Comparison | None, why_absent: str = "") -> Cell:
-    """A decided difference with its interval and what may be said of it, or why there is none."""
+    """Return a decided difference with its interval and what may be said of it, or why there is none."""
     if comparison is None or comparison.difference != comparison.difference:
         return Cell("not computed", note=why_absent or "no value")
     value, text = comparison.difference, signed(comparison.difference, note.decimals)
@@ -243,13 +243,13 @@ def budget_tables(run: MeasuredRun) -> tuple[Table, ...]:
 
 
 def _against(run: MeasuredRun, reference: str, labels: Collection[str]) -> dict[str, Comparison]:
-    """Methods judged against one of them in PSNR."""
+    """Return the methods judged against one of them in PSNR."""
     note, dataset = run.metrics["PSNR"], str(run.results.table["dataset"].iloc[0])
     return judge_against(run.results, note.name, note.higher_is_better, dataset, reference, labels)
 
 
 def _equal_quality(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db: Mapping[str, float]) -> Table | None:
-    """Seconds of fitting at which a method first reaches what others have without any, on held-out views.
+    """Return the seconds of fitting at which a method first reaches what others have without any, on held-out views.
 
     Reading:
         A fit's own curve is of its training images, and held-out views shown to it on the way would be a leak. So the curve is
@@ -283,7 +283,7 @@ def _reached(outcome: Outcome, ahead_db: float) -> Outcome:
 
 
 def _crossing(points: Sequence[tuple[float, float, Outcome]]) -> Cell:
-    """The first of some (seconds, dB, outcome against a target), rising in seconds, that is not worse than the target.
+    """Return the first of some (seconds, dB, outcome against a target), rising in seconds, that is not worse than the target.
 
     The cell is a bound, as the truth is between two points.
     """
@@ -299,7 +299,7 @@ def _crossing(points: Sequence[tuple[float, float, Outcome]]) -> Cell:
 
 
 def _winners(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db: Mapping[str, float]) -> Table | None:
-    """The best PSNR that a budget of seconds buys; a line for each budget from which another method is best.
+    """Return the best PSNR that a budget of seconds buys; a line for each budget from which another method is best.
 
     Reading:
         A method that needs no fit costs nothing here, as depth is left out for all. A dearer fit becomes the best only where it

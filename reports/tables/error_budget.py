@@ -76,7 +76,7 @@ GRADES = ("good", "fair", "poor")
 
 
 def decomposition_table(run: MeasuredRun) -> Table | None:
-    """The table of one run; None where it has a single view or frame, or no L1."""
+    """Return the table of one run; None where it has a single view or frame, or no L1."""
     if run.protocol.frames.count < 2 or len(run.protocol.views.test) < 2 or METRIC not in set(run.results.table["metric"]):
         return None
     rows = [run.row(label, _variance_cells(run, label)) for label in run.labels]
@@ -193,7 +193,7 @@ def _quadratics(size: tuple[int, int]) -> Array:
 
 
 def _misplaced(image: Array32, truth: Image8, coverage: Map, width: int) -> float:
-    """Mean squared error that goes where windows of an image move, and the move halves the window's error.
+    """Return the mean squared error that goes where windows of an image move, and the move halves the window's error.
 
     Args:
         image: without its wide error, (H, W, 3).
@@ -220,7 +220,7 @@ def _misplaced(image: Array32, truth: Image8, coverage: Map, width: int) -> floa
 
 
 def budget_table(run: MeasuredRun) -> Table | None:
-    """A row per method, and one per view of the one that the page shows first; None where there are no pictures."""
+    """Return a row per method, and one per view of the one that the page shows first; None where there are no pictures."""
     if not run.pictured:
         return None
     shown = run.ours_first[0]
@@ -235,7 +235,7 @@ def budget_table(run: MeasuredRun) -> Table | None:
 
 
 def _budgets(run: MeasuredRun, instant: tuple[str, int]) -> dict[str, ErrorBudget]:
-    """Label -> budget of one frame of one view."""
+    """Return the label -> budget of one frame of one view."""
     view, frame = instant
     folders, masks = run.frame_folders(view), run.folder.disoccluded(view)
     truth = read_image(frame_path(folders.pop("truth"), frame))
@@ -245,7 +245,7 @@ def _budgets(run: MeasuredRun, instant: tuple[str, int]) -> dict[str, ErrorBudge
 
 
 def _share_cells(budgets: Sequence[ErrorBudget]) -> tuple[Cell, ...]:
-    """Mean of the squared errors, and shares of it."""
+    """Return the mean of the squared errors, and shares of it."""
     total = float(np.mean([each.total for each in budgets]))
     told = [each.unseen for each in budgets if each.unseen is not None]
     unseen = _share(float(np.mean(told)), total) if len(told) == len(budgets) else NOT_TOLD
@@ -275,7 +275,7 @@ class Condition(NamedTuple):
 def describe_absolute(
     name: str, cell: Cell, column: Column, table: Table, budgets: Sequence[Table], runs: Sequence[MeasuredRun] = ()
 ) -> str:
-    """A few sentences on a method's number alone; empty if there is nothing to compare with.
+    """Return a few sentences on a method's number alone; empty if there is nothing to compare with.
 
     Args:
         table: the main table, whose grey rows have the ceilings of the capture and values published of the same data set.
@@ -345,7 +345,7 @@ def _agreeing_shares(run: MeasuredRun) -> list[float]:
 
 
 def largest_cause(name: str, budgets: Sequence[Table]) -> str:
-    """The largest part of a method's squared error, in words; empty where no error was taken apart."""
+    """Return the largest part of a method's squared error, in words; empty where no error was taken apart."""
     rows = [(budget, row) for budget in budgets if budget.key == BUDGET_KEY for row in budget.rows if row.name == name]
     if not rows:
         return ""

@@ -39,7 +39,7 @@ MEAN = "mean of"  # what the scene of a published value begins with where it is 
 
 @cache
 def read_published(name: str) -> dict[str, dict[str, dict[str, str]]]:
-    """One of the paper's tables.
+    """Return one of the paper's tables.
 
     Args:
         name: ``quality``, ``consistency``, ``ablation`` or ``timing``.
@@ -55,17 +55,17 @@ def read_published(name: str) -> dict[str, dict[str, dict[str, str]]]:
 
 
 def is_higher_better(metric: str) -> bool:
-    """Direction of one of the paper's metrics."""
+    """Return the direction of one of the paper's metrics."""
     return metric in HIGHER_IS_BETTER
 
 
 def paper_dataset(name: str) -> str:
-    """The paper's own name of a data set; empty where it has none of that name."""
+    """Return the paper's own name of a data set; empty where it has none of that name."""
     return next((dataset for dataset in read_published("quality") if dataset.lower() == name.lower()), "")
 
 
 def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row, ...]:
-    """The paper's rows for one dataset, shown in grey below what was measured on its terms, see `why_not_beside`."""
+    """Return the paper's rows for one dataset, shown in grey below what was measured on its terms, see `why_not_beside`."""
     methods = read_published(name).get(paper_dataset(dataset), {})
     return tuple(
         Row(f"{method}{PAPER}", tuple(published_cell(values.get(metric)) for metric in metrics), "published")
@@ -74,7 +74,7 @@ def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row
 
 
 def published_cell(text: str | None) -> Cell:
-    """A published value with its own digits, or the word that there is none."""
+    """Return a published value with its own digits, or the word that there is none."""
     return Cell("not reported") if text is None else Cell(text, float(text))
 
 
@@ -118,7 +118,7 @@ def published_terms() -> dict[str, PublishedTerms]:
 
 @cache
 def published_values() -> tuple[PublishedValue, ...]:
-    """All values, in the order of the file."""
+    """Return all values, in the order of the file."""
     return tuple(PublishedValue(**line) for line in _read("community"))
 
 
@@ -186,7 +186,7 @@ def _difference(protocol: Protocol, scenes: Collection[str]) -> str:
 
 
 def _terms(protocol: Protocol) -> Protocol:
-    """The protocol without what moves no value of a metric: which others there are, and which sources are chosen."""
+    """Return the protocol without what moves no value of a metric: which others there are, and which sources are chosen."""
     synthesis = replace(protocol.synthesis, k=1, sources=Synthesis.sources)
     measurement = replace(protocol.measurement, metrics=(), ceilings=Measurement.ceilings)
     return replace(protocol, synthesis=synthesis, measurement=measurement)
@@ -251,7 +251,7 @@ class PaperTerms:
 
 
 def read_terms(dataset: str) -> PaperTerms:
-    """The terms of one of the paper's data sets, see ``data/protocol.csv``."""
+    """Return the terms of one of the paper's data sets, see ``data/protocol.csv``."""
     published = read_published("protocol")
     values = published["all"]["protocol"] | published[dataset]["protocol"]
     width, height = int(values["render_width"]), int(values["render_height"])
@@ -305,7 +305,7 @@ class NotComparable:
 
 
 def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> ComparableRuns | NotComparable:
-    """The runs that can be checked against one of the paper's data sets.
+    """Return the runs that can be checked against one of the paper's data sets.
 
     Reading:
         Test views are not compared by name, for the paper gives their number alone. Where it names scenes, all of them are
@@ -343,7 +343,7 @@ def _departures(terms: PaperTerms, run: MeasuredRun) -> str:
 
 
 def _what_instead(runs: Sequence[MeasuredRun]) -> str:
-    """Name what the runs are of instead of the paper's data sets."""
+    """Return the name what the runs are of instead of the paper's data sets."""
     names = dict.fromkeys(_name(run) + (", a demo capture" if run.is_demo else "") for run in runs)
     return f"this report is of {'; '.join(names)}, none of the paper's data sets"
 

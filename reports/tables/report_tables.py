@@ -43,7 +43,7 @@ ALONG_PATH = "path"  # table whose reference row is the captured images
 
 
 def main_tables(runs: Sequence[MeasuredRun], results: Results, columns: Sequence[str] = ()) -> tuple[Table, ...]:
-    """Quality and consistency per dataset: means over frames, then views, then scenes.
+    """Return the quality and consistency per dataset: means over frames, then views, then scenes.
 
     Args:
         runs: at least one, all under one protocol.
@@ -107,7 +107,7 @@ def _published(key: str, dataset: str, metrics: Sequence[str], runs: Sequence[Me
 
 
 def view_tables(run: MeasuredRun) -> tuple[Table, ...]:
-    """One table per metric that has a value in each view: mean over frames, one column per view."""
+    """Return one table per metric that has a value in each view: mean over frames, one column per view."""
     tables = []
     for metric in run.metrics:
         values = run.results.per_view(metric)
@@ -124,12 +124,12 @@ def view_tables(run: MeasuredRun) -> tuple[Table, ...]:
 
 
 def metric_column(note: MetricNote) -> Column:
-    """Head of a column that holds one metric."""
+    """Return the head of a column that holds one metric."""
     return Column(note.name, note.unit, note.higher_is_better, note.describe)
 
 
 def row_labels(runs: Sequence[MeasuredRun], values: pd.DataFrame) -> list[str]:
-    """Labels of the rows of a table: the runs' methods in their order, then what else has values."""
+    """Return the labels of the rows of a table: the runs' methods in their order, then what else has values."""
     measured = [label_of(method, variant) for method, variant in values.index]
     return list(dict.fromkeys([label for run in runs for label in run.labels] + measured))
 
@@ -142,7 +142,7 @@ def measured_rows(
     results: Results,
     judgements: Mapping[str, Judgement] | None = None,
 ) -> tuple[Row, ...]:
-    """A row per method, in the order of the runs' methods.
+    """Return a row per method, in the order of the runs' methods.
 
     Args:
         values: rows (method, variant).
@@ -208,7 +208,7 @@ def _instants(protocol: Protocol) -> str:
 
 
 def _sources(runs: Sequence[MeasuredRun], names: Mapping[str, str]) -> str:
-    """Number of source views of those methods of which it is known; empty where it is of none."""
+    """Return the number of source views of those methods of which it is known; empty where it is of none."""
     known = set().union(*(run.from_sources for run in runs))
     others = [name for label, name in names.items() if label not in known]
     if len(others) == len(names):
@@ -256,7 +256,7 @@ def _fewer_frames(results: Results, metrics: Sequence[str], protocol: Protocol) 
 
 
 def _versions(results: Results) -> list[str]:
-    """Name the packages of which more than one version made these values."""
+    """Return the name the packages of which more than one version made these values."""
     versions = results.versions
     mixed = [f"{name} {version}" for name, version in versions.items() if BETWEEN in version and name != OWN_PACKAGE]
     return [f"Values were computed by several versions: {', '.join(mixed)}."] if mixed else []

@@ -97,7 +97,7 @@ class PaperMethod:
     weights: str
 
     def find_label(self, run: MeasuredRun) -> str | None:
-        """Label under which a run has it: ours, or frames that others rendered and called by either name."""
+        """Return the label under which a run has it: ours, or frames that others rendered and called by either name."""
         names = {self.name.lower(), self.label.lower()}
         fitting = (label for label in run.labels if {label.lower(), run.name(label).lower()} & names)
         return next(fitting, None)
@@ -218,7 +218,7 @@ def _remark(missing: NotComparable, method: PaperMethod, metric: str) -> str:
 
 @cache
 def paper_methods() -> dict[str, PaperMethod]:
-    """The methods of the paper's tables by their name there."""
+    """Return the methods of the paper's tables by their name there."""
     text = (resources.files("ggvs_eval.reports.tables") / "data" / "paper_methods.csv").read_text(encoding="utf-8")
     lines = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     return {line["method"]: PaperMethod(line["method"], line["label"], line["weights"]) for line in lines}
@@ -264,7 +264,7 @@ def _line(entries: Sequence[Reproduction]) -> Line:
 
 
 def blocks(entries: Sequence[Reproduction]) -> tuple[Block, ...]:
-    """The values by table and data set, in the order of the paper."""
+    """Return the values by table and data set, in the order of the paper."""
     by_table: dict[tuple[str, str], list[Reproduction]] = {}
     for entry in entries:
         by_table.setdefault((entry.table, entry.dataset), []).append(entry)
@@ -287,7 +287,7 @@ def reproduction_markdown(entries: Sequence[Reproduction]) -> str:
 
 
 def reproduction_csv(entries: Sequence[Reproduction]) -> str:
-    """One line per value; ours, its bounds and its difference unrounded, and empty where nothing was measured."""
+    """Return one line per value; ours, its bounds and its difference unrounded, and empty where nothing was measured."""
     rows = []
     for entry in entries:
         ours = entry.ours
@@ -304,7 +304,7 @@ def _words(title: str, line: Line) -> tuple[str, ...]:
 
 
 def paper_tables(entries: Sequence[Reproduction]) -> tuple[Table, ...]:
-    """One table per table of the paper and data set.
+    """Return one table per table of the paper and data set.
 
     Returns:
         Grey rows with the paper's values, shaded among themselves, the best bold as the paper prints them, each followed by a
@@ -332,7 +332,7 @@ def _table(entries: Sequence[Reproduction]) -> Table:
 
 
 def _best(rows: Sequence[Row], at: int, column: Column) -> set[str]:
-    """Methods of the best published value, which has no interval; none where all are the same."""
+    """Return the methods of the best published value, which has no interval; none where all are the same."""
     values = {row.label: value for row in rows if (value := row.cells[at].value) is not None}
     top = (max if column.higher_is_better else min)(values.values(), default=None)
     best = {label for label, value in values.items() if value == top}
@@ -340,7 +340,7 @@ def _best(rows: Sequence[Row], at: int, column: Column) -> set[str]:
 
 
 def _column(entry: Reproduction) -> Column:
-    """Head of a metric; times are not ranked, for each belongs to its machine."""
+    """Return the head of a metric; times are not ranked, for each belongs to its machine."""
     return Column(entry.metric, entry.unit, None if entry.table == TIMING else is_higher_better(entry.metric))
 
 

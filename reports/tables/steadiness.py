@@ -20,7 +20,7 @@ def steadiness_table(
     not_computed: Mapping[str, Mapping[str, str]],
     where: str,
 ) -> Table:
-    """One row per video, one column per metric; the sharpness follows the first value that blur would improve.
+    """Return one row per video, one column per metric; the sharpness follows the first value that blur would improve.
 
     Args:
         metrics: metric -> its note as JSON values.

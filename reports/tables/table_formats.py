@@ -75,7 +75,7 @@ def to_markdown(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
 
 
 def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], words: Collection[int] = (0,)) -> str:
-    """A table in GitHub's Markdown.
+    """Return a table in GitHub's Markdown.
 
     Args:
         rows: cells, one per head, in which nothing is escaped.
@@ -86,7 +86,7 @@ def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], words: C
 
 
 def to_csv(groups: Sequence[tuple[Protocol | None, Sequence[Table]]]) -> str:
-    """One line per cell, values and bounds unrounded; ``shown`` is what every other format prints.
+    """Return one line per cell, values and bounds unrounded; ``shown`` is what every other format prints.
 
     Args:
         groups: a protocol, or None, and the tables of what was measured under it; values of different protocols do not compare.
@@ -103,7 +103,7 @@ def to_csv(groups: Sequence[tuple[Protocol | None, Sequence[Table]]]) -> str:
 
 
 def csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    r"""Lines of CSV; a text that a spreadsheet would compute, as a method called ``=A1``, has an apostrophe before it.
+    r"""Return the lines of CSV; a text that a spreadsheet would compute, as a method called ``=A1``, has an apostrophe before it.
 
     Examples:
         >>> csv_text(["name", "shown"], [["=A1", "-0.5"]])
@@ -140,7 +140,7 @@ def to_latex(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
 
 
 def escape_latex(text: str) -> str:
-    """Text in which every character prints as itself."""
+    """Return the text in which every character prints as itself."""
     return "".join(LATEX_SPECIAL.get(character, character) for character in " ".join(text.split()))
 
 
@@ -218,7 +218,7 @@ def _title(table: Table) -> str:
 
 
 def _note(table: Table) -> str:
-    """Text below a table: its note, and the units, which papers leave out of the heads."""
+    """Return the text below a table: its note, and the units, which papers leave out of the heads."""
     by_unit: dict[str, list[str]] = {}
     for column in table.columns:
         by_unit.setdefault(column.unit, []).append(column.name)
@@ -236,7 +236,7 @@ def _markdown_text(row: Row, text: str) -> str:
 
 
 def escape_markdown(text: str) -> str:
-    """Text in which nothing is markup: no table bar, no emphasis, no tag."""
+    """Return the text in which nothing is markup: no table bar, no emphasis, no tag."""
     escaped = re.sub(r"([\\`*_|\[\]])", r"\\\1", " ".join(text.split()))
     return escaped.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
@@ -302,7 +302,7 @@ def _is_number(cell: Cell) -> bool:
 
 
 def _number_format(cell: Cell) -> str:
-    """The decimals, sign and words with which every other format shows the cell, and its interval."""
+    """Return the decimals, sign and words with which every other format shows the cell, and its interval."""
     decimals = len(cell.text.partition(".")[2])
     sign = cell.text[0] if cell.text[0] in "+−" else ""
     before = f"{cell.bound} {sign}" if cell.bound else sign
@@ -314,7 +314,7 @@ def _number_format(cell: Cell) -> str:
 
 
 def _sheet_name(title: str, taken: Sequence[str]) -> str:
-    """A name that Excel accepts and no other sheet has."""
+    """Return a name that Excel accepts and no other sheet has."""
     clean = re.sub(r"[\[\]:*?/\\']", "-", title).strip()[:LONGEST_NAME]
     count, name = 1, clean
     while name.lower() in {other.lower() for other in taken}:
@@ -332,7 +332,7 @@ def _take_text_literally(sheet: Any) -> None:
 
 
 def _without_dates(workbook: bytes) -> bytes:
-    """The same archive without the time at which it was written."""
+    """Return the same archive without the time at which it was written."""
     out = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(workbook)) as old, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new:
         for name in sorted(old.namelist()):

@@ -61,7 +61,7 @@ def render_records(run: MeasuredRun, label: str) -> list[dict[str, Any]]:
 
 
 def _stage_seconds(records: Sequence[dict[str, Any]], first: int) -> dict[str, list[float]]:
-    """Seconds of each stage and of their sum, frames `first`.. of all views in one list."""
+    """Return the seconds of each stage and of their sum, frames `first`.. of all views in one list."""
     stages: dict[str, list[float]] = {}
     for record in records:
         kept = {stage: values[first:] for stage, values in record.get("seconds", {}).items()}
@@ -109,7 +109,7 @@ TIMINGS = {
 
 
 def evaluate_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: float) -> tuple[Cell | None, str]:
-    """The time of a stage here and what it is against the paper's, or None and why there is none.
+    """Return the time of a stage here and what it is against the paper's, or None and why there is none.
 
     Reading:
         A time belongs to its machine: the paper's is a GPU that it does not name, ours is the machine of the run. So it is set
@@ -127,14 +127,14 @@ def evaluate_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: f
 
 
 def _stage_ms(run: MeasuredRun, label: str, stage: str) -> float | None:
-    """Median milliseconds of a stage of one method; None where none were recorded."""
+    """Return the median milliseconds of a stage of one method; None where none were recorded."""
     table = timing_table(run)
     column = next((at for at, column in enumerate(table.columns) if column.name == stage), None)
     return None if column is None or label not in run.labels else table.rows[run.labels.index(label)].cells[column].value
 
 
 def stream_table(run: MeasuredRun) -> Table | None:
-    """One row per method; None where the protocol has no stream, or nothing was scored under it."""
+    """Return one row per method; None where the protocol has no stream, or nothing was scored under it."""
     stream, file = run.protocol.stream, run.folder.stream_record
     if stream is None or not file.is_file():
         return None
@@ -211,7 +211,7 @@ def drift_table(run: MeasuredRun) -> Table | None:
 
 
 def _drift_series(run: MeasuredRun, metric: str, labels: Sequence[str]) -> dict[str, Array]:
-    """Label -> value of each frame, the mean over the views, of the methods that have one in every view and frame."""
+    """Return the label -> value of each frame, the mean over the views, of the methods that have one in every view and frame."""
     found = {}
     for label in labels:
         try:

@@ -66,7 +66,7 @@ def leaders(tables: Sequence[Table], metrics: Sequence[str] = HEADLINES) -> tupl
 
 
 def _leaders_of(table: Table) -> list[Leader]:
-    """One per column that ranks methods."""
+    """Return one per column that ranks methods."""
     rows = {row.label: row for row in table.rows if row.label}
     found = []
     for at, column in enumerate(table.columns):
@@ -204,7 +204,7 @@ def evaluate_verdict(
 
 
 def _set_aside(runs: Sequence[MeasuredRun], results: Results) -> tuple[list[str], list[str]]:
-    """Methods that are not ranked, in words, and what to do about each."""
+    """Return the methods that are not ranked, in words, and what to do about each."""
     names = {label: run.names.get(label, label) for run in runs for label in run.labels}
     here = {label: results.set_aside[label] for label in names if label in results.set_aside}
     faults = {one.label: one for one in reversed(results.faults) if one.is_certain}
@@ -261,7 +261,7 @@ def _words(
 
 
 def _interval(comparison: Comparison, higher_is_better: bool, decimals: int | None, unit: str) -> str:
-    """Bounds of the best method's margin."""
+    """Return the bounds of the best method's margin."""
     if comparison.low is None or comparison.high is None:
         return ""
     low, high = (-comparison.high, -comparison.low) if higher_is_better else (comparison.low, comparison.high)
@@ -284,6 +284,6 @@ class _Scale:
         return round(RIM + (100.0 - 2.0 * RIM) * ((value - self.low) / self.size if self.size else 0.5), 2)
 
     def span(self, cell: Cell) -> tuple[float, float] | None:
-        """Both ends of an interval."""
+        """Return both ends of an interval."""
         ends = self.at(cell.low), self.at(cell.high)
         return None if ends[0] is None or ends[1] is None else (ends[0], ends[1])

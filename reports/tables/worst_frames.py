@@ -17,7 +17,7 @@ Value = tuple[float, str, int]  # of a frame of a view
 
 
 def worst_frames_table(run: MeasuredRun) -> Table | None:
-    """Two columns for each metric of the paper's tables that has values per frame; None where there is none."""
+    """Return two columns for each metric of the paper's tables that has values per frame; None where there is none."""
     found = {metric: values for metric in HEADLINES if metric in run.metrics and (values := _values(run, metric))}
     if not found or len(run.frames) * len(run.protocol.views.test) < 2:
         return None
@@ -30,7 +30,7 @@ def worst_frames_table(run: MeasuredRun) -> Table | None:
 
 
 def _values(run: MeasuredRun, metric: str) -> dict[str, list[Value]]:
-    """Label -> its finite values per frame, of all views, the worst first."""
+    """Return the label -> its finite values per frame, of all views, the worst first."""
     values: dict[str, list[Value]] = {}
     for view in run.protocol.views.test:
         table = run.results.per_frame(metric, view)
@@ -53,7 +53,7 @@ def _columns(note: MetricNote) -> tuple[Column, Column]:
 
 
 def _cells(worst_first: list[Value], note: MetricNote) -> tuple[Cell, Cell]:
-    """The value of the frame at the percentile, no mean of two, and that of the worst frame."""
+    """Return the value of the frame at the percentile, no mean of two, and that of the worst frame."""
     if not worst_first:
         return Cell("no value per frame"), Cell("no value per frame")
     at = max(0, math.ceil(len(worst_first) * TAIL / 100) - 1)

@@ -65,7 +65,7 @@ class MvsNerf:
 
 
 def render_volume(networks: Networks, volume: Volume, target: Camera, rays_per_chunk: int) -> tuple[Tensor, Tensor]:
-    """RGB (H, W, 3) and depth (H, W) in world units, by N rays at once."""
+    """Return the RGB (H, W, 3) and depth (H, W) in world units, by N rays at once."""
     centre = torch.as_tensor(target.centre).float()
     rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()
     parts = [render_rays(networks.network_fn.nerf, volume, centre, chunk) for chunk in rays.split(rays_per_chunk)]
@@ -74,7 +74,7 @@ def render_volume(networks: Networks, volume: Volume, target: Camera, rays_per_c
 
 
 def render_rays(network: RadianceNetwork, volume: Volume, centre: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
-    """Colour and depth of rays.
+    """Return the colour and depth of rays.
 
     Args:
         network: the trained one.

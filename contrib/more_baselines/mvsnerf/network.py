@@ -62,7 +62,7 @@ class Convolution3d(nn.Module):
 
 
 def _enlarging(width_in: int, width: int) -> nn.Sequential:
-    """Transposed convolution to twice the size, normalised."""
+    """Return the transposed convolution to twice the size, normalised."""
     enlarged = nn.ConvTranspose3d(width_in, width, 3, stride=2, padding=1, output_padding=1, bias=False)
     return nn.Sequential(enlarged, Normalisation(width))
 
@@ -134,7 +134,7 @@ class RadianceNetwork(nn.Module):
         self.rgb_linear = nn.Linear(HIDDEN_WIDTH // 2, 3)
 
     def forward(self, places: Tensor, seen: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-        """Colour and density of each sample.
+        """Return the colour and density of each sample.
 
         Args:
             places: in the volume, its sides from 0 to 1, (N, 3).
@@ -156,7 +156,7 @@ class RadianceNetwork(nn.Module):
 
 
 def encode(places: Tensor) -> Tensor:
-    """Places, then their sines and cosines of ten octaves, (N, 3) to (N, 63)."""
+    """Return the places, then their sines and cosines of ten octaves, (N, 3) to (N, 63)."""
     waves = (places[:, None] * 2.0 ** torch.arange(OCTAVES)[:, None]).flatten(1)
     return torch.cat([places, waves.sin(), waves.cos()], dim=-1)
 
@@ -179,7 +179,7 @@ class Networks(nn.Module):
 
 
 def load_mvsnerf(path: Path) -> Networks:
-    """The networks of the authors' checkpoint, a dict with ``network_mvs_state_dict`` and ``network_fn_state_dict``.
+    """Return the networks of the authors' checkpoint, a dict with ``network_mvs_state_dict`` and ``network_fn_state_dict``.
 
     Raises:
         WeightsError: absent, damaged, more than tensors and numbers inside, or tensors of another network.

@@ -46,14 +46,14 @@ class Volume:
     height: int
 
     def places(self, points_world: Tensor) -> Tensor:
-        """Points (N, 3) in the volume whose sides, margin included, run from 0 to 1, (N, 3)."""
+        """Return the points (N, 3) in the volume whose sides, margin included, run from 0 to 1, (N, 3)."""
         u, v, z = project(self.cameras[0], points_world, self.near).unbind(dim=-1)
         sides = [(u, self.width), (v, self.height)]
         across, down = (_with_margin(pixels / (size - 1), size // CELL_PX) for pixels, size in sides)
         return torch.stack([across, down, (z - self.near) / (self.far - self.near)], dim=-1)
 
     def look_up(self, places: Tensor) -> Tensor:
-        """Features at places (N, 3), zero outside, (N, 8)."""
+        """Return the features at places (N, 3), zero outside, (N, 8)."""
         grid = (2 * places - 1).view(1, 1, 1, -1, 3)
         return functional.grid_sample(self.features[None], grid, mode="bilinear", align_corners=True)[0, :, 0, 0].T
 
@@ -80,7 +80,7 @@ def _inside(grid: Tensor) -> Tensor:
 
 
 def project(camera: Camera, points_world: Tensor, near: float) -> Tensor:
-    """Pixels with centres at whole numbers, and depth, (N, 3) to (N, 3)."""
+    """Return the pixels with centres at whole numbers, and depth, (N, 3) to (N, 3)."""
     world_to_image = intrinsics(camera) @ camera.world_to_camera[:3]
     matrix = torch.as_tensor(world_to_image).float()
     projected = points_world @ matrix[:, :3].T + matrix[:, 3]
@@ -118,7 +118,7 @@ def encode_volume(network: Encoding, sources: Sequence[SourceView], near: float,
 
 
 def cost_volume(features: Tensor, colours: Tensor, cameras: Sequence[Camera], near: float, depths: Tensor) -> Tensor:
-    """Colours of the views and the variance of their features over planes before the reference.
+    """Return the colours of the views and the variance of their features over planes before the reference.
 
     Args:
         features: of the views, (3, 32, h, w).
@@ -166,7 +166,7 @@ def _projection(camera: Camera) -> Matrix:
 
 
 def _padded(side_px: int) -> int:
-    """The next multiple of 32."""
+    """Return the next multiple of 32."""
     return -(-side_px // SIZE_MULTIPLE) * SIZE_MULTIPLE
 
 

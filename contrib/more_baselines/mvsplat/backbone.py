@@ -34,7 +34,7 @@ class ConvolutionalEncoder(nn.Module):
         self.conv2 = nn.Conv2d(last, width, 1)
 
     def forward(self, images: Tensor) -> Tensor:
-        """RGB in [0, 1], (K, 3, H, W), to (K, width, H / 4, W / 4)."""
+        """Return the RGB in [0, 1], (K, 3, H, W), to (K, width, H / 4, W / 4)."""
         mean, deviation = (images.new_tensor(values)[:, None, None] for values in (IMAGE_MEAN, IMAGE_DEVIATION))
         stem = functional.relu(self.norm1(self.conv1((images - mean) / deviation)))
         features: Tensor = self.conv2(self.layer3(self.layer2(self.layer1(stem))))
@@ -42,7 +42,7 @@ class ConvolutionalEncoder(nn.Module):
 
 
 def _stage(width_in: int, width: int, stride: int = 1) -> nn.Sequential:
-    """Two residual blocks, the first of which changes width and size."""
+    """Return two residual blocks, the first of which changes width and size."""
     blocks = [(width_in, stride), (width, 1)]
     return nn.Sequential(*(ResidualBlock(entry, width, nn.InstanceNorm2d, step, bias=False) for entry, step in blocks))
 
@@ -81,7 +81,7 @@ class AttentionLayer(nn.Module):
 
 
 def _attend(query: Tensor, key: Tensor, value: Tensor, blocks: list[Block], across: bool) -> Tensor:
-    """Sum of the values of a window's cells, those of the own view or those of all others, all (K, h, w, C)."""
+    """Return the sum of the values of a window's cells, those of the own view or those of all others, all (K, h, w, C)."""
     seen = torch.empty_like(query)
     for rows, columns, down, right in blocks:
         asked, keys, values = (_windows(maps[:, rows, columns], down, right) for maps in (query, key, value))  # (K, n, L, C)
@@ -96,7 +96,7 @@ def _attend(query: Tensor, key: Tensor, value: Tensor, blocks: list[Block], acro
 
 
 def _others(windows: Tensor, view: int) -> Tensor:
-    """The windows of all views but one, side by side as one each, (K, n, L, C) to (1, n, (K - 1) * L, C)."""
+    """Return the windows of all views but one, side by side as one each, (K, n, L, C) to (1, n, (K - 1) * L, C)."""
     others = torch.cat([windows[:view], windows[view + 1 :]])
     return others.transpose(0, 1).flatten(1, 2)[None]
 
@@ -109,7 +109,7 @@ def _windows(maps: Tensor, down: int, right: int) -> Tensor:
 
 
 def _whole(windows: Tensor, down: int, right: int, shape: torch.Size) -> Tensor:
-    """Inverse of `_windows`."""
+    """Return the inverse of `_windows`."""
     count, height, width, channels = shape
     cut = windows.reshape(count, down, right, height // down, width // right, channels)
     return cut.transpose(2, 3).reshape(shape)
@@ -124,7 +124,7 @@ class TransformerBlock(nn.Module):
         self.cross_attn_ffn = AttentionLayer(width, perceptron=True)
 
     def forward(self, views: Tensor, blocks: list[Block]) -> Tensor:
-        """Features of all views (K, h, w, C); the others are seen as they came in."""
+        """Return the features of all views (K, h, w, C); the others are seen as they came in."""
         looked: Tensor = self.cross_attn_ffn(self.self_attn(views, None, blocks), views, blocks)
         return looked
 
@@ -137,7 +137,7 @@ class Transformer(nn.Module):
         self.layers = nn.ModuleList(TransformerBlock(width) for _ in range(layers))
 
     def forward(self, views: Tensor, window: tuple[int, int]) -> Tensor:
-        """Features that know of the other views, (K, h, w, C).
+        """Return the features that know of the other views, (K, h, w, C).
 
         Args:
             views: at least two, (K, h, w, C).
@@ -166,7 +166,7 @@ def window_blocks(height: int, width: int, window: tuple[int, int], shifted: boo
 
 
 def _cuts(side: int, length: int, shift: int) -> Iterator[tuple[slice, int]]:
-    """Stretches of a side, each with the number of equal windows in it."""
+    """Yield the stretches of a side, each with the number of equal windows in it."""
     if shift:
         yield slice(0, shift), 1
     whole = (side - shift) // length
@@ -198,7 +198,7 @@ class Backbone(nn.Module):
         self.transformer = Transformer(layers, width)
 
     def forward(self, images: Tensor, window: int | None) -> tuple[Tensor, Tensor]:
-        """Features of all views at a quarter of their size.
+        """Return the features of all views at a quarter of their size.
 
         Args:
             images: RGB in [0, 1], (K, 3, H, W), K at least 2.

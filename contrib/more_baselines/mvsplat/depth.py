@@ -116,7 +116,7 @@ class UNet(nn.Module):
 
 
 def _silent(width: int) -> nn.GroupNorm:
-    """A normalisation that gives nothing at first, so that the network begins with its shortcuts."""
+    """Return a normalisation that gives nothing at first, so that the network begins with its shortcuts."""
     norm = nn.GroupNorm(GROUPS, width)
     nn.init.zeros_(norm.weight)
     return norm
@@ -195,7 +195,7 @@ class DepthPredictor(nn.Module):
         return PixelMaps(coarse, disparity, opacity_logit, shape)
 
     def search(self, together: Tensor, views: Views) -> tuple[Tensor, Tensor]:
-        """Inverse depth that the cost volumes expect, and the largest share of a candidate, both (K, 1, H, W)."""
+        """Return the inverse depth that the cost volumes expect, and the largest share of a candidate, both (K, 1, H, W)."""
         disparities = torch.linspace(1 / views.far, 1 / views.near, self.candidates)
         volume = torch.cat([correlations(together.float(), views, disparities).to(together.dtype), together], dim=1)
         costs = self.corr_refine_net(volume) + self.regressor_residual(volume)
@@ -240,7 +240,7 @@ def correlations(features: Tensor, views: Views, disparities: Tensor) -> Tensor:
 
 
 def _look_up(features: Tensor, places: Tensor) -> Tensor:
-    """Features (C, h, w) at places (H, W, 2) in [-1, 1], bilinear, 0 outside, (C, H, W)."""
+    """Return the features (C, h, w) at places (H, W, 2) in [-1, 1], bilinear, 0 outside, (C, H, W)."""
     return functional.grid_sample(features[None], places[None], mode="bilinear", padding_mode="zeros", align_corners=True)[0]
 
 

@@ -20,7 +20,7 @@ OTHER_AXES = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 
 
 def pixel_cloud(pixels: PixelMaps, views: Views, published: bool) -> GaussianCloud:
-    """The Gaussians of all pixels of all images, view after view, row after row, in world units.
+    """Return the Gaussians of all pixels of all images, view after view, row after row, in world units.
 
     Reading:
         The authors search depth along the optical axis and place Gaussians as if it were distance from the camera; their
@@ -32,7 +32,7 @@ def pixel_cloud(pixels: PixelMaps, views: Views, published: bool) -> GaussianClo
 
 
 def rendered_part(cloud: GaussianCloud) -> GaussianCloud:
-    """The cloud without the harmonics that the authors' rasteriser leaves out."""
+    """Return the cloud without the harmonics that the authors' rasteriser leaves out."""
     terms = (RENDERED_DEGREE + 1) ** 2
     return GaussianCloud(cloud.means, cloud.log_scales, cloud.quaternions, cloud.opacity_logits, cloud.sh[:, :terms].contiguous())
 
@@ -67,7 +67,7 @@ def _view_cloud(pixels: PixelMaps, views: Views, number: int, published: bool) -
 
 
 def _rays(K: NDArray[np.float64], width: int, height: int, places: Tensor) -> Tensor:
-    """Rays of z = 1 through places in [0, 1] of every pixel (N, 2), row after row, (N, 3)."""
+    """Return the rays of z = 1 through places in [0, 1] of every pixel (N, 2), row after row, (N, 3)."""
     rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     corners = torch.stack([columns, rows], dim=-1).reshape(-1, 2).float()
     focal, middle = (torch.as_tensor(values).float() for values in (K[[0, 1], [0, 1]], K[:2, 2]))
@@ -82,7 +82,7 @@ def _attenuation(terms: int) -> Tensor:
 
 
 def _turned_quaternions(quaternions: Tensor, rotation: NDArray[np.float64]) -> Tensor:
-    """Unit quaternions with their real part last, then a rotation; the product with its real part first, (N, 4)."""
+    """Return the unit quaternions with their real part last, then a rotation; the product with its real part first, (N, 4)."""
     *axis, w = Rotation.from_matrix(rotation).as_quat().tolist()
     turn = quaternions.new_tensor(axis).expand(len(quaternions), 3)
     vectors, real = quaternions[:, :3], quaternions[:, 3:]

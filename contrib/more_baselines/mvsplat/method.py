@@ -52,7 +52,7 @@ class Mvsplat:
 
 
 def instant_cloud(network: MvsplatNetwork, instant: Instant) -> GaussianCloud:
-    """The Gaussians of an instant's sources, as they are rendered; gradients reach the network's parameters."""
+    """Return the Gaussians of an instant's sources, as they are rendered; gradients reach the network's parameters."""
     views = see_views(instant, network.config.size_multiple)
     cloud = pixel_cloud(network(views), views, network.config.published)
     return rendered_part(cloud) if network.config.published else cloud

@@ -63,7 +63,7 @@ def _sweep(predictor: DepthPredictor) -> None:
 
 
 def _averaging(mixing: Tensor) -> Tensor:
-    """A 3 x 3 convolution that averages cells, and mixes channels by a matrix."""
+    """Return a 3 x 3 convolution that averages cells, and mixes channels by a matrix."""
     return mixing[..., None, None].expand(-1, -1, 3, 3) / 9
 
 
@@ -135,7 +135,7 @@ class MvsplatNetwork(nn.Module):
             begin_as_plane_sweep(self.backbone, self.depth_predictor)
 
     def forward(self, views: Views) -> PixelMaps:
-        """Parameters of the Gaussian of every pixel of every view, at least two."""
+        """Return the parameters of the Gaussian of every pixel of every view, at least two."""
         together, alone = self.backbone(views.images, self.config.window)
         pixels: PixelMaps = self.depth_predictor(together, alone, views)
         return pixels
@@ -143,7 +143,7 @@ class MvsplatNetwork(nn.Module):
 
 @lru_cache(maxsize=2)
 def load_network(path: Path, device: torch.device | str = "cpu") -> MvsplatNetwork:
-    """The network of a weights file, in evaluation mode.
+    """Return the network of a weights file, in evaluation mode.
 
     Args:
         path: the authors' checkpoint (a dict with ``state_dict``, whose names begin with ``encoder.``), or safetensors of those

@@ -36,12 +36,12 @@ class Views:
     sizes: NDArray[np.int64]
 
     def __len__(self) -> int:
-        """Number of views."""
+        """Return the number of views."""
         return len(self.K)
 
 
 def see_views(instant: Instant, multiple: int) -> Views:
-    """The sources of an instant for the network.
+    """Return the sources of an instant for the network.
 
     Args:
         instant: at least two sources, of any sizes.

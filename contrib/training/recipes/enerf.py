@@ -41,7 +41,7 @@ class EnerfRecipe(TrainingRecipe[Networks]):
     term_weights: ClassVar = {"squared_loss": 1.0, "coarse_loss": 0.1, "ssim_loss": 0.01}
 
     def terms(self, network: Networks, sample: InstantSample, step: int) -> dict[str, Tensor]:
-        """Squared error of both levels, and structure."""
+        """Return the squared error of both levels, and structure."""
         target, truth = sample.instant.target, sample.truth_tensor
         near, far = sample.instant.depth_range
         unit = TRAINED_NEAR / near
@@ -61,7 +61,7 @@ class EnerfRecipe(TrainingRecipe[Networks]):
         }
 
     def rendered(self, network: Networks, instant: Instant) -> Tensor:
-        """The target view."""
+        """Return the target view."""
         near, far = instant.depth_range
         unit = TRAINED_NEAR / near
         views = [see(network.feature_net, source, unit) for source in instant.sources]

@@ -29,10 +29,10 @@ class FwdRecipe(TrainingRecipe[FwdNetwork]):
     term_weights: ClassVar = {"squared_loss": 5.0, "ssim_loss": 0.2}
 
     def terms(self, network: FwdNetwork, sample: InstantSample, step: int) -> dict[str, Tensor]:
-        """Squared error and structure."""
+        """Return the squared error and structure."""
         image, truth = self.rendered(network, sample.instant), sample.truth_tensor
         return {"squared_loss": (2 * image - 2 * truth).square().mean(), "ssim_loss": structural_loss(image[None], truth[None])}
 
     def rendered(self, network: FwdNetwork, instant: Instant) -> Tensor:
-        """The target view."""
+        """Return the target view."""
         return decode_views(network, instant, warp_views(network, instant))

@@ -39,7 +39,7 @@ class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
             )
 
     def terms(self, network: GpsGaussianNetwork, sample: InstantSample, step: int) -> dict[str, Tensor]:
-        """Mean absolute error and structure."""
+        """Return the mean absolute error and structure."""
         image, truth = self.rendered(network, sample.instant), sample.truth_tensor
         return {"l1_loss": (image - truth).abs().mean(), "ssim_loss": structural_loss(image[None], truth[None])}
 
@@ -52,7 +52,7 @@ class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
         return None
 
     def rendered(self, network: GpsGaussianNetwork, instant: Instant) -> Tensor:
-        """The target view."""
+        """Return the target view."""
         config = network.config
         gaussians = instant_gaussians(network, instant, "given", config.pairs, config.rotations_in)
         device = next(network.parameters()).device.type

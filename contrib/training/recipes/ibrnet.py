@@ -37,7 +37,7 @@ class IbrnetRecipe(TrainingRecipe[Networks]):
         return self.rays
 
     def terms(self, network: Networks, sample: InstantSample, step: int) -> dict[str, Tensor]:
-        """Squared error of both passes."""
+        """Return the squared error of both passes."""
         target, truth = sample.instant.target, sample.truth_tensor.flatten(1).T  # (H * W, 3)
         drawn = torch.as_tensor(np.random.default_rng([self.seed, step, 1]).choice(len(truth), self.rays, replace=False))
         centre = torch.as_tensor(target.centre).float()
@@ -50,7 +50,7 @@ class IbrnetRecipe(TrainingRecipe[Networks]):
         }
 
     def rendered(self, network: Networks, instant: Instant) -> Tensor:
-        """Pixels of the target view on a grid; whole views would take minutes."""
+        """Return the pixels of the target view on a grid; whole views would take minutes."""
         step = self.validated_step
         rays = torch.as_tensor(np.ascontiguousarray(instant.target.rays()[::step, ::step])).float()  # (h, w, 3)
         views = see(network, instant.sources)

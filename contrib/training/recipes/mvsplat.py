@@ -40,11 +40,11 @@ class MvsplatRecipe(TrainingRecipe[MvsplatNetwork]):
     term_weights: ClassVar = {"squared_loss": 1.0, "ssim_loss": 0.05, "disparity_loss": 0.3}
 
     def weights(self, step: int) -> Mapping[str, float]:
-        """Inverse depth alone at first."""
+        """Return the inverse depth alone at first."""
         return {"disparity_loss": 1.0} if step < DEPTH_STEPS else self.term_weights
 
     def terms(self, network: MvsplatNetwork, sample: InstantSample, step: int) -> dict[str, Tensor]:
-        """Squared error, structure, and inverse depth; the latter alone at first."""
+        """Return the squared error, structure, and inverse depth; the latter alone at first."""
         instant, truth = sample.instant, sample.truth_tensor
         views = see_views(instant, network.config.size_multiple)
         if step < DEPTH_STEPS:
@@ -63,13 +63,13 @@ class MvsplatRecipe(TrainingRecipe[MvsplatNetwork]):
             }
 
     def rendered(self, network: MvsplatNetwork, instant: Instant) -> Tensor:
-        """The target view."""
+        """Return the target view."""
         picture = render_gaussians(instant_cloud(network, instant), instant.target, near=instant.near_plane)
         return picture.image.permute(2, 0, 1)
 
 
 def _disparity_error(disparities: Sequence[Tensor], views: Views, instant: Instant) -> Tensor:
-    """Mean absolute error of inverse depths (K, 1, H, W) where the sources' depth is known, 0 where it nowhere is."""
+    """Return the mean absolute error of inverse depths (K, 1, H, W) where the sources' depth is known, 0 where it nowhere is."""
     errors = []
     for number, source in enumerate(instant.sources):
         height, width = source.depth.shape

@@ -60,22 +60,22 @@ class TrainingRecipe(ABC, Generic[Network]):
         return self.crop_width * self.crop_height
 
     def network(self) -> "nn.Module":
-        """A network with random weights, of the configuration."""
+        """Return a network with random weights, of the configuration."""
         return type(self).network_class(self.configuration)
 
     def weights(self, step: int) -> Mapping[str, float]:
-        """Weight of each term of the loss at a step."""
+        """Return the weight of each term of the loss at a step."""
         return self.term_weights
 
     def sample_loss(self, network: Network, sample: "InstantSample", step: int) -> "tuple[Tensor, dict[str, Tensor]]":
-        """The loss of one crop, the weighted sum of its terms, and these for the log; arguments as of `terms`."""
+        """Return the loss of one crop, the weighted sum of its terms, and these for the log; arguments as of `terms`."""
         terms = self.terms(network, sample, step)
         first, *others = (weight * terms[name] for name, weight in self.weights(step).items())
         return sum(others, first), terms
 
     @abstractmethod
     def terms(self, network: Network, sample: "InstantSample", step: int) -> "dict[str, Tensor]":
-        """The terms of the loss of one crop.
+        """Return the terms of the loss of one crop.
 
         Args:
             network: in training mode.
@@ -84,13 +84,13 @@ class TrainingRecipe(ABC, Generic[Network]):
         """
 
     def refusal(self, instant: Instant) -> str | None:
-        """Reason why the method cannot render an instant, regardless of the network; None where it can."""
+        """Return the reason why the method cannot render an instant, regardless of the network; None where it can."""
         return None
 
     @abstractmethod
     def rendered(self, network: Network, instant: Instant) -> "Tensor":
-        """The target view, every `validated_step`-th pixel of it, (3, h, w)."""
+        """Return the target view, every `validated_step`-th pixel of it, (3, h, w)."""
 
     def validated_view(self, network: Network, instant: Instant) -> "Tensor":
-        """The target view by a network in evaluation mode, (3, h, w) in [0, 1]."""
+        """Return the target view by a network in evaluation mode, (3, h, w) in [0, 1]."""
         return self.rendered(network, instant).clamp(0, 1)

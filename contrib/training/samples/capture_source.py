@@ -55,7 +55,7 @@ class CapturePlan:
 
 
 def draw_views(capture: Capture, plan: CapturePlan, name: str, number: int) -> tuple[Camera, list[Camera]]:
-    """Target and sources, nearest first, of a capture's sample of that number.
+    """Return the target and sources, nearest first, of a capture's sample of that number.
 
     No target comes twice before every camera that can be one has been one.
 
@@ -91,13 +91,13 @@ def is_sequence(capture: Capture) -> bool:
 
 
 def within_rule(capture: Capture, target: Camera, plan: CapturePlan) -> list[Camera]:
-    """The frames of a sequence that may be sources of a target: within `span` of it, but not within `gap`."""
+    """Return the frames of a sequence that may be sources of a target: within `span` of it, but not within `gap`."""
     at = int(target.name)
     return [camera for camera in capture.cameras if plan.gap < abs(int(camera.name) - at) <= plan.span]
 
 
 def overlap(target: Camera, source: Camera) -> float:
-    """Share of the target's view, at depths from near to far, that is in the source's image."""
+    """Return the share of the target's view, at depths from near to far, that is in the source's image."""
     across, down = np.meshgrid(*((np.arange(GRID) + 0.5) / GRID * size for size in target.size))
     depths = np.geomspace(target.near, target.far, GRID)[1:-1, None, None]
     uv = np.broadcast_to(np.stack([across, down], axis=-1), (GRID - 2, GRID, GRID, 2))
@@ -106,7 +106,7 @@ def overlap(target: Camera, source: Camera) -> float:
 
 
 def possible_targets(capture: Capture, plan: CapturePlan) -> list[Camera]:
-    """The cameras that have enough others to be synthesised from."""
+    """Return the cameras that have enough others to be synthesised from."""
     if not is_sequence(capture):
         return list(capture.cameras) if len(capture.cameras) > plan.views else []
     numbers = np.array([int(camera.name) for camera in capture.cameras])
@@ -116,7 +116,7 @@ def possible_targets(capture: Capture, plan: CapturePlan) -> list[Camera]:
 
 
 def held_back_halves(capture: Capture, span: int = 30, most_overlap: float = 0.5) -> tuple[Capture, Capture]:
-    """The frames to learn from and those held back, with `span` frames between them that belong to neither.
+    """Return the frames to learn from and those held back, with `span` frames between them that belong to neither.
 
     Args:
         capture: an RGB-D sequence.
@@ -145,7 +145,7 @@ def held_back_halves(capture: Capture, span: int = 30, most_overlap: float = 0.5
 
 
 def restricted(capture: Capture, names: Collection[str]) -> Capture:
-    """The capture with some of its cameras only, in its own order, without a note of it."""
+    """Return the capture with some of its cameras only, in its own order, without a note of it."""
     kept = [index for index, name in enumerate(capture.camera_names) if name in names]
     return replace(
         capture,
@@ -200,14 +200,14 @@ class CaptureSource:
         return f"{self.name}-{number:04d}.npz"
 
     def groups(self) -> list[list[int]]:
-        """Numbers of one instant of a rig together; frames of a sequence share too little depth to be kept."""
+        """Return the numbers of one instant of a rig together; frames of a sequence share too little depth to be kept."""
         targets, instants = self.plan.targets, self.plan.instants
         if is_sequence(self.capture):
             return [[number] for number in range(targets)]
         return [list(range(first, targets, instants)) for first in range(min(instants, targets))]
 
     def opened(self, folder: Path, number: int) -> Capture:
-        """The capture itself."""
+        """Return the capture itself."""
         return self.capture
 
     def frame(self, number: int) -> int:
@@ -236,7 +236,7 @@ def capture_sources(captures: Iterable[Capture], plan: CapturePlan) -> list[Capt
 
 
 def _reduced(capture: Capture, plan: CapturePlan) -> Capture:
-    """The capture as small as the plan allows, in its own shape."""
+    """Return the capture as small as the plan allows, in its own shape."""
     width, height = capture.cameras[0].size
     share = max(plan.width / width, plan.height / height)
     return capture.resized(round(width * share), round(height * share), "area")

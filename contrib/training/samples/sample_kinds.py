@@ -64,7 +64,7 @@ class RawViews:
     shares: tuple[float, ...] | None = None
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "RawViews":
-        """The window that starts at pixel (left, top)."""
+        """Return the window that starts at pixel (left, top)."""
         rows, columns = slice(top, top + height), slice(left, left + width)
         windows = {name: getattr(self, name)[:, rows, columns] for name in OF_VIEWS}
         target = self.target.cropped(left, top, width, height)
@@ -100,13 +100,13 @@ class BlendSample:
     geometric: Image8
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "BlendSample":
-        """The window that starts at pixel (left, top)."""
+        """Return the window that starts at pixel (left, top)."""
         rows, columns = slice(top, top + height), slice(left, left + width)
         return BlendSample(self.views.cropped(left, top, width, height), self.truth[rows, columns], self.geometric[rows, columns])
 
 
 def blend_sample(instant: Instant, truth: Image8, device: str = "cpu") -> BlendSample:
-    """The sample of what a method is shown of a target, and what the target's camera took.
+    """Return the sample of what a method is shown of a target, and what the target's camera took.
 
     Args:
         truth: (H, W, 3) uint8.
@@ -120,7 +120,7 @@ def blend_sample(instant: Instant, truth: Image8, device: str = "cpu") -> BlendS
 
 
 def rendered_views(instant: Instant, device: str) -> tuple[RawViews, Map]:
-    """The views of one instant by themselves, and what the geometric blender makes of them; see `blend_sample`."""
+    """Return the views of one instant by themselves, and what the geometric blender makes of them; see `blend_sample`."""
     options = OnlineOptions(temporal=False, compensated=False)
     if device == "cpu":
         recorder = _Recorder(GeometricBlender())
@@ -153,7 +153,7 @@ class _Recorder:
 
 
 def raw_views(inputs: BlendingInputs) -> RawViews:
-    """The views of one instant, splats and warps side by side."""
+    """Return the views of one instant, splats and warps side by side."""
     target, sources = inputs.instant.target, [inputs.instant.sources[k] for k in nearest_first(inputs)]
     splatted, warps = blend_maps(inputs, "none"), []
     for source in sources:
@@ -220,7 +220,7 @@ class BlendKind(SampleKind[BlendSample]):
         return blend_sample(maker.instant(target, sources), maker.image(target), self.device)
 
     def cropped(self, sample: BlendSample, left: int, top: int, width: int, height: int) -> BlendSample:
-        """A window of all that belongs to the target view."""
+        """Return a window of all that belongs to the target view."""
         return sample.cropped(left, top, width, height)
 
     def read(self, path: Path) -> BlendSample:
@@ -240,7 +240,7 @@ class InstantKind(SampleKind[InstantSample]):
     folders: ClassVar = {"rooms": ("instants", 1), "captures": ("capture-instants", 1)}
 
     def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> InstantSample:
-        """The instant; methods that take no depth need not wait for it."""
+        """Return the instant; methods that take no depth need not wait for it."""
         if self.depth:
             return InstantSample(maker.instant(target, sources), maker.image(target))
         views = []
@@ -250,7 +250,7 @@ class InstantKind(SampleKind[InstantSample]):
         return InstantSample(Instant(0, target, tuple(views), maker.capture.units_per_metre), maker.image(target))
 
     def cropped(self, sample: InstantSample, left: int, top: int, width: int, height: int) -> InstantSample:
-        """A window of the target, sources cut to what it can show of them."""
+        """Return a window of the target, sources cut to what it can show of them."""
         return sample.cropped(left, top, width, height).focused()
 
     def read(self, path: Path) -> InstantSample:

@@ -47,7 +47,7 @@ class SampleMaker:
         return self._images[camera.name]
 
     def _depth(self, source: Camera, target: Camera) -> DepthMap:
-        """Depth of a source camera, measured or found without the target."""
+        """Return the depth of a source camera, measured or found without the target."""
         sensor = self._sensor(source)
         partners = [] if sensor else self._options.choose_partners(source, self.capture.cameras, {target.name})
         key = (source.name, *(partner.name for partner in partners))
@@ -60,7 +60,7 @@ class SampleMaker:
         return self._depths[key]
 
     def _view(self, source: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> SourceView:
-        """A source, its depth checked against that of the others, as it is prepared for a view."""
+        """Return a source, its depth checked against that of the others, as it is prepared for a view."""
         image = self.image(source)
         if self._sensor(source) is None:
             checked = check_depth(source, depth_map, others, self._options)
@@ -106,19 +106,19 @@ class SampleSource(Protocol):
         """Describe what a sample depends on besides its scene, its number and its kind; folders are named by it."""
 
     def file_name(self, number: int) -> str:
-        """Name of a sample's file, by its scene and its number."""
+        """Return the name of a sample's file, by its scene and its number."""
 
     def groups(self) -> list[list[int]]:
-        """Numbers of the samples, those that share depth together: of one capture and one instant."""
+        """Return the numbers of the samples, those that share depth together: of one capture and one instant."""
 
     def opened(self, folder: Path, number: int) -> Capture:
-        """The capture of a sample, at its size; `folder` keeps rooms once they are rendered."""
+        """Return the capture of a sample, at its size; `folder` keeps rooms once they are rendered."""
 
     def frame(self, number: int) -> int:
-        """The instant of a sample."""
+        """Return the instant of a sample."""
 
     def draw(self, capture: Capture, number: int) -> tuple[Camera, list[Camera]]:
-        """Target and sources of a sample."""
+        """Return the target and sources of a sample."""
 
     def kept(self, number: int) -> tuple[int, int, int, int] | None:
         """Left, top, width and height of the part of a sample that is kept, pixels; None keeps all of it."""
@@ -139,11 +139,11 @@ class SampleKind(ABC, Generic[Sample]):
 
     @abstractmethod
     def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> Sample:
-        """The sample of a target and its source cameras."""
+        """Return the sample of a target and its source cameras."""
 
     @abstractmethod
     def cropped(self, sample: Sample, left: int, top: int, width: int, height: int) -> Sample:
-        """The window of a sample that starts at pixel (left, top)."""
+        """Return the window of a sample that starts at pixel (left, top)."""
 
     @abstractmethod
     def read(self, path: Path) -> Sample:
@@ -154,7 +154,7 @@ class SampleKind(ABC, Generic[Sample]):
         """Write a sample, the whole file or none."""
 
     def folder(self, source: SampleSource) -> str:
-        """Name of the folder of a source's samples, by all that they depend on but their scene and their number.
+        """Return the name of the folder of a source's samples, by all that they depend on but their scene and their number.
 
         Reading:
             Samples of a GPU are stored separately: on the CPU equal inputs give equal bits, of a training too, and theirs differ
@@ -180,7 +180,7 @@ class SamplePool(Generic[Sample]):
         self._folder = folder
 
     def __repr__(self) -> str:
-        """The sources, for the model card; the path is not recorded."""
+        """Return the sources, for the model card; the path is not recorded."""
         return "; ".join(map(repr, self.sources))
 
     def __len__(self) -> int:
@@ -196,7 +196,7 @@ class SamplePool(Generic[Sample]):
         return "; ".join(source.contents(self.kind.depth) for source in self.sources)
 
     def read(self, index: int) -> Sample:
-        """One of the samples."""
+        """Return one of the samples."""
         number = index
         for source in self.sources:
             if number < source.count:
@@ -205,7 +205,7 @@ class SamplePool(Generic[Sample]):
         raise IndexError(index)
 
     def path(self, source: SampleSource, number: int) -> Path:
-        """The file of a source's sample of that number."""
+        """Return the file of a source's sample of that number."""
         return self._folder / self.kind.folder(source) / source.file_name(number)
 
     def jobs(self) -> list[Callable[[], None]]:

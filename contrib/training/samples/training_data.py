@@ -124,7 +124,7 @@ class RoomPlan:
         return f"room{seed}-{target:02d}.npz"
 
     def groups(self) -> list[list[int]]:
-        """Numbers of each room."""
+        """Return the numbers of each room."""
         return [list(range(first, first + self.targets)) for first in range(0, self.count, self.targets)]
 
     def opened(self, folder: Path, number: int) -> Capture:
@@ -132,7 +132,7 @@ class RoomPlan:
         return film_room(folder / "rooms", self._place(number)[0], self)
 
     def frame(self, number: int) -> int:
-        """The only instant of a room."""
+        """Return the only instant of a room."""
         return 0
 
     def draw(self, capture: Capture, number: int) -> tuple[Camera, list[Camera]]:
@@ -144,13 +144,13 @@ class RoomPlan:
         return draw_window(self, *self._place(number)) if self.window else None
 
     def _place(self, number: int) -> tuple[int, int]:
-        """A sample's room and its number there."""
+        """Return a sample's room and its number there."""
         room, target = divmod(number, self.targets)
         return self.seeds[room], target
 
 
 def film_room(folder: Path, seed: int, plan: RoomPlan) -> Capture:
-    """The capture of a room, rendered unless it has been."""
+    """Return the capture of a room, rendered unless it has been."""
     kind = "" if plan.domain == PLAIN else f"{plan.domain}-"
     name = f"{kind}seed{seed}-{plan.width}x{plan.height}"
     return open_capture(write_demo(folder / name, room_options(seed, plan), workers=1))
@@ -162,7 +162,7 @@ def room_options(seed: int, plan: RoomPlan) -> DemoOptions:
 
 
 def choose_views(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tuple[Camera, list[Camera]]:
-    """Target and sources of a room's sample of that number; no target comes twice before every camera has been one.
+    """Return the target and sources of a room's sample of that number; no target comes twice before every camera has been one.
 
     Reading:
         The paper draws inputs and target at random. Half of ours are the nearest cameras, as in the evaluation; the others are
@@ -190,7 +190,7 @@ def draw_window(plan: RoomPlan, seed: int, number: int) -> tuple[int, int, int, 
 
 
 def _choose_frames(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tuple[Camera, list[Camera]]:
-    """Target and sources of a hand-held camera's sample."""
+    """Return the target and sources of a hand-held camera's sample."""
     rng, domain = np.random.default_rng([seed, 86, number]), find_domain(plan.domain)
     views = int(rng.choice(plan.other_views)) if rng.random() < plan.other_share else plan.views
     rule = CapturePlan(plan.targets, views, domain.span, domain.gap, width=plan.width, height=plan.height, matcher=plan.matcher)
@@ -198,7 +198,7 @@ def _choose_frames(capture: Capture, plan: RoomPlan, seed: int, number: int) -> 
 
 
 def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, targets: int = 8, **shared: object) -> list[RoomPlan]:
-    """A training plan per domain, rendered at the domain's own size; of large images windows of the usual size are kept.
+    """Return a training plan per domain, rendered at the domain's own size; of large images windows of the usual size are kept.
 
     Args:
         rooms: per domain; of domains whose images are large a third of that, as they take as much time.
@@ -212,7 +212,7 @@ def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, target
 def domain_validation_plan(
     domain: str, views: int = 4, targets: int = 3, seeds: int = 1, matcher: str = "sgbm", size: tuple[int, int] | None = None
 ) -> RoomPlan:
-    """The views of a domain by which choices may be made, with the sources that an evaluation would take.
+    """Return the views of a domain by which choices may be made, with the sources that an evaluation would take.
 
     Args:
         size: of the images, pixels; the domain's by default.
@@ -262,7 +262,7 @@ def prepare_samples(training: SamplePool[Sample], validation: SamplePool[Sample]
 
 
 def _training_rooms(data: TrainingOptions, views: int, domains: tuple[str, ...]) -> list[RoomPlan]:
-    """A plan per domain, some of its samples with another K."""
+    """Return a plan per domain, some of its samples with another K."""
     others = tuple(count for count in range(2, data.views + 1) if count != views)
     shared = {"views": views, "other_views": others, "other_share": 0.4 if others else 0.0}
     return domain_plans(domains, data.rooms, data.targets, **shared) if data.rooms else []

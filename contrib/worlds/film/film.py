@@ -69,12 +69,12 @@ class DepthWriter:
 
 
 def depth_path(folder: Path, camera: str) -> Path:
-    """File of the exact depth of a camera of a demo."""
+    """Return the file of the exact depth of a camera of a demo."""
     return folder / "depth" / f"{camera}.h5"
 
 
 def read_exact_depth(folder: Path, camera: str, frame: int) -> Array32:
-    """Exact depth of one video frame of a demo, world units, (H, W)."""
+    """Return the exact depth of one video frame of a demo, world units, (H, W)."""
     import h5py
 
     path = depth_path(folder, camera)
@@ -126,7 +126,7 @@ def measured(options: DemoOptions, depth: Array32, number: int) -> Array32:
 
 
 def _mounting(options: DemoOptions) -> tuple[float, Array]:
-    """Direction of the offset in the image, radians, and axis of the rotation, unit length, (3,)."""
+    """Return the direction of the offset in the image, radians, and axis of the rotation, unit length, (3,)."""
     rng = np.random.default_rng([options.seed, 13])
     axis = rng.standard_normal(3)
     return float(rng.uniform(0, 2 * np.pi)), unit(axis)
@@ -167,18 +167,18 @@ class Footage:
         self._recall = recall
 
     def instant(self, frame: int) -> Instant:
-        """The lit room as a frame shows it."""
+        """Return the lit room as a frame shows it."""
         return self._recall(self.shot.instants[frame])
 
     def frames(self) -> Iterator[Frame]:
-        """All frames in the order of time, one at a time."""
+        """Yield all frames in the order of time, one at a time."""
         noise = self._noise(FRAME_NOISE)
         for index in range(len(self.shot.instants)):
             picture = self._render(self.instant(index))
             yield Frame(self._expose(picture, noise), picture.foreground, picture.depth)
 
     def frames_keeping_depth(self, folder: Path, depth_scale: float = 1.0) -> Iterator[Frame]:
-        """All frames; those depths that the options want are written next to the demo, multiplied by a scale."""
+        """Yield all frames; those depths that the options want are written next to the demo, multiplied by a scale."""
         options, name = self.options, self.shot.camera.name
         with DepthWriter(depth_path(folder, name), options.depth_frames, options.height, options.width) as kept:
             for index, frame in enumerate(self.frames()):
@@ -186,7 +186,7 @@ class Footage:
                 yield frame
 
     def empty_room(self) -> Frame:
-        """The room without its moving things."""
+        """Return the room without its moving things."""
         picture = self._view.render(lit_room(self.options.seed, self.options.scene).empty())
         return Frame(self._expose(picture, self._noise(BACKGROUND_NOISE)), picture.foreground, picture.depth)
 
@@ -222,7 +222,7 @@ class Footage:
 
 
 def lit_room(seed: int, scene: SceneName = "room") -> LitRoom:
-    """Light the room or garden of a seed; the last one is kept, as it takes seconds."""
+    """Return the light the room or garden of a seed; the last one is kept, as it takes seconds."""
     return _lit_room(seed, scene)
 
 
@@ -240,7 +240,7 @@ def light_instant(parts: Path, options: DemoOptions, index: int) -> None:
 
 @lru_cache(maxsize=32)
 def stored_instant(parts: Path, options: DemoOptions, index: int) -> Instant:
-    """The instant that `light_instant` has stored."""
+    """Return the instant that `light_instant` has stored."""
     with np.load(_light_file(parts, index)) as stored:
         return lit_room(options.seed, options.scene).recall(index / options.fps, stored["static"], stored["moving"])
 

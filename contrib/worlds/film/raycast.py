@@ -43,7 +43,7 @@ def rig(
     outermost_yaw_rad: float = OUTERMOST_YAW_RAD,
     spacing: float = 1.0,
 ) -> list[Camera]:
-    """Cameras of both rows in the order of their names, ``cam00`` in the middle of the top row.
+    """Return the cameras of both rows in the order of their names, ``cam00`` in the middle of the top row.
 
     Seen from behind, the top row reads n-1 .. n//2+1, 0, n//2 .. 1 and the bottom row 2n-1 .. n, as on the real rig.
 
@@ -69,7 +69,7 @@ def rig(
 
 
 def arc_rig(seed: int, width: int, height: int, count: int, near: float = 1.0, far: float = 100.0) -> list[Camera]:
-    """One row on a wide arc around what the cameras look at, ``cam00`` at its left end.
+    """Return one row on a wide arc around what the cameras look at, ``cam00`` at its left end.
 
     Args:
         seed: as of `rig`.
@@ -106,7 +106,7 @@ def _pose(along: float, below: float, radius: float, rng: np.random.Generator, c
 
 
 def sideways_path(camera: Camera, length: float, count: int) -> list[Camera]:
-    """Cameras of one orientation on a straight line through `camera` along its image rows, from left to right.
+    """Return the cameras of one orientation on a straight line through `camera` along its image rows, from left to right.
 
     Args:
         length: of the whole path, world units.
@@ -120,7 +120,7 @@ def sideways_path(camera: Camera, length: float, count: int) -> list[Camera]:
 
 
 def in_metres(camera: Camera) -> Camera:
-    """The same camera in a world whose unit is the metre; its axes and its origin stay."""
+    """Return the same camera in a world whose unit is the metre; its axes and its origin stay."""
     world_to_camera = camera.world_to_camera.copy()
     world_to_camera[:3, 3] /= UNITS_PER_METRE
     return replace(camera, world_to_camera=world_to_camera, near=camera.near / UNITS_PER_METRE, far=camera.far / UNITS_PER_METRE)
@@ -132,7 +132,7 @@ def eye_in_room(camera: Camera) -> Array32:
 
 
 def rays_in_room(camera: Camera) -> Array32:
-    """Rays of all pixels in the room frame whose length is one world unit of depth, (H * W, 3)."""
+    """Return the rays of all pixels in the room frame whose length is one world unit of depth, (H * W, 3)."""
     right, down, forward = product(camera.rotation, WORLD_TO_ROOM[:3, :3].T).astype(np.float32)
     x = ((np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]).astype(np.float32)
     y = ((np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]).astype(np.float32)
@@ -147,12 +147,12 @@ def directions_in_room(camera: Camera, positions: Array) -> Array32:
 
 
 def room_to_world(points_m: Array32) -> Array:
-    """Points of the room, metres, in the world's units, (N, 3)."""
+    """Return the points of the room, metres, in the world's units, (N, 3)."""
     return transformed(inverse(WORLD_TO_ROOM[:3, :3]), points_m - WORLD_TO_ROOM[:3, 3])
 
 
 def room_from_world(points: Array) -> Array:
-    """Points of the world in the room, metres, (N, 3)."""
+    """Return the points of the world in the room, metres, (N, 3)."""
     return transformed(WORLD_TO_ROOM[:3, :3], points) + WORLD_TO_ROOM[:3, 3]
 
 
@@ -168,7 +168,7 @@ def hand_held_poses(
     sway: float = 1.0,
     spacing: float = 1.0,
 ) -> list[Camera]:
-    """Poses along a smooth walk at up to 0.7 m/s between the two rows of the rig, called ``0``, ``1``, ...
+    """Return the poses along a smooth walk at up to 0.7 m/s between the two rows of the rig, called ``0``, ``1``, ...
 
     Args:
         width: pixels.
@@ -191,7 +191,7 @@ def hand_held_poses(
 
 
 def _look_at(centre: Array, target: Array, roll_rad: float) -> Array:
-    """World to camera, (4, 4), from a centre towards a target; the world's y points down."""
+    """Return the world to camera, (4, 4), from a centre towards a target; the world's y points down."""
     forward = unit(target - centre)
     right = unit(np.cross((0.0, 1.0, 0.0), forward))
     down = np.cross(forward, right)
@@ -236,7 +236,7 @@ class PixelGrid:
         self._cell = row * self._size[0] + column
 
     def showing(self, geometry: Geometry) -> NDArray[np.int64]:
-        """Indices of all pixels that may show the geometry: those inside the frame around each of its surfaces."""
+        """Return the indices of all pixels that may show the geometry: those inside the frame around each of its surfaces."""
         uv, depth = self.camera.project(room_to_world(geometry.vertices))
         if depth.min() <= 0:
             return np.arange(len(self.rays))
@@ -259,7 +259,7 @@ def undistorted_positions(camera: Camera, lens: Coefficients) -> Array:
 
 
 def _fisheye_positions(camera: Camera, lens: Coefficients) -> Array:
-    """The same for a fisheye: by Newton, the angle theta whose theta (1 + k1 theta^2 + ...) is the pixel's radius."""
+    """Return the same for a fisheye: by Newton, the angle theta whose theta (1 + k1 theta^2 + ...) is the pixel's radius."""
     distorted = (camera.pixel_centres().reshape(-1, 2) - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
     radius = length(distorted)
     factors = (1.0, *lens)
@@ -272,7 +272,7 @@ def _fisheye_positions(camera: Camera, lens: Coefficients) -> Array:
 
 
 def _polynomial(factors: tuple[float, ...], values: Array) -> Array:
-    """The polynomial with these factors, the constant first (Horner)."""
+    """Return the polynomial with these factors, the constant first (Horner)."""
     total = np.zeros_like(values)
     for factor in reversed(factors):
         total = total * values + factor
@@ -294,7 +294,7 @@ class Picture(NamedTuple):
 
 
 def render_depth(instant: Instant, camera: Camera) -> Array32:
-    """Depth at the pixel centres of any camera, world units, 0 where nothing is, (H, W)."""
+    """Return the depth at the pixel centres of any camera, world units, 0 where nothing is, (H, W)."""
     grid, eye = PixelGrid(camera), eye_in_room(camera)
     return _with_moving(instant.moving, grid, eye, depth_along(instant.static, eye, grid.rays))
 
@@ -326,7 +326,7 @@ class View:
         return Picture(expose(linear), covered, self.depth(instant))
 
     def light(self, instant: Instant) -> tuple[Array32, Array32]:
-        """Linear light in every pixel, (H, W, 3), and the share of it that moving things cover, (H, W)."""
+        """Return the linear light in every pixel, (H, W, 3), and the share of it that moving things cover, (H, W)."""
         self._update_static(instant)
         linear = self._radiance.copy()
         covered = np.zeros(len(linear), np.float32)
@@ -335,11 +335,11 @@ class View:
         return self._averaged(linear), self._averaged(covered)
 
     def depth(self, instant: Instant) -> Array32:
-        """Depth of the same room at an instant, world units, 0 where nothing is, (H, W)."""
+        """Return the depth of the same room at an instant, world units, 0 where nothing is, (H, W)."""
         return _with_moving(instant.moving, self._grid, self._eye, self._depth)
 
     def _averaged(self, fine: Array32) -> Array32:
-        """Mean over the rays of each pixel, (H, W, ...)."""
+        """Return the mean over the rays of each pixel, (H, W, ...)."""
         image = fine.reshape(self._fine.camera.height, self._fine.camera.width, *fine.shape[1:])
         return shrink(image, self.camera.height, self.camera.width)
 
@@ -367,7 +367,7 @@ class View:
 
 
 def depth_along(geometry: Geometry, eye: Array32, rays: Array32) -> Array32:
-    """Depth along rays of unit depth, infinite where they hit nothing, (N,)."""
+    """Return the depth along rays of unit depth, infinite where they hit nothing, (N,)."""
     depth = np.full(len(rays), np.inf, np.float32)
     hits = geometry.cast(eye, rays)
     depth[hits.ray] = hits.distance
@@ -375,7 +375,7 @@ def depth_along(geometry: Geometry, eye: Array32, rays: Array32) -> Array32:
 
 
 def _with_moving(moving: Geometry | None, grid: PixelGrid, eye: Array32, static_depth: Array32) -> Array32:
-    """Depth (H, W) of static things along all pixels, (N,), and of what moves before them."""
+    """Return the depth (H, W) of static things along all pixels, (N,), and of what moves before them."""
     depth = static_depth.copy()
     if moving is not None:
         inside = grid.showing(moving)

@@ -39,7 +39,7 @@ BLACK_LEVEL = 0.02
 
 
 def defocus(linear: Array32, radius_px: float) -> Array32:
-    """Spread every point into a disc with a soft rim, linear light, (H, W, 3)."""
+    """Return the spread every point into a disc with a soft rim, linear light, (H, W, 3)."""
     if not radius_px:
         return linear
     reach = int(np.ceil(radius_px + 0.5))
@@ -95,12 +95,12 @@ def sharpen(image: Array32, strength: float) -> Array32:
 
 
 def brightness(image: Array32) -> Array32:
-    """Luma of an sRGB picture, (H, W, 3), after BT.601, (H, W)."""
+    """Return the Luma of an sRGB picture, (H, W, 3), after BT.601, (H, W)."""
     return LUMA[0] * image[..., 0] + LUMA[1] * image[..., 1] + LUMA[2] * image[..., 2]
 
 
 def _bilateral(guide: Array32, values: Array32, reach: int, levels: float, spread_px: float) -> Array32:
-    """Mean of the values, (H, W, C), by distance in the picture and in the guide (Tomasi and Manduchi 1998)."""
+    """Return the mean of the values, (H, W, C), by distance in the picture and in the guide (Tomasi and Manduchi 1998)."""
     total, sums = np.zeros_like(values[..., :1]), np.zeros_like(values)
     offsets = [(row - reach) ** 2 + (column - reach) ** 2 for row, column in np.ndindex(2 * reach + 1, 2 * reach + 1)]
     for squared_px, guiding, moved in zip(offsets, _moved(guide, reach), _moved(values, reach), strict=True):
@@ -113,7 +113,7 @@ def _bilateral(guide: Array32, values: Array32, reach: int, levels: float, sprea
 
 
 def _moved(image: Array32, reach: int) -> Iterator[Array32]:
-    """The picture moved by up to `reach` pixels up and left, row by row, mirrored at its border."""
+    """Yield the picture moved by up to `reach` pixels up and left, row by row, mirrored at its border."""
     height, width = image.shape[:2]
     padded = np.pad(image, ((reach, reach), (reach, reach), (0, 0)), mode="reflect")
     for row, column in np.ndindex(2 * reach + 1, 2 * reach + 1):
@@ -121,7 +121,7 @@ def _moved(image: Array32, reach: int) -> Iterator[Array32]:
 
 
 def compress(image: Image8, quality: int) -> Image8:
-    """An RGB picture, (H, W, 3), after JPEG with halved colour, as cameras write it; quality 0 leaves it alone."""
+    """Return an RGB picture, (H, W, 3), after JPEG with halved colour, as cameras write it; quality 0 leaves it alone."""
     if not quality:
         return image
     _, encoded = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
@@ -129,7 +129,7 @@ def compress(image: Image8, quality: int) -> Image8:
 
 
 def to_linear(image: Array32) -> Array32:
-    """Linear light of sRGB in [0, 1], any shape."""
+    """Return the linear light of sRGB in [0, 1], any shape."""
     return np.where(image <= 0.04045, image / 12.92, power((image + 0.055) / 1.055, 2.4)).astype(np.float32)
 
 
@@ -161,16 +161,16 @@ class Sensor:
     vignetting: float = 0.0
 
     def noise(self, stream: int) -> np.random.Generator:
-        """The noise from the first picture on; each kind of pictures has its own stream."""
+        """Return the noise from the first picture on; each kind of pictures has its own stream."""
         return np.random.default_rng([self.seed[0], stream, *self.seed[1:]])
 
     def expose(self, image: Array32, noise: np.random.Generator) -> Image8:
-        """The next picture, (H, W, 3) in [0, 1], as 8 bit with gain and noise."""
+        """Return the next picture, (H, W, 3) in [0, 1], as 8 bit with gain and noise."""
         grain = noise.standard_normal(image.shape, np.float32) * (self.noise_sigma_255 / 255)
         return compress(quantise(self._developed(self._shaded(image) * self.gain, noise) + grain), self.jpeg_quality)
 
     def _shaded(self, image: Array32) -> Array32:
-        """The picture behind a lens that falls off with the squared distance from the middle."""
+        """Return the picture behind a lens that falls off with the squared distance from the middle."""
         if not self.vignetting:
             return image
         down, across = (((np.arange(size) + 0.5) / size * 2 - 1) * size for size in image.shape[:2])
@@ -178,7 +178,7 @@ class Sensor:
         return image * (1 - self.vignetting * share).astype(np.float32)[..., None]
 
     def _developed(self, image: Array32, noise: np.random.Generator) -> Array32:
-        """The picture after lens, mosaic, demosaicing, denoising and sharpening, sRGB, (H, W, 3)."""
+        """Return the picture after lens, mosaic, demosaicing, denoising and sharpening, sRGB, (H, W, 3)."""
         if not (self.defocus_px or self.processing):
             return image
         linear = defocus(to_linear(np.clip(image, 0, 1)), self.defocus_px)
@@ -189,7 +189,7 @@ class Sensor:
 
 
 def rig_sensors(options: DemoOptions) -> list[Sensor]:
-    """The sensors of all cameras, in their order."""
+    """Return the sensors of all cameras, in their order."""
     gains = camera_gains(options)
     picture = (options.defocus_px, options.processing, options.jpeg_quality)
     lenses = options.vignetting * (1 + FALLOFF_SPREAD * np.random.default_rng([options.seed, 15]).standard_normal(len(gains)))
@@ -246,7 +246,7 @@ class Shot:
 
 
 def rig_of(options: DemoOptions) -> list[Camera]:
-    """The true cameras of the rig, in the order of their names."""
+    """Return the true cameras of the rig, in the order of their names."""
     if options.rig == "arc":
         return arc_rig(options.seed, options.width, options.height, len(options.camera_names))
     yaw_rad = GRID_YAW_RAD if options.rig == "grid" else OUTERMOST_YAW_RAD
@@ -256,7 +256,7 @@ def rig_of(options: DemoOptions) -> list[Camera]:
 
 
 def rig_shots(options: DemoOptions) -> list[Shot]:
-    """The cameras of the rig, all frames of each, in the order of their names."""
+    """Return the cameras of the rig, all frames of each, in the order of their names."""
     cameras = rig_of(options)
     offsets = dict(options.frame_offset)
     shots = []
@@ -268,12 +268,12 @@ def rig_shots(options: DemoOptions) -> list[Shot]:
 
 
 def distorted_shots(options: DemoOptions) -> list[Shot]:
-    """The cameras of the rig, each through its own lens."""
+    """Return the cameras of the rig, each through its own lens."""
     return _through_lenses(options, LENS, LENS_SPREAD)
 
 
 def fisheye_shots(options: DemoOptions) -> list[Shot]:
-    """The cameras of the rig, each through its own fisheye."""
+    """Return the cameras of the rig, each through its own fisheye."""
     return _through_lenses(options, FISHEYE_LENS, FISHEYE_SPREAD)
 
 
@@ -286,7 +286,7 @@ def _through_lenses(options: DemoOptions, lens: Coefficients, spread: Coefficien
 
 
 def hand_held_shots(options: DemoOptions) -> list[Shot]:
-    """One camera, cam00, that walks through the rig's volume while time is static at 0; a shot per pose."""
+    """Return one camera, cam00, that walks through the rig's volume while time is static at 0; a shot per pose."""
     sensor = rig_sensors(options)[0]
     exposed_s = options.shutter_s * ((np.arange(BLUR_POSES) + 0.5) / BLUR_POSES - 0.5)
     shots = []
@@ -303,7 +303,7 @@ def hand_held_shots(options: DemoOptions) -> list[Shot]:
 
 
 def _poses_at(options: DemoOptions, later_s: float = 0.0) -> list[Camera]:
-    """The poses of the hand-held camera, each delayed by N seconds."""
+    """Return the poses of the hand-held camera, each delayed by N seconds."""
     size = (options.width, options.height)
     return hand_held_poses(
         options.seed, *size, options.n_frames, options.fps, later_s=later_s, sway=options.sway, spacing=options.spacing
@@ -311,7 +311,7 @@ def _poses_at(options: DemoOptions, later_s: float = 0.0) -> list[Camera]:
 
 
 def path_shots(options: DemoOptions) -> list[Shot]:
-    """The true camera path, without gain and noise, all at one instant."""
+    """Return the true camera path, without gain and noise, all at one instant."""
     cameras = rig_of(options)
     middle = cameras[len(cameras) // 2 if options.rig == "arc" else 0]
     path = sideways_path(middle, PATH_LENGTH, options.path_poses)
@@ -319,12 +319,12 @@ def path_shots(options: DemoOptions) -> list[Shot]:
 
 
 def rig_and_path_shots(options: DemoOptions) -> list[Shot]:
-    """The rig first, then the true path."""
+    """Return the rig first, then the true path."""
     return rig_shots(options) + path_shots(options)
 
 
 def noted_camera(options: DemoOptions, camera: Camera, name: str, number: int) -> Camera:
-    """The camera as the calibration says, with the errors that the options want.
+    """Return the camera as the calibration says, with the errors that the options want.
 
     Reading:
         A rotation about the camera's own centre by a vector whose three components are normal with a standard deviation of

@@ -98,7 +98,7 @@ def _background_points(footage: Footage, empty: Frame) -> NDArray[np.void]:
 
 
 def _colours(image: Image8, camera: Camera, lens: Sequence[float], uv: Array) -> Image8:
-    """Colour of undistorted positions, (N, 2), where the lens puts them in its image, (N, 3)."""
+    """Return the colour of undistorted positions, (N, 2), where the lens puts them in its image, (N, 3)."""
     distorted = Lens(camera.K, "opencv", tuple(lens), *camera.size).distort(uv, camera.K)
     column, row = np.floor(distorted).astype(int).T
     return np.asarray(image[np.clip(row, 0, camera.height - 1), np.clip(column, 0, camera.width - 1)])
@@ -127,17 +127,17 @@ def _folders(name: str) -> list[tuple[str, str]]:
 
 
 def names_entry(key: str, names: Sequence[str]) -> str:
-    """A sequence of strings."""
+    """Return a sequence of strings."""
     return "\n".join([f"{key}:", *(f'   - "{name}"' for name in names)])
 
 
 def number_entry(key: str, value: int) -> str:
-    """A whole number."""
+    """Return a whole number."""
     return f"{key}: {value}"
 
 
 def matrix_entry(key: str, matrix: Array) -> str:
-    """A matrix of doubles, every digit of it."""
+    """Return a matrix of doubles, every digit of it."""
     data = ", ".join(repr(float(value)) for value in matrix.ravel())
     rows, columns = matrix.shape
     return f"{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {data} ]"

@@ -163,7 +163,7 @@ def finish_rgbd(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -
 
 
 def depth_camera(colour: Camera) -> Camera:
-    """The sensor of depth, of half the resolution."""
+    """Return the sensor of depth, of half the resolution."""
     return colour.resized(colour.width // 2, colour.height // 2)
 
 

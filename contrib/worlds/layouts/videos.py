@@ -51,7 +51,7 @@ def finish_dynerf(folder: Path, options: DemoOptions, cameras: Sequence[Camera])
 
 
 def split_path(options: DemoOptions, cameras: Sequence[Camera]) -> tuple[Sequence[Camera], Sequence[Camera]]:
-    """The cameras of the rig and those of the path."""
+    """Return the cameras of the rig and those of the path."""
     count = len(options.camera_names)
     return cameras[:count], cameras[count:]
 
@@ -75,7 +75,7 @@ LEAST_VIEWS = 2
 
 
 def surface_points(options: DemoOptions) -> Array:
-    """Points on what never moves, as many from the view of each camera of the rig, world units, (P, 3)."""
+    """Return the points on what never moves, as many from the view of each camera of the rig, world units, (P, 3)."""
     static, cameras = lit_room(options.seed, options.scene).static, rig_of(options)
     rng = np.random.default_rng([options.seed, 10])
     points = []
@@ -89,7 +89,7 @@ def surface_points(options: DemoOptions) -> Array:
 
 
 def sightings(points: Array, camera: Camera, instant: Instant, image: Image8) -> Sightings:
-    """The points that a camera sees at an instant: inside its picture and nothing before them.
+    """Return the points that a camera sees at an instant: inside its picture and nothing before them.
 
     Args:
         points: world units, (P, 3).
@@ -205,5 +205,5 @@ def immersive_files(options: DemoOptions) -> list[str]:
 
 
 def immersive_name(name: str) -> str:
-    """Name of a camera of the rig in the data set: ``camera_0001`` for cam00."""
+    """Return the name of a camera of the rig in the data set: ``camera_0001`` for cam00."""
     return f"camera_{int(name.removeprefix('cam')) + 1:04d}"

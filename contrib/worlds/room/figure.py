@@ -44,7 +44,7 @@ class Figure:
     phase_rad: float
 
     def surfaces(self, time_s: float) -> list[Surface]:
-        """The body at an instant, room frame."""
+        """Return the body at an instant, room frame."""
         sway = sin(2 * np.pi * 0.55 * time_s + self.phase_rad)
         lean = rotation(0.05 * sway, (0, 1, 0), (0, 0, 0.9))
         upper = [*self._trunk(), *self._head(time_s), *self._gesturing_arm(time_s), *self._working_arm(time_s)]
@@ -123,7 +123,7 @@ class Figure:
 
 
 def random_figure(rng: np.random.Generator, place: tuple[float, float]) -> Figure:
-    """A person in clothes of the generator's choice."""
+    """Return a person in clothes of the generator's choice."""
     cloth = [(0.16, 0.27, 0.48), (0.62, 0.2, 0.18), (0.25, 0.42, 0.33), (0.82, 0.78, 0.7), (0.75, 0.55, 0.2)]
     first, second = rng.permutation(len(cloth))[:2]
     kind = ("stripes", "check")[rng.integers(2)]

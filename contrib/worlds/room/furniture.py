@@ -42,7 +42,7 @@ FRUIT: tuple[Colour, ...] = ((0.85, 0.5, 0.1), (0.75, 0.15, 0.12), (0.55, 0.68, 
 
 
 def some_colour(rng: np.random.Generator) -> Colour:
-    """One of a palette that fits a home, shaded a little."""
+    """Return one of a palette that fits a home, shaded a little."""
     red, green, blue = np.clip(np.array(BRIGHT[rng.integers(len(BRIGHT))]) * rng.uniform(0.8, 1.15), 0.05, 0.95)
     return float(red), float(green), float(blue)
 
@@ -105,7 +105,7 @@ def candle_stick(rng: np.random.Generator) -> list[Surface]:
 
 
 def books(rng: np.random.Generator, width: float, tallest: float) -> list[Surface]:
-    """A row of books between x = 0 and the width, backs towards -y; the last ones may lean."""
+    """Return a row of books between x = 0 and the width, backs towards -y; the last ones may lean."""
     parts: list[Surface] = []
     x = 0.0
     while True:
@@ -124,7 +124,7 @@ Maker = Callable[[np.random.Generator], list[Surface]]
 
 
 def scatter(rng: np.random.Generator, makers: Sequence[Maker], spots: Sequence[tuple[float, float]], z: float) -> list[Surface]:
-    """One thing of each maker on each spot of a level surface at height z, nudged a little."""
+    """Return one thing of each maker on each spot of a level surface at height z, nudged a little."""
     parts: list[Surface] = []
     for maker, (x, y) in zip(makers, spots, strict=True):
         nudge_x, nudge_y = rng.uniform(-0.02, 0.02, 2)
@@ -133,7 +133,7 @@ def scatter(rng: np.random.Generator, makers: Sequence[Maker], spots: Sequence[t
 
 
 def table(width: float, depth: float, height: float, top: Material, legs: Material) -> list[Surface]:
-    """Table with four slim legs and an apron."""
+    """Return the table with four slim legs and an apron."""
     x, y = width / 2, depth / 2
     parts = box((-x, -y, height - 0.035), (x, y, height), top, 0.03)
     for side_x in (-x + 0.06, x - 0.06):
@@ -227,7 +227,7 @@ def _leaf(length: float, width: float, bend: float, material: Material) -> list[
 
 
 def framed_picture(image: Image8, width: float, frame: Material) -> list[Surface]:
-    """Picture with a frame and a mount, hanging on the wall at y = 0, centred on z = 0."""
+    """Return the picture with a frame and a mount, hanging on the wall at y = 0, centred on z = 0."""
     height = width * image.shape[0] / image.shape[1]
     x, z, rim = width / 2 + 0.04, height / 2 + 0.04, 0.022
     across = [((-x, -z), (x, -z + rim)), ((-x, z - rim), (x, z))]

@@ -29,13 +29,13 @@ Place = tuple[float, float]
 
 
 def shrub(rng: np.random.Generator, place: Place, height: float) -> list[Surface]:
-    """Stems that bend outwards, with leaves along them; the ground shows through."""
+    """Return the stems that bend outwards, with leaves along them; the ground shows through."""
     stems = _curves(rng, place, int(rng.integers(7, 12)), height, bend=0.35, points=5)
     return [*_stalks(rng, stems, 0.006), *_leaves_along(rng, stems, int(rng.integers(18, 30)), rng.uniform(0.05, 0.09))]
 
 
 def shoot(rng: np.random.Generator, place: Place, height: float) -> list[Surface]:
-    """One thin stem with leaves."""
+    """Return one thin stem with leaves."""
     stem = _curves(rng, place, 1, height, bend=0.2, points=5)
     return [*_stalks(rng, stem, 0.005), *_leaves_along(rng, stem, 26, 0.07)]
 
@@ -48,7 +48,7 @@ def hanging(rng: np.random.Generator, place: Place, length: float) -> list[Surfa
 
 
 def reeds(rng: np.random.Generator, place: Place, height: float) -> list[Surface]:
-    """A clump of long blades, a few millimetres wide."""
+    """Return a clump of long blades, a few millimetres wide."""
     count, along = int(rng.integers(30, 50)), np.linspace(0, 1, 10)
     spines = _curves(rng, place, count, height, bend=0.4, points=len(along), spread=0.09)
     turn = rng.uniform(0, 2 * np.pi, count)
@@ -59,7 +59,7 @@ def reeds(rng: np.random.Generator, place: Place, height: float) -> list[Surface
 
 
 def twigs(rng: np.random.Generator, place: Place, height: float) -> list[Surface]:
-    """A bare little tree: every branch forks, down to 2 mm."""
+    """Return a bare little tree: every branch forks, down to 2 mm."""
     bark, parts = Material(textures.mottled(rng, BARK[int(rng.integers(len(BARK)))], 0.15), (0.5, 0.5)), []
     tips = [(np.array([*place, 0.0]), np.array([0.0, 0.0, 0.36 * height]), 0.009)]
     for _ in range(5):
@@ -75,7 +75,7 @@ def twigs(rng: np.random.Generator, place: Place, height: float) -> list[Surface
 
 
 def tree(rng: np.random.Generator, place: Place) -> list[Surface]:
-    """A trunk and a loose crown."""
+    """Return a trunk and a loose crown."""
     height = float(rng.uniform(2.6, 3.8))
     bark = Material(textures.mottled(rng, BARK[int(rng.integers(len(BARK)))], 0.2), (0.5, 0.5))
     trunk = rod((*place, 0), (place[0], place[1], 0.7 * height), (0.09, 0.05), bark)
@@ -87,7 +87,7 @@ def tree(rng: np.random.Generator, place: Place) -> list[Surface]:
 
 
 def hedge(rng: np.random.Generator, y: float, width: float) -> list[Surface]:
-    """A clipped hedge with protruding leaves."""
+    """Return a clipped hedge with protruding leaves."""
     height = float(rng.uniform(1.1, 1.6))
     x, z = np.meshgrid(np.linspace(-width / 2, width / 2, 120), np.linspace(0, height, 14))
     bumps = 0.12 * textures.fractal_noise(rng, x.shape, (5, 5), 3)
@@ -108,7 +108,7 @@ SHAPES: tuple[Callable[[np.random.Generator, Place, float], list[Surface]], ...]
 def _curves(
     rng: np.random.Generator, place: Place, count: int, height: float, bend: float, points: int = 8, spread: float = 0.06
 ) -> Array:
-    """Stems that grow from around a place and bend outwards, (count, points, 3)."""
+    """Return the stems that grow from around a place and bend outwards, (count, points, 3)."""
     angle, tall = rng.uniform(0, 2 * np.pi, count), height * rng.uniform(0.65, 1.0, count)
     out = rng.uniform(0.15, 1.0, count) * bend * height
     along = np.linspace(0, 1, points)[None]
@@ -137,7 +137,7 @@ def _leaves_along(rng: np.random.Generator, stems: Array, per_stem: int, length:
 
 
 def _leaves(rng: np.random.Generator, places: Array, pointing: Array, length: float, rows: int = 4) -> Surface:
-    """One leaf at each place, (N, 3), growing in its direction, (N, 3), bent downwards."""
+    """Return one leaf at each place, (N, 3), growing in its direction, (N, 3), bent downwards."""
     along = unit(pointing)
     across = unit(np.cross(along, (0, 0, 1)) + 1e-6)
     tilt = rng.uniform(-0.7, 0.7, (len(places), 1))
@@ -189,7 +189,7 @@ def _foreground(rng: np.random.Generator) -> list[Surface]:
 
 
 def _ground(rng: np.random.Generator) -> list[Surface]:
-    """A lawn, finer near the cameras, where shadows fall sharply, and a path of slabs."""
+    """Return a lawn, finer near the cameras, where shadows fall sharply, and a path of slabs."""
     grass = Material(_grass(rng), (3.0, 3.0))
     far = panel((-20, -4, -0.01), (40, 0, 0), (0, 24, 0), grass, 0.5)
     near = panel((-2.6, 0.2, 0), (5.2, 0, 0), (0, 4.2, 0), grass, 0.08)
@@ -217,7 +217,7 @@ def _backdrop(rng: np.random.Generator) -> list[Surface]:
 
 
 def _horizon(rng: np.random.Generator, size_m: textures.Size) -> Image8:
-    """Picture of the backdrop, its trees sharp."""
+    """Return the picture of the backdrop, its trees sharp."""
     width, height = (round(side * BACKDROP_TEXELS_PER_METRE) for side in size_m)
     up_m = (SKY_TOP_M - (np.arange(height, dtype=np.float32) + 0.5) / BACKDROP_TEXELS_PER_METRE)[:, None]
     clouds = np.clip(0.25 + 0.4 * textures.fractal_noise(rng, (height, width), (260, 700), 6), 0, 1)[..., None]
@@ -232,7 +232,7 @@ def _horizon(rng: np.random.Generator, size_m: textures.Size) -> Image8:
 
 
 def _house(rng: np.random.Generator) -> list[Surface]:
-    """A house of brick or plaster with windows and a roof, 8 to 11 m away."""
+    """Return a house of brick or plaster with windows and a roof, 8 to 11 m away."""
     width, height, depth = float(rng.uniform(5, 7.5)), float(rng.uniform(2.8, 3.6)), 4.0
     brick, white = bool(rng.integers(2)), Material(textures.plain((0.88, 0.87, 0.84)))
     size = (2.7, 2.4)
@@ -275,7 +275,7 @@ def _person(rng: np.random.Generator) -> Mover:
 
 
 def _swaying_branch(rng: np.random.Generator) -> Mover:
-    """A leafy shoot in front of everything that sways in the wind."""
+    """Return a leafy shoot in front of everything that sways in the wind."""
     x, phase_rad = float(rng.uniform(-0.5, 0.5)), float(rng.uniform(0, 2 * np.pi))
     parts = shoot(rng, (x, 1.25), float(rng.uniform(1.15, 1.5)))
     axis = (0.4, 1.0, 0.0)
@@ -288,7 +288,7 @@ def _swaying_branch(rng: np.random.Generator) -> Mover:
 
 
 def _sun(rng: np.random.Generator) -> Light:
-    """The sun behind and to the side of the cameras, a small disc."""
+    """Return the sun behind and to the side of the cameras, a small disc."""
     direction = unit(rng.uniform((-0.8, -0.8, 0.8), (0.8, -0.2, 1.2)))
     angle = 2.4 * np.arange(SUN_POINTS)
     radius = SUN_RADIUS_M * np.sqrt((np.arange(SUN_POINTS) + 0.5) / SUN_POINTS)
@@ -298,7 +298,7 @@ def _sun(rng: np.random.Generator) -> Light:
 
 
 def _sky() -> Light:
-    """The sky as points on a dome within the backdrop."""
+    """Return the sky as points on a dome within the backdrop."""
     index, radius_m = np.arange(SKY_POINTS) + 0.5, 0.9 * SKY_RADIUS_M
     height, angle = 0.15 + 0.85 * index / SKY_POINTS, index * np.pi * (3 - np.sqrt(5))
     flat = np.sqrt(1 - height**2)

@@ -153,7 +153,7 @@ class LitRoom:
         self._albedo = np.stack([mean_albedo(material) for material in self.static.materials])[self.static.material]  # (F, 3)
 
     def at(self, time_s: float) -> Instant:
-        """The lit room at an instant."""
+        """Return the lit room at an instant."""
         moving, power = Geometry(self.room.at(time_s)), self._power(time_s)
         transfer, ambient = self._shadowed([Geometry(mover(time_s)) for mover in self.room.movers])
         static_light = _sum_over_points(transfer, power) + ambient
@@ -163,11 +163,11 @@ class LitRoom:
         return Instant(self.static, moving, static_light, direct + self._ambient_on(moving), self._highlights(power))
 
     def empty(self) -> Instant:
-        """The room at time 0 without anything that moves and without its shadows."""
+        """Return the room at time 0 without anything that moves and without its shadows."""
         return Instant(self.static, None, self._resting_light, np.zeros((0, 3), np.float32), self._highlights(self._power(0.0)))
 
     def recall(self, time_s: float, static_light: Array32, moving_light: Array32) -> Instant:
-        """The instant of which `at` gave these two, without computing them again."""
+        """Return the instant of which `at` gave these two, without computing them again."""
         moving, highlights = Geometry(self.room.at(time_s)), self._highlights(self._power(time_s))
         return Instant(self.static, moving, static_light, moving_light, highlights)
 
@@ -198,7 +198,7 @@ class LitRoom:
         return [lamp for lamp in lamps if lamp[1].max() > MIRRORED_POWER]
 
     def _direct_transfer(self, receiver: Geometry, *blockers: Geometry) -> Array32:
-        """Share of each sample point's power that reaches each vertex, (V, S)."""
+        """Return the share of each sample point's power that reaches each vertex, (V, S)."""
         origins = receiver.vertices + OFFSET_M * receiver.normals
         transfer = np.zeros((len(origins), len(self._points)), np.float32)
         for index, point in enumerate(self._points):
@@ -255,7 +255,7 @@ class LitRoom:
         return transfer, ambient
 
     def _covered(self, moving: Geometry, rows: NDArray[np.int64]) -> Array32:
-        """Share of the hemisphere over static vertices that moving things cover nearby, (R,)."""
+        """Return the share of the hemisphere over static vertices that moving things cover nearby, (R,)."""
         share = np.zeros(len(rows), np.float32)
         for chunk in _chunks(len(rows)):
             normals = self.static.normals[rows[chunk]]
@@ -266,7 +266,7 @@ class LitRoom:
         return share
 
     def _ambient_on(self, moving: Geometry) -> Array32:
-        """Light that bounces onto moving vertices, (V', 3); what other moving things cover is dark."""
+        """Return the light that bounces onto moving vertices, (V', 3); what other moving things cover is dark."""
         seen_faces = self._seen_faces(self.static, moving.vertices, moving.normals)
         directions = around(moving.normals, self._directions).reshape(-1, 3)
         origins = np.repeat(moving.vertices + OFFSET_M * moving.normals, AMBIENT_DIRECTIONS, axis=0)
@@ -275,14 +275,14 @@ class LitRoom:
 
 
 def hemisphere(count: int) -> Array32:
-    """Directions around +z whose density falls with the cosine, (count, 3): a Fibonacci spiral."""
+    """Return the directions around +z whose density falls with the cosine, (count, 3): a Fibonacci spiral."""
     index = np.arange(count) + 0.5
     radius, angle = np.sqrt(index / count), index * np.pi * (3 - np.sqrt(5))
     return np.stack([radius * cos(angle), radius * sin(angle), np.sqrt(1 - radius**2)], -1).astype(np.float32)
 
 
 def around(normals: Array32, directions: Array32) -> Array32:
-    """Directions (A, 3) around +z turned about each normal (V, 3), (V, A, 3)."""
+    """Return the directions (A, 3) around +z turned about each normal (V, 3), (V, A, 3)."""
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, np.array([[0, 0, 1]], np.float32), np.array([[1, 0, 0]], np.float32))
     first = unit(np.cross(helper, normals))
     frame = np.stack([first, np.cross(normals, first), normals], axis=1)  # (V, 3, 3), rows are the axes
@@ -293,7 +293,7 @@ def around(normals: Array32, directions: Array32) -> Array32:
 
 
 def mean_albedo(material: Material) -> Array32:
-    """Mean linear albedo of a material, (3,)."""
+    """Return the mean linear albedo of a material, (3,)."""
     linear = power(np.arange(256) / 255.0, 2.2)
     return linear[material.texture[::4, ::4].reshape(-1, 3)].mean(axis=0).astype(np.float32)
 

@@ -32,7 +32,7 @@ Mover = Callable[[float], list[Surface]]
 
 
 def rolling_ball(rng: np.random.Generator, start: tuple[float, float, float], speed: float, radius: float = 0.065) -> Mover:
-    """A striped ball that rolls along x on a level surface.
+    """Return a striped ball that rolls along x on a level surface.
 
     Args:
         start: where it touches the surface at time 0, metres.
@@ -52,7 +52,7 @@ def rolling_ball(rng: np.random.Generator, start: tuple[float, float, float], sp
 
 
 def swinging_door(hinge: tuple[float, float, float], width: float, height: float, skin: Material, phase_rad: float) -> Mover:
-    """A cupboard door, hinged at its -x edge, that swings open and shut towards -y."""
+    """Return a cupboard door, hinged at its -x edge, that swings open and shut towards -y."""
     knob = Material(plain((0.75, 0.65, 0.4)), specular=0.8)
     leaf = box((0, -0.018, 0), (width, 0, height), skin)
     leaf += [ellipsoid((0.014, 0.014, 0.014), knob, 12).moved(translation(width - 0.04, -0.03, height / 2))]
@@ -71,7 +71,7 @@ def screen_colour(time_s: float, phase_rad: float) -> Array:
 
 
 def screen(name: str, corner: tuple[float, float, float], width: float, height: float, phase_rad: float) -> Mover:
-    """A flat screen facing -y that shows a panning photograph in changing colours; its lower left corner is given."""
+    """Return a flat screen facing -y that shows a panning photograph in changing colours; its lower left corner is given."""
     photo = picture(name, 512, 288)
 
     def at(time_s: float) -> list[Surface]:
@@ -83,12 +83,12 @@ def screen(name: str, corner: tuple[float, float, float], width: float, height: 
 
 
 def flame_strength(time_s: float) -> float:
-    """Brightness of the flame at an instant, around 1."""
+    """Return the brightness of the flame at an instant, around 1."""
     return float(1 + 0.22 * sin(2 * np.pi * 3.1 * time_s) + 0.12 * sin(2 * np.pi * 7.3 * time_s + 1))
 
 
 def flame(rng: np.random.Generator, wick: tuple[float, float, float]) -> Mover:
-    """A candle's flame that flickers in height, colour and direction."""
+    """Return a candle's flame that flickers in height, colour and direction."""
     profile = np.array([(0, 0), (0.55, 0.08), (0.9, 0.22), (1, 0.34), (0.8, 0.52), (0.42, 0.75), (0.15, 0.92), (0, 1)])
     texture = bands(rng, (0.05, 0.05), [(0.45, 0.5, 0.85), (1.0, 0.9, 0.55), (1.0, 0.72, 0.25)], [0.18, 0.7])
 
@@ -107,7 +107,7 @@ WALLS: tuple[Colour, ...] = ((0.78, 0.7, 0.58), (0.6, 0.68, 0.64), (0.72, 0.6, 0
 
 
 def walls(rng: np.random.Generator, half_width: float, back: float, floor_wood: Colour) -> list[Surface]:
-    """The six inner sides of the room; the wall behind the rig is plain, as no camera sees it."""
+    """Return the six inner sides of the room; the wall behind the rig is plain, as no camera sees it."""
     wide, deep, flat = (2 * half_width, CEILING_M), (back - FRONT_M, CEILING_M), (2 * half_width, back - FRONT_M)
     wall, other = (WALLS[k] for k in rng.permutation(len(WALLS))[:2])
     back_wall = Material(_back_wall(rng, wide, wall, other), wide)

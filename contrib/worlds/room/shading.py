@@ -34,7 +34,7 @@ class Finish(NamedTuple):
     shininess: Array32
 
     def rows(self, index: NDArray[np.int64]) -> "Finish":
-        """The finish of some of the hits."""
+        """Return the finish of some of the hits."""
         return Finish(*(values[index] for values in self))
 
 
@@ -58,7 +58,7 @@ def read_finish(geometry: Geometry, hits: Hits, metres_per_pixel: float) -> Fini
 
 
 def sample_texture(material: Material, uv: Array32, footprint_m: float) -> Array32:
-    """Linear albedo at texture coordinates, bilinear, (N, 3).
+    """Return the linear albedo at texture coordinates, bilinear, (N, 3).
 
     Args:
         uv: metres, (N, 2).
@@ -80,7 +80,7 @@ def sample_texture(material: Material, uv: Array32, footprint_m: float) -> Array
 
 @lru_cache(maxsize=1024)
 def _linear_texture(material: Material, factor: int) -> Array32:
-    """Linear texture reduced by an integer factor, (h, w, 3)."""
+    """Return the linear texture reduced by an integer factor, (h, w, 3)."""
     width, height = (max(1, size // factor) for size in material.texture.shape[1::-1])
     return shrink(TO_LINEAR[material.texture], height, width)
 
@@ -92,7 +92,7 @@ def _wrapped(index: Array32, size: int) -> NDArray[np.int32]:
 def radiance(
     geometry: Geometry, hits: Hits, finish: Finish, light: Array32, highlights: list[Highlight], rays: Array32
 ) -> Array32:
-    """Light towards the eye, linear RGB, (N, 3).
+    """Return the light towards the eye, linear RGB, (N, 3).
 
     Args:
         light: irradiance of the geometry's vertices, (V, 3).
@@ -129,6 +129,6 @@ def _mirrored(
 
 
 def expose(linear: Array32) -> Array32:
-    """Picture of linear light as a camera gives it: a soft shoulder, then the sRGB curve; any shape, in [0, 1]."""
+    """Return the picture of linear light as a camera gives it: a soft shoulder, then the sRGB curve; any shape, in [0, 1]."""
     exposed = 1 - exp(-EXPOSURE * linear)
     return np.where(exposed <= 0.0031308, 12.92 * exposed, 1.055 * power(exposed, 1 / 2.4) - 0.055).astype(np.float32)

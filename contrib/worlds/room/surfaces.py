@@ -54,26 +54,26 @@ class Surface:
     material: Material
 
     def moved(self, transform: Array) -> "Surface":
-        """The same surface after a rigid or scaling transform, (4, 4)."""
+        """Return the same surface after a rigid or scaling transform, (4, 4)."""
         vertices = transformed(transform[:3, :3], self.vertices) + transform[:3, 3]
         normals = transformed(inverse(transform[:3, :3]).T, self.normals)
         return replace(self, vertices=vertices, normals=unit(normals))
 
 
 def moved(surfaces: Sequence[Surface], transform: Array) -> list[Surface]:
-    """All surfaces after one transform, (4, 4)."""
+    """Return all surfaces after one transform, (4, 4)."""
     return [surface.moved(transform) for surface in surfaces]
 
 
 def translation(x: float, y: float, z: float) -> Array:
-    """Transform that shifts, metres."""
+    """Return the transform that shifts, metres."""
     transform = np.eye(4)
     transform[:3, 3] = x, y, z
     return transform
 
 
 def rotation(angle_rad: float, axis: Vector, pivot: Vector = (0.0, 0.0, 0.0)) -> Array:
-    """Transform that turns about an axis through a pivot."""
+    """Return the transform that turns about an axis through a pivot."""
     transform, centre = np.eye(4), np.asarray(pivot, np.float64)
     transform[:3, :3] = rotation_about(angle_rad, axis)
     transform[:3, 3] = centre - transformed(transform[:3, :3], centre)
@@ -127,7 +127,7 @@ def panel(corner: Vector, edge_u: Vector, edge_v: Vector, material: Material, ce
 
 
 def box(low: Vector, high: Vector, material: Material, cell_m: float = 0.05) -> list[Surface]:
-    """The six sides of an axis-parallel box; the texture's rows run along the longer edge of each side, as grain does."""
+    """Return the six sides of an axis-parallel box; the texture's rows run along the longer edge of each side, as grain does."""
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
     sides = []
     for axis in range(3):
@@ -176,7 +176,7 @@ def rod(start: Vector, end: Vector, radii: tuple[float, float], material: Materi
 
 
 def _z_towards(origin: Array, direction: Array) -> Array:
-    """Rigid transform that takes the z axis to a direction and the origin to a point."""
+    """Return the rigid transform that takes the z axis to a direction and the origin to a point."""
     transform, upwards = np.eye(4), unit(direction)
     across = np.cross(ROLL_AXIS, upwards)
     across = unit(across if length(across) > 1e-3 else np.cross((1.0, 0.0, 0.0), upwards))

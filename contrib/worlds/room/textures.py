@@ -15,7 +15,7 @@ Size = tuple[float, float]
 
 
 def picture(name: str, width: int = 320, height: int | None = None) -> Image8:
-    """One of `PICTURES` at a width and a height in pixels, by default that of its proportions, RGB uint8 (H, W, 3)."""
+    """Return one of `PICTURES` at a width and a height in pixels, by default that of its proportions, RGB uint8 (H, W, 3)."""
     from skimage import data
 
     image = np.asarray(getattr(data, name)())
@@ -40,7 +40,7 @@ def fractal_noise(rng: np.random.Generator, shape: tuple[int, int], cell: Size, 
 
 
 def plain(colour: Colour) -> Image8:
-    """One colour everywhere."""
+    """Return one colour everywhere."""
     return _encode(np.array(colour, np.float32)[None, None])
 
 
@@ -115,7 +115,7 @@ def fabric(rng: np.random.Generator, size_m: Size, ground: Colour, stripe: Colou
 
 
 def rug(rng: np.random.Generator, size_m: Size, colours: list[Colour]) -> Image8:
-    """A knotted rug: borders around a field of lozenges."""
+    """Return a knotted rug: borders around a field of lozenges."""
     shape = _shape(size_m)
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32) / TEXELS_PER_METRE
     border = np.minimum(np.minimum(x, size_m[0] - x), np.minimum(y, size_m[1] - y))
@@ -127,7 +127,7 @@ def rug(rng: np.random.Generator, size_m: Size, colours: list[Colour]) -> Image8
 
 
 def bands(rng: np.random.Generator, size_m: Size, colours: list[Colour], edges: list[float]) -> Image8:
-    """Horizontal bands from bottom to top, as on a labelled bottle or a book's back.
+    """Return the horizontal bands from bottom to top, as on a labelled bottle or a book's back.
 
     Args:
         size_m: width and height, metres.
@@ -141,7 +141,7 @@ def bands(rng: np.random.Generator, size_m: Size, colours: list[Colour], edges: 
 
 
 def mottled(rng: np.random.Generator, colour: Colour, strength: float = 0.08, cell_m: float = 0.04) -> Image8:
-    """A natural surface without a pattern (fruit skin, stone, leaf, clay), 0.5 m square."""
+    """Return a natural surface without a pattern (fruit skin, stone, leaf, clay), 0.5 m square."""
     shape = _shape((0.5, 0.5))
     return _encode(_paint(colour, 1 + strength * fractal_noise(rng, shape, (cell_m * TEXELS_PER_METRE,) * 2, 4)))
 
@@ -163,7 +163,7 @@ def _grain(rng: np.random.Generator, shape: tuple[int, int]) -> Map:
 
 
 def _cosine_of_multiple(multiple: int, cosine: Map) -> Map:
-    """Cosine of a multiple, at least 1, of the angles that have these cosines (Chebyshev)."""
+    """Return the cosine of a multiple, at least 1, of the angles that have these cosines (Chebyshev)."""
     before, now = np.ones_like(cosine), cosine
     for _ in range(multiple - 1):
         before, now = now, 2 * cosine * now - before

@@ -84,11 +84,11 @@ class CaptureCheck:
         return all(finding.verdict != "bad" for finding in self.findings)
 
     def of(self, question: str) -> tuple[Finding, ...]:
-        """The answers to one question."""
+        """Return the answers to one question."""
         return tuple(finding for finding in self.findings if finding.question == question)
 
     def to_json(self) -> dict[str, Any]:
-        """The check as plain values for a JSON file."""
+        """Return the check as plain values for a JSON file."""
         findings = [{**asdict(finding), "values": dict(finding.values)} for finding in self.findings]
         return {
             "capture": str(self.path),
@@ -98,7 +98,7 @@ class CaptureCheck:
         }
 
     def table(self, width: int = WIDTH) -> str:
-        """The check as text: one line per question, and one for each group of cameras that deviate."""
+        """Return the check as text: one line per question, and one for each group of cameras that deviate."""
         return findings_table(self.findings, width)
 
 
@@ -293,13 +293,13 @@ def open_uncalibrated(path: Path) -> Capture | None:
 
 
 def uncalibrated_capture(path: Path, files: Mapping[str, CameraFrames]) -> Capture:
-    """Frames by the names of their cameras as a capture; the cameras are placeholders, see `open_uncalibrated`."""
+    """Return the frames by the names of their cameras as a capture; the cameras are placeholders, see `open_uncalibrated`."""
     cameras = [placeholder_camera(name, *file.size) for name, file in files.items()]
     return assemble_capture(path, LAYOUT, cameras, list(files.values()), Units(1.0, LAYOUT))
 
 
 def placeholder_camera(name: str, width: int, height: int) -> Camera:
-    """A camera of which only the size is known."""
+    """Return a camera of which only the size is known."""
     K = np.array([[float(width), 0.0, width / 2], [0.0, float(width), height / 2], [0.0, 0.0, 1.0]])
     return Camera(name, K, np.eye(4), width, height, 1.0, 2.0)
 

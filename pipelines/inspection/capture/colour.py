@@ -84,7 +84,7 @@ def check_gain(names: Sequence[str], pairs: Sequence[MatchedPair]) -> tuple[Find
 
 
 def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Gains:
-    """Gains of all cameras.
+    """Return the gains of all cameras.
 
     Args:
         pairs: of two cameras as often as there are instants at which they were matched.
@@ -115,7 +115,7 @@ def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Gains:
 
 
 def surface_error(values: Array, uv: Array) -> Array:
-    """Standard error of the median of (M, n) values by how it differs between parts of the picture, (n,)."""
+    """Return the standard error of the median of (M, n) values by how it differs between parts of the picture, (n,)."""
     low, high = uv.min(axis=0), uv.max(axis=0)
     column, row = np.minimum((uv - low) / np.maximum(high - low, 1e-9) * PARTS_PER_SIDE, PARTS_PER_SIDE - 1).astype(int).T
     part = row * PARTS_PER_SIDE + column
@@ -126,18 +126,18 @@ def surface_error(values: Array, uv: Array) -> Array:
 
 
 def is_usable(colours: Array) -> NDArray[np.bool_]:
-    """Mask of colours (..., 3) that are neither dark nor clipped in any channel."""
+    """Return the mask of colours (..., 3) that are neither dark nor clipped in any channel."""
     return np.asarray(((colours > DARKEST) & (colours < BRIGHTEST)).all(axis=-1))
 
 
 def brightness_and_casts(logs: Array) -> Array:
-    """Mean of the channels (..., 3), and what each has beyond it, (..., 4)."""
+    """Return the mean of the channels (..., 3), and what each has beyond it, (..., 4)."""
     mean = logs.mean(axis=-1, keepdims=True)
     return np.concatenate([mean, logs - mean], axis=-1)
 
 
 def median_and_error(values: Array) -> tuple[Array, Array]:
-    """Median over the first axis, NaN left out, and its standard error."""
+    """Return the median over the first axis, NaN left out, and its standard error."""
     middle = np.nanmedian(values, axis=0)
     spread = 1.4826 * np.nanmedian(np.abs(values - middle), axis=0)
     count = np.maximum(np.isfinite(values).sum(axis=0), 1)
@@ -145,7 +145,7 @@ def median_and_error(values: Array) -> tuple[Array, Array]:
 
 
 def check_noise(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
-    """Noise of every camera against fixed limits and against the rig."""
+    """Return the noise of every camera against fixed limits and against the rig."""
     sigmas = np.array([record.noise_sigma_255 for record in records])
     finite = sigmas[np.isfinite(sigmas)]
     if not len(finite):
@@ -226,7 +226,7 @@ def repair_capture(path: Path, findings: Iterable[Finding]) -> str:
 
 
 def describe_repair(before: Iterable[Finding], after: Iterable[Finding]) -> list[str]:
-    """One line for each offset and gain that a repair changed: what the check said before it, and what it says after."""
+    """Return one line for each offset and gain that a repair changed: what the check said before it, and what it says after."""
     now = {(finding.subject, finding.question): finding for finding in after}
     return [
         f"{old.subject} {old.question}: {old.measured} -> {now[old.subject, old.question].measured}"

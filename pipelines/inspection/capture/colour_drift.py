@@ -37,7 +37,7 @@ ADVICE = "lock exposure and white balance; score with a colour-corrected metric,
 def check_drift(
     names: Sequence[str], records: Sequence[CameraRecord], pairs: Sequence[MatchedPair], fps: float = 0.0
 ) -> tuple[Finding, ...]:
-    """Change of each camera's gains against the rig within the clip.
+    """Return the change of each camera's gains against the rig within the clip.
 
     Args:
         pairs: matches of the first frames.
@@ -69,7 +69,7 @@ def check_drift(
 
 
 def gains_over_time(records: Sequence[CameraRecord], pairs: Sequence[MatchedPair]) -> tuple[list[int], Array, Array]:
-    """Change of the cameras' gains since the first frame, logarithms: brightness and casts, and their standard errors.
+    """Return the change of the cameras' gains since the first frame, logarithms: brightness and casts, and their standard errors.
 
     Returns:
         Frames, those of which all cameras have colours, (S,); changes, median 0 over the rig, and errors, (S, N, 4).
@@ -105,7 +105,7 @@ def gains_over_time(records: Sequence[CameraRecord], pairs: Sequence[MatchedPair
 
 
 def flicker_of(levels: Array) -> float:
-    """Standard deviation of what changes from frame to frame and back, of logarithms of the brightness, (T,)."""
+    """Return the standard deviation of what changes from frame to frame and back, of logarithms of the brightness, (T,)."""
     return robust_sigma(np.diff(levels, 2)) / np.sqrt(6) if len(levels) > 2 else float("nan")
 
 
@@ -114,7 +114,7 @@ def _rows_by_place(features: Features | None) -> Mapping[tuple[float, ...], int]
 
 
 def _evaluate(name: str, frames: Sequence[int], logs: Array, errors: Array, flicker: float, usual: float, fps: float) -> Finding:
-    """One camera's changes (S, 4)."""
+    """Return one camera's changes (S, 4)."""
     if not np.isfinite(logs).all():
         return Finding(name, QUESTION, "unknown", "too few matches of medium brightness with any neighbour")
     series = median_filter(logs, size=(min(3, len(logs)), 1), mode="nearest")

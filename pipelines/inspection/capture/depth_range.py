@@ -63,7 +63,7 @@ def check_depth_range(
 
 
 def neighbour_spacing(cameras: Sequence[Camera]) -> Array:
-    """Distance of each camera to its nearest neighbour, world units, (N,)."""
+    """Return the distance of each camera to its nearest neighbour, world units, (N,)."""
     return neighbour_distances(np.stack([camera.centre for camera in cameras]))
 
 

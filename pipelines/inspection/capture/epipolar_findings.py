@@ -60,7 +60,7 @@ class Repair:
 
 
 def explain_camera(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index: int, trusted: Sequence[int]) -> Repair | None:
-    """The explanation that suits one camera best, evaluated against trusted cameras; None where none does."""
+    """Return the explanation that suits one camera best, evaluated against trusted cameras; None where none does."""
     own = [pair for pair in pairs if index in (pair.first, pair.second) and pair.seen_from(index)[0] in trusted]
     own = sorted(own, key=lambda pair: -len(pair.uv_first))[:MOST_OWN_PAIRS]
     before = camera_error(cameras, own, index)
@@ -75,7 +75,7 @@ def explain_camera(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], inde
 
 
 def explain_rig(cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -> Repair | None:
-    """One explanation for all cameras together; None where most agree already, or where none suits."""
+    """Return one explanation for all cameras together; None where most agree already, or where none suits."""
     looked_at = pairs[:: len(pairs) // MOST_PAIRS + 1]
 
     def rig_error(changed: Sequence[Camera]) -> float:
@@ -94,7 +94,7 @@ def explain_rig(cameras: Sequence[Camera], pairs: Sequence[MatchedPair]) -> Repa
 
 
 def with_focal(camera: Camera, factor: float) -> Camera:
-    """The camera with its focal lengths multiplied."""
+    """Return the camera with its focal lengths multiplied."""
     K = camera.K.copy()
     K[[0, 1], [0, 1]] *= factor
     return replace(camera, K=K)
@@ -108,7 +108,7 @@ def _accepted(candidates: Sequence[Repair], before: float, tolerance_px: float) 
 
 
 def _other_poses(cameras: Sequence[Camera], own: Sequence[MatchedPair], index: int) -> Iterator[Repair]:
-    """The pose of each other camera in place of this one's."""
+    """Yield the pose of each other camera in place of this one's."""
     for other, camera in enumerate(cameras):
         kept = [pair for pair in own if pair.seen_from(index)[0] != other]
         if other != index and len(kept) >= 2:
@@ -126,7 +126,7 @@ def _turned_poses(cameras: Sequence[Camera], own: Sequence[MatchedPair], index: 
 def _best_focal(
     which: Sequence[int], cameras: Sequence[Camera], pairs: Sequence[MatchedPair], measure: Callable[[list[Camera]], float]
 ) -> Repair:
-    """The focal factor, common to some cameras, with the least error; searched coarsely, then finely."""
+    """Return the focal factor, common to some cameras, with the least error; searched coarsely, then finely."""
 
     def error_px(factor: float) -> float:
         return measure([with_focal(camera, factor) if place in which else camera for place, camera in enumerate(cameras)])
@@ -143,13 +143,13 @@ def _exchanged(cameras: Sequence[Camera], index: int, camera: Camera) -> list[Ca
 
 
 def _turned(*signs: float) -> Change:
-    """Half a turn about one of the camera's own axes."""
+    """Return half a turn about one of the camera's own axes."""
     turn = np.diag([*signs, 1.0])
     return lambda camera: replace(camera, world_to_camera=turn @ camera.world_to_camera)
 
 
 def _reflected_centre(*signs: float) -> Change:
-    """The centre reflected in the planes whose sign is -1, the rotation kept."""
+    """Return the centre reflected in the planes whose sign is -1, the rotation kept."""
 
     def change(camera: Camera) -> Camera:
         world_to_camera = camera.world_to_camera.copy()
@@ -258,7 +258,7 @@ def check_clip(cameras: Sequence[Camera], instants: Mapping[int, Sequence[Featur
 
 
 def _worst_instant(findings: Mapping[int, Finding]) -> Finding:
-    """The answer of the instant at which it is worst; of the first one that has an answer where all are alike."""
+    """Return the answer of the instant at which it is worst; of the first one that has an answer where all are alike."""
     known = {frame: finding for frame, finding in findings.items() if finding.verdict != "unknown"} or dict(findings)
     worst = max(known, key=lambda frame: SEVERITY[known[frame].verdict])
     first = next(iter(known))
@@ -306,7 +306,7 @@ def _evaluate(
     trusted: Sequence[int],
     repairs: dict[int, Repair | None],
 ) -> Finding:
-    """One camera against the trusted ones."""
+    """Return one camera against the trusted ones."""
     name = cameras[index].name
     own = [pair for pair in pairs if index in (pair.first, pair.second) and pair.seen_from(index)[0] in trusted]
     if not own:
@@ -345,7 +345,7 @@ def _advice(cameras: Sequence[Camera], index: int, repair: Repair, repairs: dict
 
 
 def _rig_finding(cameras: Sequence[Camera], errors: Sequence[PairError], suspects: Sequence[int]) -> Finding:
-    """All pairs of cameras that are not accused."""
+    """Return all pairs of cameras that are not accused."""
     sound = [error for error in errors if error.first not in suspects and error.second not in suspects]
     medians = [error.median_px for error in sound]
     odd = [f"{cameras[error.first].name} - {cameras[error.second].name}" for error in sound if is_wrong(cameras, error)]
@@ -389,5 +389,5 @@ def _doubtful_rig(
 
 
 def _finite(value: float) -> float | None:
-    """A number for JSON, which knows neither NaN nor infinity."""
+    """Return a number for JSON, which knows neither NaN nor infinity."""
     return round(value, 4) if np.isfinite(value) else None

@@ -27,7 +27,7 @@ TO_SDR = (
 
 
 def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
-    """Counts, sizes, rate, frames that cannot be read, and frames without light."""
+    """Return the counts, sizes, rate, frames that cannot be read, and frames without light."""
     sizes = sorted({camera.size for camera in capture.cameras})
     shown = ", ".join(f"{width} x {height}" for width, height in sizes)
     rate = f"{capture.fps:g} fps" if capture.fps else "one instant"
@@ -54,13 +54,13 @@ def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Fin
 
 
 def hdr_transfers(capture: Capture) -> dict[str, str]:
-    """Cameras whose videos hold levels of high dynamic range, and which ones."""
+    """Return the cameras whose videos hold levels of high dynamic range, and which ones."""
     inner = {name: list(source_chain(source))[-1] for name, source in zip(capture.camera_names, capture.sources, strict=True)}
     return {name: video.transfer for name, video in inner.items() if isinstance(video, VideoFrames) and video.transfer}
 
 
 def frames_outside(capture: Capture) -> dict[str, Path]:
-    """Cameras whose frames are outside the capture's folder, and their place; links are followed."""
+    """Return the cameras whose frames are outside the capture's folder, and their place; links are followed."""
     root = capture.path.resolve()
     root = root.parent if root.is_file() else root
     outside = {}
@@ -74,7 +74,7 @@ def frames_outside(capture: Capture) -> dict[str, Path]:
 
 
 def check_frozen(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
-    """Frames that repeat the one before."""
+    """Return the frames that repeat the one before."""
     if all(np.isnan(record.change).all() for record in records):
         reason = "fewer than two frames in a row"
         return tuple(Finding(subject, FROZEN, "unknown", reason) for subject in (RIG, *(record.name for record in records)))
@@ -92,7 +92,7 @@ def check_frozen(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
 
 
 def frozen_frames(change: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Frames that repeat the one before while other cameras see things move, (N, T).
+    """Return the frames that repeat the one before while other cameras see things move, (N, T).
 
     Args:
         change: largest change of each camera and frame, (N, T), NaN where unknown.
@@ -103,21 +103,21 @@ def frozen_frames(change: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def common_repeats(change: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Frames that repeat the one before in every camera, (T,)."""
+    """Return the frames that repeat the one before in every camera, (T,)."""
     share = _relative(change)
     finite = np.isfinite(share)
     return np.asarray(finite.any(axis=0) & ((share < STILL_SHARE) | ~finite).all(axis=0) & (finite.sum(axis=0) > 1))
 
 
 def _relative(change: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Change as a share of each camera's usual one; NaN for cameras in which nothing ever moves."""
+    """Return the change as a share of each camera's usual one; NaN for cameras in which nothing ever moves."""
     usual = np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in change], np.float64)
     usual[~(usual >= LEAST_CHANGE)] = np.nan
     return change / usual[:, None]
 
 
 def _usual_of_others(share: NDArray[np.float64], index: int) -> NDArray[np.float64]:
-    """Median over the other cameras, (T,); NaN, which is above nothing, where none of them is known."""
+    """Return the median over the other cameras, (T,); NaN, which is above nothing, where none of them is known."""
     others = np.delete(share, index, axis=0)
     finite = np.isfinite(others).any(axis=0)
     middle = np.full(share.shape[1], np.nan)

@@ -40,7 +40,7 @@ def match_pairs(
 
 
 def solve_differences(count: int, pairs: Sequence[tuple[int, int]], differences: Array, weights: Array) -> Array:
-    """Values x with x[i] - x[j] as near to the measured differences as can be; wrong pairs are outvoted.
+    """Return the values x with x[i] - x[j] as near to the measured differences as can be; wrong pairs are outvoted.
 
     Args:
         pairs: (i, j) of each measurement.
@@ -96,7 +96,7 @@ def solve_with_errors(count: int, pairs: Sequence[tuple[int, int]], differences:
 
 
 def largest_group(count: int, pairs: Sequence[tuple[int, int]]) -> list[int]:
-    """The largest set of cameras that pairs connect, in order; the first of equals."""
+    """Return the largest set of cameras that pairs connect, in order; the first of equals."""
     label = list(range(count))
     for i, j in pairs:
         old, new = label[i], label[j]
@@ -160,7 +160,7 @@ def is_wrong(cameras: Sequence[Camera], error: PairError) -> bool:
 
 
 def accused(cameras: Sequence[Camera], errors: Sequence[PairError]) -> list[int]:
-    """Cameras that explain the wrong pairs, the most suspect first.
+    """Return the cameras that explain the wrong pairs, the most suspect first.
 
     The camera with the largest share of wrong pairs is taken out with its pairs, as long as more than half of its pairs are
     wrong: its neighbours, which are wrong only together with it, stay.
@@ -182,7 +182,7 @@ def accused(cameras: Sequence[Camera], errors: Sequence[PairError]) -> list[int]
 
 
 def camera_error(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index: int) -> float:
-    """Error of one camera: the median over its pairs of their median errors, pixels; NaN without pairs."""
+    """Return the error of one camera: the median over its pairs of their median errors, pixels; NaN without pairs."""
     medians = []
     for pair in pairs:
         if index in (pair.first, pair.second):
@@ -192,7 +192,7 @@ def camera_error(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index:
 
 
 def triangulated_depths(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], trusted: Sequence[int]) -> Mapping[int, Array]:
-    """Depths of matches in each trusted camera, from pairs of trusted cameras, world units."""
+    """Return the depths of matches in each trusted camera, from pairs of trusted cameras, world units."""
     depths: dict[int, list[Array]] = {}
     for pair in pairs:
         if pair.first in trusted and pair.second in trusted:
@@ -203,6 +203,6 @@ def triangulated_depths(cameras: Sequence[Camera], pairs: Sequence[MatchedPair],
 
 
 def _wrong_share(wrong: Sequence[PairError], n_pairs: int) -> tuple[float, float]:
-    """Share of a camera's pairs that are wrong, and their mean error for ties."""
+    """Return the share of a camera's pairs that are wrong, and their mean error for ties."""
     sizes = [min(error.median_px, 1e6) for error in wrong]
     return len(wrong) / n_pairs, float(np.mean(sizes)) if sizes else 0.0

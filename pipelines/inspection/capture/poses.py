@@ -63,7 +63,7 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
 
 
 def look_at_point(cameras: Sequence[Camera]) -> Array | None:
-    """The point that most viewing axes pass near, (3,); None where they are parallel.
+    """Return the point that most viewing axes pass near, (3,); None where they are parallel.
 
     Reading:
         The sum of distances to the axes is minimised (reweighted least squares), so that one camera that looks elsewhere does not
@@ -94,7 +94,7 @@ def away_angles(cameras: Sequence[Camera], target: Array | None) -> Array:
 
 
 def roll_angles(cameras: Sequence[Camera]) -> Array:
-    """Angle in each picture between its downward axis and the rig's common down, radians, (N,).
+    """Return the angle in each picture between its downward axis and the rig's common down, radians, (N,).
 
     Only the turn about the viewing axis counts: cameras on opposite sides that look down at the scene have different downward
     axes and are not rolled. One that looks along the common down gets 0.
@@ -117,13 +117,13 @@ def same_places(cameras: Sequence[Camera]) -> list[list[int]]:
 
 
 def rig_extent(cameras: Sequence[Camera]) -> float:
-    """Largest distance between two centres, world units."""
+    """Return the largest distance between two centres, world units."""
     centres = np.stack([camera.centre for camera in cameras])
     return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
 
 
 def half_view_rad(camera: Camera) -> float:
-    """Angle between the viewing axis and the corners of the picture, radians."""
+    """Return the angle between the viewing axis and the corners of the picture, radians."""
     return float(np.arctan(np.hypot(*camera.size) / 2 / camera.focal_px))
 
 
@@ -160,7 +160,7 @@ def _evaluate_pose(camera: Camera, away_rad: float, roll_rad: float, doubles: li
 
 
 def _median_direction(directions: Array) -> Array:
-    """The unit vector with the least sum of distances to some; a minority that points elsewhere does not pull it away."""
+    """Return the unit vector with the least sum of distances to some; a minority that points elsewhere does not pull it away."""
     mean = directions.mean(axis=0)
     for _ in range(ITERATIONS):
         weights = 1 / np.maximum(np.linalg.norm(directions - mean, axis=1), 1e-6)
@@ -185,7 +185,7 @@ def check_intrinsics(cameras: Sequence[Camera]) -> tuple[Finding, ...]:
 
 
 def fields_of_view_deg(camera: Camera) -> tuple[float, float]:
-    """Horizontal and vertical field of view, degrees, through the image centre."""
+    """Return the horizontal and vertical field of view, degrees, through the image centre."""
     horizontal = np.degrees(2 * np.arctan(camera.width / 2 / camera.K[0, 0]))
     return float(horizontal), float(np.degrees(2 * np.arctan(camera.height / 2 / camera.K[1, 1])))
 

@@ -130,7 +130,7 @@ class Recorder:
         self._follow(index, small, colour, image.shape[1] / colour.shape[1])
 
     def record(self, n_frames: int | None = None) -> CameraRecord:
-        """The record of the frames so far.
+        """Return the record of the frames so far.
 
         Args:
             n_frames: of the rig, where other cameras have more.
@@ -249,7 +249,7 @@ def fit_similarity(before: Array, after: Array) -> tuple[Array | None, int]:
 
 
 def even_contrast(grey: Image8) -> Image8:
-    """A picture with its local mean and contrast taken out; equal for lamps of any strength."""
+    """Return a picture with its local mean and contrast taken out; equal for lamps of any strength."""
     values = grey.astype(np.float32)
     size = (CONTRAST_PX, CONTRAST_PX)
     centred = values - cv2.blur(values, size)
@@ -266,7 +266,7 @@ def record_camera(capture: Capture, name: str) -> CameraRecord:
 
 
 def _readable_frames(capture: Capture, name: str, damage: list[Damage]) -> Iterator[tuple[int, Image8]]:
-    """Frames with their numbers; damage is noted and passed over in growing steps, so that a ruined file ends soon."""
+    """Yield the frames with their numbers; damage is noted and passed over in growing steps, so that a ruined file ends soon."""
     index = 0
     while index < capture.n_frames:
         try:
@@ -294,14 +294,14 @@ def motion_energy(burst: NDArray[np.uint8]) -> Array32:
 
 
 def largest_change(grey: Image8, before: Image8) -> float:
-    """Mean absolute difference of two grey images in the cell of a grid where it is largest, 0..255."""
+    """Return the mean absolute difference of two grey images in the cell of a grid where it is largest, 0..255."""
     difference = cv2.absdiff(grey, before).astype(np.float32)
     cells = cv2.resize(difference, (CELLS_PER_SIDE, CELLS_PER_SIDE), interpolation=cv2.INTER_AREA)
     return float(cells.max())
 
 
 def difference_sigma(counts: NDArray[np.int64]) -> float:
-    """Standard deviation of a pixel's noise from how often each absolute difference of two frames occurs.
+    """Return the standard deviation of a pixel's noise from how often each absolute difference of two frames occurs.
 
     The median is used, which a moving minority of the pixels does not disturb, and read between the integers: for a sigma of
     1.5 a plain median of integers would be 30 % off.
@@ -319,14 +319,14 @@ def difference_sigma(counts: NDArray[np.int64]) -> float:
 
 
 def robust_sigma(values: Array | Sequence[float]) -> float:
-    """Standard deviation of the bulk of some values, by their median absolute deviation; NaN without any."""
+    """Return the standard deviation of the bulk of some values, by their median absolute deviation; NaN without any."""
     finite = np.asarray(values, np.float64)
     finite = finite[np.isfinite(finite)]
     return float(1.4826 * np.median(np.abs(finite - np.median(finite)))) if len(finite) else float("nan")
 
 
 def shrink(image: NDArray, longest_side_px: int) -> NDArray:
-    """The picture averaged down to a longest side; a smaller one as it is."""
+    """Return the picture averaged down to a longest side; a smaller one as it is."""
     scale = longest_side_px / max(image.shape[:2])
     if scale >= 1:
         return image
@@ -335,11 +335,11 @@ def shrink(image: NDArray, longest_side_px: int) -> NDArray:
 
 
 def grey_of(image: Image8) -> Image8:
-    """The grey picture of an RGB one, or of a grey one."""
+    """Return the grey picture of an RGB one, or of a grey one."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image, np.uint8)
 
 
 def _sparse(image: Image8) -> Image8:
-    """Every Nth pixel of the green channel, not averaged."""
+    """Return every Nth pixel of the green channel, not averaged."""
     step = max(min(image.shape[:2]) // NOISE_SAMPLES_PER_SIDE, 1)
     return np.ascontiguousarray(image[::step, ::step, 1])

@@ -91,14 +91,14 @@ def limits_px(camera: Camera) -> tuple[float, float]:
 
 
 def shift_sigma(series: Array) -> float:
-    """Standard error of a displacement, pixels, by how it scatters from frame to frame."""
+    """Return the standard error of a displacement, pixels, by how it scatters from frame to frame."""
     steps = np.diff(series, axis=0)
     scatter = [robust_sigma(column) / np.sqrt(2) for column in steps.T] if len(steps) else [0.0]
     return max(float(np.linalg.norm(scatter)), LEAST_SIGMA_PX)
 
 
 def describe_when(first: int, last: int, fps: float = 0.0) -> str:
-    """A time in frames and seconds.
+    """Return a time in frames and seconds.
 
     Examples:
         >>> describe_when(7, 7, 30), describe_when(7, 12)
@@ -109,7 +109,7 @@ def describe_when(first: int, last: int, fps: float = 0.0) -> str:
 
 
 def _lost(camera: Camera, record: CameraRecord, frames: NDArray[np.intp]) -> Finding | None:
-    """A camera whose picture was lost in mid-clip: features say whether it moved far; None where they, too, are silent."""
+    """Return a camera whose picture was lost in mid-clip: features say whether it moved far; None where they, too, are silent."""
     first, *others = record.instants.items()
     last_seen = int(frames[-1]) if len(frames) else 0
     for frame, features in others:
@@ -150,7 +150,7 @@ def _values(camera: Camera, shift: Array, half_width: float) -> dict[str, Any]:
 
 
 def _describe(shift: Array, camera: Camera) -> str:
-    """The largest part of a displacement in words."""
+    """Return the largest part of a displacement in words."""
     values: Mapping[str, Any] = _values(camera, shift, 0.0)
     part = int(np.abs([np.linalg.norm(shift[:2]), *shift[2:]]).argmax())
     sideways = (

@@ -70,7 +70,7 @@ class Lag:
 
 
 def plane_signals(one: Camera, other: Camera, energy_one: Array32, energy_other: Array32) -> tuple[Array, Array] | None:
-    """Motion energy per half-plane and frame as two cameras see it, both (PLANES, T); None where they share no plane.
+    """Return the motion energy per half-plane and frame as two cameras see it, both (PLANES, T); None where they share no plane.
 
     Args:
         energy_one: (T, h, w).
@@ -106,7 +106,7 @@ def plane_angles(one: Camera, other: Camera) -> tuple[Array, Array]:
 
 
 def best_lag(one: Array, other: Array, largest: int) -> Lag | None:
-    """The lag at which other[t + lag] follows one[t] best; None where too little happens in either.
+    """Return the lag at which other[t + lag] follows one[t] best; None where too little happens in either.
 
     Args:
         one: signals, (P, T).
@@ -124,14 +124,14 @@ def best_lag(one: Array, other: Array, largest: int) -> Lag | None:
 
 
 def _per_plane(energy: Array32, planes: NDArray[np.int64]) -> Array:
-    """Mean energy of the pixels of each plane, (PLANES, T); 0 where a plane has none."""
+    """Return the mean energy of the pixels of each plane, (PLANES, T); 0 where a plane has none."""
     count = np.bincount(planes, minlength=PLANES + 2)[1:-1]
     sums = np.stack([np.bincount(planes, frame.ravel(), PLANES + 2)[1:-1] for frame in energy], axis=1)
     return np.asarray(sums / np.maximum(count, 1)[:, None])
 
 
 def _correlation(one: Array, other: Array, lag: int) -> float:
-    """Correlation over all planes of the frames that overlap at a lag; planes count by how much happens in them."""
+    """Return the correlation over all planes of the frames that overlap at a lag; planes count by how much happens in them."""
     frames = one.shape[1]
     first = one[:, max(0, -lag) : frames - max(0, lag)]
     second = other[:, max(0, lag) : frames + min(0, lag)]
@@ -210,7 +210,7 @@ def check_timing(
 
 
 def timed_frames(records: Sequence[CameraRecord]) -> list[int]:
-    """Frames whose motion any camera knows, ascending; -1 stands in gaps, so that no lag reaches over one."""
+    """Return the frames whose motion any camera knows, ascending; -1 stands in gaps, so that no lag reaches over one."""
     known = sorted(set().union(*(record.energy for record in records)))
     frames = []
     for before, frame in zip([known[0] - 1, *known], known, strict=False):
@@ -295,7 +295,7 @@ class Step:
 
 
 def find_steps(count: int, signals: Signals, lags: Lags) -> dict[int, list[Step]]:
-    """Steps of each camera in its offset against its neighbours, ascending in time.
+    """Return the steps of each camera in its offset against its neighbours, ascending in time.
 
     Reading:
         At each instant a camera's motion is compared with that of every neighbour at every lag. Motion changes slowly, and two
@@ -314,7 +314,7 @@ def find_steps(count: int, signals: Signals, lags: Lags) -> dict[int, list[Step]
 
 
 def _lag_costs(one: Array, other: Array, base: int) -> Array:
-    """Squared difference of what is quick in two motions, at each instant and change of lag, (T, 2 LARGEST_STEP + 1).
+    """Return the squared difference of what is quick in two motions, at each instant and change of lag, (T, 2 LARGEST_STEP + 1).
 
     Args:
         one: (P, T).
@@ -328,7 +328,7 @@ def _lag_costs(one: Array, other: Array, base: int) -> Array:
 
 
 def _later(signal: Array, lag: int) -> Array:
-    """The signal (P, T) of `lag` instants later at each; NaN where there is none."""
+    """Return the signal (P, T) of `lag` instants later at each; NaN where there is none."""
     frames = signal.shape[1]
     moved = np.full_like(signal, np.nan)
     begin, end = max(0, -lag), frames - max(0, lag)
@@ -338,7 +338,7 @@ def _later(signal: Array, lag: int) -> Array:
 
 
 def _quick(signal: Array) -> Array:
-    """A motion (P, T) without its slow part, all planes of about one strength, of mean square 1; NaN stays."""
+    """Return a motion (P, T) without its slow part, all planes of about one strength, of mean square 1; NaN stays."""
     known = np.isfinite(signal)
     weights = gaussian_filter1d(known.astype(float), SLOW_FRAMES, axis=1)
     slow = gaussian_filter1d(np.where(known, signal, 0.0), SLOW_FRAMES, axis=1) / np.maximum(weights, 1e-9)
@@ -365,7 +365,7 @@ def _spikes(own: Sequence[tuple[Array, Array]], base: Sequence[int]) -> Array:
 
 
 def _steps_of(costs: Array, spikes: Array, start: int) -> list[Step]:
-    """Steps of one camera.
+    """Return the steps of one camera.
 
     Args:
         costs: of each neighbour, instant and change of lag, (N, T, L).
@@ -406,7 +406,7 @@ def _steps_of(costs: Array, spikes: Array, start: int) -> list[Step]:
 
 
 def _in_step(pair: tuple[int, int], both: tuple[Array, Array], steps: dict[int, list[Step]]) -> tuple[Array, Array]:
-    """The signals of two cameras as they would be had none lost or doubled a frame."""
+    """Return the signals of two cameras as they would be had none lost or doubled a frame."""
     mended = []
     for index, signal in zip(pair, both, strict=True):
         shift, place = np.zeros(signal.shape[1], int), np.arange(signal.shape[1])
@@ -467,7 +467,7 @@ def _evaluate(name: str, index: int, offsets: Array, lags: Lags, steps: Sequence
 
 
 def whole_shift(values: Mapping[str, Any]) -> int:
-    """Frames by which a camera can be shifted into step; 0 where its offset is not certainly beyond half a frame.
+    """Return the frames by which a camera can be shifted into step; 0 where its offset is not certainly beyond half a frame.
 
     Args:
         values: of a finding on the time offset.
@@ -478,7 +478,7 @@ def whole_shift(values: Mapping[str, Any]) -> int:
 
 
 def _dropped(name: str, steps: Sequence[Step], frames: Sequence[int], fps: float) -> Finding:
-    """Frames that one camera lost or doubled."""
+    """Return the frames that one camera lost or doubled."""
     if not steps:
         return Finding(name, DROPPED, "ok", "none", {"steps": []})
     parts, values = [], []

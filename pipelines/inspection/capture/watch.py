@@ -52,7 +52,7 @@ class Light:
     n_frames: int
 
     def line(self) -> str:
-        """One line for people."""
+        """Return one line for people."""
         reason = f", {self.reason}" if self.reason else ""
         return f"{self.camera}: {self.verdict}{reason} (since {time.strftime('%H:%M:%S', time.localtime(self.time))})"
 
@@ -131,7 +131,7 @@ class Watch:
         return self._posed[name].resized(*size) if self._posed else placeholder_camera(name, *size)
 
     def _turn(self, name: str, findings: Iterable[Finding], now: float, record: CameraRecord) -> Light:
-        """The light of a camera, which changes once two rounds in a row agree on its verdict."""
+        """Return the light of a camera, which changes once two rounds in a row agree on its verdict."""
         own = [each for each in findings if each.subject == name and each.question in WATCHED and each.verdict != "unknown"]
         worst = max(own, key=lambda each: SEVERITY[each.verdict], default=None)
         verdict = worst.verdict if worst else "unknown"

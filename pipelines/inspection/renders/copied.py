@@ -68,7 +68,7 @@ class NoiseSums:
 
 
 def pooled_share(instants: Iterable[NoiseSums]) -> TruthShare:
-    """Ratio of the sums over some instants; the scatter of the cells gives its uncertainty."""
+    """Return the ratio of the sums over some instants; the scatter of the cells gives its uncertainty."""
     sums = list(instants)
     if not sums:
         return TruthShare(0.0, np.inf)
@@ -140,7 +140,7 @@ def _design(image: Array32) -> Array32:
 
 
 def _beyond(image: Array32, design: Array32) -> Array32:
-    """Cells without what the changes of a design explain."""
+    """Return the cells without what the changes of a design explain."""
     cells = _cells(image)
     return cells - np.einsum("cpk,ck->cp", design, np.einsum("cpk,cp->ck", design, cells))
 
@@ -165,7 +165,7 @@ def find_copied(name: str, view: ViewFrames) -> list[Finding]:
 
 
 def _written_again(fits: Mapping[int, float], noise: Mapping[int, NoiseSums]) -> list[int]:
-    """Frames that fit everywhere, all alike or much better than others, and those with much more of the truth's noise.
+    """Return the frames that fit everywhere, all alike or much better than others, and those with much more of the truth's noise.
 
     What fits but has nothing of that noise is a very good rendering.
     """
@@ -188,7 +188,7 @@ def _identical(name: str, frames: Sequence[int], view: ViewFrames) -> list[Findi
 def _copies(
     name: str, view: ViewFrames, fits: Mapping[int, float], usual: Sequence[float], noise: Sequence[NoiseSums]
 ) -> list[Finding]:
-    """Frames that are hardly anything else; proved by their noise, or by the other frames that are not like them."""
+    """Return the frames that are hardly anything else; proved by their noise, or by the other frames that are not like them."""
     if not fits:
         return []
     least, others = min(fits.values()), float(np.median(usual)) if usual else 1.0
@@ -202,7 +202,7 @@ def _copies(
 
 
 def _blend(name: str, noise: Sequence[NoiseSums]) -> list[Finding]:
-    """A share of the truth in all frames that are no copies."""
+    """Return a share of the truth in all frames that are no copies."""
     one = pooled_share(noise)
     if one.share < LEAST_SHARE or one.deviations < LEAST_DEVIATIONS:
         return []
@@ -218,7 +218,7 @@ def _named(frames: Sequence[int], view: ViewFrames) -> str:
 
 
 def worst_patches(rendered: Image8, truth: Image8) -> float:
-    """Correlation of fine detail in the worst of the textured patches; 0 where too few have texture."""
+    """Return the correlation of fine detail in the worst of the textured patches; 0 where too few have texture."""
     ours, theirs = (_patches(image) for image in (rendered, truth))
     textured = theirs.std(axis=1) > TEXTURE_255
     if np.count_nonzero(textured) < FEWEST_PATCHES:

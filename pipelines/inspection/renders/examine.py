@@ -134,7 +134,7 @@ def period_peaks(image: Image8) -> dict[float, float]:
 
 
 def fine_energy(image: Image8) -> float:
-    """Mean squared second difference along both axes, mostly of the finest frequencies."""
+    """Return the mean squared second difference along both axes, mostly of the finest frequencies."""
     grey = image.astype(np.float32).mean(axis=-1)
     return float(np.mean([np.square(np.diff(grey, 2, axis=axis)).mean() for axis in (0, 1)]))
 
@@ -191,7 +191,7 @@ def find_flicker(name: str, view: ViewFrames) -> list[Finding]:
 
 
 def region_gains(rendered: Image8, truth: Image8) -> NDArray[np.float64]:
-    """Logarithm of the usual ratio of rendered and true levels in each of 4 x 4 regions, (16,)."""
+    """Return the logarithm of the usual ratio of rendered and true levels in each of 4 x 4 regions, (16,)."""
     ours, theirs = (
         cv2.resize(image.mean(axis=-1, dtype=np.float32), (CELLS, CELLS), interpolation=cv2.INTER_AREA) + DARK_255
         for image in (rendered, truth)

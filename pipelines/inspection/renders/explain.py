@@ -83,7 +83,7 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
 
 
 def metric_family(metric: str) -> str:
-    """The key of a metric in `FAMILIES`, in whichever case it is written.
+    """Return the key of a metric in `FAMILIES`, in whichever case it is written.
 
     Raises:
         MetricError: a metric of which no conventions are known; the message suggests the nearest one.
@@ -105,7 +105,7 @@ def metric_family(metric: str) -> str:
 
 
 def printed(quoted: str) -> tuple[float, float]:
-    """A printed number, and half of its last digit; decibels, per cent and a decimal comma are read as they are meant.
+    """Return a printed number, and half of its last digit; decibels, per cent and a decimal comma are read as they are meant.
 
     Examples:
         >>> printed("31.52"), printed("31,52 dB"), printed("93.6 %")
@@ -130,7 +130,7 @@ def tolerance(quoted: str, value: float) -> float:
 
 
 def chance(quoted: str, values: Sequence[float]) -> float:
-    """Share of the numbers near a quoted one, with as many digits, that would meet one of some values by chance.
+    """Return the share of the numbers near a quoted one, with as many digits, that would meet one of some values by chance.
 
     Returns:
         Part of the numbers within `NEIGHBOURHOOD` of the quoted one that are within the tolerance of any value, 0 to 1.
@@ -164,7 +164,7 @@ def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention
 
 
 def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> str:
-    """Name the convention of the number, apart from chance matches; those over all views before those over one."""
+    """Return the name the convention of the number, apart from chance matches; those over all views before those over one."""
     everywhere = [one for one in conventions if one.views == ALL_VIEWS]
     for tried in (everywhere, conventions):
         matching = [one for one in tried if one.matches]

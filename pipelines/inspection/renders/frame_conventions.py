@@ -56,7 +56,7 @@ def frame_means(views: Mapping[str, ViewFrames], measures: Mapping[str, FrameMea
 
 
 def mean_over_views(by_view: Mapping[str, float | np.floating]) -> dict[str, float]:
-    """Values of single views, and their mean."""
+    """Return the values of single views, and their mean."""
     return {ALL_VIEWS: float(np.mean(list(by_view.values())))} | {view: float(value) for view, value in by_view.items()}
 
 
@@ -78,39 +78,39 @@ def _luma(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
 
 
 def _video_luma(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
-    """Luma in 16..235, as super-resolution measures it."""
+    """Return the Luma in 16..235, as super-resolution measures it."""
     return 16 + rendered @ BT601 * 219 / 255, 16 + truth @ BT601 * 219 / 255
 
 
 def cropped(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
-    """Both frames without a tenth of their size at every side, rounded down as ENeRF and MVSNeRF do."""
+    """Return both frames without a tenth of their size at every side, rounded down as ENeRF and MVSNeRF do."""
     return cut_border(rendered), cut_border(truth)
 
 
 def grey(image: Image8) -> Image8:
-    """Luma rounded to 8 bit, (H, W), as OpenCV and Pillow convert."""
+    """Return the Luma rounded to 8 bit, (H, W), as OpenCV and Pillow convert."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def halved(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
-    """Both frames at half their size, box averages of 8 bit."""
+    """Return both frames at half their size, box averages of 8 bit."""
     return _half(rendered), _half(truth)
 
 
 def as_mvsnerf(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
-    """Both frames as MVSNeRF's notebook measures LLFF, in levels of 255: at 960 x 640, without a border."""
+    """Return both frames as MVSNeRF's notebook measures LLFF, in levels of 255: at 960 x 640, without a border."""
     first, second = (255 * MVSNERF.prepare(image) for image in (rendered, truth))
     return first, second
 
 
 def at_llff_size(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
-    """Both frames at the size at which MVSNeRF evaluates LLFF, resized as its notebook does, in levels of 255."""
+    """Return both frames at the size at which MVSNeRF evaluates LLFF, resized as its notebook does, in levels of 255."""
     whole = replace(MVSNERF, is_cut=False)
     return 255 * whole.prepare(rendered), 255 * whole.prepare(truth)
 
 
 def half_truth(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
-    """The frame as rendered, and a truth that was kept at half size and enlarged again, linearly."""
+    """Return the frame as rendered, and a truth that was kept at half size and enlarged again, linearly."""
     size = truth.shape[1], truth.shape[0]
     # OpenCV does not round what it interpolates in 8 bit.
     enlarged = cv2.resize(_half(truth).astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
@@ -123,12 +123,12 @@ def _half(image: Image8) -> Image8:
 
 
 def _summed(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
-    """Levels whose mean squared error over channels is the sum over the channels of the given ones."""
+    """Return the levels whose mean squared error over channels is the sum over the channels of the given ones."""
     return rendered * np.sqrt(3.0), truth * np.sqrt(3.0)
 
 
 def _colour_corrected(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
-    """The rendering after the affine colour map of this frame that fits best, clipped."""
+    """Return the rendering after the affine colour map of this frame that fits best, clipped."""
     design = np.concatenate([rendered.reshape(-1, 3), np.full((truth.size // 3, 1), 255)], axis=1).astype(np.float64)
     target = truth.reshape(-1, 3).astype(np.float64)
     fitted, *_ = np.linalg.lstsq(design.T @ design, design.T @ target, rcond=1e-12)
@@ -165,7 +165,7 @@ def psnr_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
 
 
 def _averaged(name: str, errors: Mapping[str, list[float]]) -> list[Recomputed]:
-    """Mean of PSNRs, PSNR of the mean squared error, and the latter per view."""
+    """Return the mean of PSNRs, PSNR of the mean squared error, and the latter per view."""
     per_frame = mean_over_views({view: np.mean(decibels(np.array(values))) for view, values in errors.items()})
     per_view = mean_over_views({view: float(decibels(np.mean(values))) for view, values in errors.items()})
     pooled = {ALL_VIEWS: float(decibels(np.mean([value for values in errors.values() for value in values])))}
@@ -182,7 +182,7 @@ def decibels(squared_error_255: NDArray[np.float64] | np.floating | float) -> ND
 
 
 def _masked_errors(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> dict[str, dict[str, list[float]]]:
-    """Squared errors of the pixels inside the masks, and of whole frames that are black outside."""
+    """Return the squared errors of the pixels inside the masks, and of whole frames that are black outside."""
     inside: dict[str, list[float]] = {}
     blackened: dict[str, list[float]] = {}
     for view in (view for view in views if view in masks):
@@ -201,7 +201,7 @@ OUR_L1 = "mean over pixels and channels"
 
 
 def error_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
-    """Mean absolute error and root mean squared error, in levels and in 0..1."""
+    """Return the mean absolute error and root mean squared error, in levels and in 0..1."""
     return [row for one in [*_absolute_errors(views), *_root_squared_errors(views)] for row in _on_both_scales(one)]
 
 
@@ -227,7 +227,7 @@ def _absolute_errors(views: Mapping[str, ViewFrames]) -> list[Recomputed]:
 
 
 def _root_squared_errors(views: Mapping[str, ViewFrames]) -> list[Recomputed]:
-    """Root before and after the mean over frames, and views."""
+    """Return the root before and after the mean over frames, and views."""
     squared: dict[str, FrameMeasure] = {"": lambda *pair: float(np.square(np.subtract(*_rgb(*pair))).mean())}
     squared["grey of 8 bit, "] = lambda rendered, truth: squared[""](grey(rendered), grey(truth))
     tables = {

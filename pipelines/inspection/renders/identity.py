@@ -62,23 +62,23 @@ class ViewFrames:
         return ((self.rendered(index), self.truth(index)) for index in indices)
 
     def with_rendered(self, change: Callable[[Image8], Image8]) -> "ViewFrames":
-        """The same view with every rendered frame changed."""
+        """Return the same view with every rendered frame changed."""
         original = self.rendered
         return replace(self, rendered=lambda index: change(original(index)))
 
     def with_truth(self, truth: FrameReader) -> "ViewFrames":
-        """The same renders with another camera's frames."""
+        """Return the same renders with another camera's frames."""
         return replace(self, truth=truth)
 
     def moved(self, offset: int) -> "ViewFrames":
-        """The same renders as frames of the instants `offset` later, as far as the truth has them."""
+        """Return the same renders as frames of the instants `offset` later, as far as the truth has them."""
         original, captured = self.rendered, self.truth_range
         there = [index for index in self.frames if index + offset in captured]
         frames = range(there[0] + offset, there[-1] + offset + 1)
         return replace(self, rendered=lambda index: original(index - offset), frames=frames)
 
     def reversed(self, offset: int) -> "ViewFrames":
-        """The same renders in reversed order, as frames of instants `offset` later, as far as the truth has them."""
+        """Return the same renders in reversed order, as frames of instants `offset` later, as far as the truth has them."""
         original, turning = self.rendered, self.frames.start + self.frames[-1]
         there = sorted(turning - index + offset for index in self.frames if turning - index + offset in self.truth_range)
         return replace(self, rendered=lambda index: original(turning - index + offset), frames=range(there[0], there[-1] + 1))
@@ -116,7 +116,7 @@ def take_sample(view: ViewFrames, count: int) -> Sample:
 
 
 def shrink(image: Image8, longest_side_px: int = SMALL_SIDE_PX) -> Array32:
-    """A picture reduced by box averages to a longest side, float32 on the scale 0..255; small ones stay as they are."""
+    """Return a picture reduced by box averages to a longest side, float32 on the scale 0..255; small ones stay as they are."""
     height, width = image.shape[:2]
     factor = longest_side_px / max(height, width)
     pixels = image.astype(np.float32)
@@ -139,7 +139,7 @@ def middle_of(indices: range, count: int) -> range:
 
 
 def longest_run(indices: list[int]) -> range:
-    """The longest run of consecutive numbers, which is what can be compared over time."""
+    """Return the longest run of consecutive numbers, which is what can be compared over time."""
     longest, start = range(0), 0
     for end in range(1, len(indices) + 1):
         if end == len(indices) or indices[end] != indices[end - 1] + 1:
@@ -169,7 +169,7 @@ def views_of_run(run: RunFolder, label: str, as_measured: bool = False) -> dict[
 
 
 def cameras_of_run(run: RunFolder) -> dict[str, FrameReader]:
-    """Captured frames of every camera whose truth the run folder holds whole, source cameras among them."""
+    """Return the captured frames of every camera whose truth the run folder holds whole, source cameras among them."""
     protocol = run.protocol()
     frames = protocol.frames.numbers
     root = run.root / "truth"
@@ -178,7 +178,7 @@ def cameras_of_run(run: RunFolder) -> dict[str, FrameReader]:
 
 
 def frame_reader(folder: Path, measurement: Measurement | None = None) -> FrameReader:
-    """Frames of a folder as they are there, or at the size at which a protocol measures them."""
+    """Return the frames of a folder as they are there, or at the size at which a protocol measures them."""
 
     def read(index: int) -> Image8:
         image = read_image(frame_path(folder, index))
@@ -201,7 +201,7 @@ class CameraPictures:
 
 
 def remember(read: FrameReader) -> CameraPictures:
-    """A camera whose pictures are compared with every view at the same few instants."""
+    """Return a camera whose pictures are compared with every view at the same few instants."""
     return CameraPictures(read, lru_cache(maxsize=INSTANTS)(lambda index: structure(shrink(read(index)))))
 
 
@@ -233,7 +233,7 @@ def structure(image: Array32) -> Array32:
 
 
 def correlation(first: Array32, second: Array32) -> float:
-    """Normalised correlation of two arrays of one shape; 0 where they differ in shape or nothing varies."""
+    """Return the normalised correlation of two arrays of one shape; 0 where they differ in shape or nothing varies."""
     if first.shape != second.shape:
         return 0.0
     one, other = first - first.mean(), second - second.mean()

@@ -73,7 +73,7 @@ def place(rendered: Array32, truth: Array32) -> Placement:
 
 
 def _outlines(grey: Array32) -> Array32:
-    """The picture without noise and without slow changes."""
+    """Return the picture without noise and without slow changes."""
     smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
     return np.asarray(smooth - cv2.GaussianBlur(smooth, (0, 0), 8.0), dtype=np.float32)
 
@@ -128,7 +128,7 @@ def _refine(ours: Array32, theirs: Array32, motion: NDArray[np.float64], window:
 
 
 def _step(rest: Array32, derivatives: tuple[Array32, ...], window: Array32) -> NDArray[np.float64]:
-    """Weighted least squares; a rest of twice the usual size counts half."""
+    """Return the weighted least squares; a rest of twice the usual size counts half."""
     used = rest[window > 0]
     if used.size < 100:
         return np.zeros(4)
@@ -207,7 +207,7 @@ def find_placement(name: str, view: ViewFrames) -> Placed:
 
 
 def shared_shift(shifts_px: Mapping[str, tuple[float, float]]) -> list[Finding]:
-    """A shift that all views have alike, which single ones may leave in doubt: wrong depth moves each view its own way."""
+    """Return a shift that all views have alike, which single ones may leave in doubt: wrong depth moves each view its own way."""
     if len(shifts_px) < FEWEST_VIEWS:
         return []
     shifts = np.array(list(shifts_px.values()))
@@ -221,7 +221,7 @@ def shared_shift(shifts_px: Mapping[str, tuple[float, float]]) -> list[Finding]:
 
 
 def _scaled(image: Image8, scale_x: float, scale_y: float) -> Image8:
-    """The picture reduced about its centre by these factors."""
+    """Return the picture reduced about its centre by these factors."""
     height, width = image.shape[:2]
     centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
     matrix = np.array([[scale_x, 0, centre_x * (1 - scale_x)], [0, scale_y, centre_y * (1 - scale_y)]])
@@ -249,7 +249,7 @@ def _evaluate_scale(name: str, placed: list[Placement]) -> list[Finding]:
 
 
 def _evaluate_zoom(name: str, placed: list[Placement], view: ViewFrames) -> list[Finding]:
-    """A little larger or smaller about the centre, alike in both directions and all parts, as by another focal length."""
+    """Return a little larger or smaller about the centre, alike in both directions and all parts, as by another focal length."""
     zooms = np.array([one.scale for one in placed]) - 1  # (instants, 2)
     zoom_x, zoom_y = (float(value) for value in np.median(zooms, axis=0))
     zoom = (zoom_x + zoom_y) / 2

@@ -126,7 +126,7 @@ def check_sample(name: str, view: ViewFrames, count: int = SAMPLED_FRAMES) -> tu
 
 
 def _small(read: FrameReader, kept: int) -> FrameReader:
-    """Frames at the size of a sample, as many as are asked for again."""
+    """Return the frames at the size of a sample, as many as are asked for again."""
 
     def read_small(index: int) -> Image8:
         return np.rint(shrink(read(index))).astype(np.uint8)
@@ -193,7 +193,7 @@ def _finding(name: str, timing: _Timing) -> Finding:
 
 
 def _grey(frames: Array32) -> Array32:
-    """Mean of the channels of each frame, noise smoothed a little, (n, h, w)."""
+    """Return the mean of the channels of each frame, noise smoothed a little, (n, h, w)."""
     return np.stack([cv2.GaussianBlur(frame.mean(axis=-1, dtype=np.float32), (0, 0), 1.0) for frame in frames])
 
 
@@ -269,7 +269,7 @@ def change(before: Array32, after: Array32) -> Change:
 
 
 def resized(image: Image8, width: int, height: int) -> Image8:
-    """A frame of the wrong size at the right one, to continue with."""
+    """Return a frame of the wrong size at the right one, to continue with."""
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
@@ -309,7 +309,7 @@ def _repeated(name: str, view: ViewFrames, candidates: list[int]) -> list[Findin
 
 
 def _truth_change(view: ViewFrames, indices: list[int]) -> Change:
-    """Median change of the truth from the frames before some frames to these."""
+    """Return the median change of the truth from the frames before some frames to these."""
     changes = [change(shrink(view.truth(index - 1)), shrink(view.truth(index))) for index in indices]
     return Change(*(float(np.median([getattr(one, part) for one in changes])) for part in ("largest", "usual")))
 

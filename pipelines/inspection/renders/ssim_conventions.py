@@ -66,7 +66,7 @@ def ssim_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
 
 
 def frame_measures() -> dict[str, FrameMeasure]:
-    """Name -> SSIM of two uint8 frames."""
+    """Return the name -> SSIM of two uint8 frames."""
     measures: dict[str, FrameMeasure] = {
         OUR_SSIM: partial(similarity, **GAUSSIAN),
         "Gaussian 11 x 11, valid positions, range 2": partial(similarity, data_range=2.0, **GAUSSIAN),
@@ -140,7 +140,7 @@ def _dissimilarity(row: Recomputed, divisor: int) -> Recomputed:
 
 
 def _blackened(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
-    """Both frames black outside the mask; the windows there score 1."""
+    """Return both frames black outside the mask; the windows there score 1."""
     outside = {}
     for view, frames in views.items():
         values = []
@@ -185,7 +185,7 @@ def _change_scores(rendered: Image8, truth: Image8) -> dict[str, float]:
 
 
 def sdt_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
-    """Standard deviation of L1 over time: of which errors, in which order, with which divisor."""
+    """Return the standard deviation of L1 over time: of which errors, in which order, with which divisor."""
     errors = _errors(views)
     if min(len(values) for values in errors.values()) < 2:
         raise MetricError("SDT is a spread over frames: a view has 1; needs 2")
@@ -203,7 +203,7 @@ def sdt_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRea
 
 
 def sdv_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
-    """Standard deviation of L1 over views: of which errors, in which order, with which divisor."""
+    """Return the standard deviation of L1 over views: of which errors, in which order, with which divisor."""
     errors = _errors(views)
     if len(errors) < 2 or not _is_table(errors):
         raise MetricError(f"SDV is a spread over views with equal frames: {len(errors)} view; needs 2 of as many frames")
@@ -233,7 +233,7 @@ def _is_table(errors: Mapping[str, NDArray[np.float64]]) -> bool:
 
 
 def _in_units(name: str, values: Mapping[str, float], ours: bool = False) -> list[Recomputed]:
-    """A spread on both scales."""
+    """Return a spread on both scales."""
     scaled = {over: value / 255 for over, value in values.items()}
     return [Recomputed(f"{name}, L1 in 0..255", values, ours), Recomputed(f"{name}, L1 in 0..1", scaled)]
 
@@ -251,7 +251,7 @@ def sted_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
 
 
 def _view_values(view: ViewFrames) -> dict[str, float]:
-    """Name of the convention -> value of one view; only the bands of the frames are kept."""
+    """Return the name of the convention -> value of one view; only the bands of the frames are kept."""
     values: dict[str, float] = {}
     bands = {name: [] for name in LUMAS}  # type: dict[str, list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
     for pair in view_pairs(view):
@@ -268,7 +268,7 @@ def _view_values(view: ViewFrames) -> dict[str, float]:
 
 
 def _pair_differences(bands: list[tuple[NDArray[np.float64], NDArray[np.float64]]], pairing: StedPairing) -> strred.StRred:
-    """Differences of the pairs, from bands instead of frames so that each frame is filtered once."""
+    """Return the differences of the pairs, from bands instead of frames so that each frame is filtered once."""
     step = 2 if pairing == "disjoint" else 1
     differences = []
     for index in range(0, len(bands) - 1, step):
@@ -279,7 +279,7 @@ def _pair_differences(bands: list[tuple[NDArray[np.float64], NDArray[np.float64]
 
 
 def _pooled(result: strred.StRred) -> dict[str, float]:
-    """Both outputs, pooled before and after the product."""
+    """Return both outputs, pooled before and after the product."""
     spatial, temporal, single_spatial, single_temporal = result.pairs.T
     return {
         "mean x mean": result.strred,

@@ -25,7 +25,7 @@ BLURRED_BELOW = 0.95  # of the capture's sharpness, noise of the capture include
 
 
 def mtv_conventions(views: Mapping[str, ViewFrames], _masks: Mapping[str, MaskReader]) -> list[Recomputed]:
-    """Change of the renderings from frame to frame in several masks and on several scales."""
+    """Return the change of the renderings from frame to frame in several masks and on several scales."""
     by_view = {name: _variations(name, view) for name, view in views.items()}
     measured = [kind for kind in (OURS, ALWAYS, EVERYWHERE, SECOND) if all(kind in values for values in by_view.values())]
     return [
@@ -40,7 +40,7 @@ def mtv_conventions(views: Mapping[str, ViewFrames], _masks: Mapping[str, MaskRe
 
 
 def _variations(name: str, view: ViewFrames) -> dict[str, float]:
-    """Mean of each kind over the frames of a view; a kind without pixels is left out."""
+    """Return the mean of each kind over the frames of a view; a kind without pixels is left out."""
     if len(view.frames) < 2:
         raise MetricError(f"mTV is a change between frames: 1 frame of {name}; needs 2")
     always = ~reduce(np.logical_or, (moving_mask(after, before) for (_, before), (_, after) in pairwise(view_pairs(view))))
@@ -80,7 +80,7 @@ def warping_conventions(views: Mapping[str, ViewFrames], _masks: Mapping[str, Ma
 
 
 def _warping_errors(name: str, view: ViewFrames) -> dict[str, float]:
-    """Mean over the frames of each kind of squared difference, white is 1."""
+    """Return the mean over the frames of each kind of squared difference, white is 1."""
     if len(view.frames) < 2:
         raise MetricError(f"a warping error is between frames: 1 frame of {name}; needs 2")
     values: dict[str, list[float]] = {}

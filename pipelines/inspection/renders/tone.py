@@ -86,7 +86,7 @@ def of_all_views(found: Sequence[AnyTold], views: int) -> list[AnyTold]:
 
 
 def tone_curve(sample: Sample, channel: int) -> Curve:
-    """Median true and rendered level of flat pixels, by bins of the true level, (bins, 2)."""
+    """Return the median true and rendered level of flat pixels, by bins of the true level, (bins, 2)."""
     kernel = np.ones((FLAT_PX, FLAT_PX), np.uint8)
     both = [
         np.stack([cv2.GaussianBlur(image, (0, 0), SMOOTH_PX) for image in images])
@@ -124,7 +124,7 @@ def fit_tone(curve: Curve) -> ToneFit:
 
 
 def _gain_free_error(model: Curve, ours: Curve) -> float:
-    """Error of a tone curve that may come with a cast of some per cent."""
+    """Return the error of a tone curve that may come with a cast of some per cent."""
     gain = np.clip((model * ours).sum() / max((model * model).sum(), 1e-9), 1 / LARGEST_GAIN, LARGEST_GAIN)
     return float(np.abs(gain * model - ours).mean())
 
@@ -153,7 +153,7 @@ def _power_advice(power: float) -> str:
 
 
 def _video_range(name: str, sample: Sample, fits: list[ToneFit]) -> list[Finding]:
-    """Levels squeezed into 16..235, or stretched from there although they were not.
+    """Return the levels squeezed into 16..235, or stretched from there although they were not.
 
     Both constants have to be met in each channel, and the cut must be seen: a milky or a dark rendering has an offset too.
     """
@@ -172,7 +172,7 @@ def _video_range(name: str, sample: Sample, fits: list[ToneFit]) -> list[Finding
 
 
 def _nearness(fits: list[ToneFit], slope: float, intercept_255: float) -> float:
-    """Largest deviation of the channels' intercepts, levels; infinite where a slope is none that exposure explains."""
+    """Return the largest deviation of the channels' intercepts, levels; infinite where a slope is none that exposure explains."""
     gains = [fit.slope / slope for fit in fits]
     if max(gains) > LARGEST_RANGE_GAIN or min(gains) < 1 / LARGEST_RANGE_GAIN:
         return float("inf")

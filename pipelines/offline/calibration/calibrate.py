@@ -107,13 +107,13 @@ class OddLens:
     common_factor: float
 
     def describe(self) -> str:
-        """The factor with its interval, and what it does to the others."""
+        """Return the factor with its interval, and what it does to the others."""
         changed = f"; the others then x {self.common_factor:.3f}"
         return f"alone fits x {self.factor:.3f} +- {self.half_width:.3f} of the common focal length{changed}"
 
 
 def own_lens_option(odd: Iterable[str]) -> str:
-    """The option of `calibrate` that frees some cameras."""
+    """Return the option of `calibrate` that frees some cameras."""
     return f"--own-lens {' '.join(odd)}"
 
 
@@ -216,7 +216,7 @@ def measure_against(given: Capture, calibration: Calibration) -> dict[str, float
 def _known(
     files: dict[str, CameraFrames], options: CalibrationOptions
 ) -> tuple[dict[str, CameraFrames], dict[str, KnownCamera] | None]:
-    """Frames and known intrinsics, rescaled to one size; None if nothing is known."""
+    """Return the frames and known intrinsics, rescaled to one size; None if nothing is known."""
     path = options.known_poses or options.known_intrinsics
     sizes = {name: file.size for name, file in files.items()}
     if path is None:
@@ -265,7 +265,7 @@ def _job(
 
 
 def _missing(images: Mapping[str, str], result: Mapping[str, Any]) -> dict[str, str]:
-    """Cameras that were not registered, with what is known about why."""
+    """Return the cameras that were not registered, with what is known about why."""
     return {
         name: f"{result['features'].get(image, 0)} features, {result['matches'].get(image, 0)} matches with its best partner"
         for name, image in images.items()
@@ -274,7 +274,7 @@ def _missing(images: Mapping[str, str], result: Mapping[str, Any]) -> dict[str, 
 
 
 def _unregistered(folder: Path, missing: Mapping[str, str], n_cameras: int, log: Path, known_poses: Path | None) -> CaptureError:
-    """The error of a model that lacks cameras; leaving them out is offered only where two others remain."""
+    """Return the error of a model that lacks cameras; leaving them out is offered only where two others remain."""
     listed = ", ".join(f"{name} ({reason})" for name, reason in missing.items())
     mend = "give these cameras more texture, light or overlap with others, another frame, or known intrinsics"
     mend += "" if n_cameras - len(missing) < 2 else ", or continue without them (--allow-missing)"
@@ -390,7 +390,7 @@ def keep_log(unfinished: Path, out: Path) -> Path:
 
 
 def describe_known(path: Path, known_cameras: Mapping[str, KnownCamera], *, with_poses: bool) -> dict[str, dict[str, Any]]:
-    """Known cameras as the worker reads them, by name."""
+    """Return the known cameras as the worker reads them, by name."""
     described = {}
     for name, camera in known_cameras.items():
         try:

@@ -102,7 +102,7 @@ def _find_features(folder: Path, job: Mapping[str, Any]) -> None:
 
 
 def _images(job: Mapping[str, Any]) -> list[str]:
-    """All images, in the order in which the database numbers them."""
+    """Return all images, in the order in which the database numbers them."""
     return [image for group in job["groups"] for image in group]
 
 
@@ -133,7 +133,7 @@ def _match(folder: Path, job: Mapping[str, Any]) -> None:
 
 
 def _map(folder: Path, job: Mapping[str, Any]) -> tuple[Any, int]:
-    """The largest model of the first attempt that registers every camera, or of all attempts; and the attempt's number."""
+    """Return the largest model of the first attempt that registers every camera, or of all attempts; and the attempt's number."""
     import pycolmap
 
     best, best_attempt = None, 0
@@ -170,7 +170,7 @@ def _guess_focal_length(database: Path, factor: float) -> None:
 
 
 def _mapping_options(job: Mapping[str, Any], attempt: Mapping[str, float]) -> Any:
-    """One thread and fixed seeds: equal images give equal models."""
+    """Return one thread and fixed seeds: equal images give equal models."""
     import pycolmap
 
     options = pycolmap.IncrementalPipelineOptions()
@@ -192,7 +192,7 @@ def _mapping_options(job: Mapping[str, Any], attempt: Mapping[str, float]) -> An
 
 
 def _from_poses(folder: Path, job: Mapping[str, Any]) -> Any:
-    """Points for cameras that stay where they are, or that are then refined: more points come with better cameras."""
+    """Return the points for cameras that stay where they are, or that are then refined: more points come with better cameras."""
     model = _triangulate(folder, job, job["known"])
     for _ in range(REFINEMENTS if job["refine"] else 0):
         views_by_image = refined_views(model, job["known"])
@@ -276,7 +276,7 @@ def release_lenses(folder: Path, images: Sequence[str], shared: Any, options: An
 
 
 def posed_model(database: Path, poses: Mapping[str, Any]) -> Any:
-    """A reconstruction without points.
+    """Return a reconstruction without points.
 
     Args:
         database: names the images and their cameras.

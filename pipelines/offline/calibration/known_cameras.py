@@ -63,7 +63,7 @@ class IntrinsicsFile:
 
 
 def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -> dict[str, KnownCamera]:
-    """Cameras by name.
+    """Return the cameras by name.
 
     Args:
         path: ``intrinsics.toml`` or another TOML file of that form, ``capture.toml``, a folder with ``intrinsics.toml``, a folder
@@ -81,7 +81,7 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
 
 
 def _read_cameras(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
-    """Cameras as they are called there; the sizes are by NFC names."""
+    """Return the cameras as they are called there; the sizes are by NFC names."""
     if not path.is_dir() and find_calibration_files(path):
         return _of_calibration_file(path, sizes)
     if path.suffix.lower() == ".toml" and path.name != "capture.toml":
@@ -112,7 +112,7 @@ def write_intrinsics(path: Path, lenses: Mapping[str, Lens]) -> None:
 
 
 def fit_known(path: Path, cameras: Mapping[str, KnownCamera], sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
-    """The known cameras at the size of the frames.
+    """Return the known cameras at the size of the frames.
 
     Args:
         sizes: (width, height) of each camera's frames.
@@ -175,14 +175,14 @@ def _lens(path: Path, table: IntrinsicsTable) -> Lens:
 
 
 def _rows(rows: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
-    """The rows of K, which must be even for an array to be made of them."""
+    """Return the rows of K, which must be even for an array to be made of them."""
     if [len(row) for row in rows] != [3, 3, 3]:
         raise CameraError(f"K must be 3 rows of 3 numbers, got rows of {[len(row) for row in rows]}; write all nine")
     return rows
 
 
 def _of_calibration_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
-    """Cameras of a calibration file; of cameras without frames only the stated size counts."""
+    """Return the cameras of a calibration file; of cameras without frames only the stated size counts."""
     cameras = {}
     for name, camera in read_calibration_file(path).cameras.items():
         if camera.size is None and same_name(name) not in sizes:

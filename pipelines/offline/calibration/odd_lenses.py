@@ -18,7 +18,7 @@ SIGMAS = 3.0
 
 
 def find_odd_lenses(shared: Any) -> dict[str, dict[str, float]]:
-    """Cameras that disagree with the lens that all share, the clearest first.
+    """Return the cameras that disagree with the lens that all share, the clearest first.
 
     Args:
         shared: reconstruction whose images share one camera; it stays as it is.
@@ -52,7 +52,7 @@ def find_odd_lenses(shared: Any) -> dict[str, dict[str, float]]:
 
 
 def free_lenses(shared: Any, names: Collection[str]) -> tuple[Any, dict[str, int]]:
-    """A copy of a reconstruction in which some images have a camera of their own, and its number by image."""
+    """Return a copy of a reconstruction in which some images have a camera of their own, and its number by image."""
     import pycolmap
 
     model = pycolmap.Reconstruction()
@@ -76,7 +76,7 @@ def free_lenses(shared: Any, names: Collection[str]) -> tuple[Any, dict[str, int
 
 
 def adjust_own(shared: Any, names: Collection[str]) -> Any:
-    """The reconstruction with some images freed from the lens that the others share, adjusted."""
+    """Return the reconstruction with some images freed from the lens that the others share, adjusted."""
     model, _ = free_lenses(shared, names)
     _adjust(model)
     model.update_point_3d_errors()

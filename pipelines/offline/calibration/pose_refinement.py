@@ -65,7 +65,7 @@ class Rig:
 
 
 def refined_views(model: Any, views: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Known cameras, moved to where the features of a model are most likely.
+    """Return the known cameras, moved to where the features of a model are most likely.
 
     Args:
         model: a reconstruction with points, in the world of the views; its own cameras may have been refined already.
@@ -94,7 +94,7 @@ def refined_views(model: Any, views: Mapping[str, Mapping[str, Any]]) -> dict[st
 
 
 def _rig(model: Any, images: list[Any], views: list[Mapping[str, Any]]) -> tuple[Rig, Array]:
-    """The rig of some images, and the points that they see, (P, 3)."""
+    """Return the rig of some images, and the points that they see, (P, 3)."""
     import pycolmap
 
     numbers = {identity: number for number, identity in enumerate(sorted(model.points3D))}
@@ -144,7 +144,7 @@ def cost(rig: Rig, changes: Array, points: Array) -> float:
 
 
 def _step(rig: Rig, changes: Array, points: Array, damping: float) -> tuple[Array, Array]:
-    """The step of the cameras (C, 9) and of the points (P, 3)."""
+    """Return the step of the cameras (C, 9) and of the points (P, 3)."""
     uv = rig.project(changes, points)
     errors = (uv - rig.uv) / FEATURE_PX
     weights = (1 + np.square(errors).sum(axis=1)) ** -0.25  # square roots of the loss's weights
@@ -170,14 +170,14 @@ def _step(rig: Rig, changes: Array, points: Array, damping: float) -> tuple[Arra
 
 
 def _jacobian(blocks: Array, columns: NDArray[np.int64], count: int) -> Any:
-    """Derivatives of all features, (2 M, count * n), of blocks (M, 2, n)."""
+    """Return the derivatives of all features, (2 M, count * n), of blocks (M, 2, n)."""
     size = blocks.shape[2]
     shape = 2 * len(blocks), count * size
     return bsr_array((blocks, columns, np.arange(len(blocks) + 1)), shape=shape).tocsr()
 
 
 def _inverse_blocks(of_points: Any, damping: float) -> Any:
-    """Inverse of the points' own block of the normal equations, 3 x 3 for each."""
+    """Return the inverse of the points' own block of the normal equations, 3 x 3 for each."""
     own = (of_points.T @ of_points).tobsr(blocksize=(3, 3))
     count = own.shape[0] // 3
     blocks = np.zeros((count, 3, 3))

@@ -51,7 +51,7 @@ class LensAndTarget:
 
 
 def read_lenses(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarget]:
-    """The lens of each camera, by name.
+    """Return the lens of each camera, by name.
 
     Args:
         path: ``intri.yml``, ``calib_*.pkl``, or another file that `read_known` reads.
@@ -134,7 +134,7 @@ def _numbers(path: Path, name: str, entry: Any, key: str, count: int) -> Array:
 
 
 def _lens(path: Path, name: str, K: Array, model: Any, coefficients: tuple[float, ...], size: Size) -> Lens:
-    """The lens, if its K can be that of frames of this size."""
+    """Return the lens, if its K can be that of frames of this size."""
     width, height = size
     is_central = 0.3 < K[0, 2] / width < 0.7 and 0.3 < K[1, 2] / height < 0.7
     if not is_central or K[0, 0] <= 0 or K[1, 1] <= 0:

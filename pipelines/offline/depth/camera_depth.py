@@ -65,11 +65,11 @@ class DepthOptions:
     sensor: RegistrationName | None = "given"
 
     def first_needed(self, frame: int) -> int:
-        """The keyframe that `frame` goes back to: depth of an instant depends on the instants from there on."""
+        """Return the keyframe that `frame` goes back to: depth of an instant depends on the instants from there on."""
         return frame - frame % self.keyframe_every
 
     def describe(self) -> dict[str, object]:
-        """All that stereo depends on, as values that JSON knows, its code included; part of the key."""
+        """Return all that stereo depends on, as values that JSON knows, its code included; part of the key."""
         matcher, filler = (
             {name: value for name, value in vars(each).items() if not isinstance(value, Path)} if each else None
             for each in (self.matcher, self.filler)
@@ -87,11 +87,11 @@ class DepthOptions:
         return described
 
     def _code(self) -> str:
-        """Hash of the code that finds depth by this matcher, and by no other."""
+        """Return the hash of the code that finds depth by this matcher, and by no other."""
         return code_identity(__name__, STREAM, *modules_of(self.matcher, self.filler), unfollowed=(__name__,))
 
     def choose_partners(self, camera: Camera, candidates: Sequence[Camera], excluded: Collection[str] = ()) -> list[Camera]:
-        """The cameras that a camera is matched with, see `pairing.choose_partners`."""
+        """Return the cameras that a camera is matched with, see `pairing.choose_partners`."""
         pairs, views = self.partners, self.filler.partners if isinstance(self.filler, IterMvs) else 0
         if isinstance(self.matcher, IterMvs):
             pairs, views = 0, self.matcher.partners
@@ -99,7 +99,7 @@ class DepthOptions:
 
 
 def modules_of(*matchers: StereoMatcher | PlaneSweep | IterMvs | None) -> set[str]:
-    """Modules that find depth by some matchers, and by no others."""
+    """Return the modules that find depth by some matchers, and by no others."""
     modules = {fill_background.__module__}
     for each in filter(None, matchers):
         modules |= {ESTIMATORS.get(type(each), PairwiseEstimator.__module__), type(each).__module__}
@@ -110,7 +110,7 @@ class Estimator(Protocol):
     """Finds the depth of one camera with its partners at once."""
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
-        """Depth at one instant, see `DepthEstimator.estimate`."""
+        """Return the depth at one instant, see `DepthEstimator.estimate`."""
 
     def forget(self) -> None:
         """Begin a new sequence."""
@@ -145,7 +145,7 @@ class DepthEstimator:
         self._guess = None if options.filler is None else (asked, _estimator(camera, asked, options.filler, options, shared))
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
-        """Depth at one instant.
+        """Return the depth at one instant.
 
         Args:
             image: what the camera saw, RGB, (H, W, 3).

@@ -30,7 +30,7 @@ Indices = NDArray[np.int32]
 
 
 def describe_check() -> dict[str, object]:
-    """The check as values that JSON knows, its code included; part of a depth map's key."""
+    """Return the check as values that JSON knows, its code included; part of a depth map's key."""
     return {"algorithm": "consistency", "code": code_identity(__name__, FILL, CALLER, unfollowed=(CALLER,))}
 
 
@@ -199,7 +199,7 @@ class _Projection:
         self._offset = transformed(second.K, transform[:3, 3]).astype(np.float32)
 
     def move(self, u: Map, v: Map, depth: Map) -> tuple[Map, Map, Map]:
-        """Image coordinates and depth in the second camera; meaningless coordinates where that is not positive."""
+        """Return the image coordinates and depth in the second camera; meaningless coordinates where that is not positive."""
         rows = zip(self._matrix, self._offset, strict=True)
         x, y, z = (depth * (row[0] * u + row[1] * v + row[2]) + offset for row, offset in rows)
         with np.errstate(divide="ignore", invalid="ignore"):

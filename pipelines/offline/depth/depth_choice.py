@@ -28,7 +28,7 @@ FILLER = re.compile(rf"\+(?=(?:{'|'.join(built_in.NETWORK_MATCHERS)})(?::|$))") 
 
 
 def default_matcher() -> str:
-    """The matcher of those who name none: with IterMVS where its weights are in the cache folder."""
+    """Return the matcher of those who name none: with IterMVS where its weights are in the cache folder."""
     return f"{FREE_MATCHER}+{ITERMVS}" if os.path.isfile(cached_weights()) else FREE_MATCHER  # a foreign folder has none
 
 
@@ -39,7 +39,7 @@ def finds_live(record: Mapping[str, Any]) -> bool:
 
 
 def find_matcher(name: str, device: str = "cpu", *, dense: bool = False) -> StereoMatcher | PlaneSweep | IterMvs:
-    """The matcher of a name without a filler: one of `MATCHERS`, or ``NETWORK:CHECKPOINT``.
+    """Return the matcher of a name without a filler: one of `MATCHERS`, or ``NETWORK:CHECKPOINT``.
 
     Args:
         device: where a network computes; the others are the CPU's. Whether it is there shows when it computes.
@@ -83,7 +83,7 @@ class DepthRunOptions:
         )
 
     def options(self, device: str = "cpu") -> DepthOptions:
-        """All parameters of the depth estimation."""
+        """Return all parameters of the depth estimation."""
         if self.stereo_weights is not None and self.matcher not in (FREE_MATCHER, default_matcher(), LIVE_MATCHER, RAFT):
             raise DepthError(f"--stereo-weights: wanted --matcher raft, got {self.matcher}")
         name = self.matcher if self.stereo_weights is None else f"{RAFT}:{self.stereo_weights}"

@@ -48,7 +48,7 @@ class DepthStream:
         self._reference: tuple[NDArray[np.float32], DepthMap] | None = None
 
     def step(self, frame: int, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
-        """Depth at one instant.
+        """Return the depth at one instant.
 
         Args:
             frame: its number; consecutive from call to call.

@@ -88,7 +88,7 @@ def fill_background(depth: Tensor, confidence: Tensor, filled_confidence: float)
 
 
 def _farther_neighbour(depth: Tensor) -> Tensor:
-    """The larger of the nearest known depths on the same row to the left and to the right; 0 on empty rows."""
+    """Return the larger of the nearest known depths on the same row to the left and to the right; 0 on empty rows."""
     width = depth.shape[2]
     columns = torch.arange(width, device=depth.device).expand(depth.shape)
     left = torch.where(depth > 0, columns, 0).cummax(dim=2).values
@@ -176,7 +176,7 @@ class _Others:
         return supports, conflicts, torch.where(counts, depth + step, 0.0), self._at(self._confidence, u.long(), v.long())
 
     def project(self) -> Tensor:
-        """The others' depth in the cameras' pixels, the nearest where points meet; inf elsewhere."""
+        """Return the others' depth in the cameras' pixels, the nearest where points meet; inf elsewhere."""
         u, v, depth = _move(self._back, _rays(self._back, self._u, self._v), self._depth)
         inside = (self._depth > 0) & self._inside(u, v, depth)
         outside = self._height * self._width  # a cell that is not looked at
@@ -211,12 +211,12 @@ class _Others:
 
 
 def _rays(numbers: Tensor, u: Tensor, v: Tensor) -> list[Tensor]:
-    """Homogeneous pixels in other cameras at depth 1, without the offset, of pixels here; numbers are (K, 12)."""
+    """Return the homogeneous pixels in other cameras at depth 1, without the offset, of pixels here; numbers are (K, 12)."""
     return [row[:, 0] * u + row[:, 1] * v + row[:, 2] for row in numbers[:, :9].view(-1, 3, 3, 1, 1).unbind(1)]
 
 
 def _move(numbers: Tensor, rays: Sequence[Tensor], depth: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Image coordinates and depth in other cameras of points at a depth along `_rays`."""
+    """Return the image coordinates and depth in other cameras of points at a depth along `_rays`."""
     offsets = numbers[:, 9:].view(-1, 3, 1, 1).unbind(1)
     x, y, z = (depth * ray + offset for ray, offset in zip(rays, offsets, strict=True))
     return x / z, y / z, z

@@ -69,7 +69,7 @@ class DepthPartners:
         return chosen
 
     def describe_unmatched(self) -> str:
-        """One line that names all cameras without depth, and why; empty where there are none."""
+        """Return one line that names all cameras without depth, and why; empty where there are none."""
         if not self.unmatched:
             return ""
         reason = next(iter(self.unmatched.values())).partition(": ")[2]
@@ -128,7 +128,7 @@ def plan_rig_depth(capture: Capture, options: DepthOptions) -> tuple[DepthJob, .
 
 
 def without_unmatched(capture: Capture, options: DepthOptions) -> Capture:
-    """The capture without cameras that no other can be matched with, which a note names."""
+    """Return the capture without cameras that no other can be matched with, which a note names."""
     partners = DepthPartners(capture, options)
     lost = [camera.name for camera in capture.cameras if not partners.has_depth(camera)]
     if len(lost) == len(capture.cameras):
@@ -156,7 +156,7 @@ def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEs
 
 
 def depth_job(capture: Capture, camera_name: str, partner_names: Sequence[str], options: DepthOptions) -> DepthJob:
-    """A job with all that its depth depends on, as it is found.
+    """Return a job with all that its depth depends on, as it is found.
 
     Args:
         partner_names: the cameras it is matched with; none where a sensor measured its depth, or nothing did.

@@ -73,7 +73,7 @@ def choose_partners(
 
 
 def pairs_of(camera: Camera, partners: Sequence[Camera], count: int) -> list[Camera]:
-    """The first of `choose_partners`' views, which can be matched pair by pair."""
+    """Return the first of `choose_partners`' views, which can be matched pair by pair."""
     points = _sample_view(camera)
     return [each for each in partners[:count] if _evaluate(camera, each, points, MAX_ANGLE_RAD) and _can_be_matched(camera, each)]
 
@@ -109,7 +109,7 @@ def _angle_rad(camera: Camera, other: Camera) -> float:
 
 
 def _sample_view(camera: Camera) -> Array:
-    """Points all over the camera's view at depths from near to far, (S, 3) in the world."""
+    """Return the points all over the camera's view at depths from near to far, (S, 3) in the world."""
     across, down = ((np.arange(n) + 0.5) / n * size for n, size in zip(GRID, camera.size, strict=True))
     u, v, inverse = np.meshgrid(across, down, np.linspace(1 / camera.near, 1 / camera.far, DEPTHS))
     return camera.unproject(np.stack([u, v], axis=-1), 1 / inverse).reshape(-1, 3)

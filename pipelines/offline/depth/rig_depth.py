@@ -62,7 +62,7 @@ class RigDepth:
             self._batch = IterMvsRig(options.matcher, finisher(options))
 
     def clock_s(self) -> float:
-        """The time, seconds, when the depth that was asked for is found: a device works on while Python goes ahead."""
+        """Return the time, seconds, when the depth that was asked for is found: a device works on while Python goes ahead."""
         device = getattr(self.options.matcher, "device", "cpu")
         if device == "cpu":
             return perf_counter()
@@ -71,7 +71,7 @@ class RigDepth:
         return clock_s(compute_device(device))
 
     def partners(self, name: str) -> tuple[str, ...]:
-        """Names of the cameras that one is matched with.
+        """Return the names of the cameras that one is matched with.
 
         Raises:
             DepthError: no other camera of the rig sees what it sees.
@@ -82,11 +82,11 @@ class RigDepth:
         return self._partners[name]
 
     def needed(self, names: Sequence[str]) -> list[str]:
-        """Names of the cameras whose pictures the depth of some is found from, theirs included."""
+        """Return the names of the cameras whose pictures the depth of some is found from, theirs included."""
         return list(dict.fromkeys(each for name in names for each in (name, *self.partners(name))))
 
     def estimate(self, names: Sequence[str], images: Mapping[str, Image8]) -> dict[str, DepthMap] | dict[str, DeviceDepth]:
-        """Depth at one instant.
+        """Return the depth at one instant.
 
         Args:
             names: of the cameras whose depth is wanted.
@@ -109,7 +109,7 @@ class RigDepth:
         return maps if not self.options.consistency or len(names) == 1 else {name: self._checked(name, maps) for name in maps}
 
     def _found_here(self, names: Sequence[str], pictures: Mapping[str, Image8]) -> list[DepthMap]:
-        """Maps as the CPU's matchers find them, finished."""
+        """Return the maps as the CPU's matchers find them, finished."""
         if isinstance(self.options.matcher, LiveMatcher):
             if self._pairs is None or self._pairs[0] != names:
                 matched = [(name, *self.partners(name)) for name in names]

@@ -134,7 +134,7 @@ def _write_lists(cameras: Sequence[Camera], partners: Mapping[str, Sequence[str]
 
 
 def _surface_points(cameras: Sequence[Camera], depths: Sequence[Map], count: int) -> Array:
-    """Points of the depth maps in the world, evenly strewn over their known pixels, (P, 3)."""
+    """Return the points of the depth maps in the world, evenly strewn over their known pixels, (P, 3)."""
     points = [np.zeros((0, 3))]
     for camera, depth in zip(cameras, depths, strict=True):
         valid_pixels = np.flatnonzero(depth)
@@ -158,7 +158,7 @@ def _shared(
 
 
 def _sightings(camera: Camera, image: Image8, depth: Map, points: Array) -> Sightings:
-    """The points that are on a camera's own depth map."""
+    """Return the points that are on a camera's own depth map."""
     uv, z = camera.project(points)
     inside = np.flatnonzero((z > 0) & (uv >= 0).all(axis=1) & (uv < camera.size).all(axis=1))
     column, row = np.floor(uv[inside]).astype(np.intp).T

@@ -95,7 +95,7 @@ def _in_order(vertices: Array, colours: Array, triangles: NDArray[np.int64]) -> 
 
 
 def surface_normals(camera: Camera, depth: Map) -> Map:
-    """Unit normals in the camera's frame, towards the camera, by a plane fitted around each pixel.
+    """Return the unit normals in the camera's frame, towards the camera, by a plane fitted around each pixel.
 
     A plane n . p = d is linear in inverse depth, n . (x, y, 1) = d / z along the ray (x, y, 1), so that least squares over the
     neighbours of the same surface give its normal.
@@ -184,7 +184,7 @@ class _View:
     normals: NDArray[np.float32]
 
     def points_world(self) -> Array:
-        """Places of these pixels, (N, 3)."""
+        """Return the places of these pixels, (N, 3)."""
         mask = self.depth > 0
         return self.camera.unproject(self.camera.pixel_centres()[mask], self.depth[mask].astype(np.float64))
 
@@ -258,14 +258,14 @@ def _sample(view: _View) -> Array:
 
 
 def _fitting_voxel(views: Sequence[_View], sample: Array) -> float:
-    """A few pixels on the surface, unless the scene is so large that this would be too many voxels."""
+    """Return a few pixels on the surface, unless the scene is so large that this would be too many voxels."""
     footprints = np.concatenate([view.depth[view.depth > 0] / view.camera.focal_px for view in views])
     low, high = np.percentile(sample, (1, 99), axis=0)
     return max(FOOTPRINTS * float(np.median(footprints)), float(np.linalg.norm(high - low)) / MOST_VOXELS)
 
 
 def _point_cloud(views: Sequence[_View], voxel: float) -> Any:
-    """Mean place, normal and colour in each voxel, every camera counted once, an `open3d.geometry.PointCloud`."""
+    """Return the mean place, normal and colour in each voxel, every camera counted once, an `open3d.geometry.PointCloud`."""
     import open3d
 
     vectors, cloud = open3d.utility.Vector3dVector, open3d.geometry.PointCloud()
@@ -279,7 +279,7 @@ def _point_cloud(views: Sequence[_View], voxel: float) -> Any:
 
 
 def _mesh(views: Sequence[_View], middle: Array, voxel: float, fewest_triangles: int) -> Any:
-    """The mesh without debris, an `open3d.geometry.TriangleMesh`."""
+    """Return the mesh without debris, an `open3d.geometry.TriangleMesh`."""
     import open3d
 
     origin = np.rint(middle / voxel) * voxel

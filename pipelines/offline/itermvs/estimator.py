@@ -35,7 +35,7 @@ Finish = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 def load_network(
     path: Path, device: torch.device | str = "cpu", layout: torch.memory_format = torch.contiguous_format
 ) -> IterMvsNetwork:
-    """The network of a weights file, in evaluation mode, on a device.
+    """Return the network of a weights file, in evaluation mode, on a device.
 
     Args:
         path: a ``.ckpt`` of the authors, or safetensors with the same names under ``model.``.
@@ -48,7 +48,7 @@ def load_network(
 
 
 def matcher_of_weights(checkpoint: str = "", device: str = "cpu", _dense: bool = True) -> IterMvs:
-    """The matcher with a checkpoint of the authors, by default the one in the cache folder; its maps are always dense.
+    """Return the matcher with a checkpoint of the authors, by default the one in the cache folder; its maps are always dense.
 
     Raises:
         WeightsError: what is wrong with the file, before hours of work.
@@ -84,7 +84,7 @@ class IterMvsRig:
     def estimate(
         self, cameras: Sequence[Camera], matched: Sequence[Matched], images: Sequence[Image8]
     ) -> list[tuple[Tensor, Tensor]]:
-        """Depth everywhere at one instant, and the network's own confidence.
+        """Return the depth everywhere at one instant, and the network's own confidence.
 
         Args:
             cameras: of all pictures.
@@ -112,7 +112,7 @@ class IterMvsRig:
             return [(depth.clone(), confidence.clone()) for depth, confidence in zip(*batch.run(), strict=True)]
 
     def _batch(self, maps: int, partners: int, size: tuple[int, int], pictures: Sequence[Pictures]) -> "_Batch":
-        """The buffers of these numbers; those that were not used for longest are given up."""
+        """Return the buffers of these numbers; those that were not used for longest are given up."""
         key = (maps, partners, size, *pictures)
         if key not in self._batches:
             if len(self._batches) >= MOST_RECORDINGS:
@@ -193,7 +193,7 @@ class _Batch:
             self._uploaded.record()
 
     def run(self) -> tuple[Tensor, Tensor]:
-        """Depth and confidence, (K, H, W); a later run overwrites them."""
+        """Return the depth and confidence, (K, H, W); a later run overwrites them."""
         if self._uploaded is None:
             return self._compute()
         if self._graph is None or self._outcome is None:
@@ -202,7 +202,7 @@ class _Batch:
         return self._outcome
 
     def _compute(self) -> tuple[Tensor, Tensor]:
-        """All that is recorded: it reads the buffers, and neither uploads nor waits."""
+        """Return all that is recorded: it reads the buffers, and neither uploads nor waits."""
         with torch.autocast(self._device.type, torch.float16, enabled=self._half, cache_enabled=False):
             depth, confidence = self._network(self._pictures, self._views, self._iterations)
         if self._size != (depth.shape[2], depth.shape[1]):  # depths of two surfaces are not mixed, confidences are
@@ -238,7 +238,7 @@ class IterMvsEstimator:
         self._cameras, self._rig = (camera, *partners), IterMvsRig(options)
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
-        """Depth at one instant, everywhere, and the network's own confidence, (H, W)."""
+        """Return the depth at one instant, everywhere, and the network's own confidence, (H, W)."""
         found = self._rig.estimate(self._cameras, [range(len(self._cameras))], (image, *partner_images))
         return DepthMap(*(each.cpu().numpy() for each in found[0]))
 
@@ -248,7 +248,7 @@ class IterMvsEstimator:
 
 @lru_cache(maxsize=256)
 def _stretched(camera: Camera) -> Camera:
-    """The camera at the nearest size that the network takes; the same object for the same camera."""
+    """Return the camera at the nearest size that the network takes; the same object for the same camera."""
     width, height = (max(round(side / SIZE_MULTIPLE), 1) * SIZE_MULTIPLE for side in camera.size)
     return camera.resized(width, height)
 
@@ -259,20 +259,20 @@ def projections_between(cameras: Sequence[Camera]) -> Array:
 
 
 def _projection(first: Camera, second: Camera, first_matrix: Array, second_matrix: Array) -> Array:
-    """Matrix and offset from pixels of one camera to another's, by camera matrices in any pixels, (12,)."""
+    """Return the matrix and offset from pixels of one camera to another's, by camera matrices in any pixels, (12,)."""
     motion = rigid_between(first, second)
     matrix = second_matrix @ motion[:3, :3] @ np.linalg.inv(first_matrix)
     return np.concatenate([matrix.ravel(), second_matrix @ motion[:3, 3]])
 
 
 def _whole_pixels(camera: Camera) -> Array:
-    """The camera matrix where the first pixel's middle is at 0."""
+    """Return the camera matrix where the first pixel's middle is at 0."""
     return camera.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 
 
 @lru_cache(maxsize=64)
 def _nearest(size: int, wanted: int, device: torch.device) -> Tensor:
-    """Index of the nearest of some pixels in a line for each of those wanted, (wanted,)."""
+    """Return the index of the nearest of some pixels in a line for each of those wanted, (wanted,)."""
     line = np.arange(size, dtype=np.float32)[None]
     nearest = cv2.resize(line, (wanted, 1), interpolation=cv2.INTER_NEAREST_EXACT)[0]
     return torch.as_tensor(nearest.astype(np.int64), device=device)

@@ -110,7 +110,7 @@ class FeatureNetwork(nn.Module):
         self.inner3 = nn.Conv2d(eighth, eighth, 1)  # is in the checkpoints, and is never used
 
     def forward(self, image: Tensor) -> Features:
-        """Features at half, a quarter and an eighth of the size, float32; `image` is (B, 3, H, W), RGB in [-1, 1]."""
+        """Return the features at half, a quarter and an eighth of the size, float32; `image` is (B, 3, H, W), RGB in [-1, 1]."""
         half = self.layer1(self.conv1(image))
         quarter = self.layer2(half)
         eighth = self.layer3(quarter)
@@ -165,7 +165,7 @@ class Evaluation(nn.Module):
     def first(
         self, reference: Features, partners: Sequence[Partner], depths: Tensor, nearest: Tensor
     ) -> tuple[Tensor, list[Tensor]]:
-        """Scores at an eighth of the size, and how far to trust each partner, at a quarter.
+        """Return the scores at an eighth of the size, and how far to trust each partner, at a quarter.
 
         Args:
             partners: at least one.
@@ -188,7 +188,7 @@ class Evaluation(nn.Module):
         depths: Sequence[Tensor],
         nearest: Tensor,
     ) -> Tensor:
-        """Scores at a quarter of the size of hypotheses at three levels, (K, N1 + N2 + N3, H / 4, W / 4).
+        """Return the scores at a quarter of the size of hypotheses at three levels, (K, N1 + N2 + N3, H / 4, W / 4).
 
         Args:
             at_quarter: features of the cameras of the three levels, all at a quarter of the size.
@@ -211,7 +211,7 @@ class RecurrentUnit(nn.Module):
         self.convz, self.convr, self.convq = gates
 
     def forward(self, hidden: Tensor, features: Tensor) -> Tensor:
-        """The next state, as large as the one before."""
+        """Return the next state, as large as the one before."""
         both = torch.cat([hidden, features], dim=1)
         update, reset = torch.sigmoid(self.convz(both).float()), torch.sigmoid(self.convr(both).float())
         proposed = torch.tanh(self.convq(torch.cat([reset * hidden, features], dim=1)).float())
@@ -233,7 +233,7 @@ class Update(nn.Module):
         )
 
     def begin(self, scores: Tensor) -> Tensor:
-        """The first state, at twice the size of the scores."""
+        """Return the first state, at twice the size of the scores."""
         return torch.tanh(_enlarged(self.hidden_init_head(scores).float()))
 
     def place(self, hidden: Tensor) -> Tensor:
@@ -266,7 +266,7 @@ class Estimator(nn.Module):
         self.register_buffer("offsets", offsets, persistent=False)  # the checkpoints do not have them
 
     def forward(self, slots: Sequence[Features], views: MatchedViews, iterations: int) -> tuple[Tensor, Tensor]:
-        """Depth and confidence, (K, H, W).
+        """Return the depth and confidence, (K, H, W).
 
         Args:
             slots: features of the cameras, then of each partner, of K pictures each.
@@ -295,7 +295,7 @@ class Estimator(nn.Module):
         return depth_at(self._full_size(place, quarter))[:, 0], confidence[:, 0]
 
     def _full_size(self, place: Tensor, features: Tensor) -> Tensor:
-        """Four times the size: each pixel a convex combination of the nine places around it."""
+        """Return four times the size: each pixel a convex combination of the nine places around it."""
         rows, columns = place.shape[2:]
         shares = self.upsample(features).float().contiguous().view(-1, 9, 4, 4, rows, columns).softmax(dim=1)
         around = functional.unfold(functional.pad(place, (1, 1, 1, 1), mode="replicate"), 3).view(-1, 9, 1, 1, rows, columns)
@@ -312,7 +312,7 @@ class IterMvsNetwork(nn.Module):
         self.iter_mvs = Estimator()
 
     def forward(self, pictures: Sequence[Tensor], views: MatchedViews, iterations: int = 4) -> tuple[Tensor, Tensor]:
-        """Depth of K cameras.
+        """Return the depth of K cameras.
 
         Args:
             pictures: all of one size in one tensor, which `views.members` index; or, of different sizes, one tensor of the
@@ -357,7 +357,7 @@ def _correlate(reference: Tensor, partner: Partner, level: int, rays: Tensor, de
 
 
 def _weighted(correlations: Sequence[Tensor], weights: Sequence[Tensor]) -> Tensor:
-    """Mean over partners, (K, N, G, H, W)."""
+    """Return the mean over partners, (K, N, G, H, W)."""
     pairs = zip(correlations, weights, strict=True)
     total: Tensor = sum((c * w[:, :, None] for c, w in pairs), torch.zeros_like(correlations[0]))
     return total / (sum(weights, torch.zeros_like(weights[0])) + 1e-5)[:, :, None]

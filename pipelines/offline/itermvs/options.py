@@ -10,7 +10,7 @@ PUBLISHED = "https://github.com/FangjinhuaWang/IterMVS, checkpoints/blendedmvs/m
 
 
 def cached_weights() -> Path:
-    """The weights that are taken where a user names none, present or not: itermvs-blendedmvs.ckpt in the cache folder."""
+    """Return the weights that are taken where a user names none, present or not: itermvs-blendedmvs.ckpt in the cache folder."""
     return cache_folder() / "itermvs-blendedmvs.ckpt"
 
 

@@ -45,7 +45,7 @@ class SurfaceFit:
         self._variance = self._blur(grey * grey) - self._mean**2
 
     def refine(self, inverse_depth: Map, step: float) -> Map:
-        """One Gauss-Newton step towards the smallest difference of the windows, gains and offsets aside.
+        """Return one Gauss-Newton step towards the smallest difference of the windows, gains and offsets aside.
 
         Args:
             inverse_depth: the surface, (H, W), 1 / world units.
@@ -81,14 +81,14 @@ class SurfaceFit:
         return total / np.float32(self.n_partners)
 
     def _weight(self, view: PartnerView, inverse_depth: Map, places: Projection, score: Map) -> Map:
-        """The partner's correlation where it confirms the surface, else 0."""
+        """Return the partner's correlation where it confirms the surface, else 0."""
         return np.where(self._sees(view, inverse_depth, places), _confirmation(score), np.float32(0))
 
     def _sees(self, view: PartnerView, inverse_depth: Map, places: Projection) -> NDArray[np.bool_]:
         return view.sees(places) & ~find_hidden(view, inverse_depth, self.hidden_px)
 
     def _correlate(self, samples: Map) -> tuple[Map, Map]:
-        """Normalised cross-correlation with the reference, and the gain that takes `samples` to it; (H, W) each."""
+        """Return the normalised cross-correlation with the reference, and the gain that takes `samples` to it; (H, W) each."""
         mean = self._blur(samples)
         variance = np.maximum(self._blur(samples * samples) - mean * mean, 0) + self.noise
         covariance = self._blur(samples * self.grey) - mean * self._mean
@@ -106,7 +106,7 @@ class SurfaceFit:
 
 
 def _confirmation(score: Map) -> Map:
-    """A correlation where it is high enough to confirm anything, else 0."""
+    """Return a correlation where it is high enough to confirm anything, else 0."""
     return np.where(score > CONFIRMING, np.minimum(score, np.float32(1)), np.float32(0))
 
 
@@ -158,7 +158,7 @@ class SweepLevel:
         return LevelImages(guide, _grey(guide), tuple(turned))
 
     def match(self, images: LevelImages, prior: Map | None) -> Map:
-        """The surface that the images agree on.
+        """Return the surface that the images agree on.
 
         Args:
             prior: inverse depth found at a smaller size, (H', W'); None looks at every plane.
@@ -247,7 +247,7 @@ def _threads_and_level() -> tuple[int, int]:
 
 
 def _as_fine_as(camera: Camera, partner: Camera) -> Camera:
-    """The partner at a size at which its pixels are no finer than the camera's."""
+    """Return the partner at a size at which its pixels are no finer than the camera's."""
     share = min(1.0, camera.focal_px / partner.focal_px)
     return partner.resized(max(round(partner.width * share), 1), max(round(partner.height * share), 1))
 
@@ -272,7 +272,7 @@ class PlaneSweepEstimator:
         self._levels = [SweepLevel(camera.resized(*size), partners, options) for size in sizes]
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
-        """Depth at one instant, invalid everywhere where no partner sees anything of the camera's view.
+        """Return the depth at one instant, invalid everywhere where no partner sees anything of the camera's view.
 
         Returns:
             Depth, (H, W), and confidence: the mean correlation of the partners' windows with the camera's, 0 for a partner that

@@ -74,7 +74,7 @@ class SweepPlanes:
         return self.first + self.step * np.arange(self.count, dtype=np.float64)
 
     def inverse_depth_of(self, surface: Map) -> Map:
-        """Inverse depth of a surface given in planes, (H, W)."""
+        """Return the inverse depth of a surface given in planes, (H, W)."""
         return (self.first + self.step * surface).astype(np.float32)
 
 

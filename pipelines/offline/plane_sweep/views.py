@@ -53,7 +53,7 @@ class PartnerView:
         return np.array([*self.start, *self.slope, *self.origin, self.along], np.float32)
 
     def turn(self, grey: Map) -> Map:
-        """The partner's grey image on the reference's axes, (Hv, Wv)."""
+        """Return the partner's grey image on the reference's axes, (Hv, Wv)."""
         return cv2.remap(grey, self.positions, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
     def project(self, inverse_depth: Map) -> "Projection":
@@ -159,7 +159,7 @@ def _pair(values: Array) -> tuple[float, float]:
 
 
 def find_hidden(view: PartnerView, inverse_depth: Map, tolerance_px: float) -> Mask:
-    """Pixels that the surface itself hides from a partner, (H, W).
+    """Return the pixels that the surface itself hides from a partner, (H, W).
 
     Args:
         inverse_depth: the surface, (H, W), 1 / world units.

@@ -18,7 +18,7 @@ CONFIDENCE = 0.02  # of filled pixels
 
 
 def describe_fill() -> dict[str, object]:
-    """The fill as values that JSON knows, its code included; part of a depth map's key."""
+    """Return the fill as values that JSON knows, its code included; part of a depth map's key."""
     return {"algorithm": "fill-by-colour", "code": code_identity(__name__)}
 
 
@@ -52,7 +52,7 @@ def fill_by_colour(depth_map: DepthMap, image: Image8) -> DepthMap:
 
 
 def beside_jumps(depth: Map) -> Mask:
-    """Mask pixels near an edge between known depths, (H, W)."""
+    """Return the mask pixels near an edge between known depths, (H, W)."""
     neighbours, reach = np.ones((3, 3), np.uint8), 2 * EDGE_PX + 1
     farthest = cv2.dilate(depth, neighbours)
     nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), neighbours)
@@ -83,7 +83,7 @@ def smooth_by_colour(maps: Map, image: Image8, strength: float = STRENGTH, level
 
 
 def _likeness(guide: Map, levels: float) -> Map:
-    """Similarity of each pixel to the next one of its line, (N, M) in [0, 1]; 0 at the end of a line."""
+    """Return the similarity of each pixel to the next one of its line, (N, M) in [0, 1]; 0 at the end of a line."""
     likeness = np.zeros(guide.shape[:2], np.float32)
     likeness[:, :-1] = np.exp(-np.linalg.norm(np.diff(guide, axis=1), axis=-1) / np.float32(levels))
     return likeness

@@ -26,7 +26,7 @@ def is_sequence(capture: Capture) -> bool:
 
 
 def registered(capture: Capture, registration: RegistrationName | None) -> Capture:
-    """The capture with its sensor depth registered, where that is asked for and found to be of use.
+    """Return the capture with its sensor depth registered, where that is asked for and found to be of use.
 
     Args:
         registration: of sensor depth; None where that is not used.

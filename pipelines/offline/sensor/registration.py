@@ -39,7 +39,7 @@ class Registration:
         return (self.right, self.down, self.roll_rad, self.delay_frames) != (0.0, 0.0, 0.0, 0.0)
 
     def apply(self, depth: Map, camera: Camera, taken_at: Array) -> Map:
-        """Depth where it belongs.
+        """Return the depth where it belongs.
 
         Args:
             depth: z as given, world units, 0 = unknown, (h, w): the camera's view at any size.
@@ -111,7 +111,7 @@ class RegisteredDepth:
 
 
 def with_registration(capture: Capture, registration: Registration) -> Capture:
-    """The capture with the depth of every frame registered; as it is where nothing is to be done."""
+    """Return the capture with the depth of every frame registered; as it is where nothing is to be done."""
     if registration == Registration():
         return capture
     extras = []
@@ -124,7 +124,7 @@ def with_registration(capture: Capture, registration: Registration) -> Capture:
 
 
 def read_depth(capture: Capture, index: int) -> Map:
-    """Depth of one frame at the size of its camera, the nearest value of each pixel, (H, W)."""
+    """Return the depth of one frame at the size of its camera, the nearest value of each pixel, (H, W)."""
     camera = capture.cameras[index]
     source = capture.extras_of(camera.name).depth
     if source is None:

@@ -61,7 +61,7 @@ class View:
 
 
 def load_pair(capture: Capture, pair: FramePair) -> tuple[View, View]:
-    """Target and source of a pair."""
+    """Return the target and source of a pair."""
     target, source = (_view(capture, index) for index in (pair.target, pair.source))
     return target, source
 
@@ -81,7 +81,7 @@ def warp_errors(pair: tuple[View, View], scales: NDArray[np.float64]) -> list[fl
 
 
 def warp_psnr_db(capture: Capture, pairs: Sequence[FramePair]) -> float:
-    """Mean PSNR of frames against their warped neighbours where both see the surface; NaN without pairs."""
+    """Return the mean PSNR of frames against their warped neighbours where both see the surface; NaN without pairs."""
     values = []
     for target, source in (load_pair(capture, pair) for pair in pairs):
         colour, visibility = _warped(target, source, source.image, 1.0)
@@ -91,7 +91,7 @@ def warp_psnr_db(capture: Capture, pairs: Sequence[FramePair]) -> float:
 
 
 def _warped(target: View, source: View, image: Map, scale: float) -> tuple[Map, NDArray[np.bool_]]:
-    """The source's image as the target sees it, (H, W, 3), and where both see the same surface, (H, W)."""
+    """Return the source's image as the target sees it, (H, W, 3), and where both see the same surface, (H, W)."""
     factor = np.float32(scale)
     depths = target.depth[target.depth > 0]
     tolerance = TOLERANCE * float(np.median(depths)) if depths.size else 1.0
@@ -137,7 +137,7 @@ class DepthEdges:
 
 
 def find_edges(depth: Map) -> DepthEdges:
-    """Edges along the rows and the columns of a depth map, (H, W), 0 = unknown."""
+    """Return the edges along the rows and the columns of a depth map, (H, W), 0 = unknown."""
     hole_px = round(HOLE * depth.shape[1])
     edges = []
     for upright in (True, False):
@@ -151,7 +151,7 @@ def find_edges(depth: Map) -> DepthEdges:
 
 
 def _edges_to_the_right(lines: Map, hole_px: int) -> tuple[Array, Array, Array]:
-    """Row, column of the border and depth of surfaces that have a farther one to their right, (N,) each."""
+    """Return the row, column of the border and depth of surfaces that have a farther one to their right, (N,) each."""
     width = lines.shape[1]
     columns = np.broadcast_to(np.arange(width), lines.shape)
     following = np.full(lines.shape, width)  # column of the next known pixel
@@ -179,7 +179,7 @@ def edge_response(image: Image8, sigma_px: float) -> tuple[NDArray[np.float32], 
 def responses_at(
     response: tuple[NDArray[np.float32], NDArray[np.float32]], upright: NDArray[np.bool_], uv: Array
 ) -> NDArray[np.float32]:
-    """The response of colour to vertical and horizontal edges at uv, (N,).
+    """Return the response of colour to vertical and horizontal edges at uv, (N,).
 
     Cubic interpolation: a linear one is blunt between pixels, which would draw edges to pixels' centres.
     """
@@ -255,13 +255,13 @@ class _Edges:
     height: int
 
     def of(self, frames: Sequence[int]) -> "_Edges":
-        """The edges of some frames."""
+        """Return the edges of some frames."""
         chosen = np.isin(self.frame, frames)
         uv, upright, frame, motion = self.uv[chosen], self.upright[chosen], self.frame[chosen], self.motion[chosen]
         return replace(self, uv=uv, upright=upright, frame=frame, motion=motion)
 
     def response(self, values: Array, level: int) -> float:
-        """Mean response of colour to the edges, moved; 0 outside the images."""
+        """Return the mean response of colour to the edges, moved; 0 outside the images."""
         maps = self.responses[level]
         uv = self.uv + self.motion[..., : len(values)] @ values
         inside = (uv >= 0).all(axis=1) & (uv <= (maps[0].shape[1], self.height)).all(axis=1)
@@ -269,7 +269,7 @@ class _Edges:
         return float(np.where(inside, responses, 0).mean(dtype=np.float64)) if len(responses) else 0.0
 
     def displacement_px(self, values: Array) -> float:
-        """Root mean square of how far the edges move."""
+        """Return the root mean square of how far the edges move."""
         return float(np.sqrt(((self.motion @ values) ** 2).sum(axis=1).mean()))
 
 
@@ -336,7 +336,7 @@ def _reduced(capture: Capture) -> Capture:
 
 
 def _gather(capture: Capture, chosen: Sequence[int]) -> _Edges:
-    """Edges of the chosen frames and the responses of their images."""
+    """Return the edges of the chosen frames and the responses of their images."""
     edge_sets, responses = [], []
     for index in chosen:
         camera = capture.cameras[index]
@@ -390,7 +390,7 @@ def _coarse(edges: _Edges) -> Array:
 
 
 def _refined(edges: _Edges, start: Array, free: int, *, last_only: bool = False) -> Array:
-    """The best of the first `free` parameters around a start, the others 0, from coarse to fine or at the finest alone."""
+    """Return the best of the first `free` parameters around a start, the others 0, from coarse to fine or at the finest alone."""
     from scipy.optimize import minimize
 
     values = start[:free]
@@ -410,7 +410,7 @@ def _standard_error(values: Sequence[float]) -> float:
 
 
 def _frame_scatter_px(edges: _Edges, values: Array, n_frames: int) -> float:
-    """Median length of the offsets of single frames in addition to the common registration."""
+    """Return the median length of the offsets of single frames in addition to the common registration."""
     moved = replace(edges, uv=edges.uv + edges.motion @ values)
     singles = [single for single in (moved.of([number]) for number in range(n_frames)) if len(single.uv) >= FEWEST_EDGES]
     rest = [float(np.hypot(*_refined(single, np.zeros(4), 2)[:2])) for single in singles]

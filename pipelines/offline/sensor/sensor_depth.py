@@ -64,7 +64,7 @@ class SensorDepthEstimator:
 
 
 def describe_filter() -> dict[str, object]:
-    """The filter as values that JSON knows, its code included."""
+    """Return the filter as values that JSON knows, its code included."""
     return {"algorithm": "sensor-filter", "code": code_identity(__name__)}
 
 
@@ -153,7 +153,7 @@ def surface_confidence(depth: Map, camera: Camera, edge_px: float, step: float) 
 
 
 def _facing(depth: Map, camera: Camera) -> Map:
-    """Cosine of the angle between each pixel's ray and the normal of the surface through its neighbours, (H, W)."""
+    """Return the cosine of the angle between each pixel's ray and the normal of the surface through its neighbours, (H, W)."""
     slope_down, slope_across = np.gradient(depth.astype(np.float32))
     fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
     u, v = np.arange(camera.width) + 0.5 - cx, (np.arange(camera.height) + 0.5 - cy)[:, None]
@@ -164,7 +164,7 @@ def _facing(depth: Map, camera: Camera) -> Map:
 
 
 def _shift(depth: Map, down: int, right: int) -> Map:
-    """The map moved by some pixels, 0 where nothing comes in."""
+    """Return the map moved by some pixels, 0 where nothing comes in."""
     height, width = depth.shape
     moved = np.zeros_like(depth)
     moved[max(down, 0) : height + min(down, 0), max(right, 0) : width + min(right, 0)] = depth[

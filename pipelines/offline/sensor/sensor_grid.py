@@ -31,11 +31,11 @@ class SensorLines:
         return float(np.median(np.diff(self.centre))) if len(self.centre) > 1 else 1.0
 
     def at(self, count: int) -> Places:
-        """Column of the sensor, with fractions, that each of `count` columns over the same view looks at, (count,)."""
+        """Return the column of the sensor, with fractions, that each of `count` columns over the same view looks at, (count,)."""
         return np.interp((np.arange(count) + 0.5) * self.length / count, self.centre, np.arange(len(self.first)))
 
     def seen_by(self, count: int) -> Indices:
-        """Column, of `count` over the same view, that looks at the middle of each of the sensor's, (n,)."""
+        """Return the column, of `count` over the same view, that looks at the middle of each of the sensor's, (n,)."""
         return (self.centre * count / self.length).astype(np.intp)
 
 
@@ -57,7 +57,7 @@ class SensorGrid:
         return SensorGrid(_find_lines(depth.T), _find_lines(depth))
 
     def reduce(self, depth: Map) -> Map:
-        """The map on the sensor's pixels."""
+        """Return the map on the sensor's pixels."""
         return depth[np.ix_(self.rows.first, self.columns.first)]
 
     def repeat(self, values: Map, width: int, height: int) -> Map:
@@ -65,7 +65,7 @@ class SensorGrid:
         return values[np.ix_(*(np.rint(at).astype(np.intp) for at in (self.rows.at(height), self.columns.at(width))))]
 
     def enlarge(self, depth: Map, image: Image8, step: float) -> Map:
-        """Depth on the sensor's pixels at the size of an image, without a value between two surfaces.
+        """Return the depth on the sensor's pixels at the size of an image, without a value between two surfaces.
 
         Args:
             depth: (h, w) on the sensor's pixels, 0 = unknown.
@@ -97,7 +97,7 @@ class SensorGrid:
 
 
 def _find_lines(depth: Map) -> SensorLines:
-    """The sensor's columns; the map's own unless all are repeated equally often, give or take one."""
+    """Return the sensor's columns; the map's own unless all are repeated equally often, give or take one."""
     length = depth.shape[1]
     has_depth = np.count_nonzero(depth, axis=0) > 0
     begins = np.ones(length, np.bool_)

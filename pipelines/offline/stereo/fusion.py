@@ -98,7 +98,7 @@ def fill_background(depth: Map, confidence: Map, filled_confidence: float) -> tu
 
 
 def _farther_neighbour(depth: Map) -> Map:
-    """The larger of the nearest valid depths on the same row to the left and to the right, (H, W); 0 on empty rows."""
+    """Return the larger of the nearest valid depths on the same row to the left and to the right, (H, W); 0 on empty rows."""
     columns = np.broadcast_to(np.arange(depth.shape[1]), depth.shape)
     left = np.maximum.accumulate(np.where(depth > 0, columns, 0), axis=1)
     right = np.minimum.accumulate(np.where(depth > 0, columns, depth.shape[1] - 1)[:, ::-1], axis=1)[:, ::-1]

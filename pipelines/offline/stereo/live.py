@@ -43,7 +43,7 @@ class LiveMatcher(SgbmMatcher):
         return "sgbm-3way-shared"
 
     def small(self, camera: Camera) -> Camera:
-        """The camera at the size at which it is matched."""
+        """Return the camera at the size at which it is matched."""
         share = min(self.longest_px / max(camera.size), 1.0)
         return camera.resized(round(camera.width * share), round(camera.height * share))
 
@@ -114,7 +114,7 @@ class RigEstimator:
                     break
 
     def estimate(self, images: Mapping[str, Image8]) -> list[DepthMap]:
-        """Depth at one instant, invalid where no partner has an opinion.
+        """Return the depth at one instant, invalid where no partner has an opinion.
 
         Args:
             images: what each camera of the rig saw that is wanted or matched, RGB, (H, W, 3).
@@ -161,7 +161,7 @@ class LiveEstimator:
         self._rig = RigEstimator(cameras, [self._names], matcher, error_px)
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
-        """Depth at one instant, see `RigEstimator.estimate`."""
+        """Return the depth at one instant, see `RigEstimator.estimate`."""
         return self._rig.estimate(dict(zip(self._names, (image, *partner_images), strict=True)))[0]
 
     def forget(self) -> None:

@@ -46,7 +46,7 @@ class PairwiseEstimator:
         self.forget()
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
-        """Depth at one instant, invalid where no partner has an opinion.
+        """Return the depth at one instant, invalid where no partner has an opinion.
 
         Returns:
             Depth, (H, W), and confidence: the share of partners that agree, weighted by their left-right agreement.
@@ -60,7 +60,7 @@ class PairwiseEstimator:
         self._previous: dict[int, Map] = {}
 
     def _match(self, index: int, pair: RectifiedPair, image: Image8, partner_image: Image8) -> tuple[Map, Map, Map]:
-        """One partner's depth, confidence and disparity at the camera's pixels, (H, W) each."""
+        """Return one partner's depth, confidence and disparity at the camera's pixels, (H, W) each."""
         if self._shared is None:
             return self._found(index, pair, image, partner_image)
         key = self.matcher.name, self._names[index]

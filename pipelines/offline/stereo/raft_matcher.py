@@ -39,14 +39,14 @@ HALF = SgbmMatcher(levels=2, refine_iterations=0, speckle_px=40)
 
 
 def enlarge(disparity: Tensor, size: tuple[int, int], scale: int) -> Tensor:
-    """Disparity, (B, 1, h, w), at the size (width, height) of an image; interpolated within surfaces only."""
+    """Return the disparity, (B, 1, h, w), at the size (width, height) of an image; interpolated within surfaces only."""
     nearest = functional.interpolate(disparity, size[::-1], mode="nearest")
     smooth = functional.interpolate(disparity, size[::-1], mode="bilinear", align_corners=False)
     return scale * torch.where((smooth - nearest).abs() < 1, smooth, nearest)
 
 
 def left_right_gap(disparity: Tensor, disparity_right: Tensor) -> Tensor:
-    """Distance of the right image's disparity from the left one's in pixels, (H, W), see `matcher.left_right_gap`."""
+    """Return the distance of the right image's disparity from the left one's in pixels, (H, W), see `matcher.left_right_gap`."""
     width = disparity.shape[1]
     columns = torch.round(torch.arange(width, device=disparity.device) - disparity).long()
     matched = disparity_right.gather(1, columns.clamp(0, width - 1))
@@ -89,7 +89,7 @@ def _slope(image: Tensor) -> Tensor:
 
 
 def _window_mean(values: Tensor, window: int) -> Tensor:
-    """Means over windows of (B, H, W), mirrored at the borders; a side at a time."""
+    """Return the means over windows of (B, H, W), mirrored at the borders; a side at a time."""
     before, after = window // 2, (window - 1) // 2
     padded = functional.pad(values, (before, after, before, after), mode="reflect")[:, None]
     rows = functional.avg_pool2d(padded, (1, window), stride=1)
@@ -97,7 +97,7 @@ def _window_mean(values: Tensor, window: int) -> Tensor:
 
 
 def _at(image: Tensor, columns: Tensor) -> Tensor:
-    """The image, (H, W), between the columns of its rows, (H, W); its border continues outside."""
+    """Return the image, (H, W), between the columns of its rows, (H, W); its border continues outside."""
     below, last = torch.floor(columns), image.shape[1] - 1
     values = [image.gather(1, (below + step).clamp(0, last).long()) for step in (0, 1)]
     return torch.lerp(values[0], values[1], columns - below)
@@ -109,7 +109,7 @@ PUBLISHED_ITERATIONS = 32  # what the authors' networks are made for
 
 
 def shipped_weights() -> Path:
-    """File of the compact network's weights."""
+    """Return the file of the compact network's weights."""
     return Path(str(resources.files("ggvs_eval.pipelines") / "weights" / SHIPPED))
 
 
@@ -123,7 +123,7 @@ def weights_digest(path: Path) -> str:
 
 @lru_cache(maxsize=2)
 def load_network(path: Path, device: torch.device | str = "cpu") -> RaftStereo:
-    """The network of a weights file, in evaluation mode, on a device; its configuration is known from the tensors.
+    """Return the network of a weights file, in evaluation mode, on a device; its configuration is known from the tensors.
 
     Args:
         path: safetensors of ours, or a ``.pth`` of the authors: a state dict whose names may begin with ``module.``.
@@ -138,7 +138,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> RaftStereo:
 
 
 def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftShape:
-    """The configuration whose parameters these are, by names and shapes."""
+    """Return the configuration whose parameters these are, by names and shapes."""
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     nearest, fewest = "", len(shapes) + 1
     for title, config in {"compact": COMPACT, **PUBLISHED}.items():
@@ -229,7 +229,7 @@ class RaftMatcher:
             return self._disparities(left, right, d_min, d_max, previous, sides=1)[0].cpu().numpy()
 
     def _disparities(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None, sides: int) -> Tensor:
-        """Disparity of the pair and, with two sides, of its mirror image, (sides, H, W), on the device.
+        """Return the disparity of the pair and, with two sides, of its mirror image, (sides, H, W), on the device.
 
         The network is shown what both may show, moved by the smallest disparity: wide pairs then look like those it has learned.
         """
@@ -265,7 +265,7 @@ class RaftMatcher:
         return functional.pad(whole + d_min, (d_min, 0))
 
     def _start(self, d_max: int, factor: int, pair: tuple[Image8, Image8], previous: Map | None) -> Map:
-        """Flow that the network starts from, in cells of a padded pair, (H / factor, W / factor), by the CPU."""
+        """Return the flow that the network starts from, in cells of a padded pair, (H / factor, W / factor), by the CPU."""
         if previous is not None and (previous > 0).mean() > 0.5:
             return start_from_disparity(previous, factor)
         if self.from_matching:
@@ -288,7 +288,7 @@ class DeviceRaftMatcher(RaftMatcher):
 
 
 def matcher_of_weights(checkpoint: str = "", device: str = "cpu", dense: bool = False) -> RaftMatcher:
-    """The matcher with a checkpoint of the authors, or with the compact network that ships.
+    """Return the matcher with a checkpoint of the authors, or with the compact network that ships.
 
     Raises:
         WeightsError: what is wrong with the file, before hours of work.
@@ -303,7 +303,7 @@ def matcher_of_weights(checkpoint: str = "", device: str = "cpu", dense: bool = 
 
 
 def _flow(network: RaftStereo, device: torch.device, batch: tuple[Tensor, Tensor, int], starts: Sequence[Future[Map]]) -> Tensor:
-    """Flow in pixels of a batch, (B, 1, H, W); what it starts from is asked for once its features are under way."""
+    """Return the flow in pixels of a batch, (B, 1, H, W); what it starts from is asked for once its features are under way."""
     left, right, iterations = batch
     layout = torch.channels_last if device == torch.device("cpu") else torch.contiguous_format  # each the faster one there
     with rendering_on(device):
@@ -314,14 +314,14 @@ def _flow(network: RaftStereo, device: torch.device, batch: tuple[Tensor, Tensor
 
 
 def _padded(image: NDArray[Any]) -> NDArray[Any]:
-    """The image with its border repeated, so that both sides become multiples of 32."""
+    """Return the image with its border repeated, so that both sides become multiples of 32."""
     tall, wide = (-side % SIZE_MULTIPLE for side in image.shape[:2])
     margins = tall // 2, tall - tall // 2, wide // 2, wide - wide // 2
     return cv2.copyMakeBorder(image, *margins, cv2.BORDER_REPLICATE)
 
 
 def start_from_matching(left: Image8, right: Image8, d_min: int, d_max: int, factor: int) -> Map:
-    """Initial flow of the network.
+    """Return the initial flow of the network.
 
     Args:
         left: RGB, (H, W, 3), sizes multiples of `factor`.
@@ -339,7 +339,7 @@ def start_from_matching(left: Image8, right: Image8, d_min: int, d_max: int, fac
 
 
 def start_from_disparity(disparity: Map, factor: int) -> Map:
-    """A disparity map as flow of the network: gaps filled, one value per cell.
+    """Return a disparity map as flow of the network: gaps filled, one value per cell.
 
     Args:
         disparity: (H, W), pixels, 0 = unknown, sizes multiples of `factor`.

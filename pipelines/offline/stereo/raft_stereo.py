@@ -30,7 +30,7 @@ class Trunk(nn.Module):
         self.layer3 = _stage(middle, wide, norm, third)
 
     def trunk(self, images: Tensor) -> Tensor:
-        """Images (B, 3, H, W) in [-1, 1] to features (B, C, H / factor, W / factor)."""
+        """Return the images (B, 3, H, W) in [-1, 1] to features (B, C, H / factor, W / factor)."""
         features: Tensor = self.relu1(self.norm1(self.conv1(images)))
         for stage in (self.layer1, self.layer2, self.layer3):
             features = stage(features)
@@ -45,7 +45,7 @@ class FeatureEncoder(Trunk):
         self.conv2 = nn.Conv2d(config.trunk_widths[-1], config.feature_width, 1)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Images (B, 3, H, W) to features (B, feature_width, H / factor, W / factor)."""
+        """Return the images (B, 3, H, W) to features (B, feature_width, H / factor, W / factor)."""
         features: Tensor = self.conv2(self.trunk(images))
         return features
 
@@ -122,7 +122,7 @@ class RaftStereo(nn.Module):
     def forward(
         self, left: Tensor, right: Tensor, iterations: int, initial: Tensor | None = None
     ) -> tuple[list[Tensor], Tensor, tuple[Tensor, Tensor]]:
-        """Flow after every iteration, and the features of both images, for training.
+        """Return the flow after every iteration, and the features of both images, for training.
 
         Args:
             left: (B, 3, H, W), 0..255, H and W multiples of 32.
@@ -138,7 +138,7 @@ class RaftStereo(nn.Module):
 
     @torch.inference_mode()
     def flow(self, left: Tensor, right: Tensor, iterations: int, initial: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """The last flow alone: in pixels, (B, 1, H, W), and in cells, (B, 1, H / factor, W / factor).
+        """Return the last flow alone: in pixels, (B, 1, H, W), and in cells, (B, 1, H / factor, W / factor).
 
         Arguments as of `forward`; gradients are not kept and only the last flow is brought to full size.
         """
@@ -146,7 +146,7 @@ class RaftStereo(nn.Module):
         return upsample_convex(flows[-1], weights, self.config.factor), flows[-1]
 
     def features(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor, list[tuple[Tensor, Tensor]]]:
-        """Features of both images, (B, C, h, w) each, and (hidden, context) of every level, finest first."""
+        """Return the features of both images, (B, C, h, w) each, and (hidden, context) of every level, finest first."""
         left, right = 2 * (left / 255) - 1, 2 * (right / 255) - 1
         if self.config.shared_backbone:
             trunk = self.cnet.trunk(torch.cat([left, right]))

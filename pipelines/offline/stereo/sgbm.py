@@ -96,7 +96,7 @@ class SgbmMatcher:
         return [self._checked(*tried[side]) for side in sides]
 
     def _checked(self, left: Image8, right: Image8, disparity: Map, disparity_right: Map) -> tuple[Map, Map]:
-        """The disparities that the right image confirms, refined, and their confidence."""
+        """Return the disparities that the right image confirms, refined, and their confidence."""
         gap = left_right_gap(disparity, disparity_right)
         allowed = np.maximum(self.check_px, self.check_share * disparity)
         kept = np.where((disparity > 0) & (gap <= allowed), disparity, np.float32(0))
@@ -125,7 +125,7 @@ class SgbmMatcher:
 
 
 def _enlarge(coarse: Map, size: tuple[int, int]) -> Map:
-    """A coarse disparity map at full size, interpolated within surfaces only."""
+    """Return a coarse disparity map at full size, interpolated within surfaces only."""
     nearest = cv2.resize(coarse, size, interpolation=cv2.INTER_NEAREST)
     smooth = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
     return np.where(np.abs(smooth - nearest) < 0.75, smooth, nearest)

@@ -34,17 +34,17 @@ class Unit:
     source: Path
 
     def files(self) -> list[Path]:
-        """The file itself, or all files of the folder, without what is being written."""
+        """Return the file itself, or all files of the folder, without what is being written."""
         return list(_files_below(self.source)) if self.source.is_dir() else [self.source]
 
 
 def plain_units(root: Path, folder: str) -> list[Unit]:
-    """Every file below a folder of a run."""
+    """Return every file below a folder of a run."""
     return [Unit(file.relative_to(root).as_posix(), file) for file in _files_below(root / folder)]
 
 
 def job_units(root: Path, folder: str) -> list[Unit]:
-    """Every folder with the result of a job, or with imported renders, below a folder of a run."""
+    """Return every folder with the result of a job, or with imported renders, below a folder of a run."""
     imported = sorted(file.parent for file in (root / folder).glob(f"*/{IMPORT_FILE}"))
     jobs = sorted(file.parent for pattern in ("*", "*/*") for file in (root / folder).glob(f"{pattern}/{JOB_FILE}"))
     folders = [*imported, *(job for job in jobs if job.parent not in imported)]
@@ -156,7 +156,7 @@ def _units(run: RunFolder) -> list[Unit]:
 
 
 def _union(units: Sequence[Unit]) -> dict[str, Unit]:
-    """Each unit once."""
+    """Return each unit once."""
     chosen: dict[str, Unit] = {}
     for unit in units:
         original = chosen.setdefault(unit.name, unit)
