@@ -8,10 +8,21 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.errors import CaptureError, CommandError
-from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.pipelines.commands import captures, runs
-from ggvs_eval.pipelines.commands.captures import Calibrating, DepthFlags, LayoutFlags, Output
-from ggvs_eval.pipelines.commands.runs import Device, Labels, Running
+from ggvs_eval.pipelines.commands.captures import Calibrating
+from ggvs_eval.pipelines.commands.flags import (
+    CAPTURE_DEFAULTS,
+    DEPTH_DEFAULTS,
+    HERE,
+    USUAL_METHODS,
+    CaptureFlags,
+    DepthFlags,
+    Device,
+    Labels,
+    Output,
+    Running,
+    changed_flags,
+)
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
 
 Videos = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="VIDEOS|CAPTURE")]
@@ -24,12 +35,12 @@ def evaluate(
     out: Output,
     frames: int | None = None,
     repair: bool = False,
-    methods: Labels = runs.USUAL_METHODS,
+    methods: Labels = USUAL_METHODS,
     device: Device = "cpu",
     calibration: Calibrating = CalibrationOptions(),  # noqa: B008 - frozen
-    layout: LayoutFlags = captures.LAYOUT_DEFAULTS,
-    depth: DepthFlags = captures.DEPTH_DEFAULTS,
-    engine: Running = runs.HERE,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
+    depth: DepthFlags = DEPTH_DEFAULTS,
+    engine: Running = HERE,
 ) -> None:
     """Calibrate, check and evaluate the videos of a rig in one command.
 
@@ -44,39 +55,40 @@ def evaluate(
         methods: methods to evaluate.
         device: device of networks: cpu, cuda or auto.
         calibration: known and assumed parameters.
-        layout: capture reading.
+        reading: capture reading.
         depth: depth estimation.
         engine: job execution.
     """
     if not videos.exists():
         raise CaptureError(f"{videos}: wanted videos, or folders of images, of several cameras, got no such path; check it")
     shown = _Steps()
-    capture = out / "capture" if _needs_poses(videos, layout) else videos
+    capture = out / "capture" if _needs_poses(videos, reading.layout) else videos
     if capture != videos and not (capture / CALIBRATED).is_file():
-        shown.begin("calibrate", videos, capture, *runs._flags(calibration, CalibrationOptions()))
+        shown.begin("calibrate", videos, capture, *changed_flags(calibration, CalibrationOptions()))
         captures.calibrate(videos, capture, calibration)
-    reading = runs._flags(layout, captures.LAYOUT_DEFAULTS)
+    flags = changed_flags(reading, CAPTURE_DEFAULTS)
+    opened = [*_flag("--layout", reading.layout), *_flag("--units", reading.units)]  # what `check` takes of them
     verdicts, terms = out / VERDICTS, out / "protocol.toml"
     out.mkdir(parents=True, exist_ok=True)
-    shown.begin("check", capture, "--out", verdicts, *(["--repair"] if repair else []), *reading)
+    shown.begin("check", capture, "--out", verdicts, *(["--repair"] if repair else []), *opened)
     try:
-        captures.check(capture, layout, verdicts, repair, jobs=engine.jobs)
+        captures.check(capture, reading.layout, reading.units, verdicts, repair, jobs=engine.jobs)
     except SystemExit:
         raise CommandError(
             f"{capture}: stopped: check found faults, see above and {verdicts}; fix them and run this again "
             f"(--repair corrects delays and brightness), or continue with `ggvs-eval run {out / 'run'} --capture {capture}`"
         ) from None
-    whole = captures.ReadingOptions(**vars(layout))
     if not terms.exists():
         count = [] if frames is None else ["--frames", frames]
-        shown.begin("protocol", capture, terms, "--check", verdicts, *count, *reading)
-        captures.protocol(capture, terms, verdicts, frames=frames, reading=whole)
+        shown.begin("protocol", capture, terms, "--check", verdicts, *count, *flags)
+        captures.protocol(capture, terms, verdicts, frames=frames, reading=reading)
     elif frames is not None:
         print(f"{terms} is kept, --frames {frames} is ignored; choose another OUT for other frames", file=sys.stderr)
-    named = [] if methods == runs.USUAL_METHODS else ["--methods", *methods]
-    flags = [*named, *(["--device", device] if device != "cpu" else []), *reading, *runs._flags(depth, captures.DEPTH_DEFAULTS)]
-    shown.begin("run", out / "run", "--capture", capture, "--protocol", terms, *flags, *runs._flags(engine, Engine()))
-    runs.run(out / "run", capture, str(terms), methods, device=device, reading=whole, depth=depth, engine=engine)
+    named = [] if methods == USUAL_METHODS else ["--methods", *methods]
+    flags = [*named, *([] if device == "cpu" else ["--device", device]), *flags]
+    flags += [*changed_flags(depth, DEPTH_DEFAULTS), *changed_flags(engine, HERE)]
+    shown.begin("run", out / "run", "--capture", capture, "--protocol", terms, *flags)
+    runs.run(out / "run", capture, str(terms), methods, device=device, reading=reading, depth=depth, engine=engine)
 
 
 class _Steps:
@@ -86,8 +98,12 @@ class _Steps:
         print(f"$ {shlex.join(['ggvs-eval', *map(str, words)])}", flush=True)
 
 
-def _needs_poses(path: Path, layout: captures.CaptureOptions) -> bool:
+def _flag(name: str, value: str | None) -> list[str]:
+    return [] if value is None else [name, value]
+
+
+def _needs_poses(path: Path, layout: str | None) -> bool:
     """Return whether a path holds the frames of several cameras without a calibration."""
     from ggvs_eval.pipelines.inspection.capture.check import open_uncalibrated
 
-    return layout.layout is None and open_uncalibrated(path) is not None
+    return layout is None and open_uncalibrated(path) is not None

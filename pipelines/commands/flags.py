@@ -1,9 +1,9 @@
 """Flags that several verbs of the command line share: what they read, what they render, where their jobs run."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -97,3 +97,19 @@ DEPTH_DEFAULTS = DepthRunOptions()
 LIVE_DEPTH = DepthRunOptions(LIVE_MATCHER)  # what play and view wait for
 Running = tyro.conf.OmitArgPrefixes[Engine]
 HERE = Engine()
+
+
+def changed_flags(options: Any, default: Any) -> list[str]:
+    """A frozen dataclass of options as words of the command line; only what differs from its defaults.
+
+    Args:
+        options: values that are truth values, numbers, texts, paths or None.
+    """
+    words: list[str] = []
+    for field in fields(options):
+        value, usual = getattr(options, field.name), getattr(default, field.name)
+        name = field.name.replace("_", "-")
+        if value == usual:
+            continue
+        words += ["--" + ("" if value else "no-") + name] if isinstance(usual, bool) else [f"--{name}", str(value)]
+    return words

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,6 +30,7 @@ from ggvs_eval.pipelines.commands.flags import (
     Run,
     Running,
     Weights,
+    changed_flags,
 )
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, weights_takers
@@ -309,7 +310,7 @@ def sweep(
         raise ProtocolError(f"wanted captures whose folders differ in name, got {', '.join(map(str, capture))}; rename one")
     starts = {folder if len(opened) > 1 else "": (each, _protocol(protocol, each)) for folder, each in opened.items()}
     if plan:
-        options = [*_flags(reading, CAPTURE_DEFAULTS), *_flags(depth, DEPTH_DEFAULTS), *_flags(engine, HERE)]
+        options = [*changed_flags(reading, CAPTURE_DEFAULTS), *changed_flags(depth, DEPTH_DEFAULTS), *changed_flags(engine, HERE)]
         chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
         chosen += ["--device", device] if device != "cpu" else []
         command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
@@ -342,22 +343,6 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     print(describe_status(folder))
     if outdated := describe_outdated([RunFolder(folder)]):
         print(f"{folder}: {outdated}; run `ggvs-eval run` to update")
-
-
-def _flags(options: Any, default: Any) -> list[str]:
-    """Return a frozen dataclass of options as words of the command line; only what differs from its defaults.
-
-    Args:
-        options: values that are truth values, numbers, texts, paths or None.
-    """
-    words: list[str] = []
-    for field in fields(options):
-        value, usual = getattr(options, field.name), getattr(default, field.name)
-        name = field.name.replace("_", "-")
-        if value == usual:
-            continue
-        words += ["--" + ("" if value else "no-") + name] if isinstance(usual, bool) else [f"--{name}", str(value)]
-    return words
 
 
 def _end_with(failures: tuple[Failure, ...], rest: str = "the rest is finished; run the same command to retry these") -> None:

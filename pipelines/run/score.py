@@ -169,7 +169,8 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), d
 
 
 def require_labels(run: RunFolder, labels: Sequence[str] | None = None) -> None:
-    """Refuse a run without any method."""
+    """Refuse a folder that is no run, and a run without any method."""
+    run.protocol()
     if not (run.labels() if labels is None else labels):
         raise RenderError(
             f"{run.root}: nothing to score, renders/ is empty; run `ggvs-eval render` or give --renders NAME=FOLDER"

@@ -157,7 +157,7 @@ def test_even_badness_wins_no_metric_of_evenness():
 
 
 def test_a_certain_fault_and_a_partial_method_win_nowhere(tmp_path):
-    """A fit of 40 dB that was trained on the test view, and one of one easy view: no headline, bold, budget, equal quality or price."""
+    """A fit of 40 dB trained on the test view, and one of one easy view: no headline, bold, budget, equal quality or price."""
     run, random = write_equals(tmp_path / "run", 3, 24), np.random.default_rng(4)
     ahead = dict(zip(EQUALS, (1.0, 0.0, 0.0, 9.0, 8.0), strict=True))
     run = with_values(run, {label: 30 + db + 0.1 * random.standard_normal((3, 24)) for label, db in ahead.items()})
