@@ -1,1 +1,1 @@
-"""Methods that the paper is compared with, behind one interface."""
+"""Baselines of the paper, behind one interface."""

@@ -90,7 +90,7 @@ def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, fl
 
 
 def turn_towards(target: Camera, source: SourceView) -> tuple[Image8, Map]:
-    """What a source would see in the target's direction through its lens, (H, W, 3), and where it does, 1 or 0, (H, W).
+    """Warp a source to the target's direction and lens, (H, W, 3), with its mask, 1 or 0, (H, W).
 
     Outside the source's image the border is repeated, so that flow finds no edge of black.
     """

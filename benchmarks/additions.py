@@ -1,4 +1,4 @@
-"""What each addition to the paper's method pays in the measure it is for: ``python -m benchmarks.additions``.
+"""Effect of each addition to the paper's method on its metric: ``python -m benchmarks.additions``.
 
 Geometric weights, with each addition and without it, on views of validation rooms: single instants of many views where colours
 and depth are at stake, few views over time where the past is. Prints a table and writes out/additions.json. What does not pay is

@@ -131,7 +131,7 @@ def measure_rig(device: str, weights: Path, shrink: int = 1, keep: Callable[[Any
 
 
 def rig_is_as_the_cpu(figures: Mapping[str, Any]) -> bool:
-    """Whether depth of whole precision is the CPU's at every size."""
+    """Check depth in full precision against the CPU's at every size."""
     return all(figure[f"{CHECKED}, float32"].get("within_1e-3", 0) >= LEAST_CLOSE for figure in figures.values())
 
 
@@ -212,7 +212,7 @@ def _one_by_one(options: IterMvs, rig: Rig) -> list[Tensor]:
 
 
 def _compare(options: IterMvs, rig: Rig, reference: Sequence[Tensor]) -> dict[str, float]:
-    """How far depth is from the reference's, as a share of it."""
+    """Relative difference of depth from the reference's."""
     found = IterMvsRig(options).estimate(rig.cameras, rig.matched(), rig.images)
     pairs = zip(found, reference, strict=False)
     off = np.stack([np.abs(depth.cpu().numpy() / other.numpy() - 1) for (depth, _), other in pairs])
@@ -239,7 +239,7 @@ def measure_depth(device: str, shrink: int = 1) -> dict[str, dict[str, float]]:
 
 
 def is_as_the_cpu(figures: Mapping[str, Mapping[str, float]]) -> bool:
-    """Whether depth is the CPU's at every size."""
+    """Check depth against the CPU's at every size."""
     return min(figure["within_0.1_px"] for figure in figures.values()) >= LEAST_SHARE
 
 

@@ -89,7 +89,7 @@ def _time_parts(instants: Sequence[Instant], device: str) -> dict[str, float]:
 
 
 def profile_kernels(instants: Sequence[Instant], device: str) -> Figures:
-    """What the GPU does in a step that is played: kernels, launches and gaps, copies apart; nothing where there is no GPU."""
+    """Profile the GPU in a played step: kernels, launches, gaps, and copies; nothing without a GPU."""
     if torch.device(device).type != "cuda":
         return {}
     method, numbers = DeviceGuided(device=device), count(0)

@@ -49,7 +49,7 @@ def measure() -> dict[str, dict[str, Any]]:
 def _twin(
     grid: hexplane.PlaneGrid, trunk: nn.Linear, heads: Sequence[nn.Sequential], points: Tensor, at: float
 ) -> tuple[Tensor, ...]:
-    """What `hexplane.field_outputs` does where there is no kernel."""
+    """Compute `hexplane.field_outputs` without the kernel."""
     features = trunk(grid(points, at))
     return tuple(head(features) for head in heads)
 

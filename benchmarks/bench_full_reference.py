@@ -73,7 +73,7 @@ def _iv_psnr_figures(rendered: NDArray[np.uint8], truth: NDArray[np.uint8]) -> d
 
 
 def _parts_figures(rendered: NDArray[np.uint8], truth: NDArray[np.uint8]) -> dict[str, Figure]:
-    """What static and moving part of the quick metrics add to a frame, the mask included."""
+    """Measure the cost of static and moving parts of the quick metrics per frame, mask included."""
     frames = [(rendered, truth), (np.roll(rendered, 3, axis=1), np.roll(truth, 3, axis=1))]
     whole = ("PSNR", "SSIM", "L1", "IV_PSNR")
     parts = [f"{name}_{region}" for region in ("static", "moving") for name in whole]

@@ -1,4 +1,4 @@
-"""How near the kernels of the online step come to what this machine can do: ``python -m benchmarks.bench_roofline``.
+"""Roofline of the kernels of the online step on this machine: ``python -m benchmarks.bench_roofline``.
 
 One step at 1352 x 1014 with K = 4 is recorded; then each of its kernels is called again with the same arguments on one thread, in
 processor time, which a loaded machine does not lengthen much. Its roof is the time that its operations take at the measured peak

@@ -173,7 +173,7 @@ class Take:
 
 
 def is_found(findings: Sequence[Finding], fault: Fault, camera: str, at: int) -> tuple[bool, list[str]]:
-    """Whether the right question names the camera at the right time, and who else is warned of."""
+    """Return whether the right question names the camera at the right time, and other warnings."""
     minded = [finding for finding in findings if finding.verdict in ("warn", "bad") and finding.question not in PLACING]
     own = [finding for finding in minded if finding.subject == camera and finding.question == fault.question]
     others = [f"{finding.subject} {finding.question}" for finding in minded if finding.subject not in (camera, RIG)]

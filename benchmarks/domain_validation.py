@@ -1,4 +1,4 @@
-"""Which method is best in which domain: ``python -m benchmarks.domain_validation``, a part of ``make validate``.
+"""Methods compared per domain: ``python -m benchmarks.domain_validation``, a part of ``make validate``.
 
 Prints a table of methods by domains for each metric and writes out/validate_domains.json. Choices may be made by it: it shows
 validation seeds and the held-back part of the real sequence, never a test capture.

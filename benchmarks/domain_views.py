@@ -34,7 +34,7 @@ REAL_CAPTURE = "hololens_rgbd"
 
 @dataclass(frozen=True)
 class ViewPlan:
-    """Which views there are of each domain.
+    """Views of each domain.
 
     Attributes:
         targets: target views per seed.

@@ -1,4 +1,4 @@
-"""What refining a calibration gives: ``python -m benchmarks.refinement_validation``, a part of ``make validate``.
+"""Gain of refining a calibration: ``python -m benchmarks.refinement_validation``, a part of ``make validate``.
 
 Two validation rooms of 1344x1008 with ten cameras, calibrated exactly, and roughly: every camera turned, moved and zoomed a
 little, its principal point shifted. Both are then refined from one instant, and each state renders the same views. What an exact

@@ -30,7 +30,7 @@ wall = quantise(np.kron(np.random.default_rng(0).random((HEIGHT // 8, 60, 3)), n
 
 
 def grab() -> tuple[dict, dict]:
-    """What each camera sees now, and how far away it is: put your drivers here."""
+    """Current image and depth of each camera: call your drivers here."""
     lefts = {camera.name: round(FOCAL_PX * camera.centre[0] / WALL_M) for camera in rig}
     images = {name: wall[:, left : left + WIDTH] for name, left in lefts.items()}
     return images, {name: np.full((HEIGHT, WIDTH), WALL_M, np.float32) for name in lefts}

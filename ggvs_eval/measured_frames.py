@@ -18,7 +18,7 @@ BORDER = 10  # 1 / BORDER of the size is cut off at each side, rounded down
 
 @dataclass(frozen=True)
 class MeasuringWay:
-    """How an evaluator of published values prepares both frames.
+    """Frame preparation of an evaluator of published values.
 
     Attributes:
         size: width and height to which both frames are resized bilinearly, in floats that stay unrounded; None keeps theirs.

@@ -1,4 +1,4 @@
-"""What a protocol may choose of the metrics themselves; apart from it, so that a metric depends on no more."""
+"""Metric options of a protocol, in a separate module so that a metric depends only on these."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -13,7 +13,7 @@ LATER = {"left out": True}
 
 @dataclass(frozen=True, kw_only=True)
 class MetricChoices:
-    """What a protocol may choose of the metrics themselves.
+    """Metric options of a protocol.
 
     Attributes:
         ssim: variant of SSIM, see `ggvs_eval.metrics.image.ssim.SSIM_VARIANTS`; regions and colour-corrected frames use the

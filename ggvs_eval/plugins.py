@@ -123,7 +123,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return name in self.shipped and not self.why_absent(str(name))
 
     def built_in(self) -> dict[str, Entry]:
-        """What ships by name, loaded."""
+        """Return the built-in object of a name, loaded."""
         return {name: self[name] for name in self.present()}
 
     def why_absent(self, name: str) -> str:

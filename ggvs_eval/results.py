@@ -52,7 +52,7 @@ class Absence(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What the quick checks of `ggvs-eval doctor` found in a method's renders of a view; ``called`` is empty or a word for it."""
+    """Fault that the quick checks of `ggvs-eval doctor` found in a view's renders; ``called``: a word for it, or empty."""
 
     label: str
     scene: str
@@ -172,7 +172,7 @@ class Results:
 
     @property
     def devices(self) -> dict[str, str]:
-        """What was not computed on the CPU, ``label/view`` or metrics -> the device."""
+        """Devices other than the CPU, ``label/view`` or metrics -> the device."""
         return self._recorded("devices")
 
     @property

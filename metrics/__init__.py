@@ -1,4 +1,4 @@
-"""Images in, numbers out: fidelity of frames, steadiness over time and over views.
+"""Metrics of images: fidelity of frames, stability over time and over views.
 
 >>> from ggvs_eval.metrics import psnr, ssim, strred
 """

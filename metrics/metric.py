@@ -37,7 +37,7 @@ FURTHER = Group("further", "Further measures")
 
 @dataclass(frozen=True, kw_only=True)
 class MetricOptions(MetricChoices):
-    """What a protocol chooses of the metrics, and where they are measured.
+    """Metric options of a protocol, and the measured part of the frames.
 
     Attributes:
         first_frame: number, counted from the protocol's first one, of the frame that is measured first.

@@ -1,4 +1,4 @@
-"""Which pixels of a picture are hard for stereo, and why, from exact depth and the image alone."""
+"""Regions of a picture that are hard for stereo, from exact depth and the image."""
 
 from dataclasses import dataclass
 

@@ -137,7 +137,7 @@ def _unlike(path: Path, got: str) -> RenderError:
 
 
 class SplatFile(NamedTuple):
-    """How files of Gaussians are read: (path, mesh) -> cloud, and path -> frame number -> mesh."""
+    """Return the readers of Gaussian files: (path, mesh) -> cloud, and path -> frame number -> mesh."""
 
     read: Callable[[Path, int], GaussianCloud]
     frames: Callable[[Path], Mapping[int, int]]

@@ -60,7 +60,7 @@ def project(K: Array, points_3d: Array) -> Array:
 
 
 def find_matches(image: Image8, later: Image8, points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Where each point is found again, and whether the way back ends where it began."""
+    """Match each point, with a forward-backward check."""
     grey, later_grey = (cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in (image, later))
     found, there, _ = cv2.calcOpticalFlowPyrLK(grey, later_grey, points, None, **LUCAS_KANADE)
     back, again, _ = cv2.calcOpticalFlowPyrLK(later_grey, grey, found, None, **LUCAS_KANADE)

@@ -170,7 +170,7 @@ def _takes_of(out: Path, name: str, capture: Capture, options: StudyOptions, wor
 
 
 def _identity(capture: Capture, options: StudyOptions) -> dict[str, Any]:
-    """What the clips of a capture depend on; the code that renders too, where degradations are planted in a rendering."""
+    """Dependencies of the clips of a capture; with degraded renderings, also the rendering code."""
     taken = {"frames": options.frames, "size": options.size, "on": options.on}
     code = code_identity(RENDERER) if options.on == "rendering" else ""
     return {"frames": [capture.digest(name) for name in capture.camera_names], "options": taken, "code": code}

@@ -18,7 +18,7 @@ USED_BY, DECIDES = "used by", "decides what is learned"
 
 
 def _of(*trainings: str, decides: bool = True) -> dict[str, Any]:
-    """What a field says of itself: which trainings use it, and whether it decides what is learned by more than rounding."""
+    """Metadata of a field: the trainings that use it, and whether it changes the result by more than rounding."""
     return {USED_BY: trainings, DECIDES: decides}
 
 

@@ -30,7 +30,7 @@ NO_VIEW = -1
 
 @dataclass(frozen=True, eq=False)
 class Remembered:
-    """What the host knows of the state that the instant before left.
+    """State of the previous instant, as known to the host.
 
     Attributes:
         index: of that instant.

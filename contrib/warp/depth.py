@@ -93,7 +93,7 @@ def fill_columns(
     out: wp.array3d[wp.float32],
     sure: wp.array3d[wp.float32],
 ):
-    """What rows could not fill by the same of the filled columns, and the confidence of all."""
+    """Fill by columns what rows left unknown, and compute the confidence."""
     k, y, x = wp.tid()
     value = rows[k, y, x]
     if not (value > 0.0):
@@ -122,7 +122,7 @@ def moved(m: wp.array[wp.float32], u: wp.float32, v: wp.float32, depth: wp.float
 
 @wp.struct
 class Limits:
-    """What counts as agreement, see `consistency`."""
+    """Bounds of agreement, see `consistency`."""
 
     error_px: wp.float32
     wide_share: wp.float32
@@ -269,7 +269,7 @@ def fill_from_others(
     depth: wp.array3d[wp.float32],
     sure: wp.array3d[wp.float32],
 ):
-    """What is unknown takes the nearest depth that the others propose, support and do not contradict; in place."""
+    """Fill unknown depth by the nearest supported and uncontradicted proposal of the others, in place."""
     k, y, x = wp.tid()
     if depth[k, y, x] == 0.0:
         nearest = wp.cast(_NOWHERE, wp.float32)

@@ -184,7 +184,7 @@ def value_of(key: wp.uint32) -> wp.float32:
 
 @wp.func
 def combined(looks: wp.array3d[wp.float32], pair: wp.int32, channel: wp.int32, slope: wp.float32, n: wp.int32) -> wp.float32:
-    """What a median is taken of: a channel less the fall-off, or for channel 3 the mean of all."""
+    """Input of a median: a channel less the fall-off, or for channel 3 the mean of all."""
     if channel == 3:
         return (looks[pair, 0, n] + looks[pair, 1, n] + looks[pair, 2, n]) / 3.0
     return looks[pair, channel, n] - slope * looks[pair, 3, n]

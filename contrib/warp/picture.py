@@ -281,7 +281,7 @@ def mean_of_views(
     out: wp.array3d[wp.float32],
     covered: wp.array2d[wp.float32],
 ):
-    """What the background is filled from: the geometric mean of the views, and where any of them covers."""
+    """Source of the background: the geometric mean of the views, and their coverage."""
     y, x = wp.tid()
     total = wp.float32(0.0)
     sums = wp.vec3f()

@@ -182,7 +182,7 @@ def surface_in_view(fused: wp.array2d[wp.float32], m: wp.array[wp.float32], y: w
 
 @wp.func
 def is_inside(at: wp.vec3f, width: wp.int32, height: wp.int32) -> wp.bool:
-    """Whether a point is in front of a camera and within its image."""
+    """Return whether a point is in front of a camera and inside its image."""
     return at[2] > 0.0 and at[0] >= 0.0 and at[0] < wp.float32(width) and at[1] >= 0.0 and at[1] < wp.float32(height)
 
 

@@ -129,7 +129,7 @@ def prepare(
 
 @wp.kernel
 def count_tiles(keys: wp.array[wp.int32], ids: wp.array[wp.int32], boxes: wp.array[wp.vec2i], counts: wp.array[wp.int32]):
-    """How many tiles each Gaussian touches, front to back."""
+    """Count the tiles of each Gaussian, front to back."""
     n = wp.tid()
     touched = wp.int32(0)
     if keys[n] != _HIDDEN:
@@ -197,7 +197,7 @@ def exp2_of(x: wp.float32) -> wp.float32:
 
 @wp.struct
 class Pixel:
-    """What a pixel has gathered of its tile's Gaussians."""
+    """Accumulated values of a pixel over its tile's Gaussians."""
 
     transmittance: wp.float32
     depth: wp.float32

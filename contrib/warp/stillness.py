@@ -33,7 +33,7 @@ _HOLE = wp.constant(wp.float32(COVERED_ALPHA * (1 - geometry_guided.FEATHER)))
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """What the target shows in the middle of each cell, maps (h, w).
+    """Target view in the middle of each cell, maps (h, w).
 
     Attributes:
         depth: fused, world units, 0 where unknown.
@@ -221,7 +221,7 @@ def sum_looks(looks: wp.array4d[wp.float32], light: wp.array4d[wp.float32], view
 def judge(
     pooled: wp.array4d[wp.float32], still: wp.array2d[wp.float32], noise: wp.array2d[wp.float32], known: wp.array2d[wp.bool]
 ):
-    """How sure it is by both scales, the energy of the coarser one's noise, and where that is known."""
+    """Certainty by both scales, the noise energy of the coarser one, and its validity."""
     y, x = wp.tid()
     sure = wp.float32(1.0)
     apart = wp.float32(0.0)

@@ -1,4 +1,4 @@
-"""What depends on sizes alone: how images are cut into cells and enlarged again; made once for a recording."""
+"""Tables that depend only on sizes: the cells of images and their enlargement; computed once per recording."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -219,7 +219,7 @@ def corners_around(row: wp.float32, column: wp.float32, height: wp.int32, width:
 
 @wp.func
 def enlarged_place(pixel: wp.int32, step: wp.float32) -> wp.float32:
-    """Where a pixel of an enlarged image is in the small one, whose pixels are `step` of those apart, as torch enlarges."""
+    """Map a pixel of an enlarged image to the small one, with pixels `step` apart, as torch enlarges."""
     return wp.max((wp.float32(pixel) + 0.5) * step - 0.5, 0.0)
 
 

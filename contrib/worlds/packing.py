@@ -1,4 +1,4 @@
-"""What ships of the demo, made of what was filmed and rendered: rooms, and renders of the main one."""
+"""Packed demo data: filmed rooms, and renders of the main one."""
 
 import shutil
 from collections.abc import Sequence

@@ -141,7 +141,7 @@ def calibration_mark(path: Path) -> tuple[str, tuple[str, ...]] | None:
 
 
 def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
-    """Say why a path is of no layout: what it shows first, then what else was looked for."""
+    """State why a path is of no layout: what it shows first, then what else was looked for."""
     within, mark = _captures_within(path), calibration_mark(path)
     mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
     reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())

@@ -80,7 +80,7 @@ class CalibrationFile:
 
 
 def refuse(kind: str, path: Path) -> str | None:
-    """Say why there is no calibration of a kind; None where there is one."""
+    """State why there is no calibration of a kind; None where there is one."""
     kinds = " or ".join(f"*{suffix}" for suffix in KINDS[kind].suffixes)
     return None if find_calibration_files(path, kind) else f"no calibration of this kind in {kinds}"
 

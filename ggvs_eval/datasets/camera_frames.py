@@ -86,7 +86,7 @@ def require_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
         kept = next(iter(found.sources.values())).path
         unread = _unread(path, missing)
         mend = f"but {unread}" if unread else "restore them or remove these cameras from the model"
-        raise CaptureError(f"{path}: wanted frames of every camera, got none for {listed(missing)} beside {kept}; {mend}")
+        raise CaptureError(f"{path}: wanted frames of every camera, got none for {listed(missing)}, only for {kept}; {mend}")
     return FoundFrames({name: found.sources[name] for name in image_names}, found.beside)
 
 
@@ -155,7 +155,7 @@ def is_inside(relative: str) -> bool:
 
 
 def coding_of(source: FrameSource, frames: range) -> Coding | None:
-    """Say how frames were coded.
+    """State how frames were coded.
 
     Returns:
         None where every pixel is as it was given; `Coding.unknown` where it is not and nothing more is known.

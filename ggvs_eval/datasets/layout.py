@@ -1,4 +1,4 @@
-"""What a layout of captures is: how it is recognised, opened and described."""
+"""Layout of captures: recognition, opening and description."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,1 +1,1 @@
-"""Files of every kind that more than one room reads or writes: images, videos, TOML tables, trained weights, digests."""
+"""Files that several rooms read or write: images, videos, TOML tables, trained weights, digests."""

@@ -22,7 +22,7 @@ class NotPlainError(OSError):
     """A pipe, a device, a folder, or more bytes than were asked for."""
 
     def __str__(self) -> str:
-        """Say what was found; the caller adds the file."""
+        """State what was found; the caller adds the file."""
         return str(self.strerror)
 
 
@@ -110,7 +110,7 @@ def _is_number(word: str) -> bool:
 
 
 def why_unread(error: OSError) -> str:
-    """Say in a few words why a file could not be read."""
+    """State in a few words why a file could not be read."""
     if isinstance(error, FileNotFoundError) and error.filename:
         return "a link to nothing" if os.path.islink(error.filename) else "no such file"
     return "no such file" if isinstance(error, FileNotFoundError) else str(error.strerror or error)

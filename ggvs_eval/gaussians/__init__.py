@@ -1,4 +1,4 @@
-"""3D Gaussians: clouds of them, a splat that is differentiable, and the files that the field keeps them in."""
+"""3D Gaussians: clouds, a differentiable splat, and their file formats."""
 
 from ggvs_eval.gaussians.cloud import GaussianCloud
 from ggvs_eval.gaussians.ply import read_ply, write_ply

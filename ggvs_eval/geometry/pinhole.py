@@ -67,7 +67,7 @@ def as_image8(array: ArrayLike | None, camera: Camera, error: type[GgvsError]) -
 
 
 def _mend(image: NDArray, shape: tuple[int, int, int]) -> str:
-    """Say how to make an image of that shape of what was given."""
+    """State how to make an image of that shape of what was given."""
     if image.shape == (shape[2], *shape[:2]):
         return "channels come last: np.moveaxis(image, 0, -1)"
     if image.shape == (*shape[:2], 4):

@@ -1,1 +1,1 @@
-"""Jobs: folders of results made once, in processes, on dask or in parts, and their progress."""
+"""Jobs: folders of results, computed once, in processes, on dask or in parts, and their progress."""

@@ -175,7 +175,7 @@ def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
 
 
 def start_remedy() -> str:
-    """What to do where processes do not start: a script may lack its guard, the command line has one."""
+    """Return the advice for processes that do not start: a script can lack its guard."""
     main = getattr(sys.modules["__main__"], "__file__", None) or ""
     return FEWER if os.path.basename(main) in COMMAND_LINE else GUARD
 

@@ -38,7 +38,7 @@ NERFBASELINES = "info.json"  # next to color/; then gt-color/ may be absent
 
 
 def refuse_easyvolcap(path: Path, request: FrameRequest) -> str | None:
-    """Say why this is not an output of EasyVolcap; None if it is."""
+    """State why this is not an output of EasyVolcap; None if it is."""
     del request  # its views have numbers, not names
     if not path.is_dir():
         return "not a folder"

@@ -283,7 +283,7 @@ class PictureView:
 
 
 def _fault(path: Path, size: tuple[int, int]) -> str:
-    """Say why one picture cannot be used; empty where it can."""
+    """State why one picture cannot be used; empty where it can."""
     try:
         header = read_header(path)
     except RenderError:

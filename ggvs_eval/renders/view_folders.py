@@ -27,7 +27,7 @@ LOOKED_THROUGH = 10_000
 
 
 def refuse_folders(path: Path, request: FrameRequest) -> str | None:
-    """Say why this is not one folder of pictures per view; None if it is."""
+    """State why this is not one folder of pictures per view; None if it is."""
     if not path.is_dir():
         return "not a folder"
     if any(_pictures(path, view) for view in request.views):
@@ -127,7 +127,7 @@ def _unexpected_files(path: Path, request: FrameRequest) -> Iterable[str]:
 
 
 def refuse_run(path: Path, request: FrameRequest) -> str | None:
-    """Say why this is not a run folder of ours with renders of one method to take; None if it is."""
+    """State why this is not a run folder of ours with renders of one method to take; None if it is."""
     run = RunFolder(path)
     if not run.protocol_file.is_file():
         return "no protocol.toml"

@@ -259,7 +259,7 @@ def _float_notes(n_floats: int, clipped: Mapping[int, tuple[float, float]]) -> l
 
 
 def refuse_videos(path: Path, request: FrameRequest) -> str | None:
-    """Say why this is not one video per view; None if it is."""
+    """State why this is not one video per view; None if it is."""
     if not path.is_dir():
         return "not a folder"
     return None if _of_views(path, VIDEO_SUFFIXES, request) else f"no {request.views[0]}.mp4 or the like"
@@ -280,7 +280,7 @@ def find_videos(path: Path, request: FrameRequest, is_temporary: bool) -> Render
 
 
 def refuse_arrays(path: Path, request: FrameRequest) -> str | None:
-    """Say why this is not one array per view; None if it is."""
+    """State why this is not one array per view; None if it is."""
     if path.is_file():
         return None if path.suffix.lower() == ".npz" else "not an .npz file"
     return None if _of_views(path, ARRAY_SUFFIXES, request) else f"no {request.views[0]}.npy or .npz"

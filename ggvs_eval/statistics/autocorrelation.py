@@ -116,7 +116,7 @@ class ErrorOfMean:
 
 
 def describe_short(frames: int, worth: float, wanted: float = FEWEST_CALLED) -> str:
-    """Say in words why a clip is too short for a verdict.
+    """State in words why a clip is too short for a verdict.
 
     Args:
         frames: of the clip.

@@ -1,1 +1,1 @@
-"""Demo rooms that ship, as they were filmed: a procedural dynamic room, seen by rigs like those of three data sets."""
+"""Included demo captures: a procedural dynamic room, filmed by rigs like those of three data sets."""

@@ -65,7 +65,7 @@ def load_weights(net: LpipsNet, device: str = "cpu") -> "dict[str, torch.Tensor]
 
 
 def load_heads(net: LpipsNet, device: str = "cpu") -> "list[NDArray[np.float32]] | list[torch.Tensor]":
-    """What a difference in each channel counts, (C,) for each compared layer: arrays, or tensors on another device than the CPU.
+    """Weights of channel differences, (C,) per compared layer: arrays, or tensors on a device other than the CPU.
 
     Errors are those of `load_weights`.
     """

@@ -1,1 +1,1 @@
-"""View consistency of images along a camera path, without truth."""
+"""View consistency of images along a camera path, without reference."""

@@ -1,1 +1,1 @@
-"""Steadiness: over the frames of a view, and over the views of an instant."""
+"""Temporal stability: over the frames of a view, and over the views of an instant."""

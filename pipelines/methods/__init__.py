@@ -1,1 +1,1 @@
-"""Registry of methods: everything that can be asked to render, by its name."""
+"""Registry of rendering methods, by name."""

@@ -112,11 +112,11 @@ class MethodSpec(ABC):
     @property
     @abstractmethod
     def learned_from(self) -> str:
-        """What its weights or its scene were learned from."""
+        """Training data of its weights or its scene."""
 
     @property
     def declared(self) -> dict[str, str]:
-        """What differs from other methods by design, and no protocol removes: head of a column -> text."""
+        """Differences from other methods by design, which no protocol removes: head of a column -> text."""
         return {
             "depth": "given" if self.uses_depth else "none",
             LEARNED: self.learned_from,
@@ -206,7 +206,7 @@ class OnlineMethod(MethodSpec):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What the label fixes of `given`."""
+        """Options in `given` that the label fixes."""
         return {name: value for name, value in self.given.items() if name not in TAKEN}
 
     def make(self) -> Method:

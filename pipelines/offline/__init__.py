@@ -1,1 +1,1 @@
-"""The offline half: cameras, and depth of every camera, computed before anything is rendered."""
+"""The offline half: cameras, and depth of every camera, computed before rendering."""

@@ -173,7 +173,7 @@ class OnlineSynthesizer:
     def _instant(
         self, images_by_camera: Mapping[str, Image8], depths_by_camera: Mapping[str, Map | DepthMap] | None, target: Camera
     ) -> tuple[Instant, dict[str, float]]:
-        """What the method is shown, and the seconds of depth that had to be found."""
+        """Return the method's input, and the seconds of depth computation."""
         chosen = choose_sources(target, self.cameras, self.k, self._choice)
         names = [each.camera.name for each in chosen]
         _check_names(images_by_camera, names, target, "an image")

@@ -160,7 +160,7 @@ def _compare(label: str, path: Path, results: Results) -> Iterator[str]:
 
 
 def _column_words(theirs: np.ndarray, method: tuple[str, str], view: str, results: Results) -> str:
-    """Say which metric a column is, and where it differs."""
+    """State the metric of a column, and its differences."""
     apart: dict[str, np.ndarray] = {}
     for metric in AGREEING:
         table = results.per_frame(metric, view)

@@ -112,7 +112,7 @@ class Scores:
         return (*self.views, *self.ceilings, *self.paths)
 
     def time_words(self, workers: int) -> str:
-        """Say how long the views that are not scored yet take, and what shortens it; empty where it is seconds."""
+        """State the expected time of the views left to score, and how to shorten it; empty if seconds."""
         protocol, left = self.run.protocol(), sum(not job.is_done() for job in self.views)
         frames = left * protocol.frames.count
         if frames * len(self.labels) < TOLD_FRAMES or self.device != "cpu":

@@ -100,7 +100,7 @@ def _depth_seconds(run: RunFolder, stream: Stream) -> float:
 
 
 def _depth_note(run: RunFolder, stream: Stream) -> str:
-    """Say in words whose time the depth is."""
+    """State which time the depth counts for."""
     if stream.depth_ms is not None:
         return f"{stream.depth_ms:g} ms per frame for the depth of its sources, by the protocol"
     if _is_live(run):

@@ -65,7 +65,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Stage:
-    """What is left of one stage.
+    """Work left in one stage.
 
     Attributes:
         name: of `STAGES`.
@@ -271,7 +271,7 @@ def _has_old_depth(run: RunFolder) -> bool:
 
 
 def _identity(folder: Path) -> dict[str, Any]:
-    """What the result in a folder was made of; empty where there is none."""
+    """Return the recorded inputs of a result; empty if there is none."""
     try:
         return dict(read_json(folder / JOB_FILE)["identity"])
     except (ResultsError, KeyError, TypeError):

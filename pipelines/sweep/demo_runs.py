@@ -40,7 +40,7 @@ SMALL_ROOMS_METHODS = {
 
 @dataclass(frozen=True)
 class Unpacking:
-    """What unpacks a demo room and opens it.
+    """Unpacker and opener of a demo room.
 
     Attributes:
         open: opens the capture of a folder.
@@ -61,7 +61,7 @@ class Unpacking:
 
 
 def unpack_rooms(open_room: Callable[[Path], Capture], dry_run: bool) -> Unpacking:
-    """What unpacks demo rooms; a dry run keeps what it unpacks elsewhere, until the process ends."""
+    """Give the unpacker of demo rooms; a dry run unpacks elsewhere, until the process ends."""
     if not dry_run:
         return Unpacking(open_room)
     elsewhere = TemporaryDirectory()
@@ -166,7 +166,7 @@ def run_demos(
 
 
 def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int, probe: Callable[[], float] = pace) -> str:
-    """Say in one line how long the demo takes and when its first page can be opened; empty once its rooms are evaluated.
+    """State in one line the time of the demo and of its first page; empty once its rooms are evaluated.
 
     Args:
         labels: name of a room -> its methods.

@@ -217,7 +217,7 @@ class Session:
             self._send(picture)
 
     def complain(self, reason: str) -> None:
-        """Say in the page why there is no picture."""
+        """Show in the page why there is no picture."""
         self._status.content = f"**{reason}**"
 
     def _come_back(self) -> None:

@@ -1,1 +1,1 @@
-"""Depth page: maps, confidence and rectified pairs for a person to look at before trusting depth."""
+"""Depth page: maps, confidence and rectified pairs for inspection of depth before a run."""

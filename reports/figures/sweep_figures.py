@@ -161,7 +161,7 @@ class RatePanel:
         return self.axes.x(math.log10(per_second))
 
     def line(self, family: Family) -> str:
-        """What a viewer sees of a method, as the points of an SVG polyline."""
+        """Displayed quality of a method, as the points of an SVG polyline."""
         return " ".join(f"{self.x(mark.per_second)},{self.axes.y(mark.seen)}" for mark in family.marks)
 
     def rate_ticks(self) -> list[tuple[float, str]]:

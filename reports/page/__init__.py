@@ -1,1 +1,1 @@
-"""The page with everything it carries: pictures, videos, heat maps, scripts."""
+"""The page and its parts: pictures, videos, heat maps, scripts."""

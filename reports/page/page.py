@@ -257,7 +257,7 @@ def _over_time(verdict: Verdict, group: RunGroup) -> QualityOverTime | None:
 
 
 def _sources(runs: Sequence[MeasuredRun]) -> str:
-    """Say from which images pictures were made, where that is known of every method."""
+    """State the source cameras of the pictures, if known for every method."""
     if not all(set(run.labels) <= run.from_sources for run in runs):
         return ""
     synthesis = runs[0].protocol.synthesis

@@ -78,7 +78,7 @@ def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
 
 
 def cost_tables(run: MeasuredRun) -> tuple[Table, ...]:
-    """What every method sees and costs and, where some are fitted, the spread over seeds."""
+    """Return the tables of input and cost, and with fitted methods the spread over seeds."""
     fits = fit_records(run)
     tables = (_cost_table(run, fits), _seed_table(run))
     return tuple(table for table in tables if table)
@@ -330,7 +330,7 @@ def _winners(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]], psnr_db
 
 
 def differences_table(run: MeasuredRun) -> Table | None:
-    """What a reader weighs himself, as no protocol can remove it; None for runs that were scored before it was recorded."""
+    """Return the table of differences that no protocol can remove; None for runs scored before they were recorded."""
     declared = read_json(run.folder.root / METHODS_FILE).get("declared")
     if declared is None:
         return None

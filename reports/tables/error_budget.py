@@ -301,7 +301,7 @@ def describe_absolute(
 
 
 def describe_conditions(run: MeasuredRun) -> str:
-    """Say in a word what a run's pictures could be made from, and why; empty where none of it was measured."""
+    """Grade the depth and cameras of a run, with reasons; empty if unmeasured."""
     known = _conditions(run)
     if not known:
         return ""

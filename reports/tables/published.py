@@ -138,7 +138,7 @@ def community_rows(protocol: Protocol, scenes: Collection[str], metrics: Sequenc
 
 
 def describe_published(protocol: Protocol, scenes: Collection[str]) -> list[str]:
-    """Say below a table where its published rows are from, or why it has none though its protocol's name has a table."""
+    """State the source of a table's published rows, or why it has none."""
     terms = published_terms().get(protocol.name)
     if terms is None:
         return []
@@ -330,7 +330,7 @@ def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> Comparabl
 
 
 def why_not_beside(dataset: str, runs: Sequence[MeasuredRun]) -> str:
-    """Say why the paper's values of a data set are not in a table of these runs; empty where they are."""
+    """State why the paper's values are not in a table of these runs; empty if they are."""
     found = find_comparable_runs(dataset, runs)
     if isinstance(found, NotComparable):
         return found.words

@@ -200,7 +200,7 @@ def main_captions(
 
 
 def _instants(protocol: Protocol) -> str:
-    """Those at which a screen is scored."""
+    """Scored instants of a screen."""
     stream, count = protocol.stream, protocol.frames.count
     if stream is None or not stream.warm_up:
         return "the instants from a method's first picture on"
@@ -226,7 +226,7 @@ def may_interchange(protocol: Protocol) -> bool:
 
 
 def _fewer_views(results: Results, metrics: Sequence[str], names: Mapping[str, str]) -> list[str]:
-    """Say which views or scenes a mean lacks; a method that has no value at all says so in its cell."""
+    """State the views or scenes that a mean lacks; a method without any value has a note in its cell."""
     measured = set(zip(results.table["metric"], results.row_labels, strict=True))
     labels = {label for _, label in measured}
     several = len(results.scenes) > 1
@@ -243,7 +243,7 @@ def _fewer_views(results: Results, metrics: Sequence[str], names: Mapping[str, s
 
 
 def _fewer_frames(results: Results, metrics: Sequence[str], protocol: Protocol) -> list[str]:
-    """Say of how many frames a metric has values where that is less than one for each frame, or each pair of them."""
+    """State the number of frames with values, if it is less than one per frame or pair."""
     table, count = results.table, protocol.frames.count
     framed = table[table["metric"].isin(metrics) & (table["frame"] >= 0)]
     keys = ["metric", "scene", "method", "variant", "view"]

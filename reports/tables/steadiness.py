@@ -44,7 +44,7 @@ def steadiness_table(
 
 
 def remarks_on(shapes: Mapping[str, str]) -> list[str]:
-    """Say how many frames of which size each video has, and whether they compare."""
+    """State number and size of the frames of each video, and whether these are comparable."""
     return [*(f"{name}: {shape}" for name, shape in shapes.items()), *([UNLIKE] if len(set(shapes.values())) > 1 else [])]
 
 

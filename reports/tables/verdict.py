@@ -167,7 +167,7 @@ class Verdict:
 def evaluate_verdict(
     runs: Sequence[MeasuredRun], results: Results, tables: Sequence[Table], budgets: Sequence[Table] = ()
 ) -> Verdict:
-    """Say who is best in the first headline metric, or that nothing is ranked, why, and what to do about it.
+    """State the best method in the first headline metric, or why nothing is ranked, and the remedy.
 
     Reading:
         The paper names no single measure of quality. The first measured one of its tables is the headline (PSNR,
@@ -216,7 +216,7 @@ def _set_aside(runs: Sequence[MeasuredRun], results: Results) -> tuple[list[str]
 
 
 def _nothing(results: Results) -> str:
-    """Why there is no number, where no method is to blame."""
+    """State why there is no number, if no method is the cause."""
     reasons = [f"{metric} was not computed, {why}" for metric, why in results.not_computed.items()]
     return reasons[0] if reasons else "no metric was measured; score the run"
 

@@ -171,7 +171,7 @@ def test_a_missing_image(tmp_path):
     """A camera whose image is not on disk is named."""
     folder = write_nerfstudio(tmp_path / "scene")
     (folder / "images" / "cam02.png").unlink()
-    assert "no frames for cam02 beside" in refusal(folder)
+    assert "got none for cam02, only for" in refusal(folder)
 
 
 def test_bytes_that_are_no_text(tmp_path):

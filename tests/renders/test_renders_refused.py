@@ -185,7 +185,7 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     "half the size": (lambda f: write_array(f, stack("cam00")[:, ::2, ::2]), "2-4 (32 x 24 instead of 64 x 48)"),
     "truth of other frames": (
         lambda f: move_truth(f, lambda view, frame: truth(view, frame - 1)),
-        "gt: the copies of the truth beside these renders are not the captured frames: copies of cam02 fit one frame earlier",
+        "gt: wanted copies of the captured frames next to these renders, got others: copies of cam02 fit one frame earlier",
     ),
     "truth of another camera": (
         lambda f: move_truth(f, lambda view, frame: truth("cam01", frame)),

@@ -1,1 +1,1 @@
-"""What a learned baseline adds to the training that all of them share: its network, its loss, the view that validates."""
+"""Recipes of learned baselines on top of the shared training: network, loss, validation view."""

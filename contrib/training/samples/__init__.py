@@ -1,1 +1,1 @@
-"""Samples to train on: views of procedural rooms and of captures, made once and kept on disk."""
+"""Training samples: views of procedural rooms and of captures, computed once and stored on disk."""

@@ -12,7 +12,7 @@ from ggvs_eval.files.video import VideoFrames
 
 
 def refuse(path):
-    """Say why a folder is not of this layout; None where it is."""
+    """Return the reason why a folder is not of this layout; None if it is."""
     return None if (path / "rig.json").is_file() else "no rig.json"
 
 

@@ -69,7 +69,7 @@ def solve_differences(count: int, pairs: Sequence[tuple[int, int]], differences:
 
 
 def solve_with_errors(count: int, pairs: Sequence[tuple[int, int]], differences: Array, sigmas: Array) -> tuple[Array, Array]:
-    """What `solve_differences` gives, (count,), and the standard error of each value, infinite where there is none.
+    """Return the values of `solve_differences`, (count,), and their standard errors, infinite if unknown.
 
     Args:
         sigmas: standard error of each difference, positive, (P,).

@@ -350,7 +350,7 @@ def _quick(signal: Array) -> Array:
 
 
 def _spikes(own: Sequence[tuple[Array, Array]], base: Sequence[int]) -> Array:
-    """How much more moves in one camera than in its neighbours at each instant, in standard deviations, (T,); 0 where unknown."""
+    """Excess motion of a camera over its neighbours per instant, in standard deviations, (T,); 0 if unknown."""
     here = np.stack([one.mean(axis=0) for one, _ in own])
     there = np.stack([_later(other, lag).mean(axis=0) for (_, other), lag in zip(own, base, strict=True)])
     there = there / np.maximum(np.nanmean(there, axis=1, keepdims=True), 1e-9)
@@ -430,7 +430,7 @@ def _why_not(records: Sequence[CameraRecord]) -> str:
 
 
 def _unknown(record: CameraRecord, is_doubtful: bool, n_cameras: int, own: Sequence[Lag]) -> str:
-    """Say why nothing can be said of one camera; empty where something can."""
+    """Return the reason why one camera has no result; empty if it has one."""
     if is_doubtful:
         return "its calibration is in doubt, see epipolar error"
     if len(record.energy) < FEWEST_FRAMES - 1:

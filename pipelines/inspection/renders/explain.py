@@ -198,7 +198,7 @@ def _full_name(convention: Convention) -> str:
 
 
 def forgiven_error(views: Mapping[str, ViewFrames]) -> str:
-    """Say what IV-PSNR forgives of some renders.
+    """State the error that IV-PSNR tolerates in some renders.
 
     Args:
         views: name -> rendered and captured frames, of which a few are read.

@@ -34,7 +34,7 @@ Curve = NDArray[np.float64]
 
 
 class Told(Protocol):
-    """What was found in the renders of a view, here or as results keep it."""
+    """Findings in the renders of a view, from the doctor or from results."""
 
     @property
     def question(self) -> str:
@@ -75,7 +75,7 @@ def find_tone(name: str, sample: Sample) -> list[Finding]:
 
 
 def of_all_views(found: Sequence[AnyTold], views: int) -> list[AnyTold]:
-    """What was found in a method's views, without a likely tone curve that no more than half of them have.
+    """Return the findings in a method's views, without likely tone curves of at most half of them.
 
     Reading:
         A program that writes frames by another curve writes all of them so. In one view it is the camera's: where one of a light

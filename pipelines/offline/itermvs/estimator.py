@@ -254,7 +254,7 @@ def _stretched(camera: Camera) -> Camera:
 
 
 def projections_between(cameras: Sequence[Camera]) -> Array:
-    """What takes pixels of each camera, (u, v, 1) times their depth, to each other one: matrix and offset, (K, K, 12)."""
+    """Transforms of pixels (u, v, 1) times depth between all cameras: matrix and offset, (K, K, 12)."""
     return np.array([[_projection(first, second, first.K, second.K) for second in cameras] for first in cameras])
 
 
