@@ -1,0 +1,93 @@
+"""What users read is in plain words: help, messages, README, docs and the page."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("ggvs_eval", "pipelines", "baselines", "metrics", "reports", "contrib")
+# Old words for: is, reported, not significantly different, next to, fix, checked against, except, which, no one, job log.
+UNWANTED = re.compile(
+    r"\b(stands? (in|at|on)|told|cannot be told|beside|mend(s|ed|ing)?|held against|but for|whom|whoever|nobody|ledgers?)\b",
+    re.IGNORECASE,
+)
+QUOTED = re.compile(
+    r"```.*?```|`[^`]*`|\]\([^)]*\)|<code>.*?</code>|<!--.*?-->|\{[{%#].*?[#%}]\}|<[^>]*>|“[^”]*”|\"[^\"\n]*\"", re.DOTALL
+)
+
+if not (ROOT / "setup.cfg").exists():
+    pytest.skip("these tests read the checkout", allow_module_level=True)
+
+
+def found_in(text: str) -> list[str]:
+    """Unwanted words outside quotations and code spans."""
+    return [match.group() for match in UNWANTED.finditer(QUOTED.sub(" ", text))]
+
+
+def modules() -> Iterator[tuple[Path, ast.Module]]:
+    """The modules of all rooms, parsed."""
+    for room in ROOMS:
+        for file in sorted((ROOT / room).rglob("*.py")):
+            yield file, ast.parse(file.read_text(encoding="utf-8"))
+
+
+def literals(node: ast.AST) -> Iterator[str]:
+    """The texts written below a node: of f-strings the fixed parts, of subscripts and keywords of code nothing."""
+    for each in ast.walk(node):
+        if isinstance(each, ast.Constant) and isinstance(each.value, str) and " " in each.value:
+            yield each.value
+
+
+def messages(tree: ast.Module) -> Iterator[str]:
+    """The texts that a module raises, warns of, or prints."""
+    for node in ast.walk(tree):
+        is_shown = isinstance(node, ast.Call) and ast.unparse(node.func) in ("print", "warnings.warn", "sys.exit", "Finding")
+        if is_shown or isinstance(node, ast.Raise):
+            yield from literals(node)
+
+
+def test_unwanted_words_are_recognised_outside_of_code_only():
+    """Quotations and code spans may hold any word; prose may not."""
+    assert found_in("The file stands in the folder beside it, for whom") == ["stands in", "beside", "whom"]
+    assert found_in("`quick/mended`, “nobody” and {{ one.told }} in <td class='beside'>") == []
+
+
+@pytest.mark.parametrize("pattern", ["README.md", "docs/**/*.md"])
+def test_readme_and_docs_have_none_of_the_unwanted_words(pattern):
+    """Each page uses the words of the field."""
+    files = sorted(ROOT.glob(pattern))
+    assert files
+    assert {file.name: found for file in files if (found := found_in(file.read_text(encoding="utf-8")))} == {}
+
+
+def test_help_has_none_of_the_unwanted_words_and_short_first_lines():
+    """The verbs, their options, and the classes of options; a first line fits a terminal."""
+    from ggvs_eval.built_in import VERBS
+
+    commands = [*(ROOT / "pipelines" / "commands").glob("*.py"), *(ROOT / "contrib").glob("*/command.py")]
+    texts = {name: verb.about for name, verb in VERBS.items()}
+    for file, tree in modules():
+        for node in ast.walk(tree):
+            is_option_class = isinstance(node, ast.ClassDef) and node.name.endswith(("Options", "Engine"))
+            if is_option_class or (file in commands and isinstance(node, ast.FunctionDef) and not node.name.startswith("_")):
+                texts[f"{file.name}:{node.name}"] = ast.get_docstring(node) or ""
+    assert len(texts) > len(VERBS) + 30
+    assert {name: found for name, text in texts.items() if (found := found_in(text))} == {}
+    assert [verb.about for verb in VERBS.values() if len(verb.about) > 72] == []
+
+
+def test_messages_have_none_of_the_unwanted_words():
+    """Errors, warnings, findings and printed lines."""
+    said = {f"{file.relative_to(ROOT)}": [word for text in messages(tree) for word in found_in(text)] for file, tree in modules()}
+    assert len(said) > 300
+    assert {file: words for file, words in said.items() if words} == {}
+
+
+def test_the_pages_have_none_of_the_unwanted_words():
+    """Templates of the report, the leaderboard and the depth page; classes and expressions are code."""
+    templates = sorted((ROOT / "reports").rglob("*.j2"))
+    assert len(templates) > 15
+    assert {file.name: found for file in templates if (found := found_in(file.read_text(encoding="utf-8")))} == {}
