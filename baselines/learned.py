@@ -13,7 +13,7 @@ FULL = "full"  # the authors' configuration; a file of weights that names none i
 
 @dataclass(frozen=True)
 class Rendition:
-    """One of the ways in which a learned baseline renders, each with its own label.
+    """One way of rendering by a learned baseline, with its own label.
 
     Attributes:
         describe: one line for the help and the report.

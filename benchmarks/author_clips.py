@@ -123,7 +123,7 @@ def find_clips(folder: Path) -> list[Clip]:
 
 
 def measured_clip(clip: Clip) -> dict[str, Any]:
-    """Return the metric -> mean over the frames, of both halves of a clip, and what the clip shows."""
+    """Return metric -> mean over the frames, of both halves of a clip, and what the clip shows."""
     shown = {name: value for name, value in asdict(clip).items() if name != "path"}
     values = {clip.baseline: mean_values(score_frames(clip.half(0))), OURS: mean_values(score_frames(clip.half(1)))}
     return shown | {"n_frames": VideoFrames(clip.path).n_frames, "values": values}

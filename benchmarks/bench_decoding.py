@@ -24,7 +24,7 @@ Figure = dict[str, Any]
 
 
 def measure() -> dict[str, Figure]:
-    """Return the name -> figure: milliseconds per frame, and how much more memory ten times the frames take."""
+    """Return name -> figure: milliseconds per frame, and how much more memory ten times the frames take."""
     with tempfile.TemporaryDirectory() as folder:
         large, short, long = (Path(folder) / name for name in ("large.mp4", "short.mp4", "long.mp4"))
         _film(large, 24, WIDTH, HEIGHT)

@@ -127,7 +127,7 @@ def write_rig(folder: Path, n_frames: int) -> Capture:
 
 
 def measure() -> dict[str, Figure]:
-    """Return the name -> figure; a matcher that fails, as one without weights does, is named and left out."""
+    """Return name -> figure; a matcher that fails, as one without weights does, is named and left out."""
     values_of = {name: values for name in MATCHERS if (values := _in_a_child(name)) is not None}
     figures = measure_networks() | measure_rig()
     for name, values in values_of.items():

@@ -36,7 +36,7 @@ BT709 = 0.2126, 0.7152, 0.0722
 
 
 def measure() -> dict[str, Figure]:
-    """Return the name -> figure, ms per frame."""
+    """Return name -> figure, ms per frame."""
     rendered, truth = frame_pair()
     left = np.arange(WIDTH) < WIDTH // 2
     mask = np.tile(left, (HEIGHT, 1))

@@ -25,7 +25,7 @@ STEP_PX = 40  # between the views of COLMAP's path
 
 
 def measure() -> dict[str, Figure]:
-    """Return the name -> figure, ms per frame."""
+    """Return name -> figure, ms per frame."""
     first, second = frame_pair()
     third = np.roll(first, 1, axis=1)
     static = ~moving_mask(first, second)

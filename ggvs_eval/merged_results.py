@@ -107,7 +107,7 @@ def _require_measured_once(parts: Sequence[Results]) -> None:
 
 
 def _missing_scenes(table: pd.DataFrame) -> dict[str, str]:
-    """Return the label -> scenes that it lacks and others have, in words; means over other scenes do not compare."""
+    """Return label -> scenes that it lacks and others have, in words; means over other scenes do not compare."""
     scenes = list(dict.fromkeys(table["scene"].astype(str)))
     marks = {}
     for (method, variant), rows in table.groupby(["method", "variant"], sort=False):
@@ -125,7 +125,7 @@ def _absent_everywhere(part: Results, measured: set[str]) -> list[Absence]:
 
 
 def join_versions(records: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """Return the name -> the different entries of several records.
+    """Return name -> the different entries of several records.
 
     Examples:
         >>> join_versions([{"torch": "2.3.0"}, {"torch": "2.4.1"}, {"torch": "2.3.0"}])

@@ -160,7 +160,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
                 _say_once(str(error))
 
     def origins(self, names: Iterable[str]) -> dict[str, str]:
-        """Return the package and version, or file, of those names that are of plug-ins; for the record of results."""
+        """Return package and version, or file, of names from plug-ins, for the record of results."""
         return {name: self.plugins[name].origin for name in names if name not in self.shipped and name in self.plugins}
 
     def _load(self, plugin: Plugin) -> Entry:

@@ -229,7 +229,7 @@ class Protocol:
         return dataclasses.replace(self, frames=frames_kept, path=path)
 
     def streamed(self, stream: Stream) -> "Protocol":
-        """Return the protocol with these conditions, by its metrics and those of them that there are of the screen; its own stay.
+        """Return the protocol with these conditions, its metrics, and their variants for displayed frames.
 
         The warm-up is at most half of the protocol's instants.
         """

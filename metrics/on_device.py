@@ -1,6 +1,6 @@
 """Frames on a device, for the metrics that compute there: uploads, means of windows, correlations.
 
-What is small stays on the host: the block entropies of ST-RRED's band, which has a sixty-fourth of the pixels. PSNR, L1 and SDT
+Small computations stay on the host: the block entropies of ST-RRED's band, a sixty-fourth of the pixels. PSNR, L1 and SDT
 take a tenth of a millisecond there.
 """
 

@@ -42,7 +42,7 @@ class SeenView:
         return torch.as_tensor(-self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]).float()
 
     def projection(self, scale: float) -> Matrix:
-        """Return the world to an image of that scale, (4, 4)."""
+        """Return the transform of world to an image of that scale, (4, 4)."""
         return projection(self.K, self.world_to_camera, scale)
 
     def look_up(self, points_world: Tensor) -> Tensor:
@@ -101,7 +101,7 @@ def extrinsics(camera: Camera, unit: float) -> Matrix:
 
 
 def projection(K: Matrix, world_to_camera: Matrix, scale: float) -> Matrix:
-    """Return the world to (u z, v z, z, 1) of an image of that scale, (4, 4).
+    """Return the transform of world to (u z, v z, z, 1) of an image of that scale, (4, 4).
 
     Reading:
         As the authors', the first two rows of K are scaled, so that pixel (0, 0) is the same place at every scale.

@@ -41,7 +41,7 @@ class PerInstant(GaussianFitter):
     look_ahead = "none"
 
     def __post_init__(self) -> None:
-        """Refuse options that no fit could follow."""
+        """Refuse invalid options."""
         self.require_counts("steps")
 
     def fit(self, footage: Footage, folder: Path, progress: Progress) -> None:

@@ -141,7 +141,7 @@ class HexPlaneMotion(Motion):
 
 
 class ExplicitMotion(Motion):
-    """Each Gaussian alone: a polynomial through its own time, and how long it is there.
+    """Motion of each Gaussian alone: a polynomial around its own time, and its duration.
 
     dt is the time from the Gaussian's own; both count in clips.
 

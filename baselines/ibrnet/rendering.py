@@ -86,7 +86,7 @@ def directions(points_world: Tensor, target_centre: Tensor, source_centre: Tenso
 
 
 def projection_of(camera: Camera) -> Tensor:
-    """Return the world to image with pixel centres at whole numbers, (3, 4)."""
+    """Return the transform of world to image with pixel centres at whole numbers, (3, 4)."""
     K = camera.K.copy()
     K[:2, 2] -= PIXEL_CENTRE
     return torch.as_tensor(np.ascontiguousarray(K @ camera.world_to_camera[:3])).float()

@@ -42,7 +42,7 @@ LIKE_A_BROKEN_DOCUMENT = (KeyError, IndexError, TypeError, ValueError, Attribute
 
 
 def glb_frames(path: Path) -> dict[int, int]:
-    """Return the frame number -> number of its mesh, ascending; the mesh of a file of others is of frame 0.
+    """Return frame number -> number of its mesh, ascending; the mesh of a file of others is of frame 0.
 
     Raises:
         RenderError: no such file, no ``.glb``, or no Gaussians in it that are read.

@@ -244,7 +244,7 @@ def _sources(plan: RunPlan, planned: SourcePlan, frames: range) -> tuple[SourceC
 
 
 def _hand_held(root: Path, capture: Capture, options: StudyOptions, workers: Workers) -> Iterator[Draft]:
-    """Yield a camera that was carried through a scene at rest: every second place is a pose, the others are sources."""
+    """Yield a camera that moves through a static scene: every second place is a pose, the others are sources."""
     needed = 2 * options.frames * STRETCHES
     if len(capture.cameras) < 2 * options.frames:
         raise CaptureError(

@@ -1,1 +1,1 @@
-"""Training: the networks of the method, of the baselines and of stereo, on samples made once."""
+"""Training: the networks of the method, of the baselines and of stereo, on stored samples."""

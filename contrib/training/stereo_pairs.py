@@ -243,7 +243,7 @@ def scene_of(seed: int) -> Instant:
 
 
 def scene_number(seed: int) -> int:
-    """Its number: neighbouring seeds take turns among a few scenes, until each of these has served its pairs."""
+    """Return the scene of a seed: neighbouring seeds alternate among a few scenes until each has given its pairs."""
     turn, lane = divmod(seed, SCENES_AT_A_TIME)
     return turn // PAIRS_PER_SCENE * SCENES_AT_A_TIME + lane
 

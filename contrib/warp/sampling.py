@@ -57,7 +57,7 @@ def sampled_maps(instant: Instant, options: OnlineOptions, device: torch.device)
 
 
 def _maps(program: Program, options: OnlineOptions, room: float) -> tuple[Mapping[str, Tensor], Tensor]:
-    """See `sampled_maps`; still on the device, with what `DeviceSplats.crowding` is."""
+    """Compute `sampled_maps` on the device, with `DeviceSplats.crowding`."""
     c, t, images, depths = program.constants, program.tables, program.states[0].images, program.depths
     splats = splat_views(images, depths, torch.ones_like(depths), c, t, room)
     weights, past, out = weigh_depths(depths, c, t), program.states[1].march, program.states[0].march

@@ -51,7 +51,7 @@ def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -
 
 
 def film_demo(folder: Path, options: DemoOptions, workers: int | None = None) -> Path:
-    """Film the capture, as `write_demo` does, those that ship too."""
+    """Film the capture as `write_demo` does, also if it is included in the package."""
     with atomic_folder(folder) as unfinished, _executor(workers or default_workers()) as executor:
         _film(executor, unfinished, options)
     return folder

@@ -159,7 +159,7 @@ def _folders(path: Path) -> list[Path]:
 
 
 def _numbered(path: Path) -> dict[int, Path]:
-    """Return the camera number -> its folder."""
+    """Return camera number -> its folder."""
     numbered: dict[int, Path] = {}
     for folder in _folders(path):
         other = numbered.setdefault(int(folder.name.removeprefix("cam")), folder)

@@ -260,7 +260,7 @@ def load_meetroom(path: Path, units: GivenUnits) -> Capture:
 
 
 def _videos(path: Path) -> dict[int, CameraFrames]:
-    """Return the camera number -> its video."""
+    """Return camera number -> its video."""
     videos = [(VIDEO.fullmatch(name), video) for name, video in frames_in(path, "CAM.mp4")]
     return {int(match[1]): video for match, video in videos if match}
 
@@ -275,7 +275,7 @@ def _instants(path: Path) -> dict[int, Path]:
 
 
 def _pictures(path: Path, instants: dict[int, Path]) -> dict[int, NumberedFrames]:
-    """Return the camera number -> its pictures."""
+    """Return camera number -> its pictures."""
     matches = [(PICTURE.fullmatch(name), files) for name, files in instant_pictures(instants).items()]
     return {int(match[1]): NumberedFrames(path, tuple(files)) for match, files in matches if match}
 

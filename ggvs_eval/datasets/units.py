@@ -111,7 +111,7 @@ def _measured_units(file: Path, cameras: Sequence[Camera]) -> Units:
         values = load_toml(read_plain_text(file, LARGEST_TOML))
     except (OSError, ValueError, RecursionError) as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
-        raise CaptureError(f"{file}: wanted TOML with {WAYS}, got: {reason}; write it") from error
+        raise CaptureError(f"{file}: wanted TOML with {WAYS}, got: {reason}; correct it") from error
     if len(values) != 1 or not set(values) <= {"units_per_metre", "baseline", "points"}:
         raise CaptureError(f"{file}: wanted exactly one of {WAYS}, got {', '.join(values) or 'nothing'}; keep one")
     by_name = {camera.name: camera for camera in cameras}

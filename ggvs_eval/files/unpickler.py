@@ -158,7 +158,7 @@ class _PlainUnpickler(pickle._Unpickler):
         self.stack.append(_set({}, items))
 
     def _take_bytearray(self) -> None:
-        """Without making room for as many bytes as are claimed."""
+        """Read without allocating the claimed number of bytes."""
         (size,) = struct.unpack("<Q", self.read(8))
         self.stack.append(bytearray(self.read(size)))
 

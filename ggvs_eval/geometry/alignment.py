@@ -1,4 +1,4 @@
-"""Bringing one calibration into the world of another: the similarity that fits camera centres best."""
+"""Alignment of one calibration to another: the similarity that fits camera centres best."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

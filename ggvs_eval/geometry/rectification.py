@@ -216,7 +216,7 @@ def at_matches(right: Values, disparity: Map) -> Values:
 
 
 def _rectifying_rotation(reference: Camera, partner: Camera) -> tuple[Array, float]:
-    """Return the world to rectified axes: x towards the partner, z as near as can be to both viewing directions."""
+    """Return the transform of world to rectified axes: x towards the partner, z as near as can be to both viewing directions."""
     towards = partner.centre - reference.centre
     baseline = float(length(towards))
     forward = reference.axis + partner.axis

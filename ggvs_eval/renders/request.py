@@ -60,7 +60,7 @@ class RenderedView(Protocol):
         """Frame numbers that there are, rising."""
 
     def faults(self, size: tuple[int, int]) -> dict[int, str]:
-        """Return the frame number -> why this frame cannot be used at (width, height), e.g. ``64 x 48 instead of 128 x 96``."""
+        """Return frame number -> why this frame cannot be used at (width, height), e.g. ``64 x 48 instead of 128 x 96``."""
 
     def write(self, folder: Path, numbers: tuple[int, ...]) -> list[str]:
         """Put these frames into a folder as ``<frame>.png``; returns remarks for people."""

@@ -381,7 +381,7 @@ def _stack(file: Path) -> ArrayStack:
 
 
 def _one_each(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> dict[str, Path]:
-    """Return the view -> its file."""
+    """Return view -> its file."""
     by_view: dict[str, Path] = {}
     for view, file in _by_view(path, suffixes, request):
         if view in by_view:

@@ -40,7 +40,7 @@ class Screen:
 
     @property
     def first(self) -> int | None:
-        """First instant that is scored: one with a picture, behind the warm-up; None where there is none in the whole clip."""
+        """First instant that is scored: one with a picture, behind the warm-up; None without one in the whole clip."""
         return next((at for at, frame in enumerate(self.shown) if at >= self.warm_up and frame is not None), None)
 
     def record(self) -> dict[str, Any]:

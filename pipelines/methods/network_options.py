@@ -11,7 +11,7 @@ class NetworkOptions:
 
     Attributes:
         checkpoints: method -> file of weights that the user gave, of methods whose weights do not ship.
-        splats: label -> files of 3D Gaussians that others have fitted, which become a method of that label.
+        splats: label -> files of fitted 3D Gaussians, which become a method of that label.
         device: ``cpu``, where equal inputs give equal bits, ``cuda`` or ``cuda:N``.
     """
 

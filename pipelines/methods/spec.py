@@ -234,7 +234,7 @@ class OnlineMethod(MethodSpec):
         """Return the method with other `OnlineOptions`, at a fraction of the size, or both.
 
         Raises:
-            RenderError: options that it does not have, or a scale that is none.
+            RenderError: unknown options, or an invalid scale.
         """
         from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 

@@ -90,7 +90,7 @@ def _is_glb(path: Path) -> bool:
 
 
 def reading_modules(path: Path) -> tuple[str, ...]:
-    """Modules whose code decides what a file of Gaussians is rendered as, those that are loaded by its ending among them."""
+    """Return the modules that determine the rendering of a file of Gaussians, including its reader."""
     root = FILES.root(GLB) if _is_glb(path) else None
     return (SplatsScene.__module__, *([root] if root else []))
 
@@ -149,7 +149,7 @@ def splats_notes(path: Path) -> list[str]:
 
 
 def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, tuple[Path, int]]:
-    """Return the frame number -> file and the mesh in it; a cloud of all instants is of frame 0."""
+    """Return frame number -> file and the mesh in it; a cloud of all instants is of frame 0."""
     if len(files) == 1:
         return {frame: (path, mesh) for frame, mesh in FILES[GLB].frames(path).items()} if _is_glb(path) else {0: (files[0], 0)}
     numbers: dict[int, tuple[Path, int]] = {}

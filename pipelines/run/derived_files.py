@@ -100,7 +100,7 @@ class MadeFiles:
         self.note(map(_frame_name, numbers))
 
     def _noted(self) -> dict[str, list[Any]]:
-        """Return the file name -> status and digest, as far as made from the same."""
+        """Return file name -> status and digest, as far as made from the same."""
         record = _read_record(self.folder / DIGESTS)
         return record["files"] if record["made_from"] == json.loads(json.dumps(self.made_from)) else {}
 
@@ -189,7 +189,7 @@ def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: P
 
 
 def frames_left(capture: Capture, numbers: Mapping[str, Sequence[int]], root: Path) -> dict[str, list[int]]:
-    """Return the camera -> frames that `cache_frames` would write, in the order of time; arguments as of that."""
+    """Return camera -> frames that `cache_frames` would write, in the order of time; arguments as of that."""
     return {name: _camera_files(capture, name, root).missing_frames(frames) for name, frames in numbers.items()}
 
 

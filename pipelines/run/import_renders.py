@@ -255,7 +255,7 @@ def run_for(
 
 
 def named_renders(items: tuple[str, ...]) -> dict[str, Path]:
-    """Name -> path of ``NAME=PATH`` or of a bare path, which is called by its last part, as far as that is free and plain."""
+    """Return name -> path of ``NAME=PATH`` or of a bare path, named after its last component if unused and valid."""
     named: dict[str, Path] = {}
     for item in items:
         name, separator, path = item.partition("=")

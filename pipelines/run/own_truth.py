@@ -75,7 +75,7 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
 
 
 def own_truths(path: Path) -> dict[str, ArrayStack]:
-    """Return the view -> the truth in an archive, or in each of a folder's.
+    """Return view -> the truth in an archive, or in each of a folder's.
 
     Raises:
         RenderError: no archive, or one without both arrays.

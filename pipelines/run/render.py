@@ -229,7 +229,7 @@ class FitClock:
     begun_s: float = field(default_factory=time.monotonic)
 
     def __post_init__(self) -> None:
-        """Pick up the time of earlier attempts."""
+        """Add the time of earlier attempts."""
         file = self.folder / TIME_FILE
         self._before_s: float = read_json(file)["seconds"] if file.is_file() else 0.0
         self._first_done: int | None = None

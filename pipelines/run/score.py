@@ -299,7 +299,7 @@ def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, 
 
 
 def _versions(run: RunFolder, renders: Sequence[str], records: Mapping[str, dict[str, Any]]) -> dict[str, str]:
-    """Return the package -> versions under which these renders and their values were made, and this one."""
+    """Return package -> versions under which these renders and their values were made, and this one."""
     made = [record.get("versions", {}) for record in _render_records(run, renders).values()]
     made += [records[view][label].get("versions", {}) for label, view in (render.rsplit("/", 1) for render in renders)]
     return join_versions([installed_versions(), *made])

@@ -63,7 +63,7 @@ class _Counted:
 
 
 def _measured(path: Path, depth: bool, static: Mask | None) -> tuple[dict[str, float], dict[str, str], str]:
-    """Return the metric -> value, metric -> reason for its absence, and how many frames of which size there were."""
+    """Return metric -> value, metric -> reason for its absence, and how many frames of which size there were."""
     counted = _Counted(read_depths(path) if depth else read_frames(path))
     try:
         scores = score_depths(counted, static) if depth else score_frames(counted, static)

@@ -51,7 +51,7 @@ class Unpacking:
     elsewhere: Path | None = None
 
     def __call__(self, folder: Path, name: str) -> Capture:
-        """Return the capture of a room's name; a folder that is there is taken as it is."""
+        """Return the capture of a room's name; an existing folder is used unchanged."""
         place = self.elsewhere / folder.name if self.elsewhere and not folder.exists() else folder
         return self.open(write_room(place, name))
 

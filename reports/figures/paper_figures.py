@@ -183,7 +183,7 @@ def _grid(size: tuple[float, float], heights: list[float], columns: int) -> tupl
 
 
 def _pictures(run: MeasuredRun, region: Region) -> dict[str, Image8]:
-    """Return the label -> whole frame, the truth first."""
+    """Return label -> whole frame, the truth first."""
     return {key: read_image(frame_path(folder, region.frame)) for key, folder in run.frame_folders(region.view).items()}
 
 

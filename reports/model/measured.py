@@ -55,7 +55,7 @@ class MetricNote:
 
 
 def read_metric_notes(run: Path) -> dict[str, MetricNote]:
-    """Return the metric -> its note, in the order in which the protocol names them."""
+    """Return metric -> its note, in the order in which the protocol names them."""
     fields = {each.name for each in dataclasses.fields(MetricNote)} - {"name"}
     records = read_json(run / METRICS_FILE)
     for name, record in records.items():

@@ -139,7 +139,7 @@ class Table:
         columns: heads, without the column of names.
         rows: measured rows first, published ones last.
         dataset: what was measured on.
-        notes: how it was made and what does not compare, in as many sentences as it takes.
+        notes: method and limits of comparison, in sentences.
         judgements: name of a column -> which methods are better than which in it.
     """
 

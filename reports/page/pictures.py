@@ -139,7 +139,7 @@ def _fit(run: MeasuredRun, samples: list[Image8], byte_budget: int) -> tuple[int
 
 
 def _diagnostics(run: MeasuredRun) -> dict[str, dict[str, Path]]:
-    """Return the view -> key -> folder of a method's diagnostics, the same keys for every view."""
+    """Return view -> key -> folder of a method's diagnostics, the same keys for every view."""
     label = diagnostics_label(run)
     folders_of = {
         view: {} if label is None else dict(diagnostics_folders(run.folder.renders(label, view), label, run.frames))
@@ -152,7 +152,7 @@ def _diagnostics(run: MeasuredRun) -> dict[str, dict[str, Path]]:
 def _compress_frames(
     run: MeasuredRun, diagnostics: dict[str, dict[str, Path]], width: int, instant: tuple[str, int]
 ) -> dict[str, tuple[str, str]]:
-    """Return the key -> compressed picture and error map of one view and frame; only methods have errors."""
+    """Return key -> compressed picture and error map of one view and frame; only methods have errors."""
     view, frame = instant
     files = {key: frame_path(folder, frame) for key, folder in run.frame_folders(view).items()}
     truth = read_image(files["truth"])

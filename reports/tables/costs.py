@@ -68,7 +68,7 @@ UNKNOWN_DIFFERENCE = "unknown: others made it"
 
 
 def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
-    """Return the label -> cost of its fits, one record per fold; of fitted methods alone."""
+    """Return label -> cost of its fits, one record per fold; of fitted methods alone."""
     records: dict[str, list[dict[str, Any]]] = {}
     for label in run.labels:
         fits = [record["fit"] for record in render_records(run, label) if "fit" in record]
@@ -96,7 +96,7 @@ def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> T
         return None
     kept = [at for at, _ in enumerate(COST_COLUMNS) if {line[at].text for line in lines.values()} - NOTHING]
     rows = [run.row(label, [line[at] for at in kept]) for label, line in lines.items()]
-    caption = "Peak memory: of the process, with what it had loaded for other methods before."
+    caption = "Peak memory: of the process, including memory of earlier methods."
     if fits:
         folds = " · ".join(", ".join(fold) for fold in run.protocol.views.folds)
         caption = (

@@ -98,9 +98,9 @@ class ErrorBudget:
 
     Attributes:
         unseen: of pixels that no source view covers; None where these are not known, and counted with the others.
-        colour: of the other pixels, what a smooth colour map of the whole picture would take away.
-        surface: of what that leaves, what removing the wide error would take away.
-        misplaced: of what that leaves, what moving small windows would take away.
+        colour: error of the other pixels that a smooth colour map of the image removes.
+        surface: further error that removing the wide error removes.
+        misplaced: further error that moving small windows removes.
         detail: of the other pixels, what all three would leave.
     """
 
@@ -117,7 +117,7 @@ class ErrorBudget:
 
 
 def error_budget(image: Image8, truth: Image8, unseen: Mask | None) -> ErrorBudget:
-    """Take the squared error of an image apart.
+    """Decompose the squared error of an image.
 
     Args:
         image: synthesised, (H, W, 3).
@@ -235,7 +235,7 @@ def budget_table(run: MeasuredRun) -> Table | None:
 
 
 def _budgets(run: MeasuredRun, instant: tuple[str, int]) -> dict[str, ErrorBudget]:
-    """Return the label -> budget of one frame of one view."""
+    """Return label -> budget of one frame of one view."""
     view, frame = instant
     folders, masks = run.frame_folders(view), run.folder.disoccluded(view)
     truth = read_image(frame_path(folders.pop("truth"), frame))

@@ -206,7 +206,7 @@ class PaperTerms:
         layouts: in which the data set is on disk.
         test_views: how many; it does not say which.
         size: width and height of the rendered images, pixels.
-        metric_size: width and height at which is measured.
+        metric_size: measured width and height, pixels.
     """
 
     dataset: str

@@ -211,7 +211,7 @@ def drift_table(run: MeasuredRun) -> Table | None:
 
 
 def _drift_series(run: MeasuredRun, metric: str, labels: Sequence[str]) -> dict[str, Array]:
-    """Return the label -> value of each frame, the mean over the views, of the methods that have one in every view and frame."""
+    """Return label -> value of each frame, the mean over the views, of the methods that have one in every view and frame."""
     found = {}
     for label in labels:
         try:

@@ -30,7 +30,7 @@ def worst_frames_table(run: MeasuredRun) -> Table | None:
 
 
 def _values(run: MeasuredRun, metric: str) -> dict[str, list[Value]]:
-    """Return the label -> its finite values per frame, of all views, the worst first."""
+    """Return label -> its finite values per frame, of all views, the worst first."""
     values: dict[str, list[Value]] = {}
     for view in run.protocol.views.test:
         table = run.results.per_frame(metric, view)

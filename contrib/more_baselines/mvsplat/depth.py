@@ -81,7 +81,7 @@ class UNet(nn.Module):
     """One residual unit on each level down, two on each level up.
 
     Args:
-        levels: each after the first at half the size of that before it.
+        levels: each after the first at half the previous size.
     """
 
     def __init__(self, width: int, levels: int) -> None:

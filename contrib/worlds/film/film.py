@@ -178,7 +178,7 @@ class Footage:
             yield Frame(self._expose(picture, noise), picture.foreground, picture.depth)
 
     def frames_keeping_depth(self, folder: Path, depth_scale: float = 1.0) -> Iterator[Frame]:
-        """Yield all frames; those depths that the options want are written next to the demo, multiplied by a scale."""
+        """Yield all frames; requested depths are written next to the demo, multiplied by a scale."""
         options, name = self.options, self.shot.camera.name
         with DepthWriter(depth_path(folder, name), options.depth_frames, options.height, options.width) as kept:
             for index, frame in enumerate(self.frames()):

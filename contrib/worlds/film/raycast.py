@@ -191,7 +191,7 @@ def hand_held_poses(
 
 
 def _look_at(centre: Array, target: Array, roll_rad: float) -> Array:
-    """Return the world to camera, (4, 4), from a centre towards a target; the world's y points down."""
+    """Return the transform of world to camera, (4, 4), from a centre towards a target; the world's y points down."""
     forward = unit(target - centre)
     right = unit(np.cross((0.0, 1.0, 0.0), forward))
     down = np.cross(forward, right)

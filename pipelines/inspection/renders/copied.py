@@ -82,7 +82,7 @@ def pooled_share(instants: Iterable[NoiseSums]) -> TruthShare:
 
 
 def noise_sums(view: ViewFrames, index: int) -> NoiseSums:
-    """Products of an instant's captured and rendered frame with the noise of the captured one.
+    """Sum products of an instant's captured and rendered frame with the noise of the captured one.
 
     The noise n is what the captured frame has beyond its neighbours' mean, brightness and a shift fitted to each cell, so that
     neither lights nor slow motion count. A rendering r = (1 - a) r0 + a c of the captured frame c has <r, n> = a <c, n> where the

@@ -66,7 +66,7 @@ def ssim_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
 
 
 def frame_measures() -> dict[str, FrameMeasure]:
-    """Return the name -> SSIM of two uint8 frames."""
+    """Return name -> SSIM of two uint8 frames."""
     measures: dict[str, FrameMeasure] = {
         OUR_SSIM: partial(similarity, **GAUSSIAN),
         "Gaussian 11 x 11, valid positions, range 2": partial(similarity, data_range=2.0, **GAUSSIAN),

@@ -294,7 +294,7 @@ class PlaneSweepEstimator:
         return DepthMap(np.float32(1) / inverse_depth, fit.confidence(inverse_depth))
 
     def forget(self) -> None:
-        """Begin a new sequence; every instant is computed from nothing anyway."""
+        """Begin a new sequence; no instant depends on another."""
 
 
 def _halved(size: tuple[int, int], smallest_px: int) -> list[tuple[int, int]]:

@@ -151,7 +151,7 @@ def pose_after(cameras: tuple[Camera, ...], index: int, frames: float) -> Array:
 
 
 def _along(lines: SensorLines, row: Array) -> Array:
-    """A row of intrinsics on the sensor's pixels; a line through their middles says how large they are and where they begin."""
+    """Return a row of intrinsics on the sensor's pixels, whose size and origin come from a line through their middles."""
     places = np.arange(len(lines.centre)) + 0.5
     pitch, start = np.polyfit(places, lines.centre, 1) if len(places) > 1 else (1.0, 0.0)
     scaled = row / pitch

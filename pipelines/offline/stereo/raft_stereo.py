@@ -30,7 +30,7 @@ class Trunk(nn.Module):
         self.layer3 = _stage(middle, wide, norm, third)
 
     def trunk(self, images: Tensor) -> Tensor:
-        """Return the images (B, 3, H, W) in [-1, 1] to features (B, C, H / factor, W / factor)."""
+        """Encode images (B, 3, H, W) in [-1, 1] as features (B, C, H / factor, W / factor)."""
         features: Tensor = self.relu1(self.norm1(self.conv1(images)))
         for stage in (self.layer1, self.layer2, self.layer3):
             features = stage(features)
@@ -45,7 +45,7 @@ class FeatureEncoder(Trunk):
         self.conv2 = nn.Conv2d(config.trunk_widths[-1], config.feature_width, 1)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Return the images (B, 3, H, W) to features (B, feature_width, H / factor, W / factor)."""
+        """Encode images (B, 3, H, W) as features (B, feature_width, H / factor, W / factor)."""
         features: Tensor = self.conv2(self.trunk(images))
         return features
 
