@@ -68,7 +68,7 @@ class LearnedBaseline:
         """Return a fresh object that renders one sequence.
 
         Args:
-            weights: the authors' checkpoint, or what our training wrote.
+            weights: the authors' checkpoint, or the output of `ggvs-eval train`.
             options: ``device``, and others of the method.
         """
         method: Callable[..., Method] = resolve_name(self.method)

@@ -22,9 +22,9 @@ class ViewInterpolation:
 
     Reading:
         *Between*: the foot of the target's centre on the line through two sources' centres is between these, and the centre is
-        at most a fifth of their baseline away from it. Neighbours in a row are up to 0.12 away, on real rigs and on ours, and
-        cameras of other rows 0.28 and more. Of several such pairs the nearest is taken, by the sum of distances to the target.
-        A target between no two sources is refused.
+        at most a fifth of their baseline away from it. Neighbours in a row are up to 0.12 away, on real rigs and on the demo's,
+        and cameras of other rows 0.28 and more. Of several such pairs the nearest is taken, by the sum of distances to the
+        target. A target between no two sources is refused.
         Both images are first turned to the target's direction and lens, which needs no depth. What is left is parallax: on the
         line, points move in proportion to the way.
         Flow at the target is the mixture of both directions' flows of Super SloMo (Jiang et al., CVPR 2018, equation 4); flow is
@@ -94,7 +94,9 @@ def turn_towards(target: Camera, source: SourceView) -> tuple[Image8, Map]:
 
     Outside the source's image the border is repeated, so that flow finds no edge of black.
     """
-    half = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])  # our pixel centres are at halves, OpenCV's at whole numbers
+    half = np.array(
+        [[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]]
+    )  # this package's pixel centres are at halves, OpenCV's at whole numbers
     to_target = half @ target.K @ target.rotation @ source.camera.rotation.T @ np.linalg.inv(half @ source.camera.K)
     size = target.width, target.height
     turned = cv2.warpPerspective(source.image, to_target, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)

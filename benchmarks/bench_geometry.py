@@ -1,4 +1,4 @@
-"""Splat, TSDF and the whole geometric step at 1352 x 1014 with K = 4, against Open3D and against our own readable twins.
+"""Splat, TSDF and the whole geometric step at 1352 x 1014 with K = 4, against Open3D and against this package's readable twins.
 
 ``python benchmarks/bench_geometry.py`` prints the figures. All peers run in the same process environment and the same minute;
 Open3D runs in a child process with a time limit, since its VoxelBlockGrid.ray_cast can hang.
@@ -65,7 +65,7 @@ class Scene:
 
 
 def measure() -> dict[str, dict]:
-    """Return the milliseconds and millimetres of our kernels and of their peers, name -> figure."""
+    """Return the milliseconds and millimetres of this package's kernels and of their peers, name -> figure."""
     scene = make_scene(WIDTH)
     splat_ms, tsdf_ms, step_ms = _best_ms(lambda: scene.splat(0)), _best_ms(scene.fuse), _best_ms(scene.step)
     peers = _open3d(scene)

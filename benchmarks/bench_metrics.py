@@ -61,7 +61,7 @@ def _ssim_figures() -> dict[str, Figure]:
 
 
 def _strred_figures() -> dict[str, Figure]:
-    """Against scikit-video in a separate process; ours alone where it is not installed."""
+    """Against scikit-video in a separate process; this package alone where it is not installed."""
     run = subprocess.run([sys.executable, "-m", "benchmarks.scikit_video_strred"], capture_output=True, text=True, check=False)
     if run.returncode:
         print(f"metrics.strred: {run.stderr.strip().splitlines()[-1]}", file=sys.stderr)

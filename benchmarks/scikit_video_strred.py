@@ -1,4 +1,4 @@
-"""ST-RRED of ours and of scikit-video by turns, in a separate process, because scikit-video wants names that numpy has dropped.
+"""ST-RRED of this package and of scikit-video by turns, in a separate process: scikit-video needs names that numpy has dropped.
 
 ``python -m benchmarks.scikit_video_strred`` prints one line of JSON; without scikit-video, one line that says so, and exit 1.
 scikit-video is no dependency: ``pip install --no-deps scikit-video``, or its folder on PYTHONPATH.

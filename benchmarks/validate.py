@@ -1,7 +1,7 @@
 """``make validate``: the heavier proofs, on real input if it is next to the checkout and on the demo capture.
 
 Prints tables and writes out/validate.json: name -> value, unit, target, direction, command, and the peer where there is one with
-the ratio by which we are better.
+the ratio by which this package is better.
 """
 
 import argparse

@@ -27,7 +27,7 @@ def main() -> None:
 
 
 def _on_stop(handle: Callable[..., object]) -> None:
-    """Install a handler of SIGINT (Ctrl-C) and SIGTERM, except where the process that started us has them ignored."""
+    """Install a handler of SIGINT (Ctrl-C) and SIGTERM, except where the process that started this one has them ignored."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, handle)

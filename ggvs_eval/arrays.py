@@ -15,7 +15,7 @@ Image8 = NDArray[np.uint8]  # (H, W, 3) RGB, 0..255
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return the array as code that is not ours may have it: what writes into it is an error."""
+    """Return the array as code from outside the package may have it: what writes into it is an error."""
     view = array.view()
     view.flags.writeable = False
     return view

@@ -93,7 +93,7 @@ def require_imported(run: RunFolder, labels: Sequence[str]) -> None:
 
 
 def _refusals(run: RunFolder, label: str, views: Sequence[str]) -> dict[str, str]:
-    """Return view -> why a method of ours cannot show it."""
+    """Return view -> why a method of this package cannot show it."""
     records = {view: run.renders(label, view) / JOB_FILE for view in views}
     return {view: why for view, file in records.items() if file.is_file() and (why := read_json(file).get(REFUSED))}
 

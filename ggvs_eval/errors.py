@@ -1,6 +1,6 @@
 """Errors that a user can fix, each with a one-line message that says how, and accidents of the machine.
 
-The command line prints these in one line and exits with 1. Anything else is our bug and keeps its traceback.
+The command line prints these in one line and exits with 1. Anything else is a bug and keeps its traceback.
 """
 
 import errno
@@ -107,7 +107,7 @@ def mendable(error: BaseException) -> str | None:
     """Return the line by which a user can fix an error; None for a bug of the package.
 
     Args:
-        error: one of ours, or what the operating system refused: a full disk, a folder that cannot be written, ...
+        error: one of this package, or what the operating system refused: a full disk, a folder that cannot be written, ...
 
     Examples:
         >>> mendable(OSError(errno.ENOSPC, "No space left on device", "run/a.png"))

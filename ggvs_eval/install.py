@@ -26,7 +26,7 @@ def _imports_open3d() -> bool:
 
 
 def _install_system_libraries() -> None:
-    """Install them where we may, else stop with the one line to run."""
+    """Install them if permitted, else stop with the line to run."""
     words = ("install", "-y", "--no-install-recommends", *SYSTEM_LIBRARIES)
     if shutil.which("apt-get") and os.geteuid() == 0 and run_apt(*words) != 0:
         run_apt("update", "-q")

@@ -21,7 +21,7 @@ class ENeRF:
     Args:
         weights: the authors' checkpoint, see `load_enerf`.
         coarse_planes: planes of the coarse volume, a multiple of 4; by default those of the weights' configuration: 64 in the
-            published training, 32 in the authors' runs on real scenes and in our compact one.
+            published training, 32 in the authors' runs on real scenes and in this package's compact one.
         pixels_per_chunk: pixels that are rendered together; by default as many as suit the device.
 
     Reading:

@@ -207,7 +207,7 @@ def load_enerf(path: Path) -> Networks:
     """Return the networks of a weights file, in evaluation mode.
 
     Args:
-        path: the authors' checkpoint, a dict with ``net``, safetensors whose names begin so, or what our training wrote.
+        path: the authors' checkpoint, a dict with ``net``, safetensors whose names begin so, or the output of `ggvs-eval train`.
     """
     configuration = configuration_of(path, COARSE_PLANES, "ENeRF")
     networks = Networks(configuration or FULL)

@@ -14,7 +14,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.method import SourceView
 
 SIZE_MULTIPLE = 32  # sides are padded to it: the volume is at 1/8 and is halved twice
-PIXEL_CENTRE = 0.5  # ours are at halves, the network was trained with centres at whole numbers
+PIXEL_CENTRE = 0.5  # this package's are at halves, the network was trained with centres at whole numbers
 SMALLEST_DEPTH, EPSILON = 1e-6, 1e-6
 TRAINED_NEAR = 2.125  # nearest depth in training: DTU's 425 mm in units of 200 mm
 Matrix = NDArray[np.float64]

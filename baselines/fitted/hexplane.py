@@ -23,7 +23,7 @@ Axes = tuple[tuple[int, int], ...]
 AXES = tuple(combinations(range(4), 2))  # xy, xz, xt, yz, yt, zt: the order of the planes
 TIME = 3
 HEADS = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}  # name in front of `_deform` -> outputs
-FIRST_SHARE = 0.1  # of the authors' first weights of the last layers, in a field of our own
+FIRST_SHARE = 0.1  # of the authors' first weights of the last layers, in a field fitted here
 OWNER = "4DGS (deformation.pth)"  # in messages
 
 
@@ -170,7 +170,7 @@ class DeformationNetwork(nn.Module):
         Heads begin with a tenth of the authors' first weights, which shifts next to nothing; not at zero: planes of time would
         then learn less from the image than the penalty that holds them at 1 takes back, and nothing would ever move.
         The authors give times in [0, 1) to planes that span [-1, 1], so that half of the nodes are never met. Their files are
-        read so; a field of our own maps the clip to the whole span.
+        read so; a field fitted here maps the clip to the whole span.
     """
 
     def __init__(self, box: Tensor, configuration: FieldConfiguration) -> None:
@@ -193,7 +193,8 @@ class DeformationNetwork(nn.Module):
         """Penalty on planes that bend: 2e-4 in space, 1e-3 in time, and 1e-4 on planes of time that are not 1 (the authors').
 
         Reading:
-            The authors take second differences along a plane's height alone, which for planes of time is time; so do we.
+            The authors take second differences along a plane's height alone, which for planes of time is time; so does this
+            package.
         """
         grid = self.deformation_net.grid
         spatial, temporal = grid.planes(spatial=True), grid.planes(spatial=False)

@@ -1,4 +1,4 @@
-"""Scenes that the authors' program of 4DGS has fitted: their output folder, rendered by our splat."""
+"""Scenes that the authors' program of 4DGS has fitted: their output folder, rendered by this package's splat."""
 
 from pathlib import Path
 

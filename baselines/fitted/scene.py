@@ -99,7 +99,7 @@ class HexPlaneMotion(Motion):
         reach: what an output of 1 moves a Gaussian, world units.
 
     Reading:
-        The heads give world units in the authors' files (reach 1). A field of our own counts in extents of the rig, so that a
+        The heads give world units in the authors' files (reach 1). A field fitted here counts in extents of the rig, so that a
         scene in millimetres is learned as fast as one in metres; the authors scale their learning rates instead.
     """
 

@@ -6,7 +6,7 @@ BASELINE = LearnedBaseline(
     name="fwd",
     title="FWD",
     source="Cao, Rockwell and Johnson, CVPR 2022",
-    checkpoint="a checkpoint of our network",
+    checkpoint="a checkpoint of this package's network",
     method="ggvs_eval.baselines.fwd.method:Fwd",
     renditions=(
         Rendition("FWD", "features splatted by the given depth, fused by attention", retrained="compact", uses_depth=True),

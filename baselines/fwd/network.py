@@ -58,10 +58,10 @@ CONFIGURATIONS = {
 
 
 class FwdNetwork(nn.Module):
-    """The network; names of its parameters are ours.
+    """The network; names of its parameters are chosen here.
 
     Reading:
-        The encoder keeps the size; its widths between 3 and 61 are ours. Normalisation is by batch.
+        The encoder keeps the size; its widths between 3 and 61 are chosen here. Normalisation is by batch.
     """
 
     def __init__(self, configuration: str = "full", completes_depth: bool = False) -> None:

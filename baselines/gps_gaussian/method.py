@@ -130,7 +130,7 @@ def _shrink(corners: Array, image_pixels: int) -> float:
 
 
 def _rectifying_axes(left: Camera, right: Camera) -> Array:
-    """Return the transform of world to rectified axes, (3, 3): x to the right camera, z as near as can be to both viewing directions."""
+    """Return world to rectified axes, (3, 3): x to the right camera, z as close as possible to both viewing directions."""
     towards = right.centre - left.centre
     forward = left.axis + right.axis
     distance, length = float(np.linalg.norm(towards)), float(np.linalg.norm(forward))

@@ -253,7 +253,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> GpsGaussianN
 
     Args:
         path: the authors' checkpoint (a dict with ``network``, ``total_steps``, ``optimizer`` and ``scheduler``), or
-            safetensors whose names begin with ``network.``, or what our training wrote.
+            safetensors whose names begin with ``network.``, or the output of `ggvs-eval train`.
 
     Raises:
         WeightsError: absent, damaged, more than tensors and plain values inside, or tensors of another network.

@@ -20,7 +20,7 @@ from ggvs_eval.method import Instant, SourceView
 
 Pixels = NDArray[np.float32]
 Pass = Literal["coarse", "fine"]
-PIXEL_CENTRE = 0.5  # ours are at halves, the network was trained with centres at whole numbers
+PIXEL_CENTRE = 0.5  # this package's are at halves, the network was trained with centres at whole numbers
 FARTHEST_PX = 1e6
 BILINEAR, ZEROS = 0, 0  # torch's numbers of interpolation and padding
 EPSILON = 1e-6

@@ -69,7 +69,7 @@ def _work_on(work: Callable[[Item], Result], item: Item, threads: int | None) ->
 
 
 def _outcome(distributed: Any, future: Any) -> Any:
-    """Return the result of a future that has ended; our own bugs are raised."""
+    """Return the result of a future that has ended; bugs of the package are raised."""
     try:
         return future.result()
     except distributed.KilledWorker as error:

@@ -1,4 +1,4 @@
-"""A sweep as commands that wait for each other, for schedulers that are not ours: Slurm arrays, Make, Snakemake."""
+"""A sweep as commands that wait for each other, for schedulers from outside the package: Slurm arrays, Make, Snakemake."""
 
 from collections.abc import Sequence
 from pathlib import Path

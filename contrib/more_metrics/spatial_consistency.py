@@ -22,7 +22,7 @@ from ggvs_eval.metrics.path.view_consistency import PATH_SHARPNESS
 
 # Of the authors' program.
 LAYERS, PNP_ERROR_PX, PNP_ROUNDS, PNP_CONFIDENCE, LEAST_INLIERS = 10, 8.0, 100, 0.99, 0.3
-# Ours.
+# Chosen here.
 N_POINTS, LEAST_SPACING_PX, LEAST_MATCHES = 5000, 3, 12
 LUCAS_KANADE: dict[str, Any] = {
     "winSize": (9, 9),
@@ -184,14 +184,14 @@ def spatial_consistency(poses: Sequence[Pose]) -> SpatialConsistency:
         As the authors' program (github.com/tj12323/SGC): the later picture is cut into 10 layers by k-means over its depth; in
         each a pose is found by PnP (RANSAC, 100 rounds, 8 px, 30 % inliers) from the earlier picture's points in space and
         their matches; the mean of squared angles to the mean rotation vector, and of squared distances to the mean translation.
-        Ours: matches are
+        Chosen here: matches are
         Lucas-Kanade's there and back, not a network's; depth is given, one for all methods, not predicted; a step reaches so
         many poses on that the cameras move the picture by 4 px, for all methods alike. PnP's pose is refined from the path's,
         since flat regions have two. A region wants, not 4 matches, but 12 on texture (1 level per px) inside one surface that
         determine its rotation to 0.05 degrees; one region alone is no value, not 0. Translations count in steps of the path,
         since their units are arbitrary; no motion is segmented, see `poses`. Their score SGC joins these numbers with the same
         against a network's poses and a depth error, by weights fitted to that network's units; it has no meaning here. The map
-        is ours.
+        is chosen here.
     """
     return _measured([pose[0] for pose in poses], lambda index: poses[index][1:])
 

@@ -91,7 +91,7 @@ def noise_255(images: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class BlendLossWeights:
-    """Weights of the terms: the paper's four, and ours.
+    """Weights of the terms: the paper's four, and those added here.
 
     Attributes:
         l1: mean absolute error of the colour.
@@ -259,7 +259,7 @@ class BlendTask:
         schedule: see `Schedule`; the weight decay is the paper's.
 
     Reading:
-        The paper has 2e-4, for long trainings on a GPU. Ours lasts an hour of one core: at 1e-3 the refiner has most
+        The paper has 2e-4, for long trainings on a GPU. The one here lasts an hour of one core: at 1e-3 the refiner has most
         of what it can learn after 500 steps.
     """
 

@@ -44,7 +44,7 @@ def _mean_absolute(error: Tensor, truth: Tensor, largest_px: float) -> Tensor:
 def matching_loss(left: Tensor, right: Tensor, disparity: Tensor, visible: Tensor, factor: int) -> Tensor:
     """Cross entropy of the match that correlation alone would choose on the row, over cells whose match is seen.
 
-    RAFT-Stereo trains its features through the recurrent unit alone, which takes many more steps than we have.
+    RAFT-Stereo trains its features through the recurrent unit alone, which takes many more steps than are available here.
 
     Args:
         left: features, (B, C, h, w), float32.

@@ -104,8 +104,8 @@ class Results:
 class Program:
     """Memory of a step of given sizes, at fixed places: inputs, constants, tables, two states and results.
 
-    A step reads one state and writes the other. If it reads the program's own state, it is recorded once for each order, and replayed
-    afterwards; a step that reads the state of another program, after a source was lost or the target's size has changed, runs call
+    A step reads one state and writes the other. If it reads the program's own state, it is recorded once per order and
+    replayed; one that reads the state of another program, after a source was lost or the target's size has changed, runs call
     by call. So does all on the CPU.
 
     Args:

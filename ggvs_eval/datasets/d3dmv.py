@@ -94,7 +94,7 @@ def _background(path: Path, name: str) -> ImageFrames:
 
 
 def _read_cameras(file: Path, names: list[str]) -> list[Camera]:
-    """Return the row i is the i-th camera."""
+    """Read the poses; row i is the i-th camera."""
     if len({len(name) for name in names}) > 1:
         mismatch = f"{min(names, key=len)} and {max(names, key=len)}"
         raise CaptureError(f"{file.parent}: wanted camera numbers of one length, got {mismatch}; add leading zeros")

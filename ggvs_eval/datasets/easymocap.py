@@ -76,7 +76,7 @@ def read_views(intrinsics: Path, extrinsics: Path) -> tuple[list[EasyMocapView],
 
     Reading:
         Where both are there, R_ counts, as ENeRF reads it. The camera centre is -R^T T. OpenCV's principal point is moved by half
-        a pixel to our pixel centres.
+        a pixel to this package's pixel centres.
     """
     intri, extri = FileStorageYaml(intrinsics), FileStorageYaml(extrinsics)
     names = _names(intri, intrinsics)

@@ -37,7 +37,7 @@ HARMLESS = {"aabb_scale", "scale", "offset", "aabb", "render_aabb", "from_na", "
 HARMLESS |= {"applied_scale", "orientation_override", "train_filenames", "val_filenames", "colmap_im_id"}
 HARMLESS |= {"mask_path", "depth_file_path", "camera_label", "camera_id", "cam_id", "timestamp", "rotation", "depth_path"}
 HARMLESS |= {"auto_scale_poses_override", "auto_scale_poses", "fps", "integer_depth_scale", "frame_id", "name"}
-# OpenGL's camera looks along -z with y up, ours along +z with y down.
+# OpenGL's camera looks along -z with y up, this package's along +z with y down.
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 

@@ -134,7 +134,7 @@ def is_in_hand(temporary: Path) -> bool:
     """
     owner = TEMPORARY.fullmatch(temporary.name)
     if owner is None:
-        return True  # not ours
+        return True  # of another program
     if owner["host"] == _host():
         return is_running(int(owner["pid"]))
     try:

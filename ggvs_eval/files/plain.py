@@ -34,7 +34,7 @@ def check_plain(path: Path, most_bytes: int | None = None) -> int:
 
     Raises:
         NotPlainError: no regular file, or a larger one.
-        OSError: no such file, or none that we may look at.
+        OSError: no such file, or no permission.
     """
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):

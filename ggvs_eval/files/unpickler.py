@@ -3,7 +3,7 @@
 A pickle is a program. An allow-list of names (`find_class`) keeps foreign code from running, but not a file of nine bytes from
 filling the memory (the C unpickler's table of memos grows to any index that is claimed), nor one of two hundred from being hashed
 for ever (a key of tuples of twice the same tuple). So instructions are on an allow-list too, those that call, fill or hash are
-ours, and the others are those of Python's unpickler in pure Python, whose memos are a dict.
+defined here, and the others are those of Python's unpickler in pure Python, whose memos are a dict.
 """
 
 import io

@@ -40,7 +40,7 @@ def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Ten
 
 
 def configuration_of(path: Path, names: Collection[str], of: str) -> str | None:
-    """Return the name of the configuration that a weights file says it is.
+    """Return the configuration recorded in a weights file.
 
     Returns:
         The name, None where the file says nothing: a checkpoint of the authors, or a copy of it, which is the full one.

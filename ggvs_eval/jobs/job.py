@@ -131,7 +131,7 @@ class Attempt:
 
 
 class BrokenJobError(RuntimeError):
-    """Our own bug, met in a job; the message ends with its traceback."""
+    """Bug of the package in a job; the message ends with its traceback."""
 
 
 def run_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger: Ledger | None = None) -> int:
@@ -142,7 +142,7 @@ def run_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger: Le
 
     Raises:
         RenderError: jobs failed for a reason that the user can fix; the message lists each.
-        BrokenJobError: jobs met a bug of ours; raised when all others are done.
+        BrokenJobError: jobs met a bug of this package; raised when all others are done.
     """
     attempt = attempt_jobs(jobs, workers, description, ledger)
     if not attempt.failures:

@@ -1,4 +1,4 @@
-"""This machine: memory that it, or the container we are in, still has for another process, and how long known work takes here."""
+"""This machine: free memory, of the machine or the container, and the time of known work."""
 
 import threading
 from collections.abc import Iterable

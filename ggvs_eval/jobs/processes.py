@@ -20,7 +20,7 @@ NO_SEMAPHORES = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENO
 
 
 def default_workers() -> int:
-    """Return the processes that suit this machine: one per CPU that we may use."""
+    """Return the number of processes for this machine: one per available CPU."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 

@@ -1,4 +1,4 @@
-"""Every kind of renders we read, and how the kind of a folder or file is found out."""
+"""Supported kinds of renders, and the detection of the kind of a folder or file."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ class Kind:
         describe: what messages and records call it.
         refuse: why a path is not of this kind, in a few words; None if it is.
         files: what it is made of; enough to notice a change.
-        find: views and frames; the flag says that the files are ours to move.
+        find: views and frames; the flag marks temporary files, which are moved.
     """
 
     describe: str

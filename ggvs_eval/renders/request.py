@@ -243,7 +243,7 @@ class PictureView:
 
     Attributes:
         pictures: frame number -> file.
-        is_temporary: whether the files are ours to move; else they are linked.
+        is_temporary: whether the files are temporary and can be moved; else they are linked.
     """
 
     pictures: Mapping[int, Path]

@@ -1,4 +1,4 @@
-"""Renders as ``<view>/<frame>.png`` or ``.jpg``, as ``<view>_<frame>.png`` in one folder, and our own run folders.
+"""Renders as ``<view>/<frame>.png`` or ``.jpg``, as ``<view>_<frame>.png`` in one folder, and this package's run folders.
 
 Names that are spelled otherwise, and pictures in another format, are reported.
 """
@@ -127,7 +127,7 @@ def _unexpected_files(path: Path, request: FrameRequest) -> Iterable[str]:
 
 
 def refuse_run(path: Path, request: FrameRequest) -> str | None:
-    """State why this is not a run folder of ours with renders of one method to take; None if it is."""
+    """State why this is not a run folder of this package with renders of one method to take; None if it is."""
     run = RunFolder(path)
     if not run.protocol_file.is_file():
         return "no protocol.toml"

@@ -1,4 +1,4 @@
-"""Structural similarity of a frame: ours by the fast kernel, and the SSIMs in use, by name.
+"""Structural similarity of a frame: by the fast kernel, and other SSIMs in use, by name.
 
 These are one formula with other windows, borders and ranges, and numbers up to 0.1 apart on the same frame.
 """

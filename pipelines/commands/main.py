@@ -50,7 +50,7 @@ def run_command(arguments: list[str] | None = None) -> None:
     except (GgvsError, OSError) as error:
         try:
             sys.stdout.flush()
-        except OSError:  # the full disk is that of our output
+        except OSError:  # the full disk is that of the output
             _forget_output()
         sys.exit(f"ggvs-eval: {mendable(error)}")
 
@@ -69,7 +69,7 @@ def _show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Write our warnings as our errors are written, without the place in the code; those of others as ever."""
+    """Write this package's warnings like its errors, without the place in the code; others as usual."""
     ours = issubclass(category, GgvsWarning)
     shown = f"ggvs-eval: {message}" if ours else warnings.formatwarning(message, category, filename, lineno, line)
     print(shown, file=file or sys.stderr, flush=True)

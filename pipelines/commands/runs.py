@@ -346,7 +346,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
 
 
 def _end_with(failures: tuple[Failure, ...], rest: str = "the rest is finished; run the same command to retry these") -> None:
-    """List what failed, our own bugs with their tracebacks, and end with 1."""
+    """List what failed, bugs of the package with their tracebacks, and end with 1."""
     for failure in failures:
         print(failure.traceback or "", f"failed: {failure}", sep="", file=sys.stderr)
     if failures:

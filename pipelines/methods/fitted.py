@@ -1,4 +1,4 @@
-"""Methods that are fitted to one capture: by us, as offline references and frame by frame, or by others."""
+"""Methods that are fitted to one capture: here, as offline references and frame by frame, or by others."""
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields, replace

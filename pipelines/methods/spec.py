@@ -181,7 +181,7 @@ class OnlineMethod(MethodSpec):
             are `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
         weights: files of the trained weights it renders with.
         checkpoint: what the user can give instead of weights that ship, or has to give where none do.
-        title_from: how tables call it then, if not by `title`: weights that we trained are labelled so.
+        title_from: how tables call it then, if not by `title`: weights trained here are labelled so.
         device_modules: what it renders with besides on a device that is not the CPU.
     """
 

@@ -1,4 +1,4 @@
-"""Scenes of 3D Gaussians that others have fitted, from their files: ``splats:PATH`` renders them by our own splat."""
+"""Scenes of 3D Gaussians that others have fitted, from their files: ``splats:PATH`` renders them by this package's splat."""
 
 import re
 from collections.abc import Mapping, Sequence

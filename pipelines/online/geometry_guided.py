@@ -91,9 +91,9 @@ class OnlineOptions:
     Reading:
         What each reading is worth is measured in docs/readings.md.
 
-        The paper calls two constants beta and gives one value, 0.6, taken for the masks. ``beta_temporal`` is ours: of 0.6, 1 and
-        2, the smallest for which the limit eta matters, 1 scored best on a validation room (demo seed 101, two views: STED
-        12.93, 12.65, 13.51; PSNR 30.80, 30.78, 30.61 dB with Eq. 2 as printed; without temporal terms 14.09 and 30.91).
+        The paper calls two constants beta and gives one value, 0.6, taken for the masks. ``beta_temporal`` is chosen here: of
+        0.6, 1 and 2, the smallest for which the limit eta matters, 1 scored best on a validation room (demo seed 101, two views:
+        STED 12.93, 12.65, 13.51; PSNR 30.80, 30.78, 30.61 dB with Eq. 2 as printed; without temporal terms 14.09 and 30.91).
     """
 
     temporal: bool = True

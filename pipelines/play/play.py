@@ -76,7 +76,7 @@ def require_writable(out: Path) -> None:
     """Refuse a file that cannot be written before hours are spent on its content.
 
     Raises:
-        RenderError: it is no .mp4, a folder, or the system does not let us write there.
+        RenderError: it is no .mp4, a folder, or the system does not permit writing there.
     """
     if out.suffix.lower() != ".mp4" or out.is_dir():
         raise RenderError(f"{out}: wanted a video file to write, *.mp4, got {'a folder' if out.is_dir() else 'another name'}")

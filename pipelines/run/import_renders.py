@@ -35,7 +35,7 @@ NAME = re.compile(r"\w[\w.+-]*")
 # An archive may hold renders, truth, depth and masks of each frame, with little that compresses.
 ARCHIVE_BYTES_PER_PIXEL = 24
 ARCHIVE_FILES_PER_FRAME = 12
-SMALL = 20  # pixels per byte that zeros at least take as we write them; some hundred really
+SMALL = 20  # pixels per byte that zeros at least take as written here; about a hundred really
 ARCHIVE_SLACK_FILES, ARCHIVE_SLACK_BYTES = 1000, 256 << 20
 SCORES_ROOT = Path("scores")
 TOLD_BYTES = 20_000_000
@@ -175,7 +175,7 @@ def plain_label(name: str) -> str:
 
 
 def _is_taken(label: str) -> bool:
-    """Return whether a name means something else in a run, or is what tables call one of our methods."""
+    """Return whether a name means something else in a run, or is what tables call one of this package's methods."""
     return label in METHODS or label == "truth" or label.lower() in {spec.title.lower() for spec in METHODS.values()}
 
 

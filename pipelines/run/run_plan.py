@@ -41,7 +41,7 @@ def choose_path(capture: Capture, protocol: Protocol) -> CameraPath:
         Poses at the size of a test view; none where the protocol wants none.
 
     Reading:
-        The paper moves the camera horizontally and does not say from where to where; ours spans the nearest cameras on both
+        The paper moves the camera horizontally and does not say from where to where; this one spans the nearest cameras on both
         sides, at the protocol's first instant.
     """
     middle = capture.camera(protocol.views.test[0])

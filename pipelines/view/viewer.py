@@ -1,6 +1,6 @@
 """The viewer's server: a page for every browser window that opens, and two threads that make their pictures.
 
-Its listening socket lets in who has the address with its token, from our own page.
+Its socket accepts requests that know the token, from the viewer's own page.
 
 `viser` serves the page, draws the scene and reports the camera's pose; the pictures are behind its scene as a background.
 """
@@ -93,7 +93,7 @@ class Listener:
         return ""
 
     def _is_own(self, host: str) -> bool:
-        """Return whether the Host of a request is a name of ours or a bare address, which no name server can point elsewhere."""
+        """Return whether the Host of a request is a name of this machine or a bare address, which no DNS can redirect."""
         with suppress(ValueError):
             name = urlsplit(f"//{host}").hostname or ""
             return name in self._names or ipaddress.ip_address(name) is not None
@@ -107,7 +107,7 @@ def require_viser() -> None:
 
 
 def start_guarded(listener: Listener, start: Callable[[], "viser.ViserServer"]) -> "viser.ViserServer":
-    """Start a server of viser that listens at our socket, and asks the listener about every request.
+    """Start a server of viser that listens at the given socket, and asks the listener about every request.
 
     Raises:
         CommandError: it was started in another way, and would let anyone in; it is stopped again.

@@ -291,7 +291,7 @@ def _addresses(names: Sequence[str]) -> list[str]:
 
 
 def _without_empty_rows(table: Table) -> Table:
-    """Return the paper's rows, and those of ours that hold a number."""
+    """Return the paper's rows, and those of this run that hold a number."""
     return replace(
         table, rows=tuple(row for row in table.rows if row.is_grey or any(cell.value is not None for cell in row.cells))
     )

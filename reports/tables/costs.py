@@ -191,7 +191,7 @@ def _seed_cell(note: MetricNote, values: Sequence[float]) -> Cell:
 
 
 def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, ...]:
-    """Price of being online: every fitted method minus ours, per dataset; nothing where either is missing or set aside."""
+    """Price of being online: every fitted method minus GGVS, per dataset; nothing where either is missing or set aside."""
     labels = [label for run in runs for label in run.ours_first if label not in results.set_aside]
     fitted = list(dict.fromkeys(label for run in runs for label in fit_records(run) if label in labels))
     ours = [label for label in labels if label in runs[0].ours and label not in fitted]

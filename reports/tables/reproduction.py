@@ -31,7 +31,7 @@ Status = Literal["reproduced", "differs", "data absent", "weights absent", "not 
 STATUSES: tuple[Status, ...] = ("reproduced", "differs", "data absent", "weights absent", "not run")
 TABLES = {"quality": "Quality", "consistency": "Consistency", "ablation": "Ablation", "timing": "Time per frame"}
 NOT_MEASURED = Cell("not measured")
-RETRAINED = "(retrained"  # in the name of a method whose weights we trained, which are not the paper's
+RETRAINED = "(retrained"  # in the name of a method whose weights were trained here, which are not the paper's
 MEANING = (
     f"reproduced: the paper's value is in the {100 * LEVEL:.0f} % interval of this run, or both print the same digits; "
     "differs: neither; data absent: no run on the paper's data and terms; weights absent: the method's weights are not included; "
@@ -97,7 +97,7 @@ class PaperMethod:
     weights: str
 
     def find_label(self, run: MeasuredRun) -> str | None:
-        """Return the label under which a run has it: ours, or frames that others rendered and called by either name."""
+        """Return the label under which a run has it: this package's, or that of imported frames of either name."""
         names = {self.name.lower(), self.label.lower()}
         fitting = (label for label in run.labels if {label.lower(), run.name(label).lower()} & names)
         return next(fitting, None)
@@ -173,7 +173,7 @@ def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = Non
     """Decide whether a measured value reproduces the published one.
 
     Args:
-        digits: after the point, of our numbers; None for four significant ones.
+        digits: after the point, of this run's numbers; None for four significant ones.
 
     Reading:
         A published value represents all that round to it. It is reproduced where one of those is in this run's interval,
@@ -287,7 +287,7 @@ def reproduction_markdown(entries: Sequence[Reproduction]) -> str:
 
 
 def reproduction_csv(entries: Sequence[Reproduction]) -> str:
-    """Return one line per value; ours, its bounds and its difference unrounded, and empty where nothing was measured."""
+    """Return one line per value; this run's value, its bounds and its difference unrounded, empty if not measured."""
     rows = []
     for entry in entries:
         ours = entry.ours
@@ -308,7 +308,7 @@ def paper_tables(entries: Sequence[Reproduction]) -> tuple[Table, ...]:
 
     Returns:
         Grey rows with the paper's values, shaded among themselves, the best bold as the paper prints them, each followed by a
-        row of ours, which says the status where nothing was measured.
+        row of this run, which gives the status where nothing was measured.
     """
     return tuple(_table(block.entries) for block in blocks(entries))
 

@@ -112,8 +112,8 @@ def evaluate_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: f
     """Return the time of a stage here and what it is against the paper's, or None and why there is none.
 
     Reading:
-        A time belongs to its machine: the paper's is a GPU that it does not name, ours is the machine of the run. So it is set
-        next to the paper's with the ratio of the two, and never called reproduced.
+        A time belongs to its machine: the paper's is a GPU that it does not name, this one is the machine of the run. So it is
+        set next to the paper's with the ratio of the two, and never called reproduced.
     """
     timing = TIMINGS[key]
     if timing.stage is None:

@@ -119,7 +119,7 @@ class Contender:
     Attributes:
         place: of the value in the drawing, per cent from the left; None where it is not finite.
         span: ends of the interval in the same way; None where there is none.
-        worth: of a variant of ours, its difference to ours in words; empty otherwise.
+        worth: of a variant of GGVS, its difference to the full method in words; empty otherwise.
     """
 
     label: str
@@ -141,8 +141,8 @@ class Verdict:
             there is nothing to compare with.
         column: the metric that this is in; None where nothing is ranked.
         meaning: what it measures, in plain words.
-        contenders: every method that competes, the best first; of ours the method itself, unless ours alone were measured.
-        parts: variants of ours, with what each lacks or adds.
+        contenders: every method that competes, the best first; of GGVS the full method, unless only its variants were measured.
+        parts: variants of GGVS, with what each lacks or adds.
         others: name of a method -> the other metrics that it alone is best in.
         tied: the other metrics in which no winner can be named.
     """

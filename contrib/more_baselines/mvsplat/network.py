@@ -147,7 +147,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> MvsplatNetwo
 
     Args:
         path: the authors' checkpoint (a dict with ``state_dict``, whose names begin with ``encoder.``), or safetensors of those
-            names, or what our training wrote.
+            names, or the output of `ggvs-eval train`.
 
     Raises:
         WeightsError: absent, damaged, more than tensors and plain values inside, or tensors of another network.

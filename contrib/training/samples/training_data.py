@@ -165,8 +165,8 @@ def choose_views(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tu
     """Return the target and sources of a room's sample of that number; no target comes twice before every camera has been one.
 
     Reading:
-        The paper draws inputs and target at random. Half of ours are the nearest cameras, as in the evaluation; the others are
-        drawn from twice as many, so that the network also sees wide gaps. Of a hand-held camera they are drawn as of any
+        The paper draws inputs and target at random. Half of those here are the nearest cameras, as in the evaluation; the others
+        are drawn from twice as many, so that the network also sees wide gaps. Of a hand-held camera they are drawn as of any
         RGB-D sequence, see `draw_views`.
     """
     if is_sequence(capture):

@@ -241,7 +241,7 @@ def _describe_matches(folder: Path) -> tuple[dict[str, int], dict[str, int]]:
 
 
 def _end_with_parent() -> None:
-    """Nothing is ever written to us; the read ends when the parent does. Python's own stdin would be locked when we end."""
+    """Wait on stdin, to which nothing is written; it ends with the parent. Python's own stdin would be locked."""
     os.read(0, 1)
     os._exit(1)
 

@@ -63,7 +63,8 @@ def read_lenses(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
     Reading:
         EasyMocap: the pinhole image keeps the lens's K, as ENeRF undistorts. D3DMV: 90 degrees wide (f = W / 2) with the
         principal point in the middle of the image, as its authors undistort; the list follows the order of names. Others: the
-        lens's K, zoomed just so far that no pixel is blank. OpenCV's principal points are moved by half a pixel to our centres.
+        lens's K, zoomed just so far that no pixel is blank. OpenCV's principal points are moved by half a pixel to this
+        package's centres.
     """
     is_known = bool(find_calibration_files(path))
     if path.suffix.lower() in (".yml", ".yaml") and not is_known:

@@ -87,9 +87,9 @@ def write_dense_workspace(
         DepthError: the folder holds something, sizes do not fit, or a name that COLMAP's text files cannot hold.
 
     Reading:
-        COLMAP marks depth that passed its own check between views as geometric. Ours has passed one between partners, so it goes
-        by that name, the one that `stereo_fusion` asks for. The sparse points are points of the depth maps, each with every
-        camera whose own depth agrees; their normals and the normal maps come from planes fitted to the depth.
+        COLMAP marks depth that passed its own check between views as geometric. This depth has passed one between partners, so
+        it goes by that name, the one that `stereo_fusion` asks for. The sparse points are points of the depth maps, each with
+        every camera whose own depth agrees; their normals and the normal maps come from planes fitted to the depth.
     """
     _check(cameras, images, depth_maps, folder)
     depths = [np.where(each.confidence >= LEAST_CONFIDENCE, each.depth, np.float32(0)) for each in depth_maps]
@@ -122,7 +122,7 @@ def _write_maps(cameras: Sequence[Camera], images: Sequence[Image8], depths: Seq
 
 
 def _write_lists(cameras: Sequence[Camera], partners: Mapping[str, Sequence[str]], folder: Path) -> None:
-    """Images to match and to fuse; COLMAP chooses partners itself where we know none."""
+    """Images to match and to fuse; COLMAP chooses partners itself where none is known."""
     (folder / "consistency_graphs").mkdir(parents=True)
     names = [camera.name for camera in cameras]
     lines = []

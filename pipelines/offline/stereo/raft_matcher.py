@@ -126,7 +126,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> RaftStereo:
     """Return the network of a weights file, in evaluation mode, on a device; its configuration is known from the tensors.
 
     Args:
-        path: safetensors of ours, or a ``.pth`` of the authors: a state dict whose names may begin with ``module.``.
+        path: safetensors of this package, or a ``.pth`` of the authors: a state dict whose names may begin with ``module.``.
 
     Raises:
         WeightsError: absent, damaged, more than tensors inside, or tensors of no configuration of RAFT-Stereo.
