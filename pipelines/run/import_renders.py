@@ -176,7 +176,7 @@ def plain_label(name: str) -> str:
 
 def _is_taken(label: str) -> bool:
     """Return whether a name means something else in a run, or is what tables call one of this package's methods."""
-    return label in METHODS or label == "truth" or label.lower() in {spec.title.lower() for spec in METHODS.values()}
+    return label.lower() in {"truth", *METHODS, *(spec.title.lower() for spec in METHODS.values())}
 
 
 def _check_label(label: str) -> None:

@@ -64,8 +64,9 @@ def test_no_folder_no_content_no_layout(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "cam00.mp4").write_bytes(b"x")
     assert "got no such path; check it" in refusal(tmp_path / "absent")
-    assert "file: no capture that can be read; see docs/captures.md for the layouts (looked for: not capture.toml: " in refusal(
-        tmp_path / "file"
+    assert (
+        "file: wanted a capture in a known layout; see docs/captures.md for the layouts (looked for: not capture.toml: "
+        in refusal(tmp_path / "file")
     )
     assert "got an empty folder" in refusal(tmp_path / "empty")
     message = refusal(tmp_path / "other")
@@ -90,7 +91,7 @@ def test_every_layout_says_why_it_refused(tmp_path):
     (tmp_path / "notes.txt").write_text("x")
     message = refusal(tmp_path)
     assert all(f"not {name}: " in message for name in DATASETS)
-    assert "no capture that can be read; see docs/captures.md for the layouts (looked for: " in message
+    assert "wanted a capture in a known layout; see docs/captures.md for the layouts (looked for: " in message
 
 
 def test_a_whole_data_set(dynerf, tmp_path):

@@ -225,10 +225,10 @@ def test_a_camera_without_a_pose_in_the_file(tmp_path):
     [
         ("cameras_parameters.txt", "x", "cameras_parameters.txt exists, but the capture is incomplete, technicolor"),
         ("transforms_val.json.bak", "", None),
-        ("transforms_test2.json", "{}", "transforms_test2.json is there"),
+        ("transforms_test2.json", "{}", "transforms_test2.json exists"),
         ("intri.yml", "%YAML:1.0\n", "intri.yml exists, but the capture is incomplete, enerf-outdoor: no extri.yml"),
-        ("rig.xml", "<rig><intrinsics>1 2 3</intrinsics></rig>", "rig.xml holds a calibration in a form that is not read"),
-        ("cameras.json", '{"k": [[1, 0, 0]], "w2c": []}', "cameras.json holds a calibration in a form that is not read"),
+        ("rig.xml", "<rig><intrinsics>1 2 3</intrinsics></rig>", "rig.xml holds a calibration of an unknown form"),
+        ("cameras.json", '{"k": [[1, 0, 0]], "w2c": []}', "cameras.json holds a calibration of an unknown form"),
         ("notes.json", '{"actor": "anna"}', None),
         ("intrinsics.toml", "[[camera]]\nK = [[1.0]]\n", None),
     ],

@@ -95,7 +95,7 @@ def damage(file: Path, before: bytes, after: bytes) -> None:
         (
             b"property float opacity",
             b"property float capacity",
-            "it lacks opacity, its properties are x, y, z",
+            "wanted a cloud of Gaussians with opacity, got x, y, z",
         ),
         (b"property float opacity", b"property float x", "wanted each property once in the header"),
         (b"property float f_rest_8", b"property float f_rest_9", "wanted f_rest_0 to f_rest_N of 0, 9, 24, 45, 72 in all, got 9"),

@@ -59,7 +59,7 @@ def test_four_wide_cameras_are_refused_in_one_line():
     message = str(caught.value)
     assert "\n" not in message
     assert message.startswith("camera cam00: its 3 sources are 47 degrees away (cam01) or more")
-    assert "show 0% of its view at a depth that can be found, wanted 40%" in message
+    assert "show 0% of its view with recoverable depth, wanted 40%" in message
     assert message.endswith("add cameras between, 20 degrees apart or less, or remove it from the test views")
 
 

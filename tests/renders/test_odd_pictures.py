@@ -217,21 +217,21 @@ def converted(folder: Path, suffix: str, keep: bool = False, views: tuple[str, .
     return folder
 
 
-CASE = "upper and lower case are told apart, write cam00"
+CASE = "names are case-sensitive, write cam00"
 LOOKALIKES: dict[str, tuple[Callable[[Path], Path], list[str], list[str]]] = {
     ".webp": (
         lambda f: converted(write_folders(f), ".webp"),
-        ["cam00/ holds 3 .webp pictures, which are not read: convert them to .png"],
+        ["cam00/ holds 3 .webp unsupported pictures: convert them to .png"],
         ["protocol.toml", "EasyVolcap"],
     ),
     ".webp in one view": (
         lambda f: converted(write_folders(f), ".webp", views=("cam00",)),
-        ["mine in cam00 lacks all 3 frames, but cam00/ holds 3 .webp pictures, which are not read: convert them to .png"],
+        ["mine in cam00 lacks all 3 frames, but cam00/ holds 3 .webp unsupported pictures: convert them to .png"],
         ["cam02"],
     ),
     ".tif in one flat list": (
         lambda f: renamed(converted(renamed(write_folders(f)), ".tif"), ("cam00", "color"), ("cam02", "colour")),
-        ["color/ holds 3 .tif pictures, which are not read"],
+        ["color/ holds 3 .tif unsupported pictures"],
         ["protocol.toml"],
     ),
     "CAM00": (lambda f: renamed(write_folders(f), ("cam00", "CAM00")), [f"lacks all 3 frames, but there is CAM00: {CASE}"], []),
@@ -246,7 +246,7 @@ LOOKALIKES: dict[str, tuple[Callable[[Path], Path], list[str], list[str]]] = {
         ["there is 00: rename it if it is cam00", "there is 02: rename it if it is cam02"],
         ["protocol.toml"],
     ),
-    ".mkv": (lambda f: renamed(write_videos(f), ("cam00.mp4", "cam00.mkv")), ["cam00.mkv is there, which is not read"], []),
+    ".mkv": (lambda f: renamed(write_videos(f), ("cam00.mp4", "cam00.mkv")), ["cam00.mkv is there but not supported"], []),
     ".jpg beside .png": (
         lambda f: converted(write_folders(f), ".jpg", keep=True),
         ["mine in cam00: 2-4 (several pictures of one frame: 0002.jpg and 0002.png; keep one)"],

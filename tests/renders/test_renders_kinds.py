@@ -118,7 +118,7 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "nerfbaselines without views": (
         lambda f: pack_names(write_flat(f, view_major(), ("color", "gt-color"))),
         BESIDE_TRUTH,
-        "order found by comparing gt-color/",
+        "order determined by comparing gt-color/",
     ),
     "nerfbaselines without truth": (
         lambda f: write_nerfbaselines(f, copies=False),

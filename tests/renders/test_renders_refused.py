@@ -156,7 +156,7 @@ def without_truth_and_names(folder: Path) -> Path:
 
 
 WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
-    "nothing there": (lambda f: f, "theirs: wanted renders, there is no such folder or file"),
+    "nothing there": (lambda f: f, "theirs: wanted renders, got no such path"),
     "cameras that are not tested": (
         lambda f: write_videos(f, views=["cam01"]),
         "theirs has cam01, cameras that are not test views of the protocol; write a protocol with them: "
@@ -197,8 +197,8 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     ),
     "a flat list of five": (lambda f: write_flat(f, view_major()[:5]), "wanted 3, 6, 7, 14 pictures"),
     "renders without their truth": (uneven, "wanted the same numbers in renders/ and gt/, one of them lacks 3"),
-    "two iterations": (two_sets, "several sets: give one of test/ours_30000, test/ours_7000"),
-    "names that tell nothing": (without_truth_and_names, "names like color/00000.png tell no view"),
+    "two iterations": (two_sets, "several sets; give one of test/ours_30000, test/ours_7000"),
+    "names that tell nothing": (without_truth_and_names, "wanted names with a view, got color/00000.png"),
 }
 
 

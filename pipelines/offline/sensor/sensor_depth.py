@@ -85,8 +85,8 @@ def filter_sensor_depth(depth: Map, image: Image8, camera: Camera) -> DepthMap:
         The paper takes RGB-D input and names no filter. Sensors fail at edges, where a pixel sees two surfaces and reports a
         depth between, and where little light comes back. Confidence is chosen here, a product: it falls towards edges and holes,
         with the cosine between ray and surface normal, and by half from the camera to `far`. Its constants were chosen on a
-        HoloLens sequence, by how far depth warped between near frames agrees, and on validation rooms (demo seeds 101-103) seen by a
-        simulated sensor of a half and a third of the resolution with 0.5 % noise.
+        HoloLens sequence, by how far depth warped between near frames agrees, and on validation rooms (demo seeds 101-103) seen
+        by a simulated sensor of a half and a third of the resolution with 0.5 % noise.
     """
     _check(depth, image, camera)
     with np.errstate(invalid="ignore"):
