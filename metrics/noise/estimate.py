@@ -155,7 +155,7 @@ class NoiseEstimator:
     def finish(self) -> NoiseModel:
         """Return the noise of all frames."""
         if self._frames < 2:
-            raise MetricError(f"noise: wanted 2 frames or more, got {self._frames}")
+            raise MetricError(f"noise is a change between frames: {self._frames} frame; needs 2")
         limits = (self._long if self._long.n_blocks >= MIN_BLOCKS else self._short).limits()
         used, n_blocks = self._short.n_within(limits), self._short.n_blocks
         if used < max(MIN_BLOCKS, MIN_STATIC_SHARE * n_blocks):

@@ -93,7 +93,7 @@ class FlickerMeter:
     def finish(self) -> Flicker:
         """Return the measures of all instants."""
         if self._pairs < 1:
-            raise MetricError(f"flicker: wanted 2 frames or more, got {int(self._previous is not None)}")
+            raise MetricError(f"flicker is a change between frames: {int(self._previous is not None)} frame; needs 2")
         has_static = self._static[:, 0].sum() >= MIN_BLOCKS
         if not has_static:
             self._moving, self._static = self._moving + self._static, np.zeros((N_LEVELS, 4))

@@ -64,9 +64,8 @@ def test_no_folder_no_content_no_layout(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "cam00.mp4").write_bytes(b"x")
     assert "got no such path; check it" in refusal(tmp_path / "absent")
-    assert (
-        "file: wanted a capture in a known layout; see docs/captures.md for the layouts (looked for: not capture.toml: "
-        in refusal(tmp_path / "file")
+    assert "wanted a capture in a known layout; see docs/captures.md for the layouts (looked for: not capture.toml: " in refusal(
+        tmp_path / "file"
     )
     assert "got an empty folder" in refusal(tmp_path / "empty")
     message = refusal(tmp_path / "other")
