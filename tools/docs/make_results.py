@@ -34,7 +34,7 @@ def main() -> int:
     RECORDS.mkdir(parents=True, exist_ok=True)
     failed = [each.name for each in stale if not make(each, arguments.data, arguments.weights)]
     if failed:
-        print(f"failed: {', '.join(failed)}; their logs are in {RECORDS}, call again to go on", file=sys.stderr)
+        print(f"failed: {', '.join(failed)}; their logs are in {RECORDS}, run this again to resume", file=sys.stderr)
     return int(bool(failed))
 
 
