@@ -345,6 +345,8 @@ MATCHERS = {
     "raft": f"{_OFFLINE}.stereo.raft_matcher:matcher_of_weights",
     "itermvs": f"{_OFFLINE}.itermvs.estimator:matcher_of_weights",
 }
+# Depth that another program has computed, in place of a matcher's.
+DEPTH_FILES = {"maps": "ggvs_eval.contrib.given_depth.attach:attach_depth"}
 NETWORK_MATCHERS = ("raft", "itermvs")
 
 # Engines besides processes of this machine, and plans of sweeps for other schedulers.

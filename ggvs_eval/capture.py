@@ -84,6 +84,21 @@ class CaptureEdit:
 
 
 @dataclass(frozen=True)
+class GivenDepth:
+    """Depth maps of another program that take the place of stereo.
+
+    Attributes:
+        folder: where they are.
+        scale: world units per unit of the files; 0 where it is fitted to points that neighbours share.
+        is_distance: they hold lengths of rays, not z.
+    """
+
+    folder: str
+    scale: float = 0.0
+    is_distance: bool = False
+
+
+@dataclass(frozen=True)
 class Capture:
     """Synchronised fixed cameras that look at one dynamic scene.
 
@@ -102,6 +117,7 @@ class Capture:
         notes: what was left out and why, for people.
         edit: what was done to the frames; None where they are as they were taken.
         test_views: cameras that its authors hold out; none where it does not say.
+        given_depth: where its depth comes from, if it is another program's.
     """
 
     scene: str
@@ -118,6 +134,7 @@ class Capture:
     notes: tuple[str, ...] = ()
     edit: CaptureEdit | None = None
     test_views: tuple[str, ...] = ()
+    given_depth: GivenDepth | None = None
 
     @property
     def camera_names(self) -> tuple[str, ...]:

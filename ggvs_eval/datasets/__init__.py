@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from ggvs_eval import built_in
-from ggvs_eval.capture import Capture
+from ggvs_eval.capture import Capture, GivenDepth
 from ggvs_eval.datasets.assemble import apply_known_traps
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.depth_range import settle_depth_ranges
@@ -46,6 +46,7 @@ def _loaded(name: str, load: Callable[[Path, GivenUnits], Capture], path: Path, 
         return capture
 
 
+DEPTH_FILES: Registry[Callable[[Capture, GivenDepth], Capture]] = Registry("depth files", built_in.DEPTH_FILES)
 DATASETS: Registry[DatasetSpec] = Registry("datasets", built_in.DATASETS, _checked)  # in the order in which they are tried
 
 

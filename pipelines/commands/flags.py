@@ -3,12 +3,12 @@
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from ggvs_eval.capture import Capture, CaptureEdit
-from ggvs_eval.datasets import DATASETS, open_capture
+from ggvs_eval.capture import Capture, CaptureEdit, GivenDepth
+from ggvs_eval.datasets import DATASETS, DEPTH_FILES, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, CommandError
@@ -60,6 +60,9 @@ class CaptureOptions:
         hold_frame: the repeated instant, from 0.
         sensor_noise_255: standard deviation of noise added to all frames, reference included, 0..255.
         noise_seed: seed of the added noise.
+        depth: folder of another program's depth, CAM/FRAME.EXT or CAM.EXT (npy, npz, png, exr, pfm, bin).
+        depth_scale: world units per unit of those files; 0 fits one factor to matched points.
+        depth_is: z of each pixel, or length of its ray.
     """
 
     layout: Layout = None
@@ -69,12 +72,17 @@ class CaptureOptions:
     hold_frame: int = CaptureEdit.hold_frame
     sensor_noise_255: NoiseLevel = CaptureEdit.sensor_noise_255
     noise_seed: int = CaptureEdit.noise_seed
+    depth: Path | None = None
+    depth_scale: float = 0.0
+    depth_is: Literal["z", "distance"] = "z"
 
     def open(self, path: Path) -> Capture:
         """Open a capture and report which cameras and frames were dropped or modified."""
         capture = open_capture(path, self.layout, units=given_units(self.units), drop_unsynced=not self.keep_unsynced)
         edit = CaptureEdit(self.hold_frames, self.hold_frame, self.sensor_noise_255, self.noise_seed)
         capture = perturb_capture(capture, edit)
+        if self.depth is not None:
+            capture = DEPTH_FILES["maps"](capture, GivenDepth(str(self.depth), self.depth_scale, self.depth_is == "distance"))
         for note in capture.notes:
             print(f"{path}: {note}", file=sys.stderr)
         return capture

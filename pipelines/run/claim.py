@@ -69,6 +69,7 @@ def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
         "units_origin": capture.units_origin,
         "notes": list(capture.notes),
         "edit": capture.edit and asdict(capture.edit),
+        **({"given_depth": asdict(capture.given_depth)} if capture.given_depth else {}),
         "cameras": {camera.name: camera.to_json() for camera in capture.cameras},
         "digests": _digests(capture),
     }

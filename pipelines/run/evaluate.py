@@ -11,9 +11,9 @@ from importlib import resources
 from pathlib import Path
 from typing import TypeVar
 
-from ggvs_eval.capture import Capture, CaptureEdit
+from ggvs_eval.capture import Capture, CaptureEdit, GivenDepth
 from ggvs_eval.coverage import read_coverage, require_imported
-from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets import DEPTH_FILES, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.jobs.code_identity import code_identity
@@ -98,6 +98,8 @@ def recorded_capture(run: RunFolder) -> Capture:
     capture = open_capture(run.capture_path(), record["layout"], units=record["units_per_metre"], drop_unsynced=False)
     capture = capture.without([name for name in capture.camera_names if name not in record["cameras"]], "")
     capture = perturb_capture(capture, CaptureEdit(**(record.get("edit") or {})))
+    if "given_depth" in record:
+        capture = DEPTH_FILES["maps"](capture, GivenDepth(**record["given_depth"]))
     return replace(capture, units_origin=record["units_origin"], notes=tuple(record["notes"]))
 
 

@@ -1,0 +1,1 @@
+"""Depth from elsewhere: maps of another program in place of stereo, aligned with the capture's calibration."""
