@@ -105,7 +105,7 @@ def test_nobody_stands_in_for_ours(monkeypatch, capsys):
     offer(monkeypatch, "metrics", PSNR="sys:maxsize")
     assert METRICS["PSNR"].unit == "dB"
     assert list(METRICS).count("PSNR") == 1
-    assert "'PSNR' is taken" in capsys.readouterr().err
+    assert "'PSNR' is in use" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

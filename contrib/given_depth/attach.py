@@ -14,7 +14,7 @@ from ggvs_eval.datasets.depth_range import matched_points
 from ggvs_eval.errors import CaptureError
 
 FEWEST_POINTS = 30  # that a factor is fitted to
-# Lengths of rays are suspected where they fit so many times better than z, and z is off by so much.
+# Ray lengths are suspected if they fit this many times better than z, and z is off by this much.
 CLEARLY_BETTER, LEAST_ERROR = 0.7, 0.005
 
 

@@ -323,7 +323,7 @@ def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
     frames = protocol.frames.numbers
     if frames.stop > capture.n_frames:
         raise CaptureError(
-            f"{capture.path}: protocol {protocol.name} wanted frames {frames.start}..{frames.stop - 1}, the capture has "
+            f"{capture.path}: protocol {protocol.name} wanted frames {frames.start}..{frames.stop - 1}, got "
             f"{capture.n_frames}; lower frames.count"
         )
     synthesis = protocol.synthesis

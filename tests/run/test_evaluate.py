@@ -247,7 +247,7 @@ def test_the_path_may_show_another_instant_than_the_protocol(demo_capture, proto
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"views": Views(("cam77",), "test")}, r"tests cam77, the capture has cam00, cam01"),
+        ({"views": Views(("cam77",), "test")}, r"tests cam77, got cam00, cam01"),
         ({"frames": Frames(2, 9)}, r"wanted frames 2..10, got 4"),
     ],
 )

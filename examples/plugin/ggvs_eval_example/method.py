@@ -7,7 +7,7 @@ from ggvs_eval.method import Rendering
 
 
 class NearestView:
-    """Return the source view of the camera nearest to the target."""
+    """Source view of the camera nearest to the target."""
 
     def step(self, instant):
         """Synthesise one instant from its source views; nothing of the future and nothing of the target's image is there."""
