@@ -67,8 +67,9 @@ def colmap_consistency(images: Iterable[Image], cameras: Sequence[Camera] | None
         shuffled views of one scene as gladly as ordered ones, so being registered is not enough. With known cameras a view
         counts where its solved centre is within half a step of its true place after the best similarity, nearer than its
         neighbours'; without cameras where the solved path continues from the view before to the view after and does not turn
-        back, as two of three views of a shuffled line do. Known lenses are used; unknown ones are guessed and
-        held. Of longer paths 60 evenly spaced views are taken.
+        back, as two of three views of a shuffled line do. Known lenses are used; unknown ones are guessed and held. Of
+        longer paths 60 evenly spaced
+        views are taken.
     """
     with tempfile.TemporaryDirectory(prefix="ggvs-colmap-") as folder:
         count = 0

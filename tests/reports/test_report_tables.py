@@ -197,7 +197,7 @@ def test_where_test_views_are_sources_the_caption_says_so(tmp_path):
     caption = main_tables([foreign], run.results)[0].caption
     assert "source" not in caption
     mixed = main_tables([replace(foreign, from_sources=frozenset(LABELS[1:]))], run.results)[0].caption
-    assert f"K = 2 source views, but for {NAMES[LABELS[0]]}." in mixed
+    assert f"K = 2 source views, except for {NAMES[LABELS[0]]}." in mixed
 
 
 def test_blue_is_the_papers():
