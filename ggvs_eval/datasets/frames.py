@@ -14,7 +14,7 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.listing import IMAGE_SUFFIXES, list_images, unread_pictures
-from ggvs_eval.files.names import Number, is_stamp, numbers_in
+from ggvs_eval.files.names import Fields, Number, is_stamp, numbers_in
 from ggvs_eval.files.picture_header import UPRIGHT, PictureHeader, read_picture_header
 from ggvs_eval.files.plain import NotPlainError
 
@@ -27,9 +27,9 @@ LARGEST_STEP = 1.5  # of time stamps, in their median step: at twice the median 
 class ImageFrames:
     """The frames of one camera as images, a `FrameSource`.
 
-    A folder's frames are its images in the order of the last number in their names, whether that counts from 0 or 1, with or
-    without leading zeros; other files are ignored. Even steps are accepted, gaps are not: they would shift later frames in time.
-    Time stamps, numbers with a fraction or of ten digits and more, are even within half a step.
+    A folder's frames are its images in the order of the numbers in their names (`numbers_in`), whether they count from 0 or 1,
+    with or without leading zeros; other files are ignored. Even steps are accepted, gaps are not: they would shift later frames
+    in time. Time stamps, numbers with a fraction or of ten digits and more, are even within half a step.
 
     Attributes:
         path: folder of images, or one image.
@@ -122,7 +122,7 @@ class ImageFrames:
             files = [file.name for number, file in numbered if number == wrong[0]]
             shown = "no number" if wrong[0] is None else f"the number {wrong[0]}"
             repeats = f"{'several with ' * (len(files) > 1)}{shown} ({' and '.join(files[:LISTED])})"
-            mend = "keep one of them" if len(files) > 1 else "rename or remove it"
+            mend = "give each a number of its own, or put those of other cameras into other folders"
             raise CaptureError(f"{self.path}: wanted one image per frame number, got {repeats}; {mend}")
         in_time = sorted((number or 0, file) for number, file in numbered)
         self._check_steps([number for number, _ in in_time])
@@ -130,7 +130,7 @@ class ImageFrames:
 
     def _check_steps(self, ordered: Sequence[Number]) -> None:
         steps = [later - earlier for earlier, later in pairwise(ordered)]
-        if not steps:
+        if not steps or any(isinstance(number, Fields) for number in ordered):
             return
         longest = LARGEST_STEP * median(map(float, steps)) if any(map(is_stamp, ordered)) else float(min(steps))
         gaps = [f"{earlier} and {later}" for earlier, later in pairwise(ordered) if later - earlier > longest]

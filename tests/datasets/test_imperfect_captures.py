@@ -231,7 +231,7 @@ def test_frames_that_are_no_rgb_are_said(tmp_path):
         (lambda file: file.with_suffix(".webp"), "gaps between 0 and 2, and 1 .webp pictures, which are not read: convert them"),
         (
             lambda file: file.with_name("other0002.png"),
-            "several with the number 2 (0002.png and other0002.png); keep one of them",
+            "several with the number 2 (0002.png and other0002.png); give each a number",
         ),
     ],
 )
