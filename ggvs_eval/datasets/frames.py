@@ -62,6 +62,14 @@ class ImageFrames:
         return self._in_time(list(zip(numbers, files, strict=True)))
 
     @cached_property
+    def numbers(self) -> tuple[Number, ...]:
+        """The numbers of the images in the order of time; none of a single image, nor of time stamps, which are measured."""
+        files = self.files
+        numbers = [] if self.path.is_file() else numbers_in([file.stem for file in files])
+        counts = tuple(number for number in numbers if number is not None and not is_stamp(number))
+        return counts if len(counts) == len(files) else ()
+
+    @cached_property
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels, read from the header of every image."""
         sizes = {file: self._size(header) for file, header in self._headers.items()}
@@ -152,7 +160,7 @@ class NumberedFrames(ImageFrames):
         numbered: frame numbers and images, in any order.
     """
 
-    numbered: tuple[tuple[int, Path], ...]
+    numbered: tuple[tuple[Number, Path], ...]
 
     @cached_property
     def files(self) -> tuple[Path, ...]:
@@ -160,6 +168,11 @@ class NumberedFrames(ImageFrames):
         if not self.numbered:
             raise CaptureError(f"{self.path}: wanted images of each camera, got none of one; restore them")
         return self._in_time(self.numbered)
+
+    @cached_property
+    def numbers(self) -> tuple[Number, ...]:
+        """The numbers of the images in the order of time."""
+        return tuple(sorted(number for number, _ in self.numbered))
 
 
 def as_calibrated(frames: Source, width: int, height: int) -> Source:

@@ -81,7 +81,7 @@ def _last_numbers(stems: Sequence[str]) -> list[Number | None]:
 
 def is_stamp(number: Number) -> bool:
     """Tell whether a number is a time, which was measured, instead of a count."""
-    return number >= STAMP_FROM or number != int(number)
+    return isinstance(number, Fields) or number >= STAMP_FROM or number != int(number)
 
 
 def camera_names(image_names: Sequence[str]) -> list[str]:
