@@ -190,7 +190,8 @@ def align_numbers(
     common = set.intersection(*(set(numbers) for numbers in ranges))
     if not common or has_extras:
         raise CaptureError(
-            f"{path}: wanted cameras with {'equal' if common else 'common'} frame numbers, got {shown}; if they begin together, number all from one frame on"
+            f"{path}: wanted cameras with {'equal' if common else 'common'} frame numbers, got {shown}; if they begin together, "
+            "number all from one frame on"
         )
     note = f"frames {min(common)} to {max(common)}, which all cameras have, are taken ({shown})"
     return [_only(source, common) for source in unchanged], [note]
@@ -232,9 +233,9 @@ def common_rate(path: Path, sources: Mapping[str, FrameSource]) -> float:
     if lag_s is not None and lag_s > LARGEST_LAG / rate and (gaps := _gaps(videos)):
         nominal = 1 / min(np.median(np.diff(video.times_s)) for video in videos.values() if video)
         raise CaptureError(
-            f"{path}: wanted frames of one number within half a step in time, got {1000 * lag_s:.0f} ms: {'; '.join(gaps)}; write "
-            f"each such video with 'ffmpeg -i IN -vf fps={nominal:.5g} OUT', which repeats the frame before a gap, and cut all to "
-            "one length"
+            f"{path}: wanted frames of one number within half a step in time, got {1000 * lag_s:.0f} ms: {'; '.join(gaps)}; "
+            f"write each such video with 'ffmpeg -i IN -vf fps={nominal:.5g} OUT', which repeats the frame before a gap, and cut "
+            "all to one length"
         )
     if lag_s is not None and lag_s <= LARGEST_LAG / rate:
         return round(rate, 2)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -98,6 +98,8 @@ def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFil
     read, files = _find(path, kind)
     cameras = [camera for file in files for camera in read(file)]
     check_rig_size(path, len(cameras))
+    if len({camera.name for camera in cameras}) < len(cameras) == len({camera.stem for camera in cameras if camera.stem}):
+        cameras = [replace(camera, name=camera.stem) for camera in cameras]  # ROS writes one name into every file
     names = [camera.name for camera in cameras]
     if not names:
         there = listed([file.name for file in files]) or "no file"
@@ -124,6 +126,13 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     folder = path if path.is_dir() else path.parent
     file = read_calibration_file(path, kind)
     frames = find_frames(folder, {name: f"{name}.png" for name in file.cameras}).sources
+    stems = {camera.stem: replace(camera, name=camera.stem) for camera in file.cameras.values() if camera.stem}
+    if (
+        not frames
+        and len(stems) == len(file.cameras)
+        and (by_stem := find_frames(folder, {name: f"{name}.png" for name in stems}).sources)
+    ):
+        file, frames = replace(file, cameras=stems), by_stem
     if len(frames) < 2:
         missing = [name for name in file.cameras if name not in frames]
         content = f"those of {listed(frames)} alone" if frames else instead_of_frames(folder, missing)
@@ -156,6 +165,8 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     cut = [
         camera.name for camera, lens in zip(chosen, lenses, strict=True) if camera.size not in (None, (lens.width, lens.height))
     ]
+    unknown = sorted({key for camera in chosen for key in camera.unknown})
+    notes += [f"{path.name}: {listed(unknown)} not known here, passed over"] if unknown else []
     if cut and crop:
         notes.append(f"frames of {listed(cut)} begin at {crop.left} {crop.top} of the calibrated picture, as {CROP_FILE} says")
     return assemble_capture(

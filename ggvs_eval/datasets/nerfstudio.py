@@ -21,7 +21,7 @@ from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import IMAGE_SUFFIXES
 from ggvs_eval.files.names import camera_names
 from ggvs_eval.files.plain import read_plain_text
-from ggvs_eval.lens import Lens
+from ggvs_eval.lens import Lens, check_K_size
 
 # One file, or NeRF's one per split, whose cameras are those of one rig; the last are its test views.
 TRANSFORMS, SPLITS, TEST = "transforms.json", ("train", "val", "test"), "test"
@@ -137,7 +137,9 @@ def _placed(files: Sequence[Path], name: str, frame: Mapping[str, Any], source: 
         lens = _lens(frame, source.size)
         near_far = (float(frame["near"]), float(frame["far"])) if {"near", "far"} <= frame.keys() else None
         return Placed(name, lens.undistorted_K(), frame["transform_matrix"], (lens.width, lens.height), near_far), lens
-    except (ValueError, TypeError, KeyError, ArithmeticError, CameraError) as error:
+    except CameraError as error:
+        raise CaptureError(f"{files[0]}: wanted frames with poses and intrinsics, {name}: {error}") from error
+    except (ValueError, TypeError, KeyError, ArithmeticError) as error:
         raise _refused(files[0], error) from error
 
 
@@ -170,7 +172,9 @@ def _lens(frame: Mapping[str, Any], frame_size: tuple[int, int]) -> Lens:
         raise ValueError(f"k4 = {frame['k4']!r:.40} of {model}, which programs read differently; undistort the images")
     names = ("k1", "k2", "k3", "k4") if model == FISHEYE_MODEL else ("k1", "k2", "p1", "p2", "k3")
     coefficients = tuple(float(frame.get(name, 0.0)) for name in names)
-    return Lens(_intrinsics(frame, width, height), "fisheye" if model == FISHEYE_MODEL else "opencv", coefficients, width, height)
+    K = _intrinsics(frame, width, height)
+    check_K_size(K, (width, height), is_stated={"w", "h"} <= frame.keys())
+    return Lens(K, "fisheye" if model == FISHEYE_MODEL else "opencv", coefficients, width, height)
 
 
 def _intrinsics(frame: Mapping[str, Any], width: int, height: int) -> Array:
