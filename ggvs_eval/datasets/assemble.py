@@ -22,7 +22,7 @@ from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.names import Number
 from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
-from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.files.video import DEINTERLACE, VideoFrames
 from ggvs_eval.lens import Lens
 
 # Image folders do not say their rate; every capture published in this layout was recorded at this one.
@@ -112,6 +112,13 @@ def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[st
         of = listed([camera.name for camera in slanted])
         notes.append(f"rotations of {of} are off by up to {largest:.1e}: the nearest ones are taken")
     notes += uneven_notes({camera.name: source for camera, source in zip(cameras, sources, strict=True)})
+    woven = [
+        name
+        for name, video in _videos({c.name: s for c, s in zip(cameras, sources, strict=True)}).items()
+        if video and video.interlaced
+    ]
+    if woven:
+        notes.append(f"frames of {listed(woven)} are interlaced, two instants in every other row each: {DEINTERLACE} parts them")
     return [*notes, *_exif_notes(cameras, sources), *_conversion_notes(cameras, sources)]
 
 

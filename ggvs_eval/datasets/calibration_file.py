@@ -28,11 +28,6 @@ from ggvs_eval.files.plain import read_plain_text
 ANIPOSE = re.compile(r"^[ \t]*matrix[ \t]*=", re.MULTILINE)
 MATRIX = "(camera_matrix|Camera_Matrix|M1|K1|cameraMatrix1?)"
 OPENCV = re.compile(rf"^{MATRIX}[ \t]*:|<{MATRIX}[ >]", re.MULTILINE)
-# What shows that a file holds cameras, in whatever form; our own files that are no calibration aside.
-CAMERAS = re.compile(
-    r"""[\s"<](camera_?matri\w*|intrinsic\w*|distortion\w*|dist_?coeff\w*|extrinsic\w*|k|w2c|c2w|rvec|tvec)["\s]*[:=>]""", re.I
-)
-OWN = ("units.toml", CROP_FILE, "corrections.toml", "depth_range.toml", "intrinsics.toml", "demo.json", "calibration.json")
 MILLIMETRES = Units(1.0, "converted from the millimetres of the calibration")
 
 
@@ -172,13 +167,6 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     return assemble_capture(
         folder, kind, cameras, sources, choose_units(folder, units, cameras, of_data_set=file.units), notes=notes
     )
-
-
-def find_unread(path: Path) -> Path | None:
-    """The first file in a folder that holds cameras in a form of no kind; None where there is none."""
-    files = sorted(each for each in path.iterdir() if each.suffix.lower() in (".toml", ".yml", ".yaml", ".xml", ".json"))
-    others = (each for each in files if each.is_file() and each.name not in OWN)
-    return next((each for each in others if CAMERAS.search(_text(each))), None)
 
 
 def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:

@@ -92,6 +92,11 @@ class ImageFrames:
         """The EXIF orientations of the images that are not stored upright, each once; errors as of `size`."""
         return tuple(sorted({header.orientation for header in self._headers.values()} - {UPRIGHT}))
 
+    @cached_property
+    def profiles(self) -> tuple[str, ...]:
+        """The colour profiles of the images, each once, sRGB aside; errors as of `size`."""
+        return tuple(sorted({header.profile for header in self._headers.values()} - {""}))
+
     def _size(self, header: PictureHeader) -> tuple[int, int]:
         return header.stored_size if self.as_stored else header.size
 
