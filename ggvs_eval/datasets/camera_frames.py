@@ -107,7 +107,7 @@ def refuse_chapters(path: Path, names: Iterable[str]) -> None:
         shown = "; ".join(" and ".join(each) for each in split.values())
         raise CaptureError(
             f"{path}: wanted one video per camera, got chapters of one recording: {shown}; join each into one, in another "
-            f"folder: write \"file '{chapters[0]}.MP4'\" and the like into LIST, a line each, ffmpeg -f concat -i LIST -c copy OUT.mp4"
+            f"folder: write \"file '{chapters[0]}.MP4'\" and the like into LIST, then ffmpeg -f concat -i LIST -c copy OUT.mp4"
         )
 
 

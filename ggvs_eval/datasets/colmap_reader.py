@@ -60,7 +60,9 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
         rows = {line for line, _ in _image_rows(files[1])} if suffix == ".txt" else set()
         if any(line + 1 in rows for line in rows):  # written without the lines of points, which pycolmap counts on
             lines = read_plain_text(files[1], LARGEST_MODEL_FILE).split("\n")
-            (Path(alone) / files[1].name).unlink()
+            for name in {files[1].name, files[-1].name}:  # what points say of rows that are not there makes no sense
+                (Path(alone) / name).unlink()
+            (Path(alone) / "points3D.txt").write_bytes(b"")
             spaced = [f"\n{text}" if line in rows and line - 1 in rows else text for line, text in enumerate(lines, 1)]
             (Path(alone) / files[1].name).write_text("\n".join([*spaced, "", ""]), encoding="utf-8")
         if len(files) < len(FILES):  # points are for depth ranges alone
