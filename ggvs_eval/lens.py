@@ -16,6 +16,37 @@ LARGEST_ZOOM = 4.0
 RADIAL_STEPS = 16
 # Of the focal length; 0.1 px at the edge of a large image. A K with more is one of another convention.
 LARGEST_SKEW = 1e-4
+# A principal point farther off the middle, in sides of the image, belongs to images of another size.
+LARGEST_OFFSET = 0.15
+FRACTION = 1.5  # pixels, the half by which pixel centres differ included: so near the corner it is a fraction of the side
+
+
+def check_K_size(K: Array, size: tuple[int, int], is_stated: bool) -> None:
+    """Refuse a K in fractions of the side and, where nothing says which size it is of, one of images of another size.
+
+    Args:
+        K: (3, 3), pixels.
+        size: (width, height) of the images that it is taken for.
+        is_stated: whether the file that K is from says that size.
+
+    Raises:
+        CameraError: with the size that the principal point is in the middle of.
+    """
+    point, sides = K[:2, 2], np.array(size, np.float64)
+    if (np.abs(point) <= FRACTION).all() and min(size) > 4 * FRACTION:
+        raise CameraError(
+            f"wanted the principal point in pixels of {size[0]} x {size[1]} images, got ({point[0]:g}, {point[1]:g}): fractions "
+            "of the side; multiply by width and height"
+        )
+    if is_stated or (np.abs(point / sides - 0.5) <= LARGEST_OFFSET).all():
+        return
+    factor = 2 * float(np.mean(point / sides))
+    width, height = np.round(factor * sides)
+    if factor > 0 and (np.abs(point / (factor * sides) - 0.5) <= LARGEST_OFFSET).all():
+        raise CameraError(
+            f"K is of about {width:g} x {height:g} images, by its principal point ({point[0]:g}, {point[1]:g}), these have "
+            f"{size[0]} x {size[1]}: add the size that it is of, or scale K as the images were scaled"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +130,11 @@ class Lens:
         """
         if self._covers(1.0):
             return self.K
+        if not any(self.coefficients) and self.model == "opencv":
+            raise CameraError(
+                f"lens: the principal point ({self.K[0, 2]:g}, {self.K[1, 2]:g}) is not within {self.width} x {self.height} "
+                "images; give K in pixels of these, or the size that it is of"
+            )
         blank, covered = 1.0, LARGEST_ZOOM
         if not self._covers(covered):
             raise CameraError(

@@ -13,6 +13,7 @@ from ggvs_eval.datasets.depth_range import settle_depth_ranges
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.public_captures import locate
 from ggvs_eval.datasets.units import GivenUnits
+from ggvs_eval.datasets.unread_files import find_marked, unread_note
 from ggvs_eval.errors import CaptureError, GgvsError, did_you_mean
 from ggvs_eval.files.listing import list_entries
 from ggvs_eval.plugins import Registry, foreign
@@ -124,21 +125,19 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
     raise CaptureError(_unfit(path, refusals))
 
 
-def calibration_mark(path: Path) -> tuple[str, tuple[str, ...]] | None:
-    """Return a name in a folder that shows a calibration, and the layouts that have it; None where there is none, or no folder.
+def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
+    """Return a name in a folder that shows a calibration, the layouts that have it, or what it is and what to do.
 
-    The marks of layouts go first; files that hold camera matrices in a form that nothing here reads are of no layout.
+    None where there is none, or no folder. The marks of layouts go first; files of `find_marked` are of no layout.
     """
     if not path.is_dir():
         return None
     marks = [mark for _, spec in DATASETS.working() for mark in spec.marks]
     for mark in dict.fromkeys(marks):
         if found := min(path.glob(mark), default=None):
-            return found.name, tuple(layout for layout, spec in DATASETS.working() if mark in spec.marks)
-    from ggvs_eval.datasets.calibration_file import find_unread
-
-    held = find_unread(path)
-    return (held.name, ()) if held else None
+            return found.name, tuple(layout for layout, spec in DATASETS.working() if mark in spec.marks), ""
+    held = find_marked(path)
+    return (str(held[0].relative_to(path)), (), f"{held[1].name}, not read here; {held[1].advice}") if held else None
 
 
 def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
@@ -147,11 +146,11 @@ def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
     mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
     reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
     if mark is None:
-        return f"{path}: wanted a capture in a known layout; {mend} (looked for: {reasons})"
-    name, layouts = mark
+        unread = f" ({'; '.join(unread_note(path)[:LISTED])})" if path.is_dir() and unread_note(path) else ""
+        return f"{path}: wanted a capture in a known layout{unread}; {mend} (looked for: {reasons})"
+    name, layouts, what = mark
     if not layouts:
-        form = "holds a calibration of an unknown form; write it as transforms.json, OpenCV's YAML or capture.toml"
-        return f"{path}: {name} {form}; {mend} (looked for: {reasons})"
+        return f"{path}: {name} is there: {what}; {mend} (looked for: {reasons})"
     lacking = " or ".join(f"{layout}: {refusals.get(layout)}" for layout in layouts)
     return f"{path}: {name} exists, but the capture is incomplete, {lacking}; {mend} (also looked for: {reasons})"
 

@@ -6,22 +6,23 @@ pictures the frames are; known faults of public scenes and cameras are reported 
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras, FrameSource, source_chain
 from ggvs_eval.datasets.camera_frames import listed
-from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
+from ggvs_eval.datasets.frames import ImageFrames, NumberedFrames, as_calibrated, has_shape
 from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.names import Number
 from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
-from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.files.video import DEINTERLACE, VideoFrames
 from ggvs_eval.lens import Lens
 
 # Image folders do not say their rate; every capture published in this layout was recorded at this one.
@@ -77,6 +78,7 @@ def assemble_capture(
     if unfit:
         raise CaptureError(f"{path}: wanted camera names that can be file names, got {unfit[0]!r:.80}; rename this camera")
     sources = [as_calibrated(source, *camera.size) for camera, source in zip(cameras, sources, strict=True)]
+    sources, aligned = align_numbers(path, dict(zip(names, sources, strict=True)), has_extras=bool(extras))
     by_name = dict(zip(names, sources, strict=True))
     n_frames = common_count(path, by_name)
     rate = fps or common_rate(path, by_name)
@@ -91,7 +93,7 @@ def assemble_capture(
         units_per_metre=units.per_metre,
         units_origin=units.origin,
         extras=tuple(extras),
-        notes=(*notes, *_notes(cameras, sources)),
+        notes=(*notes, *aligned, *_notes(cameras, sources)),
         test_views=tuple(test_views),
     )
 
@@ -110,6 +112,13 @@ def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[st
         of = listed([camera.name for camera in slanted])
         notes.append(f"rotations of {of} are off by up to {largest:.1e}: replaced by the nearest rotations")
     notes += uneven_notes({camera.name: source for camera, source in zip(cameras, sources, strict=True)})
+    woven = [
+        name
+        for name, video in _videos({c.name: s for c, s in zip(cameras, sources, strict=True)}).items()
+        if video and video.interlaced
+    ]
+    if woven:
+        notes.append(f"frames of {listed(woven)} are interlaced, two instants in every other row each: {DEINTERLACE} parts them")
     return [*notes, *_exif_notes(cameras, sources), *_conversion_notes(cameras, sources)]
 
 
@@ -157,6 +166,52 @@ def _fit_camera(camera: Camera, source: SizedSource, path: Path) -> Camera:
     return camera.resized(width, height)
 
 
+def align_numbers(
+    path: Path, sources: Mapping[str, SizedSource], has_extras: bool = False
+) -> tuple[list[SizedSource], list[str]]:
+    """Frames of equal numbers under one index, where all cameras are folders of as many numbered images; with a note.
+
+    Cameras that count from 0 and others that count from 1 are taken to begin together. Time stamps are each camera's own, and so
+    frames in their order are one instant.
+
+    Raises:
+        CaptureError: cameras without a common number, or other numbers of pictures that masks or depth go with.
+    """
+    unchanged = list(sources.values())
+    images = {name: list(source_chain(source))[-1] for name, source in sources.items()}
+    counted = {
+        name: each.numbers
+        for name, each in images.items()
+        if isinstance(each, ImageFrames) and each.n_frames > 1 and each.numbers
+    }
+    if len(counted) < len(sources) or len({len(numbers) for numbers in counted.values()}) > 1:
+        return unchanged, []
+    ranges: dict[tuple[Number, ...], list[str]] = {}
+    for name, numbers in counted.items():
+        ranges.setdefault(numbers, []).append(name)
+    if len(ranges) == 1:
+        return unchanged, []
+    shown = "; ".join(f"{listed(names)} from {numbers[0]} to {numbers[-1]}" for numbers, names in ranges.items())
+    if {numbers[0] for numbers in ranges} == {0, 1} and len({tuple(np.diff(numbers)) for numbers in ranges}) == 1:
+        return unchanged, [f"frames are numbered from 0 in some cameras and from 1 in others, taken to begin together: {shown}"]
+    common = set.intersection(*(set(numbers) for numbers in ranges))
+    if not common or has_extras:
+        raise CaptureError(
+            f"{path}: wanted cameras with {'equal' if common else 'common'} frame numbers, got {shown}; if they begin together, "
+            "number all from one frame on"
+        )
+    note = f"frames {min(common)} to {max(common)}, which all cameras have, are taken ({shown})"
+    return [_only(source, common) for source in unchanged], [note]
+
+
+def _only(source: Any, common: set[Number]) -> Any:
+    """A source, behind whatever is done to its frames, with the images of these numbers alone."""
+    if hasattr(source, "source"):
+        return replace(source, source=_only(source.source, common))
+    kept = tuple((number, file) for number, file in zip(source.numbers, source.files, strict=True) if number in common)
+    return NumberedFrames(source.path, kept, as_stored=source.as_stored)
+
+
 def common_count(path: Path, sources: Mapping[str, FrameSource]) -> int:
     """Return the number of frames of every camera."""
     counts = {name: source.n_frames for name, source in sources.items()}
@@ -173,21 +228,41 @@ def common_rate(path: Path, sources: Mapping[str, FrameSource]) -> float:
         CaptureError: constant rates that differ; variable ones where frames of one number differ by over half a step.
 
     Reading:
-        The average of a variable rate says little: phones that are started together keep step while their averages differ. So
-        the times of equal frame numbers are compared, each camera's counted from its first frame.
+        The average of a variable rate says little: phones that are started together keep step while their averages differ, and
+        cameras that each drop a frame have equal ones. So the times of equal frame numbers are compared, each camera's counted
+        from its first frame.
     """
     videos = _videos(sources)
     rates = {name: video.fps if video else FOLDER_FPS for name, video in videos.items()}
-    least, greatest = min(rates.values()), max(rates.values())
-    if greatest - least <= LARGEST_DIFFERENCE * greatest:
-        return round(rates[next(iter(rates))], 2)
-    rate, lag_s = float(np.mean(list(rates.values()))), largest_lag_s(sources)
+    rate, differ = float(np.mean(list(rates.values()))), np.ptp(list(rates.values())) > LARGEST_DIFFERENCE * max(rates.values())
     is_uneven = any(video and video.uneven for video in videos.values())
-    if is_uneven and lag_s is not None and lag_s <= LARGEST_LAG / rate:
+    lag_s = largest_lag_s(sources) if is_uneven else None
+    if lag_s is not None and lag_s > LARGEST_LAG / rate and (gaps := _gaps(videos)):
+        nominal = 1 / min(np.median(np.diff(video.times_s)) for video in videos.values() if video)
+        raise CaptureError(
+            f"{path}: wanted frames of one number within half a step in time, got {1000 * lag_s:.0f} ms: {'; '.join(gaps)}; "
+            f"write each such video with 'ffmpeg -i IN -vf fps={nominal:.5g} OUT', which repeats the frame before a gap, and cut "
+            "all to one length"
+        )
+    if lag_s is not None and lag_s <= LARGEST_LAG / rate:
         return round(rate, 2)
+    if not differ and lag_s is None:
+        return round(rates[next(iter(rates))], 2)
     shown = listed([f"{name} {rate:.2f}".rstrip("0").rstrip(".") for name, rate in rates.items()])
-    apart = f" with frames of one number up to {1000 * lag_s:.0f} ms apart" if is_uneven and lag_s is not None else ""
+    apart = f" with frames of one number up to {1000 * lag_s:.0f} ms apart" if lag_s is not None else ""
     raise CaptureError(f"{path}: wanted one frame rate for all cameras, got {shown}{apart}; convert them to one rate")
+
+
+def _gaps(videos: Mapping[str, VideoFrames | None]) -> list[str]:
+    """The instants that cameras lack, by their times: steps of one and a half median ones and more."""
+    cameras: dict[str, list[str]] = {}
+    for name, times_s in ((name, video.times_s) for name, video in videos.items() if video):
+        steps_s = np.diff(times_s)
+        step_s = np.median(steps_s) if len(steps_s) else 0.0
+        lacking_s = times_s[:-1][steps_s > 1.5 * step_s] + step_s
+        if len(lacking_s):
+            cameras.setdefault(f"at {listed([f'{time_s:.3f}' for time_s in lacking_s])} s", []).append(name)
+    return [f"{listed(names)} lack{'s' * (len(names) == 1)} the frame {when}" for when, names in cameras.items()]
 
 
 def largest_lag_s(sources: Mapping[str, FrameSource]) -> float | None:

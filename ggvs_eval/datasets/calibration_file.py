@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -28,11 +28,6 @@ from ggvs_eval.files.plain import read_plain_text
 ANIPOSE = re.compile(r"^[ \t]*matrix[ \t]*=", re.MULTILINE)
 MATRIX = "(camera_matrix|Camera_Matrix|M1|K1|cameraMatrix1?)"
 OPENCV = re.compile(rf"^{MATRIX}[ \t]*:|<{MATRIX}[ >]", re.MULTILINE)
-# Marks of a file that holds cameras in any form, except files of this package that are no calibration.
-CAMERAS = re.compile(
-    r"""[\s"<](camera_?matri\w*|intrinsic\w*|distortion\w*|dist_?coeff\w*|extrinsic\w*|k|w2c|c2w|rvec|tvec)["\s]*[:=>]""", re.I
-)
-OWN = ("units.toml", CROP_FILE, "corrections.toml", "depth_range.toml", "intrinsics.toml", "demo.json", "calibration.json")
 MILLIMETRES = Units(1.0, "converted from the millimetres of the calibration")
 
 
@@ -98,6 +93,8 @@ def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFil
     read, files = _find(path, kind)
     cameras = [camera for file in files for camera in read(file)]
     check_rig_size(path, len(cameras))
+    if len({camera.name for camera in cameras}) < len(cameras) == len({camera.stem for camera in cameras if camera.stem}):
+        cameras = [replace(camera, name=camera.stem) for camera in cameras]  # ROS writes one name into every file
     names = [camera.name for camera in cameras]
     if not names:
         there = listed([file.name for file in files]) or "no file"
@@ -122,6 +119,13 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     folder = path if path.is_dir() else path.parent
     file = read_calibration_file(path, kind)
     frames = find_frames(folder, {name: f"{name}.png" for name in file.cameras}).sources
+    stems = {camera.stem: replace(camera, name=camera.stem) for camera in file.cameras.values() if camera.stem}
+    if (
+        not frames
+        and len(stems) == len(file.cameras)
+        and (by_stem := find_frames(folder, {name: f"{name}.png" for name in stems}).sources)
+    ):
+        file, frames = replace(file, cameras=stems), by_stem
     if len(frames) < 2:
         missing = [name for name in file.cameras if name not in frames]
         content = f"those of {listed(frames)} alone" if frames else instead_of_frames(folder, missing)
@@ -154,18 +158,13 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     cut = [
         camera.name for camera, lens in zip(chosen, lenses, strict=True) if camera.size not in (None, (lens.width, lens.height))
     ]
+    unknown = sorted({key for camera in chosen for key in camera.unknown})
+    notes += [f"{path.name}: {listed(unknown)} unknown here, ignored"] if unknown else []
     if cut and crop:
         notes.append(f"frames of {listed(cut)} begin at {crop.left} {crop.top} of the calibrated picture, by {CROP_FILE}")
     return assemble_capture(
         folder, kind, cameras, sources, choose_units(folder, units, cameras, of_data_set=file.units), notes=notes
     )
-
-
-def find_unread(path: Path) -> Path | None:
-    """Return the first file in a folder that holds cameras in a form of no kind; None where there is none."""
-    files = sorted(each for each in path.iterdir() if each.suffix.lower() in (".toml", ".yml", ".yaml", ".xml", ".json"))
-    others = (each for each in files if each.is_file() and each.name not in OWN)
-    return next((each for each in others if CAMERAS.search(_text(each))), None)
 
 
 def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:

@@ -3,8 +3,9 @@
 Facts of the formats: Qualisys writes 64ths of a pixel and millimetres, as pose2sim reads them; aniposelib what OpenCV calibrates.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,7 +20,7 @@ from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, parse_xml, refu
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.plain import comma_hint, read_plain_text, why_unread
 from ggvs_eval.files.toml_tables import read_toml
-from ggvs_eval.lens import Lens, LensModel
+from ggvs_eval.lens import Lens, LensModel, check_K_size
 
 LARGEST_XML_BYTES = 1 << 22
 LARGEST_NUMBER = 1e9
@@ -30,11 +31,57 @@ FREEMOCAP_KEY = "charuco_square_size"  # of its metadata, in millimetres, and so
 # What stereo calibrations call their two cameras' K and distortion; the first is that of OpenCV's own sample.
 STEREO_KEYS = (("M{}", "D{}"), ("K{}", "D{}"), ("cameraMatrix{}", "distCoeffs{}"))
 MATRIX_KEYS = ("camera_matrix", "Camera_Matrix", "cameraMatrix")
-DISTORTION_KEYS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs")
+DISTORTION_KEYS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "dist_coeff")
 WIDTH_KEYS, HEIGHT_KEYS = ("image_width", "image_Width"), ("image_height", "image_Height")
-ROS_FISHEYE = ("equidistant", "fisheye")  # what ROS calls it under distortion_model
+# What ROS and others call the two models under distortion_model.
+ROS_FISHEYE, ROS_RADIAL = ("equidistant", "fisheye"), ("", "plumb_bob", "rational_polynomial", "radtan", "opencv")
 STEREO_NAMES, STEREO_EXTRINSICS = ("left", "right"), "extrinsics.yml"
 ROTATION_KEYS, TRANSLATION_KEYS = ("R", "rvec", "rotation_matrix", "rotation_vector"), ("T", "tvec", "translation_vector")
+
+# Entries that are read, and those that have no say in where a pixel looks: boards, flags, errors, rectification.
+OPENCV_KEYS = {*MATRIX_KEYS, *DISTORTION_KEYS, *WIDTH_KEYS, *HEIGHT_KEYS, *ROTATION_KEYS, *TRANSLATION_KEYS, "names"}
+OPENCV_KEYS |= {key.format(number) for keys in STEREO_KEYS for key in keys for number in (1, 2)}
+OPENCV_KEYS |= {"camera_name", "fisheye_model", "distortion_model", "calibration_time", "board_width", "board_height"}
+OPENCV_KEYS |= {"square_size", "marker_size", "aspectRatio", "aspect_ratio", "flags", "nframes", "nr_of_frames", "nrOfFrames"}
+OPENCV_KEYS |= {"avg_reprojection_error", "per_view_reprojection_errors", "extrinsic_parameters", "image_points", "grid_points"}
+OPENCV_KEYS |= {
+    "Avg_Reprojection_Error",
+    "rectification_matrix",
+    "projection_matrix",
+    "R1",
+    "R2",
+    "P1",
+    "P2",
+    "Q",
+    "E",
+    "F",
+    "rms",
+}
+TOML_KEYS = {"name", "size", "matrix", "distortions", "rotation", "translation", "fisheye", "ignore", "cam_id", "port"}
+TOML_KEYS |= {"error", "grid_count", "rotation_count", "exposure", "verified", "fps", "backend", "model"}
+QUALISYS_KEYS = {f"{name}{axis}" for name in ("focalLength", "centerPoint", "sensorMin", "sensorMax") for axis in "UV"}
+QUALISYS_KEYS |= {
+    "focallength",
+    *(f"{kind}Distortion{at}" for kind in ("radial", "tangental") for at in (1, 2)),
+    "radialDistortion3",
+}
+LENS_ENTRY = re.compile(r"^(xi|alpha|beta|gamma|mu|omega|skew|[kps][1-9])$|lens|distort|dist_|omni|polynomial|coeff", re.I)
+OMNIDIR = ("xi", "cv::omnidir's model; undistort the frames with it first")
+
+
+def unknown_entries(path: Path, entries: Mapping[str, Any], known: Collection[str]) -> list[str]:
+    """The entries of a file that its reader skips.
+
+    Raises:
+        CaptureError: one of them belongs to the lens, and so changes where pixels look, and is not 0.
+    """
+    unknown = [key for key in entries if key not in known]
+    for key in unknown:
+        value = str(entries[key]).strip()
+        if LENS_ENTRY.search(key) and re.search("[1-9]", value):
+            why = OMNIDIR[1] if key == OMNIDIR[0] else "undistort the frames with it first, or write the lens in OpenCV's entries"
+            raise CaptureError(f"{path}: {key}: {value:.40} belongs to the lens and is not read, {why}")
+    return unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +94,8 @@ class FileCamera:
         size: (width, height) of the calibrated images; None where the file does not say.
         world_to_camera: (4, 4); None where only the lens is known.
         is_metric: whether the pose is known to be in metres.
+        stem: what the file is called; empty where it is of several cameras.
+        unknown: entries of the file that were passed over.
     """
 
     name: str
@@ -56,6 +105,8 @@ class FileCamera:
     size: tuple[int, int] | None
     world_to_camera: Array | None
     is_metric: bool = False
+    stem: str = ""
+    unknown: Sequence[str] = ()
 
     def lens(self, frame_size: tuple[int, int] | None, crop: Crop | None = None) -> Lens:
         """Return the lens at the size of the calibration, which is taken to be that of the frames where the file names none.
@@ -70,6 +121,7 @@ class FileCamera:
         size = self.size or frame_size
         if size is None:
             raise CameraError(f"wanted the size of the images {self.name} was calibrated for, the file names none; add it")
+        check_K_size(self.K, size, is_stated=self.size is not None)
         lens = Lens(self.K, self.model, self.coefficients, *size)
         return crop_lens(self.name, lens, frame_size, crop) if frame_size else lens
 
@@ -98,7 +150,10 @@ def read_qualisys(path: Path) -> list[FileCamera]:
         keys = [f"{kind}Distortion{index}" for kind in ("radial", "tangental") for index in (1, 2)]
         coefficients = (*map(inner, keys), inner("radialDistortion3", 0.0))
         size = (round(view("right") - view("left")) + 1, round(view("bottom") - view("top")) + 1)
-        cameras.append(FileCamera(name, K, "opencv", coefficients, size, _pose(rotation, -rotation @ centre), is_metric=True))
+        intrinsic = element.find("intrinsic")
+        unknown = unknown_entries(path, {} if intrinsic is None else intrinsic.attrib, QUALISYS_KEYS)
+        pose = _pose(rotation, -rotation @ centre)
+        cameras.append(FileCamera(name, K, "opencv", coefficients, size, pose, is_metric=True, unknown=unknown))
     return cameras
 
 
@@ -131,7 +186,9 @@ def read_anipose(path: Path) -> list[FileCamera]:
             shape = (3, 3) if np.ndim(table.get("rotation", ())) == 2 else (3,)
             pose = _pose(_rotation(_numbers(path, key, table, "rotation", shape)), translation)
         model: LensModel = "fisheye" if table.get("fisheye") is True else "opencv"
-        cameras.append(FileCamera(_table_name(key, table), K, model, tuple(map(float, coefficients)), size, pose, is_freemocap))
+        unknown = unknown_entries(path, table, TOML_KEYS)
+        name = _table_name(key, table)
+        cameras.append(FileCamera(name, K, model, tuple(map(float, coefficients)), size, pose, is_freemocap, unknown=unknown))
     return cameras
 
 
@@ -159,7 +216,7 @@ def read_opencv(path: Path) -> list[FileCamera]:
     if single is not None:
         name = file.text("camera_name") or path.stem
         distortion = next((key for key in DISTORTION_KEYS if file.has(key)), DISTORTION_KEYS[0])
-        return [_opencv_camera(file, name, single, distortion, _opencv_pose(file))]
+        return [replace(_opencv_camera(file, name, single, distortion, _opencv_pose(file)), stem=path.stem)]
     keys = next((keys for keys in STEREO_KEYS if file.has(keys[0].format(1))), None)
     if keys is None:
         raise refused(path, "camera_matrix of a camera, or M1 and M2 of a stereo pair", "neither")
@@ -167,10 +224,23 @@ def read_opencv(path: Path) -> list[FileCamera]:
     pose = _opencv_pose(file) if file.has("R") or not beside.exists() else _opencv_pose(FileStorageYaml(beside))
     names = file.texts("names") if len(file.texts("names")) == len(STEREO_NAMES) else STEREO_NAMES
     poses = (np.eye(4) if pose is not None else None, pose)
+    if not file.has("fisheye_model") and not file.has("distortion_model"):
+        _check_stereo_coefficients(file, path, keys[1])
     return [
         _opencv_camera(file, name, keys[0].format(number), keys[1].format(number), each)
         for number, (name, each) in enumerate(zip(names, poses, strict=True), 1)
     ]
+
+
+def _check_stereo_coefficients(file: FileStorageYaml, path: Path, key: str) -> None:
+    """Refuse four coefficients, as cv::fisheye::stereoCalibrate writes them and as k1 k2 p1 p2 are, unless a key says which."""
+    counts = [file.matrix(key.format(number), None).size for number in (1, 2) if file.has(key.format(number))]
+    if 4 in counts:
+        raise CaptureError(
+            f"{path}: wanted five or more coefficients, as cv::stereoCalibrate writes them, or a key that says what four mean, "
+            f"got four in {key.format(1)} and {key.format(2)}; add 'fisheye_model: 1' where they are of cv::fisheye, else "
+            "'fisheye_model: 0'"
+        )
 
 
 def _opencv_camera(file: FileStorageYaml, name: str, matrix: str, distortion: str, pose: Array | None) -> FileCamera:
@@ -180,8 +250,15 @@ def _opencv_camera(file: FileStorageYaml, name: str, matrix: str, distortion: st
     width, height = (next((file.number(key) for key in keys if file.has(key)), None) for keys in (WIDTH_KEYS, HEIGHT_KEYS))
     size = (round(width), round(height)) if width and height else None
     is_fisheye = file.text("fisheye_model") not in ("", "0", "false") or file.text("distortion_model") in ROS_FISHEYE
+    if file.text("distortion_model") not in (*ROS_FISHEYE, *ROS_RADIAL):
+        known = ", ".join((*ROS_RADIAL[1:], *ROS_FISHEYE))
+        raise CaptureError(
+            f"{file.path}: wanted a distortion_model of {known}, got {file.text('distortion_model'):.40}; undistort the frames "
+            "first"
+        )
+    unknown = unknown_entries(file.path, file.entries, OPENCV_KEYS)
     model: LensModel = "fisheye" if is_fisheye else "opencv"
-    return FileCamera(name, K, model, tuple(map(float, coefficients)), size, pose)
+    return FileCamera(name, K, model, tuple(map(float, coefficients)), size, pose, unknown=unknown)
 
 
 def _opencv_pose(file: FileStorageYaml) -> Array | None:

@@ -1,5 +1,6 @@
 """Frames of each camera on disk, by the one table of arrangements that layouts and commands look through, and their coding."""
 
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -23,10 +24,10 @@ CameraFrames = VideoFrames | ImageFrames
 # Places of the frames of a camera called CAM; the first that holds any counts; .mp4 is any video, .png any picture.
 ARRANGEMENTS = (
     *("CAM.mp4", "videos/CAM.mp4", "images/CAM/", "frames/CAM/", "CAM/images/", "CAM/images_scaled_2/", "CAM/"),
-    *("images/CAM.png", "CAM.png"),
+    *("images/CAM.png", "CAM.png", "images_2/CAM.png", "images_4/CAM.png", "images_8/CAM.png"),
 )
-IN_WORDS = f"{', '.join(ARRANGEMENTS[:-2])} or one image per camera, here or in images/"
-# Folders that captures hold besides those of their cameras.
+IN_WORDS = f"{', '.join(each for each in ARRANGEMENTS if not each.endswith('.png'))} or one image per camera, here or in images/"
+# Folders that captures hold beside those of their cameras.
 NO_CAMERAS = {"images", "frames", "videos", "background", "bkgd", "mask", "masks", "bgmtv2", "schp", "depth", "path", "sparse"}
 LISTED = 24
 # File systems take no longer ones.
@@ -90,6 +91,26 @@ def require_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
     return FoundFrames({name: found.sources[name] for name in image_names}, found.beside)
 
 
+# GoPro's chapters: GX and GH with the chapter before the recording's number; GOPR, and GP from the second one on.
+CHAPTER = re.compile(r"G[XH](?P<chapter>\d\d)(?P<recording>\d{4})|GOPR(?P<first>\d{4})|GP(?P<next>\d\d)(?P<same>\d{4})", re.I)
+
+
+def refuse_chapters(path: Path, names: Iterable[str]) -> None:
+    """Refuse files that are chapters of one recording, which a camera splits by size: each would be taken for a camera."""
+    recordings: dict[str, list[str]] = {}
+    for name in sorted(names, key=lambda name: (not name.upper().startswith("GOPR"), name)):
+        if match := CHAPTER.fullmatch(name):
+            recordings.setdefault(match["recording"] or match["first"] or match["same"], []).append(name)
+    split = {number: chapters for number, chapters in recordings.items() if len(chapters) > 1}
+    if split:
+        chapters = next(iter(split.values()))
+        shown = "; ".join(" and ".join(each) for each in split.values())
+        raise CaptureError(
+            f"{path}: wanted one video per camera, got chapters of one recording: {shown}; join each into one, in another "
+            f"folder: write \"file '{chapters[0]}.MP4'\" and the like into LIST, then ffmpeg -f concat -i LIST -c copy OUT.mp4"
+        )
+
+
 def find_rig_frames(path: Path) -> dict[str, CameraFrames]:
     """The frames of cameras that nothing is known of, by the first arrangement that holds two or more, in the order of names.
 
@@ -102,6 +123,8 @@ def find_rig_frames(path: Path) -> dict[str, CameraFrames]:
     for arrangement in ARRANGEMENTS:
         skipped = NO_CAMERAS if arrangement.startswith("CAM/") else ()
         found = [(name, frames) for name, frames in frames_in(path, arrangement) if name not in skipped]
+        if arrangement.endswith(".mp4"):
+            refuse_chapters(path, [name for name, _ in found])
         if len({name for name, _ in found}) > 1:
             return dict(sorted(_one_each(path, found).items()))
     raise CaptureError(

@@ -15,8 +15,9 @@ from ggvs_eval.datasets.colmap_model import CalibratedView, median_depths, model
 from ggvs_eval.datasets.frames import ImageFrames, NumberedFrames
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import GivenUnits, choose_units
+from ggvs_eval.datasets.unread_files import first_bytes
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.listing import list_images
+from ggvs_eval.files.listing import IMAGE_SUFFIXES, list_entries, list_images
 from ggvs_eval.files.names import camera_names
 
 MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")
@@ -44,14 +45,41 @@ def load_colmap(path: Path, units: GivenUnits) -> Capture:
     frames = require_frames(path, {name: view.image_name for name, view in views.items()})
     chosen = choose_units(path, units, cameras, median_depths=median_depths(views.values()))
     pinhole = undistorted_sources(list(frames.sources.values()), [view.lens for view in views.values()], cameras)
-    unregistered = f"{listed(frames.beside)} omitted: on disk, but not registered in the COLMAP model"
-    return assemble_capture(path, "colmap", cameras, pinhole, chosen, notes=[unregistered] if frames.beside else [])
+    notes = [f"{listed(frames.beside)} omitted: on disk, but not registered in the COLMAP model"] if frames.beside else []
+    others = [
+        each for each in _numbered_models(folder.parent / "0") if folder.name.isdecimal() and each != folder and _holds(each)
+    ]
+    if others:
+        sizes = listed([f"{each.relative_to(path)} ({_n_images(each)})" for each in others])
+        notes.append(f"{folder.relative_to(path)} is taken, the model of most images ({len(views)}); not read: {sizes}")
+    return assemble_capture(path, "colmap", cameras, pinhole, chosen, notes=notes)
 
 
 def find_model(path: Path) -> Path | None:
-    """Return the folder of the first sparse model below a capture."""
-    folders = (path / folder for folder in MODEL_FOLDERS)
-    return next((folder for folder in folders if any((folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt"))), None)
+    """Return the folder of the first sparse model below a capture, or in it; of several that a mapper left, that of most images."""
+    models = [folder for name in MODEL_FOLDERS for folder in _numbered_models(path / name) if _holds(folder)]
+    if not models:
+        return path if _holds(path) and any((path / f"images.{kind}").is_file() for kind in ("bin", "txt")) else None
+    siblings = [folder for folder in models if folder.parent == models[0].parent]
+    return max(siblings, key=_n_images) if len(siblings) > 1 else models[0]
+
+
+def _numbered_models(folder: Path) -> list[Path]:
+    """Return the folder, and those of other numbers next to it if it is called 0."""
+    beside = [each for each in list_entries(folder.parent) if each.name.isdecimal()] if folder.name == "0" else []
+    return beside or [folder]
+
+
+def _holds(folder: Path) -> bool:
+    return any((folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt"))
+
+
+def _n_images(folder: Path) -> int:
+    """Return the number of images of a model, by its first bytes or by the rows that end with a picture's name."""
+    if (folder / "images.bin").is_file():
+        return int.from_bytes(first_bytes(folder / "images.bin")[:8], "little")
+    rows = first_bytes(folder / "images.txt").decode(errors="replace").splitlines()
+    return sum(row.rstrip().lower().endswith(IMAGE_SUFFIXES) for row in rows if not row.startswith("#"))
 
 
 def by_camera(folder: Path, views: Sequence[CalibratedView]) -> dict[str, CalibratedView]:

@@ -57,6 +57,14 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as alone:
         for file in files:
             _put(file, Path(alone) / file.name)
+        rows = {line for line, _ in _image_rows(files[1])} if suffix == ".txt" else set()
+        if any(line + 1 in rows for line in rows):  # written without the lines of points, which pycolmap counts on
+            lines = read_plain_text(files[1], LARGEST_MODEL_FILE).split("\n")
+            for name in {files[1].name, files[-1].name}:  # what points say of rows that are not there makes no sense
+                (Path(alone) / name).unlink()
+            (Path(alone) / "points3D.txt").write_bytes(b"")
+            spaced = [f"\n{text}" if line in rows and line - 1 in rows else text for line, text in enumerate(lines, 1)]
+            (Path(alone) / files[1].name).write_text("\n".join([*spaced, "", ""]), encoding="utf-8")
         if len(files) < len(FILES):  # points are for depth ranges alone
             (Path(alone) / f"points3D{suffix}").write_bytes(bytes(8) if suffix == ".bin" else b"")
         reconstruction = pycolmap.Reconstruction(alone)
@@ -100,7 +108,7 @@ def _read_text_names(cameras: Path, images: Path, points: Path | None = None) ->
         for line, words in islice(_rows(points), 1):
             _check_numbers(points, line, words[:8])
     names = {}
-    for line, words in _rows(images, step=2):
+    for line, words in _image_rows(images):
         _check_numbers(images, line, words[:9])
         if len(words) < 10:
             raise ValueError(f"{images.name}, line {line}: wanted nine numbers and a name, got {len(words)} words")
@@ -108,13 +116,31 @@ def _read_text_names(cameras: Path, images: Path, points: Path | None = None) ->
     return names
 
 
-def _rows(file: Path, step: int = 1) -> Iterator[tuple[int, list[str]]]:
-    """Line number and words of each row, comments aside; every second line after a row may be the points that an image sees."""
-    lines = iter(enumerate(read_plain_text(file, LARGEST_MODEL_FILE).split("\n"), 1))
-    for line, text in lines:
+def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Line number and words of each row, comments aside."""
+    for line, text in enumerate(read_plain_text(file, LARGEST_MODEL_FILE).split("\n"), 1):
         if text.strip() and not text.lstrip().startswith("#"):
             yield line, text.strip().split(maxsplit=9)
-            next(islice(lines, step - 1, step - 1), None)
+
+
+def _image_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """The rows of images; the line after each is the points that it sees, unless it is the row of an image itself."""
+    sees_points = False
+    for line, text in enumerate(read_plain_text(file, LARGEST_MODEL_FILE).split("\n"), 1):
+        words = text.strip().split(maxsplit=9)
+        if sees_points and not _is_image(words):
+            sees_points = False
+        elif words and not words[0].startswith("#"):
+            sees_points = True
+            yield line, words
+
+
+def _is_image(words: list[str]) -> bool:
+    """Tell whether a row where points are expected is an image's: nine numbers and a name."""
+    try:
+        return len(words) == 10 and bool([float(word) for word in words[:9]]) and not words[9].replace(" ", "")[:1].isdecimal()
+    except ValueError:
+        return False
 
 
 def _check_numbers(file: Path, line: int, words: list[str]) -> None:

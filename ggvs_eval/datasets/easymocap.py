@@ -23,7 +23,7 @@ from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_entries, list_files, list_images
-from ggvs_eval.lens import Lens
+from ggvs_eval.lens import Lens, check_K_size
 
 INTRINSICS, EXTRINSICS = "intri.yml", "extri.yml"
 MASK_FOLDERS = ("mask", "masks", "bgmtv2", "schp")
@@ -147,6 +147,11 @@ def load(path: Path, units: GivenUnits) -> Capture:
     """
     views, frames, notes = _filmed(path)
     sources = [frames[view.name] for view in views]
+    try:
+        for view, source in zip(views, sources, strict=True):
+            check_K_size(view.K, view.size or source.size, is_stated=bool(view.size))
+    except CameraError as error:
+        raise CaptureError(f"{path / INTRINSICS}: {view.name}: {error} (as W_{view.name} and H_{view.name})") from error
     lenses = [view.lens(source.size) for view, source in zip(views, sources, strict=True)]
     is_outdoor = (path / HULLS).is_dir()
     depths = _depth_ranges(path, views, lenses)

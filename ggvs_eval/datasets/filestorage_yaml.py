@@ -20,6 +20,10 @@ ELEMENT_TYPES = "ucwsifdhlLIbB"
 ENTRY = re.compile(r"""(["']?)([^\s"'\[\]{}#%:-][^\s"'\[\]{}:]*)\1[ \t]*:(?:[ \t]+(.*))?""")
 FIELD = re.compile(r"(rows|cols|dt|data)[ \t]*:[ \t]*(\[[^\[\]]*\]|[^\s\[\]]+)")
 
+# A nested list of numbers, as OpenCV writes vectors and PyYAML writes arrays, in brackets or with one number a line.
+PLAIN_NUMBER = re.compile(r"[-+.]*\d[-+.\deE]*")
+PLAIN_NUMBERS = re.compile(rf"(?:[\s\[\],]|-(?=[ \t\n])|{PLAIN_NUMBER.pattern}(?=[\s\],]|$))+")
+
 
 class FileStorageYaml:
     """Numbers, matrices and sequences of texts by their key; every surprise is a `CaptureError`.
@@ -29,8 +33,8 @@ class FileStorageYaml:
     """
 
     def __init__(self, path: Path, is_plain: bool = False) -> None:
-        self._path = path
-        self._entries: dict[str, str] = {}
+        self.path = path
+        self.entries: dict[str, str] = {}
         text = _read_text(path).lstrip("\ufeff")
         lines = text.splitlines()
         if text.lstrip().startswith("<"):
@@ -44,7 +48,7 @@ class FileStorageYaml:
 
     def texts(self, key: str) -> list[str]:
         """Return a sequence of texts; empty where it is absent or something else."""
-        value = self._entries.get(key, "").strip()
+        value = self.entries.get(key, "").strip()
         if value.startswith("[") and value.endswith("]"):
             items = value[1:-1].split(",")
         else:
@@ -54,26 +58,31 @@ class FileStorageYaml:
 
     def has(self, key: str) -> bool:
         """Return whether there is such an entry."""
-        return key in self._entries
+        return key in self.entries
 
     def text(self, key: str) -> str:
         """Return a text without its quotes; empty where it is absent."""
-        return _unquoted(self._entries.get(key, ""))
+        return _unquoted(self.entries.get(key, ""))
 
     def number(self, key: str) -> float | None:
         """Return a positive number; None where it is absent."""
         if not self.has(key):
             return None
-        value = _number(self._entries[key])
+        value = _number(self.entries[key])
         if not 0 < value < 1e9:
-            raise self._refused(f"a positive number {key}", f"{self._entries[key] or 'nothing'}{comma_hint(self._entries[key])}")
+            raise self._refused(f"a positive number {key}", f"{self.entries[key] or 'nothing'}{comma_hint(self.entries[key])}")
         return value
 
     def matrix(self, key: str, shape: tuple[int, int] | None) -> Array:
         """Return a matrix of finite numbers of this shape or its transpose; of any shape if None."""
         if not self.has(key):
             raise self._refused(f"an entry {key}", "none")
-        fields = self._fields(key)
+        if PLAIN_NUMBERS.fullmatch(self.entries[key]):
+            values = PLAIN_NUMBER.findall(self.entries[key])
+            rows, columns = shape or (len(values), 1)
+            fields = {"rows": f"{rows}", "cols": f"{columns}", "data": f"[{','.join(values)}]"}
+        else:
+            fields = self._fields(key)
         items = [item for item in fields["data"].strip("[]").split(",") if item.strip()]
         size = f"{fields['rows']} x {fields['cols']}"
         if not fields["rows"].isdecimal() or not fields["cols"].isdecimal() or len(size) > 12:
@@ -90,7 +99,7 @@ class FileStorageYaml:
 
     def _fields(self, key: str) -> dict[str, str]:
         """Return the four fields of a matrix as texts."""
-        value = self._entries[key]
+        value = self.entries[key]
         fields = dict(FIELD.findall(value))
         is_matrix = (value.startswith("!!opencv-matrix") and "dt" in fields) or value.startswith("rows")
         if not is_matrix or not {"rows", "cols", "data"} <= fields.keys() or not fields["data"].startswith("["):
@@ -115,25 +124,25 @@ class FileStorageYaml:
                 raise self._refused("lines of the form 'key: value'", repr(line[:60]))
             else:
                 body.append(line)
-        self._entries = {key: "\n".join(body).strip() for key, body in bodies.items()}
+        self.entries = {key: "\n".join(body).strip() for key, body in bodies.items()}
 
     def _read_xml(self, text: str) -> None:
         """Read the entries of an XML file as the YAML of the same content has them."""
-        for element in parse_xml(self._path, text, "the XML of cv2.FileStorage"):
+        for element in parse_xml(self.path, text, "the XML of cv2.FileStorage"):
             words = " ".join("".join(element.itertext()).split())
             parts = {part.tag: " ".join((part.text or "").split()) for part in element}
             if element.get("type_id") == "opencv-matrix":
                 data = ", ".join(parts.get("data", "").split())
                 shape = "".join(f"{key}: {parts[key]}\n" for key in ("rows", "cols", "dt") if parts.get(key))
-                self._entries[element.tag] = f"!!opencv-matrix\n{shape}data: [{data}]"
+                self.entries[element.tag] = f"!!opencv-matrix\n{shape}data: [{data}]"
             elif words.count('"') > 2 or "_" in parts:  # a sequence of texts
                 items = re.findall(r'"([^"]*)"', words) or [part.text or "" for part in element]
-                self._entries[element.tag] = f"[{', '.join(items)}]"
+                self.entries[element.tag] = f"[{', '.join(items)}]"
             else:
-                self._entries[element.tag] = words
+                self.entries[element.tag] = words
 
     def _refused(self, form: str, content: str) -> CaptureError:
-        return refused(self._path, form, content)
+        return refused(self.path, form, content)
 
 
 def parse_xml(path: Path, text: str, form: str) -> ElementTree.Element:

@@ -14,7 +14,7 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.listing import IMAGE_SUFFIXES, list_images, unread_pictures
-from ggvs_eval.files.names import Number, is_stamp, numbers_in
+from ggvs_eval.files.names import Fields, Number, is_stamp, numbers_in
 from ggvs_eval.files.picture_header import UPRIGHT, PictureHeader, read_picture_header
 from ggvs_eval.files.plain import NotPlainError
 
@@ -27,9 +27,9 @@ LARGEST_STEP = 1.5  # of time stamps, in their median step: at twice the median 
 class ImageFrames:
     """The frames of one camera as images, a `FrameSource`.
 
-    A folder's frames are its images in the order of the last number in their names, whether that counts from 0 or 1, with or
-    without leading zeros; other files are ignored. Even steps are accepted, gaps are not: they would shift later frames in time.
-    Time stamps, numbers with a fraction or of ten digits and more, are even within half a step.
+    A folder's frames are its images in the order of the numbers in their names (`numbers_in`), whether they count from 0 or 1,
+    with or without leading zeros; other files are ignored. Even steps are accepted, gaps are not: they would shift later frames
+    in time. Time stamps, numbers with a fraction or of ten digits and more, are even within half a step.
 
     Attributes:
         path: folder of images, or one image.
@@ -62,6 +62,14 @@ class ImageFrames:
         return self._in_time(list(zip(numbers, files, strict=True)))
 
     @cached_property
+    def numbers(self) -> tuple[Number, ...]:
+        """The numbers of the images in the order of time; none of a single image, nor of time stamps, which are measured."""
+        files = self.files
+        numbers = [] if self.path.is_file() else numbers_in([file.stem for file in files])
+        counts = tuple(number for number in numbers if number is not None and not is_stamp(number))
+        return counts if len(counts) == len(files) else ()
+
+    @cached_property
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels, read from the header of every image."""
         sizes = {file: self._size(header) for file, header in self._headers.items()}
@@ -83,6 +91,11 @@ class ImageFrames:
     def orientations(self) -> tuple[int, ...]:
         """The EXIF orientations of the images that are not stored upright, each once; errors as of `size`."""
         return tuple(sorted({header.orientation for header in self._headers.values()} - {UPRIGHT}))
+
+    @cached_property
+    def profiles(self) -> tuple[str, ...]:
+        """The colour profiles of the images, each once, sRGB aside; errors as of `size`."""
+        return tuple(sorted({header.profile for header in self._headers.values()} - {""}))
 
     def _size(self, header: PictureHeader) -> tuple[int, int]:
         return header.stored_size if self.as_stored else header.size
@@ -122,7 +135,7 @@ class ImageFrames:
             files = [file.name for number, file in numbered if number == wrong[0]]
             shown = "no number" if wrong[0] is None else f"the number {wrong[0]}"
             repeats = f"{'several with ' * (len(files) > 1)}{shown} ({' and '.join(files[:LISTED])})"
-            mend = "keep one of them" if len(files) > 1 else "rename or remove it"
+            mend = "give each a number of its own, or put those of other cameras into other folders"
             raise CaptureError(f"{self.path}: wanted one image per frame number, got {repeats}; {mend}")
         in_time = sorted((number or 0, file) for number, file in numbered)
         self._check_steps([number for number, _ in in_time])
@@ -130,7 +143,7 @@ class ImageFrames:
 
     def _check_steps(self, ordered: Sequence[Number]) -> None:
         steps = [later - earlier for earlier, later in pairwise(ordered)]
-        if not steps:
+        if not steps or any(isinstance(number, Fields) for number in ordered):
             return
         longest = LARGEST_STEP * median(map(float, steps)) if any(map(is_stamp, ordered)) else float(min(steps))
         gaps = [f"{earlier} and {later}" for earlier, later in pairwise(ordered) if later - earlier > longest]
@@ -152,7 +165,7 @@ class NumberedFrames(ImageFrames):
         numbered: frame numbers and images, in any order.
     """
 
-    numbered: tuple[tuple[int, Path], ...]
+    numbered: tuple[tuple[Number, Path], ...]
 
     @cached_property
     def files(self) -> tuple[Path, ...]:
@@ -160,6 +173,11 @@ class NumberedFrames(ImageFrames):
         if not self.numbered:
             raise CaptureError(f"{self.path}: wanted images of each camera, got none of one; restore them")
         return self._in_time(self.numbered)
+
+    @cached_property
+    def numbers(self) -> tuple[Number, ...]:
+        """The numbers of the images in the order of time."""
+        return tuple(sorted(number for number, _ in self.numbered))
 
 
 def as_calibrated(frames: Source, width: int, height: int) -> Source:

@@ -22,6 +22,7 @@ from ggvs_eval.datasets.colmap import instant_pictures, numbered_folders
 from ggvs_eval.datasets.frames import ImageFrames, NumberedFrames
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import GivenUnits, choose_units, read_note
+from ggvs_eval.datasets.unread_files import find_marked
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.listing import unread_videos
@@ -155,7 +156,11 @@ def load_dynerf(path: Path, units: GivenUnits) -> Capture:
             f"got {len(poses)} rows; restore the missing {'videos' if len(poses) > len(sources) else 'rows'}"
         )
     cameras = [llff_camera(pose, name, path / POSES) for pose, name in zip(poses, sources, strict=True)]
-    return assemble_capture(path, "dynerf", cameras, list(sources.values()), choose_units(path, units, cameras))
+    stills = all(isinstance(source, ImageFrames) and source.path.is_file() for source in sources.values())
+    if stills and (marked := find_marked(path)):
+        raise CaptureError(f"{path}: {marked[0].relative_to(path)} is {marked[1].name}; {marked[1].advice}")
+    notes = [f"the pictures beside {POSES} are taken as one instant of {len(sources)} cameras"] if stills else []
+    return assemble_capture(path, "dynerf", cameras, list(sources.values()), choose_units(path, units, cameras), notes=notes)
 
 
 def _find_sources(path: Path) -> dict[str, SizedSource]:

@@ -21,7 +21,7 @@ from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import IMAGE_SUFFIXES
 from ggvs_eval.files.names import camera_names
 from ggvs_eval.files.plain import read_plain_text
-from ggvs_eval.lens import Lens
+from ggvs_eval.lens import Lens, check_K_size
 
 # One file, or NeRF's one per split, whose cameras are those of one rig; the last are its test views.
 TRANSFORMS, SPLITS, TEST = "transforms.json", ("train", "val", "test"), "test"
@@ -31,7 +31,8 @@ FISHEYE_MODEL = "OPENCV_FISHEYE"
 MATRICES = ("K", "intrinsics", "intrinsic_matrix", "camera_intrinsics")
 FOCAL_LENGTHS = ("fl_x", "camera_angle_x", "fl_y", "camera_angle_y")
 USED = {*MATRICES, *FOCAL_LENGTHS, "camera_model", "is_fisheye", "w", "h", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2"}
-USED |= {"frames", "file_path", "transform_matrix", "near", "far", "time", TEST_IMAGES}
+AXES_LENGTH = "length of the axes"  # of a pose as the file has it
+USED |= {AXES_LENGTH, "frames", "file_path", "transform_matrix", "near", "far", "time", TEST_IMAGES}
 # Of other programs, and without a say in where a pixel looks: bounds of the scene, other files, names and times.
 HARMLESS = {"aabb_scale", "scale", "offset", "aabb", "render_aabb", "from_na", "sharpness", "ply_file_path", "applied_transform"}
 HARMLESS |= {"applied_scale", "orientation_override", "train_filenames", "val_filenames", "colmap_im_id"}
@@ -93,6 +94,11 @@ def load(path: Path, units: GivenUnits) -> Capture:
     pinhole = undistorted_sources(sources, lenses, cameras)
     unknown = sorted({key for frame in frames.values() for key in frame} - USED - HARMLESS)
     notes = [f"{', '.join(each.name for each in files)}: {listed(unknown)} unknown here, ignored"] if unknown else []
+    lengths = {name: frame[AXES_LENGTH] for name, frame in frames.items() if abs(frame[AXES_LENGTH] - 1) > 2 * LARGEST_DEVIATION}
+    if lengths:
+        notes.append(
+            f"axes of {listed(lengths)} have the length {next(iter(lengths.values())):.4g}: brought to 1, places as they are"
+        )
     return assemble_capture(
         path, "nerfstudio", cameras, pinhole, choose_units(path, units, cameras), notes=notes, test_views=sorted(test_views)
     )
@@ -113,7 +119,7 @@ def _read_frames(file: Path) -> dict[str, dict[str, Any]]:
         if len(frames) != len(described) or not frames:
             raise ValueError(f"{len(described)} frames of {len(frames)} cameras")
         for frame in frames.values():
-            frame["transform_matrix"] = _world_to_camera(frame)
+            frame["transform_matrix"], frame[AXES_LENGTH] = _world_to_camera(frame)
     except (OSError, ValueError, TypeError, KeyError, RecursionError, AttributeError, ArithmeticError) as error:
         raise _refused(file, error) from error
     return frames
@@ -137,7 +143,9 @@ def _placed(files: Sequence[Path], name: str, frame: Mapping[str, Any], source: 
         lens = _lens(frame, source.size)
         near_far = (float(frame["near"]), float(frame["far"])) if {"near", "far"} <= frame.keys() else None
         return Placed(name, lens.undistorted_K(), frame["transform_matrix"], (lens.width, lens.height), near_far), lens
-    except (ValueError, TypeError, KeyError, ArithmeticError, CameraError) as error:
+    except CameraError as error:
+        raise CaptureError(f"{files[0]}: wanted frames with poses and intrinsics, {name}: {error}") from error
+    except (ValueError, TypeError, KeyError, ArithmeticError) as error:
         raise _refused(files[0], error) from error
 
 
@@ -146,15 +154,20 @@ def _refused(file: Path, error: Exception) -> CaptureError:
     return CaptureError(f"{file}: wanted frames with poses and intrinsics, one per camera, got: {reason:.200}; export it again")
 
 
-def _world_to_camera(frame: Mapping[str, Any]) -> Array:
+def _world_to_camera(frame: Mapping[str, Any]) -> tuple[Array, float]:
+    """The pose of a frame, its axes brought to length 1 where all have one length, as instant-ngp does; and that length."""
     camera_to_world = np.array(frame["transform_matrix"], dtype=np.float64)
     if camera_to_world.shape != (4, 4) or not np.isfinite(camera_to_world).all():
         raise ValueError(f"the transform_matrix of {frame['file_path']} is not 4 x 4 finite numbers")
     scale = np.linalg.norm(camera_to_world[:3, :3], axis=0)
-    if not np.allclose(scale, 1.0, atol=2 * LARGEST_DEVIATION) or not np.array_equal(camera_to_world[3], (0, 0, 0, 1)):
+    is_scaled = not np.allclose(scale, 1.0, atol=2 * LARGEST_DEVIATION)
+    if is_scaled and scale.min() > 0 and np.ptp(scale) <= LARGEST_DEVIATION * scale.min():
+        camera_to_world[:3, :3] /= scale.mean()
+        is_scaled = False
+    if is_scaled or not np.array_equal(camera_to_world[3], (0, 0, 0, 1)):
         defects = f"axes of length {', '.join(f'{length:.4g}' for length in scale)}, last row {camera_to_world[3].tolist()}"
         raise ValueError(f"the transform_matrix of {frame['file_path']} is not rigid ({defects})")
-    return np.asarray(np.linalg.inv(camera_to_world @ OPENGL_TO_OPENCV), dtype=np.float64)
+    return np.asarray(np.linalg.inv(camera_to_world @ OPENGL_TO_OPENCV), dtype=np.float64), float(scale.mean())
 
 
 def _lens(frame: Mapping[str, Any], frame_size: tuple[int, int]) -> Lens:
@@ -170,7 +183,9 @@ def _lens(frame: Mapping[str, Any], frame_size: tuple[int, int]) -> Lens:
         raise ValueError(f"k4 = {frame['k4']!r:.40} of {model}, which programs read differently; undistort the images")
     names = ("k1", "k2", "k3", "k4") if model == FISHEYE_MODEL else ("k1", "k2", "p1", "p2", "k3")
     coefficients = tuple(float(frame.get(name, 0.0)) for name in names)
-    return Lens(_intrinsics(frame, width, height), "fisheye" if model == FISHEYE_MODEL else "opencv", coefficients, width, height)
+    K = _intrinsics(frame, width, height)
+    check_K_size(K, (width, height), is_stated={"w", "h"} <= frame.keys())
+    return Lens(K, "fisheye" if model == FISHEYE_MODEL else "opencv", coefficients, width, height)
 
 
 def _intrinsics(frame: Mapping[str, Any], width: int, height: int) -> Array:

@@ -23,6 +23,7 @@ from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.files.images import decode_image, read_encoded
 from ggvs_eval.geometry.reproject_depth import reproject_depth
+from ggvs_eval.lens import LARGEST_OFFSET, check_K_size
 
 LARGEST_STEP = 65535  # written for unknown depth by some, as 0 by others
 ANY_DEPTH = (1e-6, 1e6)  # near and far of cameras that only say where pixels look
@@ -142,8 +143,6 @@ def known_depth(steps: NDArray[np.uint16]) -> NDArray[np.bool_]:
 
 
 SAMPLED_FRAMES = 32  # of which the depth range is taken
-# A principal point farther off the middle, in widths of the image, belongs to images of another size.
-LARGEST_OFFSET = 0.15
 # Where depth has another shape than colour, its intrinsics must fit it this well; within the stretch it has the same shape.
 LEAST_OFFSET, LARGEST_STRETCH = 0.05, 0.02
 
@@ -218,6 +217,10 @@ def _check_depth_size(sequence: RgbdSequence, kept: Sequence[int], size: tuple[i
 
 def _check_intrinsics(K: Array, file: Path, size: tuple[int, int], largest_offset: float = LARGEST_OFFSET) -> None:
     """Text files of intrinsics do not say for which size they are; resized images show by the principal point."""
+    try:
+        check_K_size(K, size, is_stated=False)
+    except CameraError as error:
+        raise CaptureError(f"{file}: {error}") from error
     offsets = [abs(K[axis, 2] - size[axis] / 2) / size[axis] for axis in (0, 1)]
     if max(offsets) > largest_offset:
         place, point = f"a principal point near the middle of {size[0]} x {size[1]} images", f"({K[0, 2]:g}, {K[1, 2]:g})"

@@ -201,7 +201,8 @@ def _read_seven_scenes(path: Path) -> RgbdSequence:
     _check_complete(images, depths, path, "depth map")
     _check_complete(images, poses, path, "pose")
     K = _stated_K(path, images.values(), SEVEN_SCENES_K, "7-Scenes")
-    return RgbdSequence(images, depths, {number: _read_matrix(poses[number], (4,)) for number in images}, K, None)
+    note = _assumed(path, K[0], "7-Scenes")
+    return RgbdSequence(images, depths, {number: _read_matrix(poses[number], (4,)) for number in images}, K, None, note=note)
 
 
 def _read_tum(path: Path) -> RgbdSequence:
@@ -225,6 +226,7 @@ def _read_tum(path: Path) -> RgbdSequence:
     left = len(colour) - len(images)
     note = f"{left} of {len(colour)} frames omitted: no depth and pose within {SAME_INSTANT_S:g} s" if left else ""
     K = _stated_K(path, images.values(), TUM_K, "TUM RGB-D")
+    note = "; ".join(filter(None, (note, _assumed(path, K[0], "TUM RGB-D"))))
     return RgbdSequence(images, depths, poses, K, None, metres_per_step=TUM_STEP, note=note)
 
 
@@ -240,6 +242,13 @@ def _number(word: str) -> float:
         return float(word)
     except ValueError:
         return float("nan")
+
+
+def _assumed(path: Path, K: Array, data_set: str) -> str:
+    """A note on intrinsics that no file of the sequence states; empty where one does."""
+    values = ", ".join(f"{value:g}" for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    other = f"if another camera filmed this, write its 3 x 3 matrix in pixels into {INTRINSICS}"
+    return "" if (path / INTRINSICS).is_file() else f"K of {data_set} is taken (fx, fy, cx, cy {values}); {other}"
 
 
 def _stated_K(path: Path, images: Iterable[Path], stated: Array, data_set: str) -> tuple[Array, Path]:

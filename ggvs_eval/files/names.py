@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from decimal import Decimal
 from itertools import pairwise
 from pathlib import PurePosixPath
+from typing import Any
 
 Number = int | Decimal
 # The last number of a name: the text before it, its digits, and those behind a point, if that is the only one.
@@ -12,11 +13,20 @@ LAST = re.compile(r"(.*?)(?:(?<![\d.])(\d+)\.)?(\d+)\D*", re.DOTALL)
 STAMP_FROM = 10**9  # seconds since 1970, and all that counts finer
 
 
-def numbers_in(stems: Sequence[str]) -> list[Number | None]:
-    """Return the last number in each of the names of one folder's frames, without their suffixes; None where there is none.
+class Fields(int):
+    """Several numbers of a name in one, the first the most significant: a date and a time of day, whose steps say nothing."""
 
-    Digits, a point and digits are one number, as time stamps have it, unless they are fields of a name: then the text before
-    the point is the same in all of them, and the digits behind it count.
+
+def numbers_in(stems: Sequence[str], are_of_one: bool = True) -> list[Number | None]:
+    """Return the number of each of the names of one folder's frames, without their suffixes; None where there is none.
+
+    It is the last number of a name, unless that is the same in all of them, as the size of the pictures is: then the last that
+    varies. Digits, a point and digits are one number, as time stamps have it, unless they are fields of a name: then the text
+    before the point is the same in all of them, and the digits behind it count. Where the order of that number is not the order
+    of the names' numbers from left to right, or it repeats, as the thousandths of a clock do, all those that vary are one.
+
+    Args:
+        are_of_one: whether no two of the frames are of one instant, so that several numbers may be one.
 
     Raises:
         ValueError: names that can be read in both ways, each with another order.
@@ -26,7 +36,35 @@ def numbers_in(stems: Sequence[str]) -> list[Number | None]:
         [9, 10, None]
         >>> numbers_in(["10.75", "11.0"]), numbers_in(["cam01.0009", "cam01.0010"])
         ([Decimal('10.75'), 11], [9, 10])
+        >>> numbers_in(["view_1_64x48", "view_2_64x48"]), numbers_in(["10-59-59-800", "11-00-00-000"])
+        ([1, 2], [105959800, 110000000])
     """
+    numbers = _last_numbers(stems)
+    parts = [list(re.finditer(r"\d+", stem)) for stem in stems]
+    if len({re.sub(r"\d+", "0", stem) for stem, fields in zip(stems, parts, strict=True) if fields}) != 1:
+        return numbers
+    columns = list(zip(*([field[0] for field in fields] for fields in parts if fields), strict=True))
+    varying = [index for index, column in enumerate(columns) if len(set(map(int, column))) > 1]
+    keys = [tuple(int(fields[index][0]) for index in varying) for fields in parts if fields]
+    is_fraction = any(re.search(r"\d\.\d+\D*$", stem) for stem in stems) and len(set(map(len, columns[-1]))) > 1
+    if not varying or is_fraction or _ranks(keys) == _ranks([number for number in numbers if number is not None]):
+        return numbers
+    upto = [stem[: fields[varying[-1]].end()] if fields else stem for stem, fields in zip(stems, parts, strict=True)]
+    numbers = _last_numbers(upto)
+    if not are_of_one or _ranks(keys) == _ranks([number for number in numbers if number is not None]):
+        return numbers
+    widths = {index: max(map(len, columns[index])) for index in varying}
+    return [
+        Fields("".join(fields[index][0].zfill(width) for index, width in widths.items())) if fields else None for fields in parts
+    ]
+
+
+def _ranks(keys: Sequence[Any]) -> list[int]:
+    places = {key: place for place, key in enumerate(sorted(set(keys)))}
+    return [places[key] for key in keys]
+
+
+def _last_numbers(stems: Sequence[str]) -> list[Number | None]:
     found = [match and match.groups() for match in map(LAST.fullmatch, stems)]
     fields: list[Number | None] = [int(last) if (last := each and each[2]) else None for each in found]
     numbers = [_value(*each[1:]) if each else None for each in found]
@@ -43,7 +81,7 @@ def numbers_in(stems: Sequence[str]) -> list[Number | None]:
 
 def is_stamp(number: Number) -> bool:
     """Return whether a number is a time, which was measured, instead of a count."""
-    return number >= STAMP_FROM or number != int(number)
+    return isinstance(number, Fields) or number >= STAMP_FROM or number != int(number)
 
 
 def camera_names(image_names: Sequence[str]) -> list[str]:

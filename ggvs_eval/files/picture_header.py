@@ -21,6 +21,7 @@ class PictureHeader(NamedTuple):
         width: in pixels, turned as its EXIF tag says.
         colours: ``grey``, ``palette`` or ``CMYK`` where its pixels are no RGB; else empty.
         orientation: its EXIF tag, 1 to 8; 1 is shown as it is stored.
+        profile: name of its colour profile; empty where it has none, or that of sRGB.
     """
 
     form: Literal["PNG", "JPEG"]
@@ -30,6 +31,7 @@ class PictureHeader(NamedTuple):
     bits: int = 8
     has_alpha: bool = False
     orientation: int = UPRIGHT
+    profile: str = ""
 
     @property
     def stored_size(self) -> tuple[int, int]:
@@ -44,7 +46,8 @@ class PictureHeader(NamedTuple):
     @property
     def conversions(self) -> list[str]:
         """Changes by reading it as 8-bit RGB, in a few words each."""
-        return conversions_to_rgb8(self.colours, self.bits, self.has_alpha)
+        ignored = [f"as if they were sRGB, though their colour profile is {self.profile}"] if self.profile else []
+        return [*conversions_to_rgb8(self.colours, self.bits, self.has_alpha), *ignored]
 
 
 def conversions_to_rgb8(colours: str, bits: int, has_alpha: bool) -> list[str]:
@@ -78,7 +81,8 @@ def read_picture_header(path: Path) -> PictureHeader:
         form: Literal["PNG", "JPEG"] = "PNG" if image.format == "PNG" else "JPEG"
         has_alpha = image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info
         bits = _bits(path) if form == "PNG" else 8
-        return PictureHeader(form, width, height, COLOURS.get(image.mode, ""), bits, has_alpha, orientation)
+        profile = _profile(image.info.get("icc_profile") or b"")
+        return PictureHeader(form, width, height, COLOURS.get(image.mode, ""), bits, has_alpha, orientation, profile)
 
 
 def read_orientation(encoded: bytes) -> int:
@@ -104,6 +108,17 @@ def _orientation(exif: bytes) -> int:
     except Exception:  # as above
         return UPRIGHT
     return orientation if UPRIGHT <= orientation <= LYING[-1] else UPRIGHT
+
+
+def _profile(encoded: bytes) -> str:
+    """The name of a colour profile; empty without one, of sRGB, and of one that cannot be read."""
+    from PIL import ImageCms
+
+    try:
+        name = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(BytesIO(encoded))).strip() if encoded else ""
+    except Exception:  # as above
+        return ""
+    return "" if "srgb" in name.lower() else name[:80]
 
 
 def _bits(path: Path) -> int:

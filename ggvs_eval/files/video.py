@@ -28,6 +28,8 @@ KEY_FRAME_INTERVAL = 30
 # others than its plain code unless that is switched off.
 X264 = "mbtree=0:cpu-independent=1"
 HDR_TRANSFERS = {18: "HLG", 16: "PQ"}  # by their numbers in ITU-T H.273
+PROGRESSIVE = 1  # of FFmpeg's orders of fields; 0 is unknown, what is above is interlaced
+DEINTERLACE = "ffmpeg -i IN -vf bwdif -c:v libx264 -crf 12 OUT.mp4"
 LARGEST_JITTER = 0.01  # of the longest step between frames, for a rate that is taken as constant
 
 
@@ -177,6 +179,19 @@ class VideoFrames:
         """``HLG`` or ``PQ`` where the levels are those of high dynamic range and not of a display; else empty."""
         with self._open() as container:
             return HDR_TRANSFERS.get(int(container.streams.video[0].codec_context.color_trc), "")
+
+    @cached_property
+    def interlaced(self) -> bool:
+        """Whether a frame holds two instants, one in every other row, as the stream or its first frame says."""
+        import av
+
+        try:
+            with self._open() as container:
+                if container.streams.video[0].codec_context.field_order > PROGRESSIVE:
+                    return True
+                return next((frame.interlaced_frame for frame in container.decode(video=0)), False)
+        except av.error.FFmpegError:  # damaged: reading frames gives the better message
+            return False
 
     @property
     def fps(self) -> float:

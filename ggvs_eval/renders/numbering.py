@@ -56,7 +56,7 @@ def frame_numbers(folder: Path, stems: Sequence[str], view: str = "") -> list[in
     """The last whole number in each name, e.g. 12 of ``frame_0012``; one that is part of the view's name (``cam00``) is none."""
     rest = stems if view.isdigit() or not view else [re.sub(name_as_word(view), "", stem) for stem in stems]
     try:
-        numbers = numbers_in(rest)
+        numbers = numbers_in(rest, are_of_one=False)
     except ValueError as error:
         raise RenderError(f"{folder}: wanted pictures whose numbers can be read in one way, got {error}") from None
     return [number if isinstance(number, int) else None for number in numbers]

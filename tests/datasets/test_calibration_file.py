@@ -1,6 +1,8 @@
 """Calibrations of Qualisys, anipose, freemocap and OpenCV: the same projections, a capture as it stands, one line on damage."""
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +10,7 @@ import pytest
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.calibration_file import CalibrationFile, read_calibration_file
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.video import write_video
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration.known_cameras import read_known
@@ -214,3 +216,102 @@ def test_a_real_calibration(tmp_path):
         (tmp_path / name).symlink_to(POSE2SIM / name)
     capture = open_capture(tmp_path)
     assert (capture.camera_names, capture.n_frames, capture.units_per_metre) == (("cam03", "cam04"), 100, 1.0)
+
+
+def with_line(file: Path, line: str) -> Path:
+    """The file with one more entry, at the first place where it makes one."""
+    text = file.read_text()
+    if file.suffix == ".txt":
+        file.write_text(text.replace("<intrinsic ", f"<intrinsic {line} ", 1))
+    else:
+        at = "---\n" if "---\n" in text else "]\n"
+        file.write_text(text.replace(at, f"{at}{line}\n", 1))
+    return file
+
+
+LINES = {
+    "qualisys": ('radialDistortion4="0.5"', 'humidity="3"'),
+    "anipose": ("xi = 1.2", "humidity = 3"),
+    "opencv": ("xi: 1.2", "humidity: 3"),
+}
+
+
+@pytest.mark.parametrize("kind", LINES)
+def test_entries_that_are_not_read_are_named(kind, tmp_path):
+    """What belongs to the lens is refused by name, unless it is 0; anything else is noted."""
+    of_lens, other = LINES[kind]
+    folder = write_table(tmp_path / "table")
+    written = FORMATS[kind](folder)
+    file = written if written.is_file() else sorted(folder.glob("cam00.y*ml"))[0]
+    whole = file.read_text()
+
+    with_line(file, other)
+    assert any("humidity not known here, passed over" in note for note in open_capture(folder).notes)
+    file.write_text(whole)
+    with_line(file, of_lens)
+    with refused(CaptureError, file.name, re.split("[ =:]", of_lens)[0], "belongs to the lens"):
+        open_capture(folder)
+    file.write_text(whole)
+    with_line(file, re.sub(r"[\d.]+(\"?)$", r"0\1", of_lens))
+    assert len(open_capture(folder).cameras) == 3
+
+
+def test_four_coefficients_of_a_stereo_pair_want_their_model(tmp_path):
+    """cv::fisheye writes four, and four are k1 k2 p1 p2 too: a key says which."""
+    left, right, _ = turned_rig()
+    file = write_stereo(tmp_path / "stereo.yml", left, right)
+    text = re.sub(
+        r"(D[12]: !!opencv-matrix\s+rows: )\d+(\s+cols: )\d+(.*?data: \[)[^\]]*",
+        r"\g<1>4\g<2>1\3.1, .01, 0., 0.",
+        file.read_text(),
+        flags=re.S,
+    )
+    file.write_text(text)
+    with refused(CaptureError, "stereo.yml", "got four in D1 and D2", "fisheye_model: 1"):
+        read_calibration_file(file)
+    for said, model in (("1", "fisheye"), ("0", "opencv")):
+        file.write_text(text.replace("---\n", f"---\nfisheye_model: {said}\n", 1))
+        assert {camera.model for camera in read_calibration_file(file).cameras.values()} == {model}
+
+
+def test_matrices_in_three_forms_are_equal(tmp_path):
+    """OpenCV's, a plain sequence and rows in brackets, as PyYAML writes arrays; and with one number a line."""
+    camera = turned_rig()[0]
+    file = sorted(write_opencv(tmp_path, [camera]).glob("*.y*ml"))[0]
+    whole, read = file.read_text(), []
+    matrix = re.compile(r"!!opencv-matrix\s+rows: (\d+)\s+cols: (\d+)\s+dt: d\s+data: \[([^\]]*)\]")
+
+    def rows(match: re.Match[str]) -> list[list[str]]:
+        values = "".join(match[3].split()).split(",")
+        return [values[at : at + int(match[2])] for at in range(0, len(values), int(match[2]))]
+
+    forms = (
+        lambda match: match[0],
+        lambda match: f"[{match[3]}]",
+        lambda match: "[" + ", ".join(f"[{', '.join(row)}]" for row in rows(match)) + "]",
+        lambda match: "".join("\n- " + "\n  ".join(f"- {value}" for value in row) for row in rows(match)),
+    )
+    for form in forms:
+        file.write_text(matrix.sub(form, whole))
+        (each,) = read_calibration_file(file).cameras.values()
+        read.append((each.K.tolist(), each.coefficients, each.world_to_camera.tolist()))
+    assert len(matrix.findall(whole)) >= 3
+    assert read == read[:1] * 4
+
+
+def test_files_that_share_one_camera_name_are_called_like_the_files(tmp_path):
+    """ROS writes narrow_stereo into each."""
+    folder = write_opencv(tmp_path, turned_rig())
+    for file in folder.glob("*.y*ml"):
+        with_line(file, "camera_name: narrow_stereo")
+    assert list(read_calibration_file(folder).cameras) == ["cam00", "cam01", "cam02"]
+
+
+@pytest.mark.parametrize(("scale", "reason"), [(2.0, "K is of about 128 x 96 images"), (1 / WIDTH, "fractions of the side")])
+@pytest.mark.parametrize("kind", ["opencv", "anipose"])
+def test_a_K_of_other_images_is_told_from_its_principal_point(kind, scale, reason, tmp_path):
+    """Where the file names no size; fractions of the side in any file."""
+    camera = read_calibration_file(FORMATS[kind](tmp_path)).cameras["cam00"]
+    K = np.array([[camera.K[0, 0], 0, scale * WIDTH / 2], [0, camera.K[1, 1], scale * HEIGHT / 2], [0, 0, 1]])
+    with refused(CameraError, reason, f"{WIDTH} x {HEIGHT}"):
+        replace(camera, K=K, size=None).lens((WIDTH, HEIGHT))

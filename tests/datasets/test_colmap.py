@@ -320,3 +320,48 @@ def test_real_capture():
     assert half.cameras[0].focal_px == pytest.approx(729, abs=1)
     nearest = 0.8 * 7.7, 0.8 * 10.9
     assert all(nearest[0] * 0.99 < camera.near < nearest[1] * 1.01 for camera in capture.cameras)
+
+
+def without_points(file: Path, to: Path) -> None:
+    """The rows of images alone, as programs write them that know of no points, one below the other."""
+    to.write_text("".join(f"{row}\n" for row in file.read_text().splitlines()[::2]))
+
+
+def test_rows_of_images_without_rows_of_points(colmap):
+    """All cameras with their poses, and no camera is called unregistered."""
+    whole = open_capture(colmap)
+    file = colmap / "sparse" / "0" / "images.txt"
+    without_points(file, file)
+    capture = open_capture(colmap)
+    assert capture.camera_names == whole.camera_names
+    assert all(np.array_equal(a.world_to_camera, b.world_to_camera) for a, b in zip(capture.cameras, whole.cameras, strict=True))
+    assert not any("not registered" in note for note in capture.notes)
+
+
+def test_of_several_models_that_of_most_images_is_taken(colmap):
+    """The mapper leaves the others in folders of their own; they are noted."""
+    shutil.move(colmap / "sparse" / "0", colmap / "sparse" / "1")
+    write_colmap_model(colmap / "sparse" / "0", ["cam00.png", "cam01.png"])
+    capture = open_capture(colmap)
+    assert capture.camera_names == NAMES
+    assert "sparse/1 is taken, the model of most images (4); not read: sparse/0 (2)" in capture.notes
+
+
+def test_a_model_in_the_folder_itself(colmap):
+    """Its files beside images/."""
+    whole = open_capture(colmap)
+    for file in (colmap / "sparse" / "0").iterdir():
+        shutil.move(file, colmap / file.name)
+    shutil.rmtree(colmap / "sparse")
+    assert [camera.K.tolist() for camera in open_capture(colmap).cameras] == [camera.K.tolist() for camera in whole.cameras]
+
+
+def test_smaller_pictures_alone(colmap):
+    """images_4/ without images/: K is that of these."""
+    for index, name in enumerate(NAMES):
+        write_image(colmap / "images_4" / f"{name}.png", make_image(index, 0, 16, 12))
+    K = open_capture(colmap).cameras[0].K
+    shutil.rmtree(colmap / "images")
+    small = open_capture(colmap).cameras[0]
+    assert small.size == (16, 12)
+    assert small.K[:2] == pytest.approx(K[:2] / 4)

@@ -200,11 +200,11 @@ def test_a_variable_frame_rate_is_said(tmp_path):
 
     for index, name in enumerate(NAMES):
         images = [make_image(index, frame) for frame in range(N_FRAMES)]
-        write_timed_video(folder / f"{name}.mp4", images, (0, 20, 40, 100, 120) if index else (0, 30, 60, 90, 120))
+        write_timed_video(folder / f"{name}.mp4", images, (0, 24, 52, 98, 120) if index else (0, 30, 60, 90, 120))
 
     assert open_capture(folder).notes == (
-        "variable frame rate in cam01 (33.3 to 100.0 ms), cam02 (33.3 to 100.0 ms), cam03 (33.3 to 100.0 ms): "
-        "frame t of each camera is taken as one instant, whatever its time; their times lie up to 33.3 ms apart",
+        "variable frame rate in cam01 (36.7 to 76.7 ms), cam02 (36.7 to 76.7 ms), cam03 (36.7 to 76.7 ms): "
+        "frame t of each camera is taken as one instant, whatever its time; their times lie up to 13.3 ms apart",
     )
 
 
@@ -231,7 +231,7 @@ def test_frames_that_are_no_rgb_are_said(tmp_path):
         (lambda file: file.with_suffix(".webp"), "gaps between 0 and 2, and 1 .webp pictures, which are not read: convert them"),
         (
             lambda file: file.with_name("other0002.png"),
-            "several with the number 2 (0002.png and other0002.png); keep one of them",
+            "several with the number 2 (0002.png and other0002.png); give each a number",
         ),
     ],
 )

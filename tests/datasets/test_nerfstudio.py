@@ -103,7 +103,7 @@ def changed_frame(**changes: Any) -> list[dict[str, Any]]:
     return frames
 
 
-SCALED = (np.array(transforms()["frames"][1]["transform_matrix"]) @ np.diag([1.5, 1.5, 1.5, 1.0])).tolist()
+SCALED = (np.array(transforms()["frames"][1]["transform_matrix"]) @ np.diag([1.5, 1.5, 1.4, 1.0])).tolist()
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ SCALED = (np.array(transforms()["frames"][1]["transform_matrix"]) @ np.diag([1.5
         ({"frames": changed_frame(transform_matrix=[[1, 0], [0]])}, "wanted frames with poses and intrinsics"),
         ({"frames": changed_frame(transform_matrix=np.eye(3).tolist())}, "images/cam01.png is not 4 x 4 finite numbers"),
         ({"frames": changed_frame(transform_matrix=[[float("nan")] * 4] * 4)}, "is not 4 x 4 finite numbers"),
-        ({"frames": changed_frame(transform_matrix=SCALED)}, "is not rigid (axes of length 1.5, 1.5, 1.5"),
+        ({"frames": changed_frame(transform_matrix=SCALED)}, "is not rigid (axes of length 1.5, 1.5, 1.4"),
         ({"frames": changed_frame(transform_matrix=np.zeros((4, 4)).tolist())}, "is not rigid (axes of length 0, 0, 0"),
         (
             {"frames": changed_frame(transform_matrix=np.diag([1, 1, -1, 1.0]).tolist())},
@@ -179,3 +179,32 @@ def test_bytes_that_are_no_text(tmp_path):
     folder = write_nerfstudio(tmp_path / "scene")
     (folder / "transforms.json").write_bytes(json.dumps({**transforms(), "by": "Jürgen"}, ensure_ascii=False).encode("latin-1"))
     assert "transforms.json: wanted frames" in refusal(folder)
+
+
+def test_axes_of_one_length_are_brought_to_one(tmp_path):
+    """Blender's camera with a scale: places as they are, with a note; axes of different lengths stay refused."""
+    values = transforms()
+    for frame in values["frames"]:
+        frame["transform_matrix"] = (np.array(frame["transform_matrix"]) @ np.diag([0.02, 0.02, 0.02, 1.0])).tolist()
+    read = open_capture(write_nerfstudio(tmp_path / "scene", values))
+    for camera, truth in zip(read.cameras, make_rig(), strict=True):
+        np.testing.assert_allclose(camera.world_to_camera, truth.world_to_camera, atol=1e-12)
+    assert any("have the length 0.02: brought to 1" in note for note in read.notes)
+
+    values["frames"][0]["transform_matrix"] = (np.array(values["frames"][0]["transform_matrix"]) @ np.diag([2, 1, 1, 1])).tolist()
+    assert "is not rigid (axes of length 0.04, 0.02, 0.02" in refusal(write_nerfstudio(tmp_path / "other", values))
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"w": None, "h": None, "cx": 64.0, "cy": 48.0}, "K is of about 128 x 96 images"),
+        ({"cx": 0.5, "cy": 0.5}, "fractions of the side"),
+    ],
+    ids=["no size", "fractions"],
+)
+def test_intrinsics_of_other_pictures_are_named(tmp_path, changes, reason):
+    """Whose principal point says so; coefficients of 0 are not blamed."""
+    message = refusal(rewritten(tmp_path / "scene", **changes))
+    assert reason in message
+    assert "coefficients" not in message

@@ -244,3 +244,23 @@ def test_a_trimmed_video_has_the_frames_that_it_shows(group, first, tmp_path):
     assert frame_numbers(video.frames(0, video.n_frames)) == shown
     for start in (0, 1, 5, video.n_frames - 1):
         assert frame_numbers(video.frames(start, start + 1)) == [shown[start]]
+
+
+def test_interlaced_video_is_told(tmp_path):
+    """By the order of fields in its stream, and a plain one is not."""
+    import av
+
+    write_video(tmp_path / "plain.mp4", [np.full((48, 64, 3), 90, np.uint8)] * 2, 25)
+    with av.open(str(tmp_path / "woven.mp4"), "w") as container:
+        stream = container.add_stream(
+            "libx264", rate=25, options={"flags": "+ildct+ilme", "field_order": "tt", "x264-params": "tff=1"}
+        )
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for level in (40, 90, 140):
+            woven = np.full((48, 64, 3), level, np.uint8)
+            woven[1::2] += 25
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(woven, format="rgb24")))
+        container.mux(stream.encode())
+
+    assert VideoFrames(tmp_path / "woven.mp4").interlaced
+    assert not VideoFrames(tmp_path / "plain.mp4").interlaced

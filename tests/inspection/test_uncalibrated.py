@@ -1,8 +1,14 @@
 """Videos that have no poses yet: what frames alone tell, and which command comes next."""
 
+import pytest
+
+from ggvs_eval.datasets.camera_frames import find_rig_frames
+from ggvs_eval.datasets.unread_files import file_marks
+from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.inspection.capture.check import QUESTIONS, check_capture
 from helpers.captures import FPS, N_FRAMES, make_image, write_folders, write_videos
+from helpers.refusals import refused
 
 
 def test_frames_are_checked_and_the_rest_waits(tmp_path):
@@ -43,3 +49,60 @@ def test_one_video_is_no_rig(tmp_path):
     check = check_capture(tmp_path / "table")
     assert check.findings[0].question == "opens"
     assert "wanted a capture in a known layout" in check.findings[0].measured
+
+
+MARKED = {
+    "cameras.xml": '<?xml version="1.0"?>\n<document version="2.0.0">\n<chunk label="Chunk 1">\n</chunk></document>',
+    "cameras.csv": "#name,x,y,alt,heading,pitch,roll\ncam00.jpg,0,0,0,0,0,0",
+    "bundle.out": "# Bundle file v0.3\n4 0\n60 0 0",
+    "camchain.yaml": "cam0:\n  rostopic: /cam0\ncam1:\n  T_cn_cnm1: []",
+    "calibration.json": '{"CalibrationInformation": {"Cameras": []}}',
+    "session.xcp": '<?xml version="1.0"?>\n<Cameras SOURCE="Nexus"></Cameras>',
+    "calib.json": '{"model": {"polymorphic_name": "libCalib::CameraModelOpenCV"}}',
+    "cameras_sphere.npz": "PK world_mat_0.npy",
+    "Demo.json": '{"cameras": [{"Principle_point": [32, 24], "Depth_range": [1, 9]}]}',
+    "traj.txt": "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1",
+    "lowres_wide.traj": "307.5 0 0 0 0 0 0",
+    "keyframes/cameras/1664481236000.json": '{"fx": 60, "t_00": 1}',
+    "SN12345678.conf": "[LEFT_CAM_HD]\nfx=60",
+    "mv_images/00000/cam01.jpg": "a picture",
+    "rig.json": '{"intrinsics": [1]}',
+}
+
+
+@pytest.mark.parametrize("name", MARKED)
+def test_calibrations_that_are_not_read_are_named_first(name, tmp_path):
+    """Beside videos: not usable, and the message begins with the file."""
+    write_videos(tmp_path / "table")
+    (tmp_path / "table" / name).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / "table" / name).write_text(MARKED[name])
+    check = check_capture(tmp_path / "table")
+    assert not check.is_usable
+    (finding,) = check.of("opens")
+    assert f"table: {name} is there: " in finding.measured
+
+
+def test_every_mark_is_tried_here():
+    """A row of the table without a case above would be data that nothing holds."""
+    assert len(file_marks()) <= len(MARKED) + 1  # Vicon's has two rows
+
+
+def test_a_name_that_says_cameras_is_noted(tmp_path):
+    """An unknown form with a telling name is no fault, and is not passed over in silence; our own report is."""
+    write_videos(tmp_path / "table")
+    (tmp_path / "table" / "rig_calib_final.bin").write_bytes(b"?")
+    (tmp_path / "table" / "calibration.json").write_text('{"registered": 4, "mean_reprojection_error_px": 0.3}')
+    check = check_capture(tmp_path / "table")
+    assert check.is_usable
+    assert "rig_calib_final.bin is there and is not read" in check.of("frames")[0].measured
+    assert "calibration.json" not in check.of("frames")[0].measured
+
+
+def test_chapters_of_one_recording_are_no_cameras(tmp_path):
+    """GoPro's names: refused with the way to join them."""
+    write_videos(tmp_path / "table", ("GX010001", "GX020001", "GX010002", "GX020002"))
+    check = check_capture(tmp_path / "table")
+    assert not check.is_usable
+    assert "chapters of one recording: GX010001 and GX020001; GX010002 and GX020002" in check.of("opens")[0].measured
+    with refused(CaptureError, "chapters of one recording", "concat"):
+        find_rig_frames(tmp_path / "table")

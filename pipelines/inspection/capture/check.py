@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,11 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import calibration_mark, detect_layout, open_capture
 from ggvs_eval.datasets.assemble import assemble_capture
-from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
+from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames, refuse_chapters
 from ggvs_eval.datasets.units import GivenUnits, Units
+from ggvs_eval.datasets.unread_files import unread_note
 from ggvs_eval.errors import CaptureError, GgvsError
+from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_files
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.inspection.capture import (
     colour,
@@ -285,11 +287,13 @@ def open_uncalibrated(path: Path) -> Capture | None:
             raise
     else:
         return None
+    refuse_chapters(path, [file.stem for file in list_files(path, VIDEO_SUFFIXES)] if path.is_dir() else [])
     try:
         files = find_rig_frames(path)
     except CaptureError:
         return None
-    return uncalibrated_capture(path, files)
+    capture = uncalibrated_capture(path, files)
+    return replace(capture, notes=(*capture.notes, *unread_note(path)))
 
 
 def uncalibrated_capture(path: Path, files: Mapping[str, CameraFrames]) -> Capture:

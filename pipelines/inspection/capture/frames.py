@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.capture import Capture, source_chain
-from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.files.video import DEINTERLACE, VideoFrames
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 
@@ -47,6 +48,17 @@ def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Fin
         measured += f"; levels of {', '.join(list(hdr)[:LISTED])}{', ...' * (len(hdr) > LISTED)} are {next(iter(hdr.values()))}"
         measured += " (high dynamic range), not those of a display, which metrics need"
         advice.append(f"convert these videos: {TO_SDR}")
+    inner = {name: list(source_chain(source))[-1] for name, source in zip(capture.camera_names, capture.sources, strict=True)}
+    if woven := [name for name, video in inner.items() if isinstance(video, VideoFrames) and video.interlaced]:
+        values["interlaced"] = woven
+        advice.append(f"part the fields of each of these videos: {DEINTERLACE}")
+    profiles = {name: each.profiles if isinstance(each, ImageFrames) else () for name, each in inner.items()}
+    if len(set(profiles.values())) > 1:
+        values["profiles"] = {name: list(each) for name, each in profiles.items()}
+        measured += "; colour profiles differ: " + ", ".join(
+            f"{name} {' '.join(each) or 'sRGB'}" for name, each in profiles.items()
+        )
+        advice.append("convert the pictures to sRGB (magick mogrify -profile sRGB.icc FILES); a gain cannot correct a profile")
     return (
         Finding(RIG, FRAMES, "warn" if advice else "ok", measured, values, "; ".join(advice)),
         *(_evaluate_damage(record, capture.n_frames) for record in records),
