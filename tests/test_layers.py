@@ -49,7 +49,10 @@ FLOORS = (
     ("pipelines.commands",),
     ("__main__", "install"),
     # What the package can do without, each part by itself; training alone stands on two others.
-    ("contrib.cluster", "contrib.export", "contrib.more_baselines", "contrib.more_metrics", "contrib.study", "contrib.warp"),
+    (
+        *("contrib.cluster", "contrib.export", "contrib.more_baselines", "contrib.more_metrics", "contrib.study"),
+        *("contrib.warp", "contrib.what_if"),
+    ),
     ("contrib.worlds.room",),
     ("contrib.worlds.film",),
     ("contrib.worlds.layouts",),
