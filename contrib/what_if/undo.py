@@ -254,7 +254,7 @@ def find_gain(views: Mapping[str, ViewFrames]) -> float | None:
     if len(views) < FEWEST_VIEWS or min(len(curve) for curve in curves) < FEWEST_LEVELS:
         return None
     gains = np.array([float(np.median(curve[:, 1] / curve[:, 0])) for curve in curves])
-    haze_255 = float(np.median([np.polyfit(*curve.T, 1)[1] for curve in curves]))
+    haze_255 = float(np.median([np.polyfit(curve[:, 0], curve[:, 1], 1)[1] for curve in curves]))
     gain = float(np.median(gains))
     if abs(gain - 1) < LEAST_GAIN or np.ptp(gains) > GAIN_SPREAD or abs(haze_255) > LARGEST_HAZE_255:
         return None

@@ -127,7 +127,8 @@ def what_if(
             )
             scored = score_view(pairs, metrics, options)
             not_computed |= scored.not_computed
-            table += [(PLACE, PLACE, str(number), "", name, shared[at], metric, value) for metric, at, value in scored.values]
+            values = [(shared[at], metric, value) for metric, at, value in scored.values if at is not None]
+            table += [(PLACE, PLACE, str(number), "", name, *one) for one in values]
     results = Results(make_table(table), {"protocol_sha256": "", "pooling": pooling_records(metrics, options)})
     there = [metric for metric in metrics if metric not in not_computed]
     rows = tuple(_row(results, number, one, there) for number, one in enumerate(treatments))
@@ -157,7 +158,7 @@ def _treatments(undos: Sequence[Undo]) -> list[_Treatment]:
 
 def _row(results: Results, number: int, treatment: _Treatment, metrics: Sequence[str]) -> Row:
     summary = results.summary()
-    values = {metric: float(summary.loc[(PLACE, str(number), ""), metric]) for metric in metrics}
+    values = {metric: float(summary[metric].to_numpy()[number]) for metric in metrics}
     scores = {
         metric: Score(value, compare(results, metric, str(number), "0", PLACE) if number else None)
         for metric, value in values.items()
@@ -210,7 +211,7 @@ def what_if_text(label: str, found: WhatIf) -> str:
         [
             f"{label}: no result, but what it would score if. Estimated on {where}, scored on {as_ranges(list(found.scored_on))} "
             f"of {found.views} views, {found.border_px} px cut off at each side{stays}",
-            text_table({"frames": 2, **dict.fromkeys(metrics, 1)}, lines),
+            text_table({"frames": 1, **dict.fromkeys(metrics, 0)}, lines),
             f"in brackets the difference to the first row and its 95 % interval{rounding if rounding[-2:] != ': ' else ''}",
             *([f"note: {max(notes, key=len)}"] if notes else []),
             *(f"{metric}: {reason}" for metric, reason in found.not_computed.items()),

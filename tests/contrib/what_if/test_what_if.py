@@ -136,11 +136,11 @@ def test_a_fault_undone_gives_back_the_score(planted, soft, truth):
 
 def test_what_is_interpolated_is_also_undone_on_the_side_of_the_truth(soft, truth):
     """A shift by part of a pixel has a row in which the truth moves the other way, a whole pixel has none."""
-    part, whole = (examined(views_of(soft, truth, moved(x, 0))) for x in (0.4, 1))
+    part, whole = (examined(views_of(soft, truth, moved(x, 0))) for x in (0.3, 1))
 
     assert [row.words[: len("the truth")] for row in part.rows[1:]] == ["moved by ", "the truth"]
     assert part.rows[1].words.endswith(" px (likely)")
-    assert "(+0.4" in part.rows[2].words
+    assert part.rows[2].words.startswith("the truth moved by (+0.3")
     assert part.rows[2].scores["PSNR"].value == pytest.approx(unspoilt_psnr(soft, truth, part), abs=0.5)
     assert len(whole.rows) == 2
 
