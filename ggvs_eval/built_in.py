@@ -105,6 +105,12 @@ VERBS: dict[str, Verb] = {
         EVALUATE,
         "my_renders --capture my_capture --protocol mine.toml",
     ),
+    "what-if": Verb(
+        "ggvs_eval.contrib.what_if.command:what_if",
+        "Score rendered frames again with each fault that doctor finds undone.",
+        EVALUATE,
+        "my_renders --capture my_capture --protocol mine.toml",
+    ),
     "explain": Verb(
         f"{VERBS_ROOM}.renders:explain",
         "Find the metric conventions that give a quoted number.",

@@ -25,6 +25,7 @@ ASKED = {
     "more_metrics": ("explain OUT vmaf 90", "vmaf is part of"),
     "study": ("metric-study OUT", "metric-study is part of"),
     "training": ("train blend OUT", "train is part of"),
+    "what_if": ("what-if MINE --capture ROOM", "what-if is part of"),
     "worlds": ("demo OUT --seed 3", "film is part of"),
 }
 # In a checkout an editable install would find again what was taken away.

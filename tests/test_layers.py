@@ -57,6 +57,7 @@ FLOORS = (
         "contrib.more_metrics",
         "contrib.study",
         "contrib.warp",
+        "contrib.what_if",
     ),
     ("contrib.worlds.room",),
     ("contrib.worlds.film",),

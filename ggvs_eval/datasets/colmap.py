@@ -56,7 +56,7 @@ def load_colmap(path: Path, units: GivenUnits) -> Capture:
 
 
 def find_model(path: Path) -> Path | None:
-    """Return the folder of the first sparse model below a capture, or in it; of several that a mapper left, that of most images."""
+    """Return the folder of the first sparse model in or below a capture; of several by a mapper that of most images."""
     models = [folder for name in MODEL_FOLDERS for folder in _numbered_models(path / name) if _holds(folder)]
     if not models:
         return path if _holds(path) and any((path / f"images.{kind}").is_file() for kind in ("bin", "txt")) else None

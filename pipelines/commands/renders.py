@@ -53,7 +53,7 @@ def doctor(
     from ggvs_eval.pipelines.run.references import find_seen_views
 
     certain = False
-    with _rendered(renders, capture, protocol, run, first_frame, reading, jobs) as (folder, labels):
+    with open_renders(renders, capture, protocol, run, first_frame, reading, jobs) as (folder, labels):
         for label in labels:
             views = views_of_run(folder, label)
             findings = [*examine(views, cameras_of_run(folder)), *find_seen_views(folder, label)]
@@ -97,7 +97,7 @@ def explain(
 
     metric_family(metric)  # a mistyped name or number shows before anything is read
     printed(quoted)
-    with _rendered(renders, capture, protocol, run, first_frame, reading, jobs) as (folder, labels):
+    with open_renders(renders, capture, protocol, run, first_frame, reading, jobs) as (folder, labels):
         if method is None and len(labels) != 1:
             raise RenderError(f"{folder.root}: wanted one method, got {', '.join(labels)}; name one with --method")
         views = views_of_run(folder, method or labels[0], as_measured=True)
@@ -146,7 +146,7 @@ def steadiness(
 
 
 @contextmanager
-def _rendered(
+def open_renders(
     renders: Path,
     capture: Path | None,
     protocol: str | None,

@@ -246,7 +246,7 @@ def test_entries_that_are_not_read_are_named(kind, tmp_path):
     whole = file.read_text()
 
     with_line(file, other)
-    assert any("humidity not known here, passed over" in note for note in open_capture(folder).notes)
+    assert any("humidity unknown here, ignored" in note for note in open_capture(folder).notes)
     file.write_text(whole)
     with_line(file, of_lens)
     with refused(CaptureError, file.name, re.split("[ =:]", of_lens)[0], "belongs to the lens"):

@@ -149,7 +149,7 @@ def test_keys_that_nobody_knows_are_named(tmp_path):
     """A key that is neither used nor harmless is a note, once; harmless ones are none."""
     capture = open_capture(changed(tmp_path / "scene", aabb_scale=16, rolling_shutter_time=0.03))
     assert [note for note in capture.notes if "not known" in note] == [
-        "transforms.json: rolling_shutter_time not known here, passed over"
+        "transforms.json: rolling_shutter_time unknown here, ignored"
     ]
 
 

@@ -262,6 +262,6 @@ def _evaluate(
         view = view.with_truth(cameras[camera].read)
     if axes := MIRRORS[mirror]:
         advice = "flip the frames before writing, or correct the sign of the camera's axes"
-        findings.append(Finding(name, "mirrored", verdict, f"{mirror}: {shown}", values, advice))
+        findings.append(Finding(name, "mirrored", verdict, f"{mirror}: {shown}", {**values, "axes": axes}, advice))
         view = view.with_rendered(lambda image: np.ascontiguousarray(np.flip(image, axes)))
     return findings, view

@@ -71,7 +71,7 @@ def find_channel_order(name: str, view: ViewFrames, sample: Sample) -> tuple[lis
     )
     advice = "convert before writing: OpenCV reads and writes BGR" if came == "BGR" else "reorder the channels before writing"
     verdict = verdict_of(ratio < CERTAIN_ORDER)
-    finding = Finding(name, "channel order", verdict, measured, values, advice)
+    finding = Finding(name, "channel order", verdict, measured, {**values, "order": order}, advice)
     return [finding], view.with_rendered(lambda image: np.ascontiguousarray(image[..., list(order)]))
 
 

@@ -1,0 +1,252 @@
+"""A fault of handling undone gives back the score of the unspoilt frames; where nothing was wrong nothing is gained."""
+
+import json
+from collections.abc import Callable, Mapping
+
+import cv2
+import numpy as np
+import pytest
+
+from ggvs_eval.contrib.what_if.undo import LEAST_GAIN, find_gain
+from ggvs_eval.contrib.what_if.what_if import HONEST, Row, WhatIf, what_if, what_if_text
+from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.film.options import DemoOptions
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.errors import MetricError, RenderError
+from ggvs_eval.metrics import score_view
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
+from ggvs_eval.protocol import Frames, Measurement
+from helpers.planted_renders import Spoil, each_picture, moved, quantised, reversed_time, tone
+from helpers.refusals import refused
+from helpers.run_folders import RunShape, write_run
+
+pytestmark = pytest.mark.slow
+
+N_FRAMES = 12
+FRAMES = range(N_FRAMES)
+SIZE = 192, 144
+ROUNDING = 1e-9  # of means: the frames are equal
+AS_IS = Measurement()
+Renders = dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory) -> Renders:
+    """What four cameras see without noise, each (T, H, W, 3)."""
+    options = DemoOptions(
+        width=SIZE[0],
+        height=SIZE[1],
+        n_frames=N_FRAMES,
+        cameras_per_row=2,
+        path_poses=0,
+        depth_stride=0,
+        supersampling=1,
+        noise_sigma_255=0,
+        crf=0,
+    )
+    capture = open_capture(write_demo(tmp_path_factory.mktemp("what_if") / "demo", options, workers=1))
+    return {name: np.stack(list(capture.frames(name, 0, N_FRAMES))) for name in capture.camera_names}
+
+
+@pytest.fixture(scope="module")
+def truth(filmed) -> Renders:
+    """Captured frames: what the cameras see, with their noise."""
+    rng = np.random.default_rng(8)
+    return {name: quantised(frames + rng.normal(0, 1.5, frames.shape)) for name, frames in filmed.items()}
+
+
+@pytest.fixture(scope="module")
+def soft(filmed) -> Renders:
+    """Renders of a method that blurs, and has noise of its own."""
+    rng = np.random.default_rng(3)
+    blurred = {name: np.stack([cv2.GaussianBlur(f, (0, 0), 1.2) for f in frames]) for name, frames in filmed.items()}
+    return {name: quantised(frames + rng.normal(0, 1, frames.shape)) for name, frames in blurred.items()}
+
+
+def views_of(
+    rendered: Mapping[str, np.ndarray], truth: Renders, spoil: Spoil = lambda view: view.rendered
+) -> dict[str, ViewFrames]:
+    views = {name: ViewFrames(frames.__getitem__, truth[name].__getitem__, FRAMES) for name, frames in rendered.items()}
+    return {name: ViewFrames(spoil(view), view.truth, FRAMES) for name, view in views.items()}
+
+
+def late(view: ViewFrames) -> Callable[[int], np.ndarray]:
+    """Every frame shows the instant before."""
+    return lambda index: view.rendered(max(index - 1, 0))
+
+
+def examined(views: dict[str, ViewFrames], metrics: tuple[str, ...] = ("PSNR",)) -> WhatIf:
+    return what_if(views, {}, AS_IS, metrics)
+
+
+def unspoilt_psnr(rendered: Renders, truth: Renders, found: WhatIf) -> float:
+    """PSNR of the frames before they were spoilt, on the same instants and within the same border."""
+    inner = slice(found.border_px, SIZE[1] - found.border_px), slice(found.border_px, SIZE[0] - found.border_px)
+    scored = [
+        score_view([(rendered[name][i][inner], truth[name][i][inner]) for i in found.scored_on], ["PSNR"]).values
+        for name in truth
+    ]
+    return float(np.mean([np.mean([value for _, _, value in values]) for values in scored]))
+
+
+def faults(found: WhatIf) -> list[str]:
+    return list(dict.fromkeys(fault for row in found.rows for fault in row.faults))
+
+
+def best(found: WhatIf) -> Row:
+    return max(found.rows, key=lambda row: row.scores["PSNR"].value)
+
+
+PLANTED: dict[str, tuple[str, Spoil, float]] = {
+    "shift (.4, .2)": ("shift", moved(0.4, 0.2), 0.1),
+    "focal length + 1 %": ("focal length", moved(0, 0, 1.01), 0.1),
+    "gain 1.03": ("gain", tone(lambda level: 1.03 * level), 0.1),
+    "gamma 1.2": ("tone curve", tone(lambda level: level**1.2), 0.1),
+    "studio range": ("value range", tone(lambda level: (16 + 219 * level) / 255), 0.1),
+    "one frame late": ("frame offset", late, 0),
+    "last frame first": ("reversed time", reversed_time, 0),
+    "BGR": ("channel order", each_picture(lambda image: image[..., ::-1]), 0),
+    "GBR": ("channel order", each_picture(lambda image: image[..., [1, 2, 0]]), 0),
+    "upside down": ("mirrored", each_picture(lambda image: image[::-1]), 0),
+    "one pixel": ("shift", moved(1, 0), 0),
+}
+
+
+@pytest.mark.parametrize("planted", PLANTED)
+def test_a_fault_undone_gives_back_the_score(planted, soft, truth):
+    """The row of the fault has the unspoilt score, bit for bit where nothing is interpolated, and the gain is beyond doubt."""
+    fault, spoil, most_db = PLANTED[planted]
+    found = examined(views_of(soft, truth, spoil))
+    honest, mended = found.rows[0], found.rows[1]
+    wanted = unspoilt_psnr(soft, truth, found)
+
+    assert faults(found) == [fault]
+    assert (honest.words, mended.exact) == (HONEST, most_db == 0)
+    assert not set(found.estimated_on) & set(found.scored_on)
+    assert mended.scores["PSNR"].value == pytest.approx(wanted, abs=most_db or ROUNDING)
+    gain = mended.scores["PSNR"].gain
+    assert gain is not None
+    assert gain.difference == pytest.approx(mended.scores["PSNR"].value - honest.scores["PSNR"].value, abs=ROUNDING)
+    assert gain.difference > 0
+    if fault != "frame offset":  # what moves is a small part of the picture, and the frames are few
+        assert gain.low is not None
+        assert gain.low > 0
+
+
+def test_what_is_interpolated_is_also_undone_on_the_side_of_the_truth(soft, truth):
+    """A shift by part of a pixel has a row in which the truth moves the other way, a whole pixel has none."""
+    part, whole = (examined(views_of(soft, truth, moved(x, 0))) for x in (0.3, 1))
+
+    assert [row.words[: len("the truth")] for row in part.rows[1:]] == ["moved by ", "the truth"]
+    assert part.rows[1].words.endswith(" px (likely)")
+    assert part.rows[2].words.startswith("the truth moved by (+0.3")
+    assert part.rows[2].scores["PSNR"].value == pytest.approx(unspoilt_psnr(soft, truth, part), abs=0.5)
+    assert len(whole.rows) == 2
+
+
+def test_several_faults_have_a_row_each_and_one_together(soft, truth):
+    """Only all of them together give back the score; each alone is shown, too."""
+    both = lambda view: late(ViewFrames(each_picture(lambda image: image[..., ::-1])(view), view.truth, FRAMES))  # noqa: E731
+    found = examined(views_of(soft, truth, both))
+
+    assert [row.faults for row in found.rows] == [(), ("frame offset",), ("channel order",), ("frame offset", "channel order")]
+    assert best(found) is found.rows[-1]
+    assert best(found).scores["PSNR"].value == pytest.approx(unspoilt_psnr(soft, truth, found), abs=ROUNDING)
+
+
+def test_a_fault_of_one_view_is_undone_there_alone(soft, truth):
+    """The other views keep their frames, and the words say so."""
+    name = next(iter(truth))
+    views = views_of(soft, truth)
+    found = examined(views | {name: views_of({name: soft[name]}, truth, each_picture(lambda image: image[..., ::-1]))[name]})
+
+    assert found.rows[1].words == "channels read as BGR, in 1 of 4 views (certain)"
+    assert found.rows[1].scores["PSNR"].value == pytest.approx(unspoilt_psnr(soft, truth, found), abs=ROUNDING)
+
+
+def hazy(frames: np.ndarray, _: np.random.Generator) -> np.ndarray:
+    return quantised(0.85 * frames + 9)
+
+
+def in_false_colours(frames: np.ndarray, _: np.random.Generator) -> np.ndarray:
+    return quantised(frames * (0.94, 1.0, 1.06))
+
+
+def grainy(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return quantised(frames + rng.normal(0, 6, frames.shape))
+
+
+def by_wrong_depth(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]].astype(np.float32)
+    shifts = [cv2.resize(rng.normal(0, 1, (9, 12)).astype(np.float32), SIZE, interpolation=cv2.INTER_CUBIC) for _ in "xy"]
+    return np.stack([cv2.remap(f, x + shifts[0] - shifts[0].mean(), y + shifts[1] - shifts[1].mean(), 1) for f in frames])
+
+
+@pytest.mark.parametrize("render", [hazy, in_false_colours, grainy, by_wrong_depth])
+def test_honest_renders_have_no_row(render, soft, truth):
+    """Haze, casts, noise and wrong depth are the method's own; one line says that nothing was found."""
+    rng = np.random.default_rng(5)
+    found = examined(views_of({name: render(frames, rng) for name, frames in soft.items()}, truth))
+
+    assert found.rows == ()
+    assert what_if_text("mine", found) == "mine: no fault found that can be undone, in frames 3-8 of 4 views"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_gains_nothing(seed, filmed, truth):
+    """A gain fitted to noise is next to none, and a row of a shift that does not hold in the other frames gains under .02 dB."""
+    rng = np.random.default_rng(seed)
+    views = views_of({name: grainy(frames, rng) for name, frames in filmed.items()}, truth)
+    found = examined(views)
+    gains = [row.scores["PSNR"].gain.difference for row in found.rows[1:] if row.scores["PSNR"].gain]
+
+    assert max(gains, default=0.0) < 0.02
+    assert find_gain(views) is None
+
+
+def test_a_gain_needs_every_channel_of_every_view(soft, truth):
+    """One view that is brighter than the others, or a single view, may be the camera's exposure."""
+    name = next(iter(truth))
+    brighter = {each: quantised(1.05 * frames) for each, frames in soft.items()}
+
+    assert find_gain(views_of(brighter, truth)) == pytest.approx(1.05, abs=LEAST_GAIN / 5)
+    assert find_gain(views_of({name: brighter[name]}, truth)) is None
+    assert find_gain(views_of(soft | {name: brighter[name]}, truth)) is None
+
+
+def test_too_few_frames_and_metrics_of_whole_clips_are_refused(soft, truth):
+    """Seven frames have no two halves that say anything; TCC, SDT and corrected colours are not of single frames."""
+    short = {name: ViewFrames(view.rendered, view.truth, range(7)) for name, view in views_of(soft, truth).items()}
+    with refused(RenderError, "8 frames", "got 7"):
+        examined(short)
+    for metric in ("TCC", "SDT", "PSNR_cc", "PSNR_moving"):
+        with refused(MetricError, "single frames", metric):
+            examined(views_of(soft, truth), (metric,))
+
+
+def test_the_command_prints_rows_and_writes_them(tmp_path, soft, truth, capsys):
+    """`ggvs-eval what-if RUN` prints each method's rows; the run folder stays as it is and the JSON file has the numbers."""
+    spoil = each_picture(lambda image: image[..., ::-1])
+    views = tuple(truth)
+    shape = RunShape(
+        views=views, frames=Frames(0, N_FRAMES), labels=("mine",), names=(("mine", "mine"),), width=SIZE[0], height=SIZE[1]
+    )
+    spoilt = views_of(soft, truth, spoil)
+
+    def paint(label: str, view: str, index: int) -> np.ndarray:
+        if view == "path":
+            return truth[views[0]][0]
+        return truth[view][index] if label == "truth" else spoilt[view].rendered(index)
+
+    run = write_run(tmp_path / "run", shape, paint)
+    before = {file: file.read_bytes() for file in run.rglob("*") if file.is_file()}
+    run_command(["what-if", str(run), "--metrics", "PSNR", "SSIM", "--out", str(tmp_path / "rows.json")])
+    printed = capsys.readouterr().out
+    rows = json.loads((tmp_path / "rows.json").read_text(encoding="utf-8"))["mine"]["rows"]
+
+    assert "channels read as BGR (certain)" in printed
+    assert "as handed in" in printed
+    assert [row["faults"] for row in rows] == [[], ["channel order"]]
+    assert f"{rows[1]['scores']['PSNR']['value']:.2f} (+" in printed
+    assert {file: file.read_bytes() for file in run.rglob("*") if file.is_file()} == before
