@@ -22,7 +22,7 @@ from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 
 METRICS = ("PSNR", "SSIM", "LPIPS")
 DECIMALS = {"PSNR": 2, "SSIM": 3, "LPIPS": 3}
-OURS, BLENDED = "ours", "ours-geometric"
+OURS = "ours"
 WAYS: dict[WayName, str] = {
     "mvsnerf": "MVSNeRF's notebook: both at 960 x 640, central 80 %",
     "enerf": "central 80 %",
@@ -76,7 +76,7 @@ def means_table(scenes: Mapping[str, Mapping[WayName, Scores]], titles: Mapping[
     """Yield the means over the test views of each scene, PSNR / SSIM / LPIPS, and what is published by the same way."""
     labels = list(titles)
     yield f"| scene | measured as | {' | '.join(titles[label] for label in labels)} | published |"
-    yield "| --- |" * 2 + " --- |" * (len(labels) + 1)
+    yield "|" + " --- |" * (len(labels) + 3)
     for scene, ways in scenes.items():
         for way, scores in ways.items():
             cells = [_cell(scores[label]) if label in scores else "not run" for label in labels]
@@ -90,10 +90,10 @@ def _cell(values: Mapping[str, np.ndarray]) -> str:
 
 
 def differences_table(scenes: Mapping[str, Mapping[WayName, Scores]], titles: Mapping[str, str]) -> Iterator[str]:
-    """The method minus every other one in PSNR, paired by view: mean and half of the 95 % interval over the views of a scene."""
+    """Return `ours` minus every other method in PSNR, paired by view: mean and half of the 95 % interval over the views of a scene."""
     labels = [label for label in titles if label != OURS]
-    yield f"| scene | PSNR of {titles[OURS]} minus, dB | {' | '.join(titles[label] for label in labels)} |"
-    yield "| --- |" * 2 + " ---: |" * len(labels)
+    yield f"| scene | PSNR minus that of | {' | '.join(titles[label] for label in labels)} |"
+    yield "| --- | --- |" + " ---: |" * len(labels)
     for scene, ways in scenes.items():
         for way, scores in ways.items():
             gains = [scores[OURS]["PSNR"] - scores[label]["PSNR"] if label in scores else None for label in labels]

@@ -146,8 +146,9 @@ def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
     mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
     reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
     if mark is None:
-        unread = f" ({'; '.join(unread_note(path)[:LISTED])})" if path.is_dir() and unread_note(path) else ""
-        return f"{path}: wanted a capture in a known layout{unread}; {mend} (looked for: {reasons})"
+        notes = unread_note(path) if path.is_dir() and not within else []
+        unread = f" ({'; '.join(notes[:LISTED])})" if notes else ""
+        return f"{path}: no capture that can be read{unread}; {mend} (looked for: {reasons})"
     name, layouts, what = mark
     if not layouts:
         return f"{path}: {name} is there: {what}; {mend} (looked for: {reasons})"

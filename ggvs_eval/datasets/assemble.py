@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -192,7 +193,7 @@ def align_numbers(
     if len(ranges) == 1:
         return unchanged, []
     shown = "; ".join(f"{listed(names)} from {numbers[0]} to {numbers[-1]}" for numbers, names in ranges.items())
-    if {numbers[0] for numbers in ranges} == {0, 1} and len({tuple(np.diff(numbers)) for numbers in ranges}) == 1:
+    if {numbers[0] for numbers in ranges} == {0, 1} and len({_steps(numbers) for numbers in ranges}) == 1:
         return unchanged, [f"frames are numbered from 0 in some cameras and from 1 in others, taken to begin together: {shown}"]
     common = set.intersection(*(set(numbers) for numbers in ranges))
     if not common or has_extras:
@@ -421,3 +422,7 @@ def known_traps() -> tuple[KnownTrap, ...]:
     """
     text = (resources.files("ggvs_eval.datasets") / FILE).read_text(encoding="utf-8")
     return build_table(TrapTable, parse_toml(text, FILE, CaptureError), FILE, "", CaptureError).trap
+
+
+def _steps(numbers: Sequence[Number]) -> tuple[Number, ...]:
+    return tuple(later - earlier for earlier, later in pairwise(numbers))  # type: ignore[operator]
