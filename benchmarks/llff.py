@@ -90,7 +90,7 @@ def _cell(values: Mapping[str, np.ndarray]) -> str:
 
 
 def differences_table(scenes: Mapping[str, Mapping[WayName, Scores]], titles: Mapping[str, str]) -> Iterator[str]:
-    """Return `ours` minus every other method in PSNR, paired by view: mean and half of the 95 % interval over the views of a scene."""
+    """Tabulate the PSNR of `ours` minus that of every other method, paired by view, with half of the 95 % interval."""
     labels = [label for label in titles if label != OURS]
     yield f"| scene | PSNR minus that of | {' | '.join(titles[label] for label in labels)} |"
     yield "| --- | --- |" + " ---: |" * len(labels)

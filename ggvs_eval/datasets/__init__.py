@@ -148,10 +148,10 @@ def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
     if mark is None:
         notes = unread_note(path) if path.is_dir() and not within else []
         unread = f" ({'; '.join(notes[:LISTED])})" if notes else ""
-        return f"{path}: no capture that can be read{unread}; {mend} (looked for: {reasons})"
+        return f"{path}: wanted a capture in a known layout{unread}; {mend} (looked for: {reasons})"
     name, layouts, what = mark
     if not layouts:
-        return f"{path}: {name} is there: {what}; {mend} (looked for: {reasons})"
+        return f"{path}: {name} exists: {what}; {mend} (looked for: {reasons})"
     lacking = " or ".join(f"{layout}: {refusals.get(layout)}" for layout in layouts)
     return f"{path}: {name} exists, but the capture is incomplete, {lacking}; {mend} (also looked for: {reasons})"
 

@@ -79,7 +79,7 @@ def test_calibrations_that_are_not_read_are_named_first(name, tmp_path):
     check = check_capture(tmp_path / "table")
     assert not check.is_usable
     (finding,) = check.of("opens")
-    assert f"table: {name} is there: " in finding.measured
+    assert f"table: {name} exists: " in finding.measured
 
 
 def test_every_mark_is_tried_here():
