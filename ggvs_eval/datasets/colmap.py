@@ -23,6 +23,7 @@ from ggvs_eval.files.names import camera_names
 MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")
 MARK = "frame[0-9]*"
 INSTANT = re.compile(r"frame_?(\d{1,9})")
+LONGEST_ROUNDING = 1e-3  # of a quaternion's length, as of the reader
 SPARSE_MODEL = "sparse_"
 
 
@@ -52,6 +53,10 @@ def load_colmap(path: Path, units: GivenUnits) -> Capture:
     if others:
         sizes = listed([f"{each.relative_to(path)} ({_n_images(each)})" for each in others])
         notes.append(f"{folder.relative_to(path)} is taken, the model of most images ({len(views)}); not read: {sizes}")
+    scaled = [name for name, view in views.items() if abs(view.quaternion_length - 1) > LONGEST_ROUNDING]
+    if scaled:
+        lengths = f"the length {views[scaled[0]].quaternion_length:.4g}"
+        notes.append(f"quaternions of {listed(scaled)} have {lengths}: brought to 1")
     return assemble_capture(path, "colmap", cameras, pinhole, chosen, notes=notes)
 
 

@@ -47,12 +47,14 @@ class CalibratedView:
         world_to_camera: rigid transform, (4, 4).
         lens: intrinsics and distortion at the size of the calibration.
         depth_percentiles: 1st, 50th and 99th percentile of the depth of the points it sees, world units; None where it sees none.
+        quaternion_length: of its rotation as the file has it, which is brought to 1.
     """
 
     image_name: str
     world_to_camera: Array
     lens: Lens
     depth_percentiles: tuple[float, float, float] | None
+    quaternion_length: float = 1.0
 
 
 def model_cameras(views: Mapping[str, CalibratedView], path: Path) -> list[Camera]:
@@ -134,7 +136,7 @@ def _view(folder: Path, image: dict[str, Any]) -> CalibratedView:
         lens = lens_of_colmap(image["model"], image["params"], image["width"], image["height"])
     except CameraError as error:
         raise CaptureError(f"{folder}: {name}: {error}") from error
-    return CalibratedView(name, world_to_camera, lens, tuple(image["depth_percentiles"]) or None)
+    return CalibratedView(name, world_to_camera, lens, tuple(image["depth_percentiles"]) or None, image["quaternion_length"])
 
 
 def lens_of_colmap(model: str, params: Sequence[float], width: int, height: int) -> Lens:

@@ -21,6 +21,7 @@ from ggvs_eval.files.plain import check_plain, coding_of, parse_numbers, read_pl
 LARGEST_MODEL_FILE = 512 << 20
 FILES = ("cameras", "images", "points3D")
 PERCENTILES = (1, 50, 99)
+LONGEST_ROUNDING = 1e-3  # of a quaternion's length; one farther from 1 was scaled, and is brought to 1
 FEWEST_POINTS = 10  # seen from a camera, of which a depth range can be taken
 
 
@@ -77,9 +78,15 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
 
 
 def _describe_image(reconstruction: Any, image: Any, name: str) -> dict[str, Any]:
+    import pycolmap
+
     camera = reconstruction.cameras[image.camera_id]
     pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
-    world_to_camera = np.asarray(pose.matrix())  # (3, 4)
+    world_to_camera = np.array(pose.matrix())  # (3, 4)
+    quaternion = np.asarray(pose.rotation.quat, np.float64)
+    length = float(np.linalg.norm(quaternion))
+    if length > 0 and abs(length - 1) > LONGEST_ROUNDING:
+        world_to_camera[:, :3] = pycolmap.Rotation3d(quaternion / length).matrix()
     points2D = image.points2D if len(reconstruction.points3D) else []  # a model that was stripped of its points still names them
     point_ids = [point.point3D_id for point in points2D if point.has_point3D()]
     points_world = np.array([reconstruction.points3D[point].xyz for point in point_ids]).reshape(-1, 3)
@@ -92,6 +99,7 @@ def _describe_image(reconstruction: Any, image: Any, name: str) -> dict[str, Any
         "height": camera.height,
         "params": list(camera.params),
         "world_to_camera": world_to_camera.tolist(),
+        "quaternion_length": length,
         "depth_percentiles": np.percentile(depth, PERCENTILES).tolist() if len(depth) >= FEWEST_POINTS else [],
     }
 

@@ -365,3 +365,18 @@ def test_smaller_pictures_alone(colmap):
     small = open_capture(colmap).cameras[0]
     assert small.size == (16, 12)
     assert small.K[:2] == pytest.approx(K[:2] / 4)
+
+
+def test_quaternions_of_another_length_are_brought_to_one(colmap):
+    """The rotation is the same, and the note says so."""
+    whole = open_capture(colmap)
+    file = colmap / "sparse" / "0" / "images.txt"
+    rows = file.read_text().splitlines()
+    for at in range(0, len(rows), 2):
+        words = rows[at].split()
+        rows[at] = " ".join([words[0], *(f"{1.1 * float(word):.17g}" for word in words[1:5]), *words[5:]])
+    file.write_text("\n".join(rows) + "\n")
+    capture = open_capture(colmap)
+    for camera, true in zip(capture.cameras, whole.cameras, strict=True):
+        assert camera.world_to_camera == pytest.approx(true.world_to_camera, abs=1e-12)
+    assert any("have the length 1.1: brought to 1" in note for note in capture.notes)
