@@ -81,8 +81,8 @@ def test_poses_without_frames(tmp_path):
 
 def test_unknown_layout(dynerf):
     """An unknown layout is refused with the nearest known one."""
-    assert f"no layout 'dynerfs', there are {', '.join(DATASETS)}; did you mean dynerf?" in refusal(dynerf, "dynerfs")
-    assert refusal(dynerf, "???").endswith(f"there are {', '.join(DATASETS)}")
+    assert f"wanted a layout of {', '.join(DATASETS)}, got 'dynerfs'; did you mean dynerf?" in refusal(dynerf, "dynerfs")
+    assert refusal(dynerf, "???").endswith(f"wanted a layout of {', '.join(DATASETS)}, got '???'")
 
 
 def test_every_layout_says_why_it_refused(tmp_path):
@@ -99,7 +99,7 @@ def test_a_whole_data_set(dynerf, tmp_path):
     write_colmap(root / "office")
     shutil.copytree(dynerf, root / "coffee")
     (root / "licence").mkdir()
-    assert refusal(root).startswith(f"{root}: no capture that can be read; name one of the captures in it: coffee, office (")
+    assert refusal(root).startswith(f"{root}: wanted a capture in a known layout; name one of the captures in it: coffee, office (")
     for index in range(20):
         shutil.copytree(dynerf, root / f"scene{index:02d}")
     assert "scene04, scene05, ... (looked for: " in refusal(root)

@@ -175,7 +175,7 @@ def test_what_the_user_says_is_not_guessed():
         numbers, frames, n_frames, _ = REFUSED[case]
         result = numbered(numbers, frames, n_frames, first_frame=numbers[0])
         assert result.frames["cam00"] == {frame: f"{number:04d}" for frame, number in zip(frames, numbers, strict=True)}
-        assert f"by --first-frame {numbers[0]} says" in result.note
+        assert f"numbered by --first-frame {numbers[0]}" in result.note
     result = numbered(range(1, 24), range(10, 16), 24, first_frame=11)
     assert result.frames["cam02"] == {frame: f"{frame + 1:04d}" for frame in range(10, 16)}
     assert result.extras["cam02"] == []

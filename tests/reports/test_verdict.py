@@ -237,7 +237,7 @@ def test_ours_stands_beside_a_better_method(measured_run):
 def test_where_nothing_is_ranked_the_verdict_says_what_happened_and_what_to_do(measured_run):
     """Without tables nothing was measured; of faulty and partial methods each is named, with the first step out."""
     nothing = evaluate_verdict([measured_run], measured_run.results, ())
-    assert (nothing.headline, nothing.contenders) == ("Nothing is ranked: nothing was measured; score the run", ())
+    assert (nothing.headline, nothing.contenders) == ("Nothing is ranked: no metric was measured; score the run", ())
     measured = replace(measured_run, labels=(WORST, MIDDLE))
     fault = [
         WORST,

@@ -49,8 +49,8 @@ def test_test_views_may_be_chosen():
     proposal = hold_out(propose_protocol(rig), rig, ("cam2", "cam0"), {})
     assert proposal.protocol.views.test == ("cam2", "cam0")
     assert proposal.protocol.measurement == suggest_protocol(rig).measurement
-    assert proposal.reasons["cam0"].startswith("held out, as asked: cam1")
-    assert proposal.reasons["cam2"].endswith("can show 0 % of its view")
+    assert proposal.reasons["cam0"].startswith("held out, as requested: cam1")
+    assert proposal.reasons["cam2"].endswith("cover 0 % of its view")
     assert proposal.reasons["cam1"] == "stays a source"
     with refused(CaptureError, "no camera cam9", "cam0, cam1"):
         hold_out(propose_protocol(rig), rig, ("cam9",), {})
@@ -102,7 +102,7 @@ def test_a_view_that_nobody_shows_is_passed_over():
     """A run would refuse it."""
     proposal = propose_protocol(rig_of(turned="cam3"))
     assert proposal.protocol.views.test == ("cam1", "cam5")
-    assert "can show 0 % of its view" in proposal.reasons["cam3"]
+    assert "cover 0 % of its view" in proposal.reasons["cam3"]
 
 
 def test_the_other_cameras_take_over_where_none_is_left():
@@ -149,7 +149,7 @@ def test_the_command_writes_a_file_that_run_takes(dynerf, tmp_path, capsys):
     assert (written.frames.count, written.path.poses) == (2, 3)
     assert written.views == suggest_protocol(rig_of(["cam00", "cam01", "cam02", "cam03"])).views
     assert "held out: " in capsys.readouterr().out
-    assert "it is there already" in refusal("protocol", dynerf, file)
+    assert "got an existing one" in refusal("protocol", dynerf, file)
     assert "wanted a file of 'ggvs-eval check'" in refusal("protocol", dynerf, tmp_path / "b.toml", "--check", file)
     assert json.dumps(str(tmp_path)) not in file.read_text()
     with pytest.raises(ProtocolError, match="one frame or more"):

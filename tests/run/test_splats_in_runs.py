@@ -119,7 +119,7 @@ def test_labels_that_folders_can_bear():
 def test_what_is_no_scene(tmp_path, plane_capture, sequence):
     """Absent, empty, unnumbered, twice the same number, a frame that is not there, Gaussians that move: one line each."""
     messages = {
-        "absent": "there is no such file or folder",
+        "absent": "got no such path",
         "empty": "there is none of them",
         "unnumbered": r"b\.ply: wanted a frame number in the name",
         "double": r"1\.ply and x01\.ply are both of frame 1",

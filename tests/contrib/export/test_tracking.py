@@ -114,5 +114,5 @@ def test_an_absent_tracker_is_named_in_one_line(runs, tmp_path, tracker, monkeyp
     with pytest.raises(SystemExit) as ended:
         run_command(["report", str(runs[0]), "--to", tracker, "--out", str(tmp_path / "tracked")])
     wanted = f"--to {tracker}: wanted the package {PACKAGES[tracker]}, got none"
-    assert str(ended.value.code) == f"ggvs-eval: {wanted}; pip install 'ggvs-eval[{tracker}]'"
+    assert str(ended.value.code) == f"ggvs-eval: {wanted}; run pip install 'ggvs-eval[{tracker}]'"
     assert not (tmp_path / "tracked").exists()
