@@ -17,6 +17,9 @@ from ggvs_eval.metric_choices import LATER, MetricChoices
 
 WayName = Literal["as-is", "mvsnerf", "enerf"]
 STREAMED = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")  # the usual metrics, and those that there are of the screen
+OF_OWN_TRUTH = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "Flicker", "SDT")  # of renders that come with their reference
+AGREEING = {"PSNR": 0.05, "SSIM": 0.002, "LPIPS": 0.005}  # change by 8 bit and another implementation, at most
+COSTLIEST = "LPIPS"  # of the usual metrics; as much as all others
 ON_SCREEN = "_stream"  # suffix of a metric's name: measured on the displayed frames, see `Stream`
 
 

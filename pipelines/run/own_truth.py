@@ -17,17 +17,15 @@ from ggvs_eval.files.images import read_image, to_8_bit, write_image
 from ggvs_eval.pipelines.run.claim import require_protocol
 from ggvs_eval.pipelines.run.import_renders import SCORES_ROOT, asked_protocol
 from ggvs_eval.progress import counted, track
-from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
+from ggvs_eval.protocol import AGREEING, OF_OWN_TRUTH, CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.renders.truth_match import difference
 from ggvs_eval.renders.view_streams import OWN_RENDERS, OWN_TRUTH, ArrayStack, npz_members, read_small_array
 from ggvs_eval.results import Results, split_label
 from ggvs_eval.run_folder import RunFolder, frame_path, write_json
 
-METRICS = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "Flicker", "SDT")
 NAME = "own-truth"
 ROUNDING = 0.51  # levels of 255 by which two copies of one truth may differ
 PUBLISHED = "metrics"  # member with what the authors measured, per frame
-AGREEING = {"PSNR": 0.05, "SSIM": 0.002, "LPIPS": 0.005}  # what 8 bit and another implementation may move
 
 
 @contextmanager
@@ -56,7 +54,7 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
             f"{renders[first]}: wanted views of one length, got {', '.join(map(str, sorted(counts)))} frames; cut them"
         )
     frames = Frames(0, counts.pop())
-    measured = asked_protocol(protocol).measurement if protocol else Measurement(METRICS, ceilings=False)
+    measured = asked_protocol(protocol).measurement if protocol else Measurement(OF_OWN_TRUTH, ceilings=False)
     terms = Protocol(
         NAME, renders[first].stem, Views(tuple(stacks), "those of the archives"), frames, Synthesis(), measured, CameraPath(0)
     )

@@ -27,7 +27,7 @@ from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.pipelines.run.screens import Clock, read_clocks, screens_of, write_screens
 from ggvs_eval.progress import counted, duration
-from ggvs_eval.protocol import Protocol
+from ggvs_eval.protocol import COSTLIEST, Protocol
 from ggvs_eval.renders.request import read_header
 from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table, split_label
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
@@ -122,8 +122,8 @@ class Scores:
         seconds = cost * frames * len(self.labels) * pace() / min(workers, left)
         every = protocol.measurement.lpips_every
         of_lpips = (
-            f"; LPIPS of {'every frame' if every == 1 else f'one frame in {every}'}"
-            if "LPIPS" in protocol.measurement.metrics
+            f"; {COSTLIEST} of {'every frame' if every == 1 else f'one frame in {every}'}"
+            if COSTLIEST in protocol.measurement.metrics
             else ""
         )
         shorter = f": {STAGES['scoring']} shortens it" if of_lpips and every == 1 and seconds >= TOLD_S else ""

@@ -99,7 +99,9 @@ def test_a_whole_data_set(dynerf, tmp_path):
     write_colmap(root / "office")
     shutil.copytree(dynerf, root / "coffee")
     (root / "licence").mkdir()
-    assert refusal(root).startswith(f"{root}: wanted a capture in a known layout; name one of the captures in it: coffee, office (")
+    assert refusal(root).startswith(
+        f"{root}: wanted a capture in a known layout; name one of the captures in it: coffee, office ("
+    )
     for index in range(20):
         shutil.copytree(dynerf, root / f"scene{index:02d}")
     assert "scene04, scene05, ... (looked for: " in refusal(root)

@@ -93,7 +93,7 @@ def test_check_names_the_deviation(tmp_path):
     check = check_capture(with_poses(tmp_path / "rig", lambda rotation: rotation + noise(5e-3)))
 
     assert "are off by up to 3" in check.of("frames")[0].measured or "are off by up to 4" in check.of("frames")[0].measured
-    assert any("the nearest is taken" in finding.measured for finding in check.of("poses"))
+    assert any("the nearest one is used" in finding.measured for finding in check.of("poses"))
 
 
 @pytest.mark.parametrize(

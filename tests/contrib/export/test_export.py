@@ -102,5 +102,5 @@ def test_what_is_no_call(folder, tmp_path):
     assert "cloud.glb" in refusal(folder, tmp_path / "cloud.ply")
     assert "--fps" in refusal(folder, tmp_path / "out.glb", "--fps", "0")
     assert "--frames" in refusal(folder, tmp_path / "out.glb", "--frames", "0")
-    assert "no such file or folder" in refusal(tmp_path / "absent", tmp_path / "out.glb")
+    assert "got no such path" in refusal(tmp_path / "absent", tmp_path / "out.glb")
     assert [path.name for path in tmp_path.iterdir()] == ["clouds"]
