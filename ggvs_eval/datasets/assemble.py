@@ -425,4 +425,4 @@ def known_traps() -> tuple[KnownTrap, ...]:
 
 
 def _steps(numbers: Sequence[Number]) -> tuple[Number, ...]:
-    return tuple(later - earlier for earlier, later in pairwise(numbers))  # type: ignore[operator]
+    return tuple(later - earlier for earlier, later in pairwise(numbers))

@@ -142,7 +142,7 @@ def test_deviations_over_views_cover_and_deviations_over_time_say_why_not(matrix
     assert 0.91 <= np.mean([abs(spread.value - expected) <= spread.half_width(0.95) for spread in spreads]) <= 0.98
     rows = make_spread_rows("ours", matrix)
     assert (table_interval(rows, "SDT").low, table_interval(rows, "SDV").low is None) == (None, False)
-    assert "cover too seldom" in table_interval(rows, "SDT").note
+    assert "too low coverage" in table_interval(rows, "SDT").note
 
 
 @pytest.mark.parametrize("ddof", [0, 1])
@@ -279,7 +279,7 @@ def test_pooling_that_nobody_recorded_has_no_interval(matrix):
     rows = make_rows("ours", "PSNR", matrix)
     found = intervals(make_results(rows, {"pooling": {}}), "PSNR", "Demo")["ours"]
     assert found.value == pytest.approx(matrix.mean())
-    assert (found.half_width, found.note) == (None, "the results do not say how PSNR is pooled; score again")
+    assert (found.half_width, found.note) == (None, "the results lack the pooling of PSNR; score again")
     with refused(ResultsError, "'median'", "mean, "):
         Pooling("median")
 
