@@ -127,7 +127,7 @@ def test_what_keeps_a_value_from_being_measured_is_named(on_dynerf):
         ("quality", "DyNeRF", "Ours", "LPIPS"): ("not run", "weights of VGG absent"),
         ("quality", "DyNeRF", "Ours", "SSIM"): ("not run", "SSIM is not in the protocol"),
         ("quality", "D3DMV", "Ours", "PSNR"): ("data absent", "no run on D3DMV here"),
-        ("quality", "D3DMV", "ENeRF", "PSNR"): ("data absent", "weights of ENeRF do not ship either"),
+        ("quality", "D3DMV", "ENeRF", "PSNR"): ("data absent", "weights of ENeRF are not included either"),
     }
     for key, (status, reason) in told.items():
         entry = find(entries, *key)
