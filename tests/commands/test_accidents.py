@@ -210,7 +210,7 @@ def test_a_folder_of_somebody_else_is_one_line(words, tmp_path):
         code, lines = told(command, tmp_path / "run", before=AS_NOBODY)
         assert code == 1
         assert re.fullmatch(
-            rf"ggvs-eval: {tmp_path}/run/\S+: Permission denied; get the right to it or choose another place; {GO_ON}", lines[-1]
+            rf"ggvs-eval: {tmp_path}/run/\S+: Permission denied; ask for access or choose another place; {GO_ON}", lines[-1]
         )
         assert not any("Traceback" in line for line in lines)
 

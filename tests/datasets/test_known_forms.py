@@ -148,7 +148,7 @@ def test_is_fisheye_is_read(tmp_path, coefficients):
 def test_keys_that_nobody_knows_are_named(tmp_path):
     """A key that is neither used nor harmless is a note, once; harmless ones are none."""
     capture = open_capture(changed(tmp_path / "scene", aabb_scale=16, rolling_shutter_time=0.03))
-    assert [note for note in capture.notes if "not known" in note] == [
+    assert [note for note in capture.notes if "unknown here" in note] == [
         "transforms.json: rolling_shutter_time unknown here, ignored"
     ]
 
@@ -217,7 +217,7 @@ def test_a_camera_without_a_pose_in_the_file(tmp_path):
     (tmp_path / "cam03.xml").write_text(storage.replace("<R ", "<X ").replace("</R>", "</X>"))
     capture = open_capture(tmp_path)
     assert_rig(capture, NAMES[:3])
-    assert "cam03 left out: calibrated, but not placed" in capture.notes
+    assert "cam03 left out: calibrated, but without a pose" in capture.notes
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_a_file_of_holes_is_refused_before_it_is_hashed(tmp_path):
 
 def test_a_file_that_grows_without_a_size_is_refused():
     """Files below /proc say that they are empty."""
-    with pytest.raises(NotPlainError, match="more than the 0 MB"):
+    with pytest.raises(NotPlainError, match="more than the limit of 0 MB"):
         read_plain(Path("/proc/self/status"), 100)
 
 

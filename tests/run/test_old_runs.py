@@ -50,7 +50,7 @@ def test_an_old_run_says_that_its_results_are_outdated_once(words, tmp_path, cap
     assert "another version" not in "".join(capsys.readouterr())
     assert describe_outdated([run]) == ""
     make_old(run)
-    parts = "4 renders (no-blending, distance-based), the depth that renders are made from, 2 scored views"
+    parts = "4 renders (no-blending, distance-based), the depth of renders, 2 scored views"
     outdated = f"{parts} are of another version of the code"
 
     for command in ("status", "report"):

@@ -146,7 +146,7 @@ def test_what_cannot_be_compared_has_a_reason_and_no_value():
     camera, image, depth = bent()[0]
     wall = [(each, *look((WALL,), each)) for each in path()]
     cases = {
-        "stand still": [(each, image, its_depth) for each, _, its_depth in bent()],
+        "are static": [(each, image, its_depth) for each, _, its_depth in bent()],
         "found again": [(each, np.full_like(image, 128), its_depth) for each, _, its_depth in bent()],
         "1 of 1 layers": [(each, quantise(its_image), its_depth) for each, its_image, its_depth in wall],
         "parallax": [(camera, image, depth)] * VIEWS,
