@@ -201,9 +201,9 @@ def test_options_are_those_of_the_network(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "ends"),
     [
-        (("trian",), "no command 'trian' of ggvs-eval; there are demo, .*; did you mean train?"),
-        (("train", "blnd", "out"), "no command 'blnd' of ggvs-eval train; there are blend, .*; did you mean blend?"),
-        (("explain", "run", "ssmi", "0.9"), "no conventions known of 'ssmi'; there are psnr, .*; did you mean ssim?"),
+        (("trian",), "no command 'trian' ; commands are demo, .*; did you mean train?"),
+        (("train", "blnd", "out"), "no command 'blnd' ; commands are blend, .*; did you mean blend?"),
+        (("explain", "run", "ssmi", "0.9"), "wanted a metric with known conventions, got 'ssmi'; known are psnr, .*; did you mean ssim?"),
     ],
 )
 def test_a_mistyped_name_suggests_the_nearest(arguments, ends):
@@ -252,7 +252,7 @@ def test_a_mistyped_method_is_named_before_anything_is_read(words, tmp_path):
 
 def test_a_folder_that_is_no_run_is_called_so(tmp_path):
     """Nothing is to be deleted; a run is to be made."""
-    assert "not a run folder" in refusal("render", tmp_path, "--methods", "no-blending")
+    assert "wanted a run folder" in refusal("render", tmp_path, "--methods", "no-blending")
 
 
 def test_our_warnings_are_written_as_our_errors_are(monkeypatch, capsys):

@@ -147,7 +147,7 @@ def test_intrinsics_alone_are_sent_to_calibrate(tmp_path):
     (folder / "lenses.toml").write_text("\n".join(kept))
 
     with pytest.raises(
-        CaptureError, match=r"intrinsics alone of cam00, cam01, cam02; 'ggvs-eval calibrate .* --known-intrinsics"
+        CaptureError, match=r"only intrinsics of cam00, cam01, cam02; 'ggvs-eval calibrate .* --known-intrinsics"
     ):
         open_capture(folder)
 

@@ -228,7 +228,7 @@ def test_frames_that_are_no_rgb_are_said(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda file: file.with_suffix(".webp"), "gaps between 0 and 2, and 1 .webp pictures, which are not read: convert them"),
+        (lambda file: file.with_suffix(".webp"), "gaps between 0 and 2, and 1 .webp unsupported pictures: convert them"),
         (
             lambda file: file.with_name("other0002.png"),
             "several with the number 2 (0002.png and other0002.png); give each a number",

@@ -37,7 +37,7 @@ def page(playback, started, tmp_path):
     with Viewer(playback, defaults, listener) as viewer:
         started.resize(DESKTOP)
         started.driven.get(listener.address)
-        started.wait("document.body.innerText.includes('pictures per second')", seconds=60)
+        started.wait("document.body.innerText.includes('frames per second')", seconds=60)
         yield started, viewer
 
 

@@ -147,7 +147,7 @@ def test_what_cannot_be_compared_has_a_reason_and_no_value():
     wall = [(each, *look((WALL,), each)) for each in path()]
     cases = {
         "are static": [(each, image, its_depth) for each, _, its_depth in bent()],
-        "found again": [(each, np.full_like(image, 128), its_depth) for each, _, its_depth in bent()],
+        "is matched": [(each, np.full_like(image, 128), its_depth) for each, _, its_depth in bent()],
         "1 of 1 layers": [(each, quantise(its_image), its_depth) for each, its_image, its_depth in wall],
         "parallax": [(camera, image, depth)] * VIEWS,
         "no depth": [(each, its_image, None) for each, its_image, _ in bent()],
