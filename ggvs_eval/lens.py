@@ -130,7 +130,8 @@ class Lens:
         """
         if self._covers(1.0):
             return self.K
-        if not any(self.coefficients) and self.model == "opencv":
+        is_within = 0 < self.K[0, 2] < self.width and 0 < self.K[1, 2] < self.height
+        if not any(self.coefficients) and self.model == "opencv" and not is_within:
             raise CameraError(
                 f"lens: the principal point ({self.K[0, 2]:g}, {self.K[1, 2]:g}) is not within {self.width} x {self.height} "
                 "images; give K in pixels of these, or the size that it is of"

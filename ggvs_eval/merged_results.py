@@ -99,7 +99,7 @@ def _require_measured_once(parts: Sequence[Results]) -> None:
     label = label_of(first["method"], first["variant"])
     places = [parts[at].place or f"part {at + 1}" for at in dict.fromkeys(same["place"])]
     if len(places) > 1:
-        raise ResultsError(f"{label} on {first['scene']} is measured in {' and '.join(places)}; keep one of them")
+        raise ResultsError(f"{label} on {first['scene']} is measured in {' and '.join(places)}; leave out one of them")
     raise ResultsError(
         f"{places[0]}: {first['metric']} of {label} on {first['scene']} has two values for one view and frame; "
         "run `ggvs-eval score` again"

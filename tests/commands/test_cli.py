@@ -203,7 +203,10 @@ def test_options_are_those_of_the_network(capsys, tmp_path):
     [
         (("trian",), "no command 'trian' ; commands are demo, .*; did you mean train?"),
         (("train", "blnd", "out"), "no command 'blnd' ; commands are blend, .*; did you mean blend?"),
-        (("explain", "run", "ssmi", "0.9"), "wanted a metric with known conventions, got 'ssmi'; known are psnr, .*; did you mean ssim?"),
+        (
+            ("explain", "run", "ssmi", "0.9"),
+            "wanted a metric with known conventions, got 'ssmi'; known are psnr, .*; did you mean ssim?",
+        ),
     ],
 )
 def test_a_mistyped_name_suggests_the_nearest(arguments, ends):

@@ -146,9 +146,7 @@ def test_intrinsics_alone_are_sent_to_calibrate(tmp_path):
     kept = [line for line in text.splitlines() if not line.startswith(("rotation", "translation"))]
     (folder / "lenses.toml").write_text("\n".join(kept))
 
-    with pytest.raises(
-        CaptureError, match=r"only intrinsics of cam00, cam01, cam02; 'ggvs-eval calibrate .* --known-intrinsics"
-    ):
+    with pytest.raises(CaptureError, match=r"only intrinsics of cam00, cam01, cam02; 'ggvs-eval calibrate .* --known-intrinsics"):
         open_capture(folder)
 
 

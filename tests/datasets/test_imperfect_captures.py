@@ -204,7 +204,7 @@ def test_a_variable_frame_rate_is_said(tmp_path):
 
     assert open_capture(folder).notes == (
         "variable frame rate in cam01 (36.7 to 76.7 ms), cam02 (36.7 to 76.7 ms), cam03 (36.7 to 76.7 ms): "
-        "frame t of each camera is taken as one instant, whatever its time; their times lie up to 13.3 ms apart",
+        "frame t of each camera counts as one instant, regardless of its time; their times differ by up to 13.3 ms",
     )
 
 

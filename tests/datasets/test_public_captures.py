@@ -162,5 +162,5 @@ def test_names_that_there_are_not_are_met_by_those_that_there_are():
     with pytest.raises(DownloadError, match="four parts"):
         get_capture("n3v:flame_salmon_1")
     assert {name: len(each.scenes) for name, each in public_datasets().items()} == {"n3v": 6, "immersive": 15, "panoptic": 6}
-    with pytest.raises(CaptureError, match="there is none"):
+    with pytest.raises(CaptureError, match="got no such path"):
         open_capture("C:captures")

@@ -476,7 +476,7 @@ def test_printed_digits_set_the_tolerance(quoted, value, tolerance):
 @pytest.mark.parametrize(
     ("metric", "quoted", "names", "message"),
     [
-        ("niqe", "3.1", VIEWS, "no conventions known of 'niqe'"),
+        ("niqe", "3.1", VIEWS, "wanted a metric with known conventions, got 'niqe'"),
         ("psnr", "high", VIEWS, "wanted a number"),
         ("psnr", "inf", VIEWS, "wanted a finite number"),
         ("psnr", "1e999", VIEWS, "wanted a finite number"),
@@ -484,7 +484,7 @@ def test_printed_digits_set_the_tolerance(quoted, value, tolerance):
         ("psnr", "", VIEWS, "wanted a number"),
         ("psnr", "1,234.5", VIEWS, "wanted a number"),
         ("psnr", "31.52 dBm", VIEWS, "wanted a number"),
-        ("psnr", "30", (), "no views"),
+        ("psnr", "30", (), "wanted at least one view"),
         ("sdv", "0.1", VIEWS[:1], "needs 2"),
     ],
 )

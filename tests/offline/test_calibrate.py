@@ -432,4 +432,4 @@ def test_intrinsics_alone_are_no_poses(tmp_path):
     lens = Lens(np.diag([50.0, 50.0, 1.0]), "opencv", (0.0,) * 4, 64, 48)
     write_intrinsics(tmp_path / "intrinsics.toml", dict.fromkeys(("cam00", "cam01", "cam02", "cam03"), lens))
     message = refusal_of(tmp_path / "frames", tmp_path / "out", known_poses=tmp_path / "intrinsics.toml")
-    assert "wanted poses, got intrinsics alone of cam00" in message
+    assert "wanted poses, got only intrinsics of cam00" in message

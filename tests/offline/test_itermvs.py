@@ -271,7 +271,7 @@ def test_what_is_no_checkpoint_is_refused(network, tmp_path, monkeypatch):
     with pytest.raises(WeightsError, match=r"itermvs-blendedmvs\.ckpt"):
         DepthRunOptions("sgbm+itermvs").options()
     for matcher, message in (
-        ("sgmb", "no stereo matcher 'sgmb'"),
+        ("sgmb", "wanted a matcher, got 'sgmb'"),
         ("live", "wanted sgbm, sweep or raft before the ., got live"),
     ):
         with pytest.raises(DepthError, match=message):

@@ -64,13 +64,13 @@ def test_a_pair_that_cannot_be_rectified_is_passed_over():
     with pytest.raises(DepthError, match="too different directions for matching"):
         rectify(camera, far)
     assert [partner.name for partner in choose_partners(camera, [far, near], 2)] == ["near"]
-    with refused(DepthError, "1 other"):
+    with refused(DepthError, "none of 1 cameras"):
         choose_partners(camera, [far], 2)
 
 
 def test_nobody_to_match_with():
     """A camera that no other overlaps is an error that names it and says what to do."""
-    with refused(DepthError, "camera camera", "1 other", "add cameras"):
+    with refused(DepthError, "camera camera", "none of 1 cameras", "add cameras"):
         choose_partners(CAMERA, [look_from(60, 0, "elsewhere")], 2)
 
 

@@ -38,7 +38,7 @@ def test_every_method_that_looks_ahead_is_marked():
     """Whatever is shown the future says so in its spec and its title; nothing else that renders frame by frame does."""
     for spec in (each for each in METHODS.values() if isinstance(each, OnlineMethod) and "weights" not in each.takes):
         assert isinstance(spec.make(), LookaheadMethod) == (not spec.online)
-        assert spec.online or "not online" in spec.title.lower()
+        assert spec.online or "offline" in spec.title.lower()
     assert not find_method(OFFLINE).online
     assert not find_method(OFFLINE).usual
 

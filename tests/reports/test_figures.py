@@ -153,9 +153,9 @@ def test_errors_are_mean_absolute_differences(planted):
     [
         ({"view": "cam99"}, "no test view 'cam99'; use one of cam00, cam03"),
         ({"frame": 9}, "no frame 9; use 2 to 4"),
-        ({"method": "nobody"}, "no whole renders of 'nobody'"),
+        ({"method": "nobody"}, "no complete renders of 'nobody'"),
         ({"boxes": 0}, "--boxes: wanted at least 1, got 0"),
-        ({"methods": ("ours-geometric", "nobody")}, "no whole renders of 'nobody'; use one of no-blending"),
+        ({"methods": ("ours-geometric", "nobody")}, "no complete renders of 'nobody'; use one of no-blending"),
         ({"squares": (Square(60, 0, 8),)}, "square 60,0,8: leaves the picture of 64 x 48"),
         ({"has_scores": True, "metrics": ("FID",)}, "no FID; it has PSNR"),
     ],

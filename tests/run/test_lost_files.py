@@ -83,5 +83,5 @@ def test_a_lost_path_of_another_method_leaves_that_one_out(run, capture, capsys)
     frame_path(run.path(LABELS[0]), 2).unlink()
     results = measure(plan_run(RunRequest(run.root, capture, run.protocol(), LABELS[1:])), 1)
     assert set(results.table["method"]) == {LABELS[1]}
-    assert f"{LABELS[0]} left out" in capsys.readouterr().err
+    assert f"{LABELS[0]} omitted" in capsys.readouterr().err
     assert LABELS[0] in METHODS

@@ -130,7 +130,7 @@ def test_what_is_refused(videos, tmp_path):
     out = tmp_path / "out"
 
     assert "did you mean PSNR?" in refusal("metric-study", out, "--metrics", "PSNRR")
-    assert "check the path" in refusal("metric-study", out, "--capture", tmp_path / "absent")
+    assert "check it" in refusal("metric-study", out, "--capture", tmp_path / "absent")
     assert "by --frames" in refusal("metric-study", out, "--capture", videos, "--frames", 13)
     assert "at least 5 frames" in refusal("metric-study", out, "--frames", 4)
     assert "twice; rename one" in refusal("metric-study", out, "--capture", videos, videos)

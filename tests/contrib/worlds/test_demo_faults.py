@@ -106,7 +106,7 @@ def test_the_true_path_knows_no_faults():
     ("knobs", "message"),
     [
         ({"layout": "n3dv"}, "wanted a layout of dynerf, .*, panoptic, got 'n3dv'"),
-        ({"layout": "technicolor"}, "the shape of 2048 x 1088, got 32 x 24; take 512 x 272"),
+        ({"layout": "technicolor"}, "the shape of 2048 x 1088, got 32 x 24; use 512 x 272"),
         ({"camera_gain": (("cam04", 1.1),)}, r"camera_gain names cam04, the cameras are cam00\.\.cam03"),
         ({"layout": "rgbd", "focal_error": (("cam01", 1.1),)}, "focal_error names cam01, the cameras are cam00;"),
         ({"camera_gain": (("cam01", 0.0),)}, "camera_gain of cam01 must be a positive factor, got 0"),
