@@ -125,9 +125,9 @@ def describe_short(frames: int, worth: float, wanted: float = FEWEST_CALLED) -> 
 
     Examples:
         >>> describe_short(23, 2.4)
-        'clip too short: its 23 frames are worth 2 independent ones, as errors last, and 8 are wanted'
+        'clip too short: its 23 frames are worth 2 independent ones, since errors are correlated, of 8 needed'
         >>> describe_short(3, 3.2)
-        'clip too short: it has 3 frames, and 8 independent ones are wanted'
+        'clip too short: it has 3 frames, of 8 independent ones needed'
     """
     independent = max(1, math.floor(worth))
     if independent >= frames:

@@ -193,7 +193,7 @@ def test_a_row_of_nan_is_skipped(tmp_path):
     np.savetxt(tmp_path / "room" / "poses.txt", poses)
     capture = open_capture(tmp_path / "room")
     assert capture.camera_names == ("000003", "000004", "000005", "000008")
-    assert capture.notes[0].startswith("000007 left out")
+    assert capture.notes[0].startswith("000007 omitted")
 
 
 def cut(file: Path, kept: float) -> None:
@@ -340,7 +340,7 @@ def test_the_largest_value_is_unknown_depth(scannet):
         cv2.imwrite(str(file), depth)
     read = open_capture(scannet)
     assert read.cameras[0].far == pytest.approx(before.far, rel=0.1)
-    assert any("% of the depth unknown: 0 and 65535" in note for note in read.notes)
+    assert any("% of the depth unknown: values 0 and 65535" in note for note in read.notes)
     assert read_depth(read, read.camera_names[0]).max() < before.far
 
 

@@ -119,7 +119,7 @@ def test_a_file_from_the_command_line(dynerf, tmp_path):
         (points_toml(-1.0), "positive number of metres between the points, got -1.0"),
         (
             "[points]\nmetres = 1\na = { cam00 = [1, 2] }\nb = { cam00 = [1, 2] }",
-            "points.a wants marks in at least two cameras, got 1",
+            "points.a wanted in at least two cameras, got 1",
         ),
         (points_toml(extra="size = [0, 0]\n"), "wanted units_per_metre = NUMBER"),
         (points_toml(extra="size = [64]\n"), "wanted units_per_metre = NUMBER"),

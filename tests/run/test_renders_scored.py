@@ -317,7 +317,7 @@ def test_linked_renders_that_were_moved_are_named(tmp_path):
     (tmp_path / "b").rename(tmp_path / "moved")
 
     for call in (lambda: report([run.root]), lambda: score(run)):
-        with refused(RenderError, f"frames of b were read from {tmp_path / 'b'}/", "--renders b=NEWPLACE"):
+        with refused(RenderError, f"the frames of b in {tmp_path / 'b'}/", "--renders b=NEWPLACE"):
             call()
     import_renders(run, "b", tmp_path / "moved", link=True)
     assert score(run).table.equals(table)

@@ -59,7 +59,7 @@ def test_what_the_paper_does_not_have_is_declared_of_ours():
     """The additions by name; with an option set, the option too."""
     assert all("exposure compensation" in spec.departs for spec in OURS.values())
     assert "recurrent" not in find_method("ours+no-temporal").departs
-    assert find_method("ours+compensated=false").departs.endswith("but for compensated")
+    assert find_method("ours+compensated=false").departs.endswith("except for compensated")
 
 
 @pytest.mark.parametrize("label", sorted(METHODS))

@@ -105,5 +105,5 @@ def test_all_views_that_no_source_shows_are_in_one_message(plane_capture, tmp_pa
         for camera in plane_capture.cameras
     ]
     protocol = replace(chosen_protocol("nearest"), views=Views(("cam00", "cam01"), "by hand"), path=CameraPath(poses=0))
-    with refused(CameraError, "camera cam00: ", "the same is true of cam01", "enerf"):
+    with refused(CameraError, "camera cam00: ", "the same holds for cam01", "enerf"):
         plan_run(RunRequest(tmp_path, replace(plane_capture, cameras=tuple(cameras)), protocol, LABELS))
