@@ -192,7 +192,7 @@ def test_frames_that_are_copies_are_named(honest, truth):
         (finding,) = diagnose(some, truth)
 
         assert (finding.question, finding.verdict) == ("truth copied in", "certain")
-        assert finding.measured.startswith("frames 2, 6 are those captured")
+        assert finding.measured.startswith("frames 2, 6 are as captured")
 
 
 def test_the_share_of_the_truth_in_a_blend_is_measured(honest, truth):
