@@ -28,7 +28,7 @@ def page(sweep) -> str:
 def test_a_sweep_stands_for_its_runs(sweep, page):
     """Each K is a group of its own, in the order of the sweep's table; the figure for a paper lies beside the page."""
     assert sweep_runs(sweep) == [sweep / f"k{k}" for k in KS]
-    assert re.findall(r'class="group-name">room <span class="on">tiny, K&nbsp;=&nbsp;(\d)', page) == ["2", "3", "5"]
+    assert re.findall(r'class="group-name">room <span class="on">tiny, K\xa0=\xa0(\d)', page) == ["2", "3", "5"]
     assert (sweep / "report" / "figures" / "k.png").is_file()
 
 
