@@ -7,9 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from ggvs_eval.contrib.worlds.demo import write_demo
-from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.pipelines.inspection.finding import Finding
@@ -18,33 +15,20 @@ from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.planted_renders import PLANTED as PLANTED_IN_VIEWS
-from helpers.planted_renders import jpeg, quantised
+from helpers.planted_renders import SIZE, film_without_noise, jpeg, quantised
 from helpers.refusals import refused
 from helpers.run_folders import write_run
 
 pytestmark = pytest.mark.slow
 
 N_FRAMES = 9
-SIZE = 192, 144
 VIEW, OTHER = "cam00", "cam03"
 
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory) -> dict[str, np.ndarray]:
     """What four cameras see without noise, each (T, H, W, 3): honest renders are made of it, and have none of the truth's."""
-    options = DemoOptions(
-        width=SIZE[0],
-        height=SIZE[1],
-        n_frames=N_FRAMES,
-        cameras_per_row=2,
-        path_poses=0,
-        depth_stride=0,
-        supersampling=1,
-        noise_sigma_255=0,
-        crf=0,
-    )
-    capture = open_capture(write_demo(tmp_path_factory.mktemp("doctor") / "demo", options, workers=1))
-    return {name: np.stack(list(capture.frames(name, 0, N_FRAMES))) for name in capture.camera_names}
+    return film_without_noise(tmp_path_factory.mktemp("doctor") / "demo", N_FRAMES)
 
 
 @pytest.fixture(scope="module")

@@ -116,7 +116,8 @@ def test_the_choice_of_the_command_line():
 def test_unknown_matchers_and_weights_are_refused(tmp_path):
     """A misspelt matcher names its neighbour, absent weights their file, weights for another matcher the reason."""
     with pytest.raises(
-        DepthError, match=re.escape(f"wanted a matcher, got 'sgmb'; known are {', '.join((*MATCHERS, *FORMS))}; did you mean sgbm")
+        DepthError,
+        match=re.escape(f"wanted a matcher, got 'sgmb'; known are {', '.join((*MATCHERS, *FORMS))}; did you mean sgbm"),
     ):
         find_matcher("sgmb")
     with refused(WeightsError, "nowhere.pth"):

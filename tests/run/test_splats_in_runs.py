@@ -120,7 +120,7 @@ def test_what_is_no_scene(tmp_path, plane_capture, sequence):
     """Absent, empty, unnumbered, twice the same number, a frame that is not there, Gaussians that move: one line each."""
     messages = {
         "absent": "got no such path",
-        "empty": "there is none of them",
+        "empty": "got none of them",
         "unnumbered": r"b\.ply: wanted a frame number in the name",
         "double": r"1\.ply and x01\.ply are both of frame 1",
         "deformed": r"point_cloud\.ply: wanted a \.ply file|deformation\.pth: not a file of tensors",

@@ -9,15 +9,12 @@ import pytest
 
 from ggvs_eval.contrib.what_if.undo import LEAST_GAIN, find_gain
 from ggvs_eval.contrib.what_if.what_if import HONEST, Row, WhatIf, what_if, what_if_text
-from ggvs_eval.contrib.worlds.demo import write_demo
-from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import MetricError, RenderError
 from ggvs_eval.metrics import score_view
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.protocol import Frames, Measurement
-from helpers.planted_renders import Spoil, each_picture, moved, quantised, reversed_time, tone
+from helpers.planted_renders import SIZE, Spoil, each_picture, film_without_noise, moved, quantised, reversed_time, tone
 from helpers.refusals import refused
 from helpers.run_folders import RunShape, write_run
 
@@ -25,7 +22,6 @@ pytestmark = pytest.mark.slow
 
 N_FRAMES = 12
 FRAMES = range(N_FRAMES)
-SIZE = 192, 144
 ROUNDING = 1e-9  # of means: the frames are equal
 AS_IS = Measurement()
 Renders = dict[str, np.ndarray]
@@ -34,19 +30,7 @@ Renders = dict[str, np.ndarray]
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory) -> Renders:
     """What four cameras see without noise, each (T, H, W, 3)."""
-    options = DemoOptions(
-        width=SIZE[0],
-        height=SIZE[1],
-        n_frames=N_FRAMES,
-        cameras_per_row=2,
-        path_poses=0,
-        depth_stride=0,
-        supersampling=1,
-        noise_sigma_255=0,
-        crf=0,
-    )
-    capture = open_capture(write_demo(tmp_path_factory.mktemp("what_if") / "demo", options, workers=1))
-    return {name: np.stack(list(capture.frames(name, 0, N_FRAMES))) for name in capture.camera_names}
+    return film_without_noise(tmp_path_factory.mktemp("what_if") / "demo", N_FRAMES)
 
 
 @pytest.fixture(scope="module")
