@@ -18,6 +18,7 @@ from ggvs_eval.measured_frames import measured_frame
 from ggvs_eval.metrics.stream import score_view
 from ggvs_eval.pipelines.run.score_view import metric_options
 from ggvs_eval.protocol import Measurement, WayName
+from ggvs_eval.reports.tables.published import published_values
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 
 METRICS = ("PSNR", "SSIM", "LPIPS")
@@ -27,13 +28,6 @@ WAYS: dict[WayName, str] = {
     "mvsnerf": "MVSNeRF's notebook: both at 960 x 640, central 80 %",
     "enerf": "central 80 %",
     "as-is": "whole frame; SSIM Gaussian, range 1",
-}
-# Printed by renderer.ipynb of apchenstu/mvsnerf at c1f2925c: IBRNet in cell 29, whose way `mvsnerf` follows; MVSNeRF in cell 27,
-# rendered at 960 x 640 against frames resized by another filter. NeRF (25) and PixelNeRF (31) are of whole frames at 960 x 640,
-# and so belong to no row.
-PUBLISHED: dict[str, dict[str, str]] = {
-    "fern": {"IBRNet, fitted": "22.64 / 0.774 / 0.266", "MVSNeRF, fitted": "22.61 / 0.770 / 0.283"},
-    "flower": {"IBRNet, fitted": "26.55 / 0.909 / 0.146", "MVSNeRF, fitted": "25.52 / 0.882 / 0.195"},
 }
 Scores = dict[str, dict[str, np.ndarray]]  # label -> metric -> a value per test view
 
@@ -80,9 +74,18 @@ def means_table(scenes: Mapping[str, Mapping[WayName, Scores]], titles: Mapping[
     for scene, ways in scenes.items():
         for way, scores in ways.items():
             cells = [_cell(scores[label]) if label in scores else "not run" for label in labels]
-            published = PUBLISHED.get(scene, {}) if way == "mvsnerf" else {}
-            told = "; ".join(f"{method} {values}" for method, values in published.items())
-            yield f"| {scene} | {WAYS[way]} | {' | '.join(cells)} | {told} |"
+            published = _published(scene) if way == "mvsnerf" else {}
+            others = "; ".join(f"{method} {values}" for method, values in published.items())
+            yield f"| {scene} | {WAYS[way]} | {' | '.join(cells)} | {others} |"
+
+
+def _published(scene: str) -> dict[str, str]:
+    """Return the values of the protocol of a scene by method, which were measured by the way `mvsnerf`."""
+    values: dict[str, dict[str, str]] = {}
+    for each in published_values():
+        if each.protocol == f"llff_3view_{scene}":
+            values.setdefault(each.method, {})[each.metric] = each.value
+    return {method: " / ".join(by_metric[metric] for metric in METRICS) for method, by_metric in values.items()}
 
 
 def _cell(values: Mapping[str, np.ndarray]) -> str:

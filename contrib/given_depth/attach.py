@@ -86,12 +86,14 @@ def _fit(folder: Path, given: GivenDepth, pairs: Mapping[str, Array], maps: Mapp
     single = [_factor(each[:, 0], each[:, 1])[0] for each in pairs.values() if len(each) >= FEWEST_POINTS]
     spread = (max(single) / min(single) - 1) * 100 if single else 0.0
     factor = given.scale or fitted
-    told = (
+    summary = (
         f"{folder}: depth of {len(maps)} cameras in {'lengths of rays' if given.is_distance else 'z'}; "
         f"{len(together)} triangulated points fit a factor of {fitted:.5g}, cameras differ by {spread:.1f} %, "
         f"median error {100 * error:.2f} %"
     )
-    notes = [f"{told}; {'taken' if not given.scale else f'taken is {given.scale:g}, {100 * (given.scale / fitted - 1):+.1f} %'}"]
+    notes = [
+        f"{summary}; {'taken' if not given.scale else f'taken is {given.scale:g}, {100 * (given.scale / fitted - 1):+.1f} %'}"
+    ]
     if error > LEAST_ERROR and other_error < CLEARLY_BETTER * error:
         better = "z" if given.is_distance else "distance"
         notes.append(
