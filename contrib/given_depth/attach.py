@@ -91,9 +91,8 @@ def _fit(folder: Path, given: GivenDepth, pairs: Mapping[str, Array], maps: Mapp
         f"{len(together)} triangulated points fit a factor of {fitted:.5g}, cameras differ by {spread:.1f} %, "
         f"median error {100 * error:.2f} %"
     )
-    notes = [
-        f"{summary}; {'taken' if not given.scale else f'taken is {given.scale:g}, {100 * (given.scale / fitted - 1):+.1f} %'}"
-    ]
+    used = f"used is {given.scale:g}, {100 * (given.scale / fitted - 1):+.1f} %" if given.scale else "used"
+    notes = [f"{summary}; {used}"]
     if error > LEAST_ERROR and other_error < CLEARLY_BETTER * error:
         better = "z" if given.is_distance else "distance"
         notes.append(
