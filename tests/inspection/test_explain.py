@@ -436,7 +436,7 @@ def test_a_match_that_chance_would_give_as_well_is_none():
 
     assert explanation_table("psnr", "29.9", row).startswith("only chance matches for PSNR 29.9: way 14")
     assert explanation_table("psnr", "30.0", [*ours, *others[:14], *others[15:]]).startswith(
-        "PSNR 30.0 is first way, as this tool measures"
+        "PSNR 30.0 is first way, the convention of this tool"
     )
 
 
