@@ -144,6 +144,18 @@ def escape_latex(text: str) -> str:
     return "".join(LATEX_SPECIAL.get(character, character) for character in " ".join(text.split()))
 
 
+def _latex_prose(text: str) -> str:
+    """Return a caption or note, its code spans as code; a backtick would print as a quotation mark."""
+    parts = re.split(r"`([^`]*)`", text)
+    return "".join(rf"\texttt{{{escape_latex(part)}}}" if at % 2 else _escape_part(part) for at, part in enumerate(parts))
+
+
+def _escape_part(text: str) -> str:
+    """Escape a part of a sentence, which keeps the blanks at its ends."""
+    ends = " " if text[:1].isspace() else "", " " if text[-1:].isspace() else ""
+    return escape_latex(text).join(ends) if text.strip() else " " * bool(text)
+
+
 def _latex_table(table: Table) -> str:
     head, rows, foot = latex_parts(table)
     return "\n".join([head, *rows, foot]) + "\n"
@@ -160,7 +172,7 @@ def latex_parts(table: Table) -> tuple[str, list[str], str]:
     label = re.sub(r"[^a-z0-9-]+", "-", f"{table.key}-{table.dataset}".lower()).strip("-")
     head = [
         r"\begin{table}",
-        rf"\caption{{\label{{table:{label}}}\textbf{{{escape_latex(_title(table))}.}} {escape_latex(table.caption)}}}",
+        rf"\caption{{\label{{table:{label}}}\textbf{{{escape_latex(_title(table))}.}} {_latex_prose(table.caption)}}}",
         r"\centering\small",
         r"\fittowidth{%",
         rf"\begin{{tabular}}{{l{'c' * len(table.columns)}}}",
@@ -171,7 +183,7 @@ def latex_parts(table: Table) -> tuple[str, list[str], str]:
     foot = [
         r"\bottomrule",
         r"\end{tabular}}",
-        *([rf"\par\smallskip\begin{{minipage}}{{\linewidth}}\footnotesize {escape_latex(note)}\end{{minipage}}"] if note else []),
+        *([rf"\par\smallskip\begin{{minipage}}{{\linewidth}}\footnotesize {_latex_prose(note)}\end{{minipage}}"] if note else []),
         r"\end{table}",
     ]
     return "\n".join(head), body, "\n".join(foot)

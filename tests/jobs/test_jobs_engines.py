@@ -177,7 +177,7 @@ def test_the_memory_of_processes_is_read():
     ("engine", "message"),
     [
         (Engine(0), "at least 1"),
-        (Engine(2, scheduler="tcp://host:8786"), "add --engine dask"),
+        (Engine(2, scheduler="tcp://host:8786"), "wanted --engine dask with it"),
     ],
 )
 def test_options_that_contradict_each_other_are_refused(engine, message, tmp_path):

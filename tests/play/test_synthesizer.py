@@ -261,7 +261,7 @@ def test_what_is_hardly_meant_is_said_once():
     assert "divide millimetres by 1000" in said
     far_off = camera_at(50.0, name="virtual")
     (said,) = doubts_of(lambda: [synthesizer(sources="nearest").step(images, depths, far_off) for _ in range(1)])
-    assert "stands 49.55 units from the nearest camera" in said
+    assert "is 49.55 units from the nearest camera" in said
     normalised = [replace(camera, K=np.diag([1 / camera.width, 1 / camera.height, 1]) @ camera.K) for camera in RIG]
     (said,) = doubts_of(lambda: OnlineSynthesizer(normalised, 2))
     assert "K is in pixels" in said

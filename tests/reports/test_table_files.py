@@ -4,6 +4,7 @@ import csv
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -14,6 +15,7 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.reproduction import paper_tables, reproduce
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, write_excel
 from ggvs_eval.reports.tables_of_runs import tables_of_runs
@@ -175,3 +177,14 @@ def test_a_table_for_a_paper_compiles(nasty_run, tmp_path):
     """As it is printed, in a plain article."""
     log = compile_latex(tables_of_runs([nasty_run], ["PSNR", "SSIM", "LPIPS"], "latex"), tmp_path)
     assert "Overfull" not in log
+
+
+def test_code_in_captions_is_code_in_latex(nasty_run):
+    """A code span becomes typewriter text, its special characters escaped; a backtick would open a quotation."""
+    table = replace(
+        main_tables([read_run(nasty_run)])[0], caption="Made by `ggvs-eval sweep a_b`, 50 % of it", notes=("see `K`",)
+    )
+    text = to_latex([table])
+    assert r"Made by \texttt{ggvs-eval sweep a\_b}, 50 \% of it" in text
+    assert r"see \texttt{K}" in text
+    assert "`" not in text.partition(r"\begin{table}")[2]

@@ -153,7 +153,7 @@ def test_what_an_earlier_call_left_unfinished_is_named_and_left_out(finished_cop
     frame_path(finished_copy.renders("ours-geometric", "cam01"), 2).unlink()
     evaluate(finished_copy.root, demo_capture, protocol, LABELS[:1], workers=1)
 
-    assert "ours-geometric left out" in capsys.readouterr().err
+    assert "ours-geometric omitted" in capsys.readouterr().err
     assert set(Results.read(finished_copy.root).table["method"]) == {"no-blending"}
     shutil.rmtree(finished_copy.renders("ours-geometric", "cam01"))
     evaluate(finished_copy.root, demo_capture, protocol, LABELS, workers=1)

@@ -138,7 +138,7 @@ def test_frames_rendered_elsewhere_are_a_row(demo_capture, protocol, tmp_path, c
     assert (tmp_path / "sweep" / protocol.name / "renders" / "4dgs-theirs" / "import.json").is_file()
     assert "4dgs-theirs: frames " in capsys.readouterr().err  # how they are numbered
     (failure,) = result.failures
-    assert "nowhere: wanted renders, there is no such folder" in str(failure)
+    assert "nowhere: wanted renders, got no such path" in str(failure)
     assert not failure.traceback
 
 

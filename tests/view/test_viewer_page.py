@@ -84,11 +84,11 @@ def test_outside_of_the_rig_is_said_and_left_by_a_key(page):
     opened = session.client.camera.position.copy()
     session.client.camera.position = opened + np.array([4.0, 0.0, 0.0])
     session.change()
-    browser.wait("document.body.innerText.includes('outside of what the cameras see')", seconds=60)
+    browser.wait('document.body.innerText.includes("outside the cameras\' coverage")', seconds=60)
     assert not browser.run("document.body.innerText.includes('of what its sources see')")  # one thing at a time
     browser.run("document.activeElement.blur()")
     browser.press("r")
-    browser.wait("!document.body.innerText.includes('outside of what the cameras see')", seconds=60)
+    browser.wait('!document.body.innerText.includes("outside the cameras\' coverage")', seconds=60)
     assert np.abs(session.client.camera.position - opened).max() < 1e-3
 
 
