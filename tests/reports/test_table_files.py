@@ -181,9 +181,9 @@ def test_a_table_for_a_paper_compiles(nasty_run, tmp_path):
 
 def test_code_in_captions_is_code_in_latex(nasty_run):
     """A code span becomes typewriter text, its special characters escaped; a backtick would open a quotation."""
-    table = replace(
-        main_tables([read_run(nasty_run)])[0], caption="Made by `ggvs-eval sweep a_b`, 50 % of it", notes=("see `K`",)
-    )
+    run = read_run(nasty_run)
+    caption = "Made by `ggvs-eval sweep a_b`, 50 % of it"
+    table = replace(main_tables([run], run.results)[0], caption=caption, notes=("see `K`",))
     text = to_latex([table])
     assert r"Made by \texttt{ggvs-eval sweep a\_b}, 50 \% of it" in text
     assert r"see \texttt{K}" in text
