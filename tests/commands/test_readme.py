@@ -1,5 +1,7 @@
 """The blocks of README and of the guide, followed literally: what they print is what the pages show."""
 
+import contextlib
+import io
 import re
 import shlex
 from dataclasses import replace
@@ -17,18 +19,27 @@ PAGE, GUIDE = ROOT / "README.md", ROOT / "docs" / "guide.md"
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not PAGE.is_file(), reason="no README beside an installed wheel")]
 
 
+def blocks(language):
+    """The code of README in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
-    """The folder in which the block was followed, and its steps."""
+    """The folder in which the blocks were followed, the steps of commands, and what the lines of Python printed."""
     folder = tmp_path_factory.mktemp("readme")
+    printed = io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        return folder, [follow(line) for line in commands_of(PAGE)]
+        steps = [follow(line) for line in commands_of(PAGE)]
+        with contextlib.redirect_stdout(printed):
+            exec(compile(blocks("python")[0], "README.md", "exec"), {})
+    return folder, steps, printed.getvalue()
 
 
 def test_every_command_ends_as_the_page_says(walk):
     """One after the other from the demo to the page."""
-    _, steps = walk
+    _, steps, _ = walk
     assert [shlex.split(each.command)[1] for each in steps] == ["demo", "doctor", "score", "report"]
     for each in steps:
         assert each.exit_code == int("# ends with 1" in each.command), each.command
@@ -36,7 +47,7 @@ def test_every_command_ends_as_the_page_says(walk):
 
 def test_what_is_printed_is_what_the_page_shows(walk):
     """The planted fault in all three views, the digits of the table, and the page at its path."""
-    folder, steps = walk
+    folder, steps, _ = walk
     _, examined, scored, reported = (" ".join(each.output.split()) for each in steps)
     shown = re.findall(r"^```\n(frame .*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)[0]
     assert "shows instant t-1" in shown
@@ -54,18 +65,10 @@ def test_what_is_printed_is_what_the_page_shows(walk):
     assert reported == "scores/room/report/index.html"
 
 
-def blocks(language):
-    """The code of README in a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-
-
-def test_the_same_in_python_is_the_same(walk, monkeypatch, capsys):
+def test_the_same_in_python_is_the_same(walk):
     """The lines of Python print the table of the same renders."""
-    folder, _ = walk
-    monkeypatch.chdir(folder)
-    scoring, _ = blocks("python")
-    exec(compile(scoring, "README.md", "exec"), {})
-    assert QUOTED in capsys.readouterr().out
+    _, _, printed = walk
+    assert QUOTED in printed
 
 
 def test_the_metric_is_a_plug_in():
@@ -81,7 +84,7 @@ def test_the_metric_is_a_plug_in():
 @pytest.fixture(scope="module")
 def first_evaluation(walk):
     """The guide's first evaluation, on a few frames and sources of what README's block made and by three metrics; its steps."""
-    folder, _ = walk
+    folder, *_ = walk
     quick = folder / "quick"
     protocol = load_protocol(str(quick / "quick.toml"))
     cheap = replace(protocol.measurement, metrics=("PSNR", "SSIM", "TCC"), ceilings=False)

@@ -376,7 +376,7 @@ def test_a_scene_in_which_nothing_moves_leaves_timing_unknown(clean, tmp_path):
 
     assert accused(check) == {}
     assert {finding.verdict for finding in check.of("time offset")} == {"unknown"}
-    assert "nothing moves" in check.of("time offset")[0].measured
+    assert "no motion that neighbours share" in check.of("time offset")[0].measured
 
 
 def test_depth_bounds_in_other_units_are_found(rig, clean_records):

@@ -206,7 +206,7 @@ def test_time_is_that_of_frames_that_are_rendered(demo_capture, protocol, finish
     left = Piece("render", tmp_path / "a", 300, label="a", core_seconds=9.0), Piece("render", tmp_path / "b", 3, label="b")
     text = Workload("", left, tmp_path, {"a": 2.0}, jobs=2).describe()
 
-    assert text.splitlines()[2].startswith("time: about 5 min on 2 cores, and 3 pieces of unknown time; most of it is rendering")
+    assert text.splitlines()[2].startswith("time: about 5 min on 2 cores, and 3 pieces of unknown time; mostly rendering")
     assert "  rendering: 303, 1 s each, 5 min" in text
     root = Path(shutil.copytree(finished, tmp_path / "run"))
     shutil.rmtree(RunFolder(root).renders(LABELS[0], protocol.views.test[0]))
@@ -224,7 +224,7 @@ def test_a_long_run_has_a_line_for_every_stage(demo_capture, protocol, tmp_path)
 
     large = tuple(dataclasses.replace(piece, core_seconds=piece.core_seconds * 7200 / known) for piece in pieces)
     lines = Workload("", large, tmp_path, jobs=2, pace=lambda: 3.0).describe().splitlines()
-    assert lines[2].startswith("time: about 3.0 h on 2 cores; most of it is ")
+    assert lines[2].startswith("time: about 3.0 h on 2 cores; mostly ")
     assert [line.split(":")[0].strip() for line in lines[3:]] == ["decoding", "depth", "rendering", "scoring"]
 
 
