@@ -16,6 +16,7 @@ from ggvs_eval.protocol import load_protocol
 
 ROOT = Path(__file__).parents[1]
 README_BYTES = 7500
+DOCS_BYTES = 140_000
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
@@ -93,15 +94,16 @@ def test_the_readme_is_a_front_door():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
 
     assert len(text.encode()) <= README_BYTES
+    assert sum(page.stat().st_size for page in (ROOT / "docs").glob("*.md")) <= DOCS_BYTES
     assert re.findall(r"<!-- (\w+) -->", text) == ["real_frame", "learned", "reduced"]
     assert (ROOT / "docs" / "images" / "demo.webp").stat().st_size <= 1.5e6
 
 
 def test_every_page_is_in_the_site():
-    """Each page of docs/ is in the navigation of the site, which makes the page of the command line itself."""
+    """Each page of docs/ is in the navigation of the site, which makes those of the command line and of rooms itself."""
     listed = re.findall(r"^ +- [^:]+: (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE)
 
-    assert sorted(listed) == sorted(["cli.md", *(page.name for page in (ROOT / "docs").glob("*.md"))])
+    assert sorted(listed) == sorted(["cli.md", "rooms.md", *(page.name for page in (ROOT / "docs").glob("*.md"))])
 
 
 def test_the_protocols_keys_are_those_of_the_code():
@@ -127,12 +129,17 @@ def test_the_example_of_a_protocol_is_one(tmp_path):
 
 
 def test_the_architecture_is_that_of_the_tree():
-    """Its rooms are those of the tree; `python tools/docs/describe_code.py` writes them."""
+    """The files that it names exist, and every room has a line that the site's page of rooms can show."""
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    for folder in ("ggvs_eval", "baselines", "contrib", "metrics", "pipelines", "reports"):
-        for file in (ROOT / folder).rglob("__init__.py"):
-            about = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").partition("\n")[0]
-            assert f"| `{file.parent.relative_to(ROOT).as_posix()}/` | {about} |" in page
+    sys.path.insert(0, str(ROOT / "tools" / "docs"))
+    import describe_code
+
+    named = re.findall(r"`((?:ggvs_eval|pipelines|reports|tests)/[\w/]+\.py)`", page)
+    assert len(named) > 8
+    assert [name for name in named if not (ROOT / name).is_file()] == []
+    rows = describe_code.rooms_table(ROOT).splitlines()[2:]
+    assert len(rows) > 50
+    assert [row for row in rows if not re.fullmatch(r"\| `[\w/]+/` \| \S.{15,} \|", row)] == []
 
 
 def test_the_notebook_is_code_of_today():

@@ -1,6 +1,7 @@
-"""Write the parts of docs/ that the code determines: ``python tools/docs/describe_code.py``.
+"""Parts of the documentation that the code determines.
 
-These are the rooms of docs/architecture.md, from docstrings, and the keys of docs/protocol.md, from the classes of a protocol.
+``python tools/docs/describe_code.py`` writes the keys of docs/protocol.md, from the classes of a protocol. Rooms are a page
+of the site, made from docstrings while it is built (`site_pages`).
 """
 
 import ast
@@ -30,8 +31,7 @@ NOT_SET = {"name": "the file's name", "dataset": "`name`", "depth_ms": "that of 
 
 
 def main() -> None:
-    """Write both tables anew."""
-    write_part(ROOT / "docs" / "architecture.md", "rooms", rooms_table(ROOT))
+    """Write the table of keys again."""
     write_part(ROOT / "docs" / "protocol.md", "keys", keys_table())
 
 

@@ -3,7 +3,9 @@
 import contextlib
 import io
 import os
+import sys
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -12,12 +14,16 @@ from mkdocs.structure.files import File, Files
 from ggvs_eval.built_in import VERBS
 from ggvs_eval.pipelines.commands.main import COMMANDS, run_command
 
+sys.path.insert(0, str(Path(__file__).parent))  # MkDocs loads a hook as a file of its own
+from describe_code import ROOT, rooms_table
+
 WIDTH = "80"  # of a command's help, in signs
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the reference of the command line."""
+    """Add the reference of the command line and the page of rooms."""
     files.append(File.generated(config, "cli.md", content=command_reference()))
+    files.append(File.generated(config, "rooms.md", content=f"# Rooms\n\n{rooms_table(ROOT)}\n"))
     return files
 
 
