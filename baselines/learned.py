@@ -17,8 +17,8 @@ class Rendition:
 
     Attributes:
         describe: one line for the help and the report.
-        retrained: configuration of the weights that ship for it; empty where the user has to give a checkpoint.
-        variant: what its label has behind the baseline's name and a ``+``.
+        retrained: configuration of the weights that ship for it; empty if the user has to give a checkpoint.
+        variant: suffix of its label, after the baseline's name and a ``+``.
         options: arguments of the baseline's method.
         uses_depth: whether it looks at the depth of its sources.
     """

@@ -3,7 +3,7 @@
 On the small capture that ships, where one of two sets of renders is a frame late:
 
     ggvs-eval demo quick --quick
-    python examples/score_folder.py quick/room quick/quick.toml out/scores quick/mended quick/late
+    python examples/score_folder.py quick/room quick/quick.toml out/scores quick/fixed quick/late
 """
 
 import sys

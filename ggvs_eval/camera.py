@@ -32,7 +32,7 @@ class Camera:
         near: smallest depth of the scene seen from here, world units.
         far: largest depth of the scene seen from here, world units.
         deviation: largest difference between the entries of the given matrix and those of the nearest rotation, which
-            took its place; 0 where it is kept as it was given.
+            took its place; 0 if it is kept as it was given.
         range_origin: whether near and far are given by the capture or its user, measured on its pictures, or guessed from where
             its cameras look; nothing may be refused for a guess.
 

@@ -89,7 +89,7 @@ class GivenDepth:
 
     Attributes:
         folder: where they are.
-        scale: world units per unit of the files; 0 where it is fitted to points that neighbours share.
+        scale: world units per unit of the files; 0 if it is fitted to points that neighbours share.
         is_distance: they hold lengths of rays, not z.
     """
 
@@ -109,14 +109,14 @@ class Capture:
         cameras: calibrated cameras in the order of the capture.
         sources: frames of each camera, same order.
         n_frames: frames that every camera has.
-        fps: frames per second; 0 where the capture is a single instant, held still or not.
+        fps: frames per second; 0 if the capture is a single instant, held still or not.
         units_per_metre: world units per metre; metric constants of the method are multiplied by it.
         units_origin: where that number comes from, for the report.
         resize_filter: how frames are resampled when the cameras are resized.
-        extras: background, masks and sensor depth of each camera, same order; empty where the capture has none of them.
+        extras: background, masks and sensor depth of each camera, same order; empty if the capture has none of them.
         notes: what was left out and why, for people.
-        edit: what was done to the frames; None where they are as they were taken.
-        test_views: cameras that its authors hold out; none where it does not say.
+        edit: what was done to the frames; None if they are as they were taken.
+        test_views: cameras that its authors hold out; none if it does not say.
         given_depth: where its depth comes from, if it is another program's.
     """
 
@@ -184,7 +184,7 @@ class Capture:
         return frozenset(name for name in self.camera_names if self.extras_of(name).depth is not None)
 
     def background(self, name: str) -> Image8 | None:
-        """Return the static background of one camera at the size of that camera, (H, W, 3); None where the capture has none."""
+        """Return the static background of one camera at the size of that camera, (H, W, 3); None if the capture has none."""
         source = self.extras_of(name).background
         if source is None:
             return None
@@ -204,7 +204,7 @@ class Capture:
         return replace(self, cameras=cameras, resize_filter=resize_filter)
 
     def without(self, names: Sequence[str], reason: str) -> "Capture":
-        """Return the same capture lacking some cameras; the reason becomes a note where there are any."""
+        """Return the same capture lacking some cameras; the reason becomes a note if there are any."""
         if not set(names) & set(self.camera_names):
             return self
         kept = [index for index, camera in enumerate(self.cameras) if camera.name not in names]

@@ -34,7 +34,7 @@ class Scale:
 
 
 def depth_colours(depth: Map, nearest: float, farthest: float) -> Image8:
-    """Return the inverse depth in viridis, near = yellow, far = dark blue; checks where there is none.
+    """Return the inverse depth in viridis, near = yellow, far = dark blue; checks if there is none.
 
     Args:
         depth: (H, W), world units, 0 = invalid.
@@ -54,7 +54,7 @@ def depth_scale(nearest: float, farthest: float) -> Scale:
 
 
 def confidence_colours(confidence: Map, is_known: Mask, is_filled: Mask) -> Image8:
-    """Confidence in cividis, 0 = dark blue, 1 = yellow; stripes where depth was filled in, checks where there is none."""
+    """Confidence in cividis, 0 = dark blue, 1 = yellow; stripes where depth was filled in, checks if there is none."""
     colours = coloured(confidence, "cividis", is_known)
     colours[is_filled] = _stripes(confidence.shape)[is_filled]
     return colours
@@ -66,7 +66,7 @@ def confidence_scale() -> Scale:
 
 
 def difference_colours(difference: Map, is_known: Mask) -> Image8:
-    """Differences of images in magma, none = black, 64 of 255 levels or more = near white; checks where there is nothing."""
+    """Differences of images in magma, none = black, 64 of 255 levels or more = near white; checks if there is nothing."""
     return coloured(_share(difference, 0, DIFFERENCE_FULL_SCALE), "magma", is_known)
 
 
@@ -87,7 +87,7 @@ def _share(values: Map, low: float, high: float) -> Map:
 
 
 def coloured(share: Map, name: str, is_known: Mask) -> Image8:
-    """Return the values from 0 to 1 in a colour map of Matplotlib, checks where there is none, (H, W, 3)."""
+    """Return the values from 0 to 1 in a colour map of Matplotlib, checks if there is none, (H, W, 3)."""
     colours = _table(name)
     return with_checks(colours.take(np.clip(np.rint(share * 255), 0, 255).astype(np.intp), axis=0), is_known)
 

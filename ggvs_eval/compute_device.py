@@ -69,12 +69,12 @@ def rendering_on(device: torch.device) -> Iterator[None]:
 
 
 @contextmanager
-def out_of_memory(device: torch.device | str, mend: str) -> Iterator[None]:
+def out_of_memory(device: torch.device | str, remedy: str) -> Iterator[None]:
     """Turn running out of GPU memory into an error that says what to do."""
     try:
         yield
     except torch.OutOfMemoryError as error:
-        raise DeviceError(f"device {device}: wanted more memory than is free; {mend}, or fewer jobs at once (--jobs)") from error
+        raise DeviceError(f"device {device}: not enough free memory; {remedy}, or fewer jobs at once (--jobs)") from error
 
 
 def clock_s(device: torch.device) -> float:

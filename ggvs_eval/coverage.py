@@ -17,7 +17,7 @@ class Coverage:
 
     Attributes:
         numbers: frame numbers of the protocol, which every method has but the partial ones.
-        partial: label of a partial method -> view -> its frames, rising.
+        partial: label of a partial method -> view -> its frames, ascending.
         marks: label of a partial method -> what its row is based on.
         imported: label of a method that others rendered -> where it came from.
         refused: label of a method -> view that it cannot show -> why not.
@@ -30,7 +30,7 @@ class Coverage:
     refused: Mapping[str, Mapping[str, str]]
 
     def frames(self, label: str, view: str) -> Sequence[int]:
-        """Return the frames of one method in one view, rising."""
+        """Return the frames of one method in one view, ascending."""
         return self.partial[label].get(view, ()) if label in self.partial else self.numbers
 
     def stretches(self, label: str, view: str) -> tuple[range, ...]:
@@ -88,8 +88,8 @@ def require_imported(run: RunFolder, labels: Sequence[str]) -> None:
     for label in labels:
         frames = (run.root / "renders" / label).glob("*/*.png")
         if lost := next((frame for frame in frames if not frame.exists()), None):
-            mend = f"restore them, or run `ggvs-eval score {run.root} --renders {label}=NEWPLACE`"
-            raise RenderError(f"{run.root}: wanted the frames of {label} in {lost.readlink().parent}, got none; {mend}")
+            remedy = f"restore them, or run `ggvs-eval score {run.root} --renders {label}=NEWPLACE`"
+            raise RenderError(f"{run.root}: wanted the frames of {label} in {lost.readlink().parent}, got none; {remedy}")
 
 
 def _refusals(run: RunFolder, label: str, views: Sequence[str]) -> dict[str, str]:
@@ -99,6 +99,6 @@ def _refusals(run: RunFolder, label: str, views: Sequence[str]) -> dict[str, str
 
 
 def read_import(run: RunFolder, label: str) -> dict[str, Any] | None:
-    """Return the record of an import; None where the method was rendered here."""
+    """Return the record of an import; None if the method was rendered here."""
     file = run.root / "renders" / label / IMPORT_FILE
     return dict(read_json(file)) if file.is_file() else None

@@ -33,8 +33,8 @@ class DepthMap:
 
     Attributes:
         depth: z in the camera's frame, world units, 0 = invalid, (H, W) float32.
-        confidence: trust in it, in [0, 1], 0 where the depth is invalid, (H, W) float32.
-        guess: what takes the place of depth that other cameras do not confirm, (H, W) float32; None where the background does.
+        confidence: trust in it, in [0, 1], 0 if the depth is invalid, (H, W) float32.
+        guess: what takes the place of depth that other cameras do not confirm, (H, W) float32; None if the background does.
     """
 
     depth: Map
@@ -74,7 +74,7 @@ class DepthJob:
 
     Attributes:
         camera_name: the camera whose depth is wanted.
-        partner_names: the cameras it is matched with, in order; none where a sensor measured its depth.
+        partner_names: the cameras it is matched with, in order; none if a sensor measured its depth.
         checked_with: depth of other cameras that it is checked against; none for raw depth.
         spec: all that the depth depends on, as JSON values; written once, when the job is planned.
     """

@@ -10,7 +10,7 @@ from difflib import get_close_matches
 
 LONGEST_WORD = 1000  # of a message: longer than most paths, shorter than what a hostile file calls a name
 LONGEST_NAME = 100  # for which another is suggested: likeness takes time
-MENDS = {
+REMEDIES = {
     (errno.ENOSPC, errno.EDQUOT, errno.EFBIG): "make room",
     (errno.EROFS,): "choose a folder that can be written",
     (errno.EACCES, errno.EPERM): "ask for access or choose another place",
@@ -119,10 +119,10 @@ def mendable(error: BaseException) -> str | None:
         return str(error)
     if not isinstance(error, OSError):
         return None
-    mend = "".join(f"; {mend}" for numbers, mend in MENDS.items() if error.errno in numbers)
+    remedy = "".join(f"; {remedy}" for numbers, remedy in REMEDIES.items() if error.errno in numbers)
     files = [str(name) for name in (error.filename, error.filename2) if isinstance(name, str | os.PathLike)]
     reason = error.strerror or str(error) or type(error).__name__
-    return one_line(f"{' -> '.join(files)}{': ' * bool(files)}{reason}{mend}; {GO_ON}")
+    return one_line(f"{' -> '.join(files)}{': ' * bool(files)}{reason}{remedy}; {GO_ON}")
 
 
 def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6, prefix: str = "") -> str:

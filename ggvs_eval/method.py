@@ -65,7 +65,7 @@ class Rendering:
 
     Attributes:
         image: synthesised view, float32 RGB in [0, 1], (H, W, 3).
-        depth: geometry it used, (H, W), world units, 0 where it has none; None for methods without geometry in the target view.
+        depth: geometry it used, (H, W), world units, 0 if it has none; None for methods without geometry in the target view.
         seconds: time of each stage, in the method's own words, for the timing table.
         diagnostics: what it decided on the way to the image, for finding out why a pixel flickers; any of ``depth``
             (h, w), world units, 0 where unknown, ``coverage`` (h, w), how far the views show the pixel, ``motion`` (h, w) and

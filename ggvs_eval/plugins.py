@@ -127,7 +127,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return {name: self[name] for name in self.present()}
 
     def why_absent(self, name: str) -> str:
-        """Return the reason why a name that ships is not there, in a line; empty where it is there, or does not ship."""
+        """Return the reason why a name that ships is not there, in a line; empty if it is there, or does not ship."""
         if name not in self.shipped:
             return ""
         if self._needs and not is_installed(self._needs):
@@ -205,7 +205,7 @@ def use_file(path: Path) -> None:
 
 @cache
 def missing_part(module: str) -> str | None:
-    """Return the outermost package of a dotted name that is not installed, or the module itself; None where it is there."""
+    """Return the outermost package of a dotted name that is not installed, or the module itself; None if it is there."""
     above = module.rpartition(".")[0]
     if above and (part := missing_part(above)):
         return part

@@ -191,7 +191,7 @@ class Protocol:
     Attributes:
         name: name of the protocol.
         dataset: name of the data set in tables; published values are shown next to runs of the same name only.
-        stream: how pictures reach a screen, for metrics such as ``PSNR_stream``; None where every picture is waited for.
+        stream: how pictures reach a screen, for metrics such as ``PSNR_stream``; None if every picture is waited for.
     """
 
     name: str

@@ -42,7 +42,7 @@ SYMPTOMS = {
 
 
 class Absence(NamedTuple):
-    """A value that a method lacks in a view, while the metric has values elsewhere; ``view`` is empty where it lacks all."""
+    """A value that a method lacks in a view, while the metric has values elsewhere; ``view`` is empty if it lacks all."""
 
     metric: str
     label: str
@@ -65,7 +65,7 @@ class Fault(NamedTuple):
 
     @property
     def is_certain(self) -> bool:
-        """True where nothing else explains the frames, so that their numbers say nothing of the method."""
+        """True if nothing else explains the frames, so that their numbers say nothing of the method."""
         return self.verdict == "certain"
 
     @property
@@ -79,7 +79,7 @@ class Fault(NamedTuple):
 
     @property
     def remedy(self) -> str:
-        """First thing to do about it, one sentence, e.g. ``Renumber the frames by -1.``; empty where none is known."""
+        """First thing to do about it, one sentence, e.g. ``Renumber the frames by -1.``; empty if none is known."""
         first = re.match(r"[^:;?]+\??", self.advice)
         return f"{first[0][0].upper()}{first[0][1:]}{'' if first[0].endswith('?') else '.'}" if first else ""
 
@@ -89,8 +89,8 @@ class Results:
     """Every value of one evaluation, with its provenance.
 
     Attributes:
-        table: one row per value with the columns `COLUMNS`; ``view`` is None where a value belongs to the whole rig (SDV),
-            ``frame`` is -1 where it belongs to the whole sequence (STED, SDT).
+        table: one row per value with the columns `COLUMNS`; ``view`` is None if a value belongs to the whole rig (SDV),
+            ``frame`` is -1 if it belongs to the whole sequence (STED, SDT).
         provenance: ``protocol`` (values), ``protocol_sha256``, ``inputs`` (digest per camera), ``renders`` (digest per method and
             view), ``partial`` (method -> what its row is based on, if not everything), ``devices`` (method and view ->
             where its networks computed, there alone where that is not the CPU), ``pooling`` (metric -> how its number is made of
@@ -219,7 +219,7 @@ class Results:
         ]
 
     def why_absent(self, metric: str, label: str, view: str = "") -> str:
-        """Return the reason why a method has no value of a metric, in one view or in any; empty where none is recorded."""
+        """Return the reason why a method has no value of a metric, in one view or in any; empty if none is recorded."""
         mine = (one for one in self.absences if (one.metric, one.label) == (metric, label))
         reasons = (one.reason for one in mine if not view or one.view in ("", view))
         return next(reasons, self.not_computed.get(metric, ""))

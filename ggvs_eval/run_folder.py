@@ -9,7 +9,7 @@
     RUN/fused/<frame>/points.ply  mesh.ply       one instant as a point cloud and a mesh, where asked for
     RUN/renders/<method>/<view>/<frame>.png      synthesised frames, and job.json: identity, versions, seconds per stage
     RUN/renders/<method>/<view>/inside/<map>/    depth, weights, coverage, motion of those frames, of methods with diagnostics
-    RUN/path/truth/<pose>.png                    a camera path at one instant: truth where there is one, poses in path.json
+    RUN/path/truth/<pose>.png                    a camera path at one instant: truth if there is one, poses in path.json
     RUN/path/<method>/<pose>.png                 the same path synthesised, for epipolar plane images
     RUN/path_depth/<pose>.npy                    depth along the path, the same for all methods
     RUN/path_scores/<method>/job.json            view consistency of every method along the path
@@ -59,7 +59,7 @@ class RunFolder:
 
     @property
     def live_depth_record(self) -> Path:
-        """File of the seconds that live depth took; only where its time counts."""
+        """File of the seconds that live depth took; only if its time counts."""
         return self.root / "live_depth.json"
 
     @property

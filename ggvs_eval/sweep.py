@@ -43,7 +43,7 @@ class SweepRow:
 
     @property
     def rendered(self) -> str | None:
-        """The path of frames that others rendered; None where they are rendered here."""
+        """The path of frames that others rendered; None if they are rendered here."""
         return self.path if self.method.startswith(RENDERED) else None
 
     def frames_of(self, capture: str) -> Path | None:

@@ -38,9 +38,9 @@ class Ceilings:
         averaged_share: share of the pixels whose clean value is an average over time; the rest moved and were estimated from
             the frame alone.
         not_computed: metric -> reason.
-        bounds: metric -> that its noise-free score is a bound, and on which side; empty where scores are estimates.
+        bounds: metric -> that its noise-free score is a bound, and on which side; empty if scores are estimates.
         second_bounds: the same of the second recording.
-        second_unknown: why there is no second recording; empty where there is one.
+        second_unknown: why there is no second recording; empty if there is one.
     """
 
     noise: NoiseModel
@@ -67,7 +67,7 @@ def ceilings(
             and more often where they were coded.
         metrics: names out of `registry.METRICS`, but no metric of the whole rig; see `registry.ceiling_metrics`.
         seed: of the noise that is drawn; equal seeds give equal bits.
-        coding: how the frames were coded; None where each pixel is as the sensor gave it.
+        coding: how the frames were coded; None if each pixel is as the sensor gave it.
 
     Raises:
         MetricError: unknown metric, fewer than 2 frames, frames that differ in size, too little is static, or frames that

@@ -57,7 +57,7 @@ class TruthFrame:
     Attributes:
         image: the frame, (H, W, 3).
         previous: the captured frame before; None for the first.
-        disoccluded: where no source camera sees the view, (H, W); None where that is unknown.
+        disoccluded: where no source camera sees the view, (H, W); None if that is unknown.
     """
 
     def __init__(self, image: Image8, previous: Image8 | None = None, disoccluded: Mask | None = None) -> None:
@@ -157,7 +157,7 @@ class Metric:
         kind: what one value belongs to: a ``frame``, a ``pair`` of neighbouring frames, a ``view`` (all its frames), or the
             ``rig`` (all views), a camera ``path`` without truth, or a ``depth`` video.
         function: its definition, images (or for deviations errors) in, numbers out.
-        unit: unit of a value, empty where it has none.
+        unit: unit of a value, empty if it has none.
         higher_is_better: direction of the arrow in tables.
         group: table that it belongs to.
         decimals: digits after the point in tables; None for four significant ones.
@@ -168,7 +168,7 @@ class Metric:
         reference: where it is defined.
         has_ceiling: whether perfect renderings are scored with it, see `ceilings`.
         beside: companion metric, always measured and reported with it: the
-            sharpness of what blur would make steadier. Empty where it can be read alone.
+            sharpness of what blur would make steadier. Empty if it can be read alone.
     """
 
     name: str
@@ -193,7 +193,7 @@ class Metric:
         return tuple(sorted({function.__module__ for function in functions}))
 
 
-# The metric of the pixels inside a mask (H, W); None where it does not look at this frame. Too small a mask is a `MetricError`.
+# The metric of the pixels inside a mask (H, W); None if it does not look at this frame. Too small a mask is a `MetricError`.
 Inside = Callable[[FramePair, Mask], float | None]
 
 
@@ -224,9 +224,9 @@ class ViewMetric(Metric):
             there is none.
         inside_note: what that adds to the line that describes the part.
         corrects_colours: whether it wants that colour map.
-        weights: file of trained weights that it needs; None where it needs none.
+        weights: file of trained weights that it needs; None if it needs none.
         on_device: whether it computes on `MetricOptions.device`, so that its values are those of a device.
-        series: the metric of a video without truth; None where it compares with one.
+        series: the metric of a video without truth; None if it compares with one.
     """
 
     scorer: ScorerFactory | None = None

@@ -22,7 +22,7 @@ class PathScores:
             every step too, at its first pose, counted from 0.
         not_computed: measure -> reason.
         rows: image rows that EPIs were taken from.
-        n_switches: steps at which the source cameras change; None where the switch score was not computed.
+        n_switches: steps at which the source cameras change; None if the switch score was not computed.
     """
 
     values: list[Value]

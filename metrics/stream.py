@@ -70,10 +70,10 @@ def score_views(
         metrics: names out of `registry.METRICS`. Metrics of the whole rig (SDV) and of camera paths are passed over here.
         options: variants of the metrics; the defaults where None.
         colour_maps: each method's map of this view, see `fit_colour_maps`; needed where colours are corrected per view.
-        disoccluded: for each instant, where no source camera sees the view, (H, W); None where that is unknown.
+        disoccluded: for each instant, where no source camera sees the view, (H, W); None if that is unknown.
 
     Returns:
-        For each method, values of every frame, pair and the view. A metric that a view cannot have (too few frames, too small,
+        values of each method: by frame, by pair and of the view. A metric that a view cannot have (too few frames, too small,
         no weights) is in `not_computed` with its reason, never NaN.
 
     Raises:

@@ -55,8 +55,8 @@ class FourD(GaussianFitter):
         """Refuse options that no fit could follow."""
         names = get_args(MotionName)
         if self.motion not in names:
-            mend = did_you_mean(self.motion, names)
-            raise RenderError(f"4dgs: wanted a motion of {', '.join(names)}, got {self.motion!r}{mend}")
+            remedy = did_you_mean(self.motion, names)
+            raise RenderError(f"4dgs: wanted a motion of {', '.join(names)}, got {self.motion!r}{remedy}")
         self.require_counts("steps")
 
     def depth_indices(self, indices: range) -> Sequence[int]:

@@ -118,7 +118,7 @@ def _plane(channels: int, sizes: tuple[int, ...], pair: tuple[int, int]) -> nn.P
 def field_outputs(
     grid: PlaneGrid, trunk: nn.Module, heads: Sequence[nn.Module], points: Tensor, time: float = 0.0
 ) -> tuple[Tensor, ...]:
-    """Return the outputs of heads at points, by a kernel where there is one.
+    """Return the outputs of heads at points, by a kernel if there is one.
 
     Args:
         trunk: the layer that all heads share.
@@ -204,7 +204,7 @@ class DeformationNetwork(nn.Module):
 
 
 def _bend(plane: Tensor) -> Tensor:
-    """Return the mean squared second difference along the height of a plane; 0 where it has no three nodes."""
+    """Return the mean squared second difference along the height of a plane; 0 if it has no three nodes."""
     return plane.diff(n=2, dim=2).square().mean() if plane.shape[2] > 2 else plane.new_zeros(())
 
 

@@ -273,7 +273,7 @@ def optimise(state: FitState, shots: Shots, options: FitSchedule, journal: Journ
 
     Args:
         state: of the fit, changed in place.
-        checkpoint: file of the state, for continuing after a kill; None where the fit is too short to be worth one.
+        checkpoint: file of the state, for continuing after a kill; None if the fit is too short to be worth one.
     """
     while state.step < options.steps:
         started = perf_counter()

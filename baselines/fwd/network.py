@@ -118,7 +118,7 @@ def direction_change(to_source: Tensor, to_target: Tensor) -> Tensor:
         to_target: from the target camera to it, (N, 3).
 
     Returns:
-        The unit difference of both directions (0 where they agree) and their cosine, (N, 4).
+        The unit difference of both directions (0 if they agree) and their cosine, (N, 4).
     """
     source, target = (torch.nn.functional.normalize(towards, dim=1) for towards in (to_source, to_target))
     difference = torch.nn.functional.normalize(source - target, dim=1, eps=1e-6)

@@ -182,7 +182,7 @@ def choose_pairs(target: Camera, cameras: Sequence[Camera], count: int) -> list[
     """Return the nearest pairs that can be rectified; no camera is in two of them.
 
     Args:
-        count: pairs wanted; fewer come back where there are no more.
+        count: pairs wanted; fewer come back if there are no more.
 
     Returns:
         Indices of the cameras of each pair, nearest pair first; in each, left camera first.

@@ -216,7 +216,7 @@ CONFIGURATIONS = {
 
 
 class GpsGaussianNetwork(nn.Module):
-    """The network; parameters bear the names of the published checkpoint."""
+    """The network; parameters have the names of the published checkpoint."""
 
     def __init__(self, configuration: str = FULL) -> None:
         super().__init__()

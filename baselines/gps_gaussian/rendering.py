@@ -131,7 +131,7 @@ class GaussianImage(NamedTuple):
     Attributes:
         colour: premultiplied by coverage, (H, W, 3), float32.
         alpha: coverage, (H, W), float32.
-        depth: mean depth of what covers the pixel, (H, W), world units, 0 where nothing does.
+        depth: mean depth of what covers the pixel, (H, W), world units, 0 if nothing does.
     """
 
     colour: Map

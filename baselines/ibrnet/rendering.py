@@ -127,7 +127,7 @@ def render_rays(
         near: depth of the first sample, world units.
 
     Returns:
-        RGB, (R, 3), and expected depth, (R,), 0 where a ray met less than half an opaque surface.
+        RGB, (R, 3), and expected depth, (R,), 0 if a ray met less than half an opaque surface.
     """
     _, fine = render_passes(networks, views, centre, rays, near, far)
     colours, shares, depths = fine

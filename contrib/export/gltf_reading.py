@@ -132,8 +132,8 @@ def _values(opened: _Opened, number: int, file: IO[bytes]) -> Array32:
 
 
 def _unlike(path: Path, got: str) -> RenderError:
-    mend = "write it again, or convert it, e.g. 'splat-transform in.glb out.ply'"
-    return RenderError(f"{path}: wanted a .glb with Gaussians of {EXTENSION}, one mesh or a sequence, got {got}; {mend}")
+    remedy = "write it again, or convert it, e.g. 'splat-transform in.glb out.ply'"
+    return RenderError(f"{path}: wanted a .glb with Gaussians of {EXTENSION}, one mesh or a sequence, got {got}; {remedy}")
 
 
 class SplatFile(NamedTuple):

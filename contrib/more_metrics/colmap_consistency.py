@@ -51,7 +51,7 @@ def colmap_consistency(images: Iterable[Image], cameras: Sequence[Camera] | None
 
     Args:
         images: views in the order of the path, (H, W, 3), uint8 in 0..255 or float in [0, 1].
-        cameras: of each view; None where they are unknown.
+        cameras: of each view; None if they are unknown.
 
     Raises:
         MetricError: fewer than 5 views, another number of cameras, or COLMAP fails.

@@ -25,7 +25,7 @@ def run_job(folder: Path) -> dict[str, Any]:
 
     Returns:
         ``matches``: verified ones of each pair of neighbours; of the largest model ``poses``: place in the list -> ``[rotation,
-        centre]`` of a view, and ``tracks``: for each point the places of the views that see it. Empty where there is no model.
+        centre]`` of a view, and ``tracks``: for each point the places of the views that see it. Empty if there is no model.
     """
     import pycolmap
 

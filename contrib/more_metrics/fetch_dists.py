@@ -31,7 +31,7 @@ def dists_weights_path() -> Path:
 
 
 def fetch_dists_weights() -> Path:
-    """Download, convert and keep the weights of DISTS; does nothing where they are kept already.
+    """Download, convert and keep the weights of DISTS; does nothing if they are kept already.
 
     Raises:
         WeightsError: pip cannot get the package, or it is not the one that is wanted.

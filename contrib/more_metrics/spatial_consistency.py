@@ -87,7 +87,7 @@ def depth_layers(depths: NDArray[np.float32]) -> NDArray[np.int64]:
 def local_pose(
     points_3d: Array, found: NDArray[np.float32], K: Array, motion: Array, error_px: float = PNP_ERROR_PX
 ) -> tuple[Array, Array] | None:
-    """Rotation vector and translation of a region, refined from the path's own; None where its matches do not determine them."""
+    """Rotation vector and translation of a region, refined from the path's own; None if its matches do not determine them."""
     if len(found) < LEAST_MATCHES:
         return None
     pixels, start = found.astype(np.float64) + 0.5, Rotation.from_matrix(motion[:3, :3]).as_rotvec()
@@ -116,7 +116,7 @@ def local_pose(
 
 
 def bends_px(points_3d: Array, found: NDArray[np.float32], start: NDArray[np.float32], camera: Camera, motion: Array) -> Array:
-    """Median distance of the matches in each window from the pose of most of all matches; NaN where they are too few."""
+    """Median distance of the matches in each window from the pose of most of all matches; NaN if they are too few."""
     agreed = local_pose(points_3d, found, camera.K, motion, AGREED_PX)
     if agreed is None:
         return np.full(WINDOWS, np.nan)

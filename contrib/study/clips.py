@@ -39,9 +39,9 @@ class Clip:
 
     Attributes:
         truth: (T, H, W, 3).
-        cameras: the one that films, or one for each frame where it moves; none where unknown.
+        cameras: the one that films, or one for each frame where it moves; none if unknown.
         depths: true view's depth at each frame of a moving camera, (T, H, W), world units, 0 = unknown; None where unknown.
-        sources: cameras that the view can be rendered from, nearest first; none where their depth is unknown.
+        sources: cameras that the view can be rendered from, nearest first; none if their depth is unknown.
         rendering: what degradations are planted in, (T, H, W, 3); the truth where None.
     """
 

@@ -18,7 +18,7 @@ class Ladder:
 
     Attributes:
         name: in tables and on the command line.
-        strengths: at least five, rising; 0, which is the undegraded clip, comes before them.
+        strengths: at least five, ascending; 0, which is the undegraded clip, comes before them.
         plant: (clip, strength, seed) -> frames.
         describe: what is done, in a few words.
         module: that its code is in.
@@ -42,7 +42,7 @@ class Ladder:
         return self.plant(clip, strength, seed)
 
     def refuses(self, clip: Clip) -> str:
-        """Return the reason why a clip cannot be degraded so; empty where it can."""
+        """Return the reason why a clip cannot be degraded so; empty if it can."""
         if self.wants_path and not clip.moves:
             return "the camera is static"
         if self.wants_path and clip.depths is None:

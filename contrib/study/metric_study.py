@@ -21,6 +21,6 @@ def read_study(folder: Path) -> Study:
 
 
 def answered_metrics(studies: Sequence[Study]) -> list[str]:
-    """Return the metrics that any of some studies has an answer of, in their order."""
+    """Return the metrics that at least one study has measured, in their order."""
     answered = {metric for study in studies for of_ladder in study["answers"].values() for metric in of_ladder}
     return [metric for metric in dict.fromkeys(name for study in studies for name in study["metrics"]) if metric in answered]

@@ -39,7 +39,7 @@ CHOSEN_BY = "by rule: cameras evenly spread over the capture, for a metric study
 
 
 def open_footage(path: Path) -> Capture:
-    """Return a capture, videos without calibration, one video, or the pictures of one in a folder."""
+    """Open a capture, uncalibrated videos, one video, or one camera's folder of images."""
     if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES:
         return uncalibrated_capture(path, {path.stem: VideoFrames(path)})
     if path.is_dir() and list_images(path):
@@ -48,7 +48,7 @@ def open_footage(path: Path) -> Capture:
 
 
 def prepare_views(root: Path, capture: Capture, names: Sequence[str], frames: range, workers: Workers) -> RunPlan | None:
-    """Return the capture prepared as for a run, with depth; None where its cameras are unknown or see too little in common."""
+    """Return the capture prepared as for a run, with depth; None if its cameras are unknown or see too little in common."""
     if capture.layout == LAYOUT or len(capture.cameras) < 2:
         return None
     path = CameraPath() if open_path(capture.path) is not None else CameraPath(0)
@@ -66,7 +66,7 @@ def study_protocol(
     """Return the protocol under which a capture is prepared, at the capture's own size.
 
     Args:
-        sources: cameras that they are rendered from; all others where there are none.
+        sources: cameras that they are rendered from; all others if there are none.
     """
     base = suggest_protocol(capture)
     width, height = capture.cameras[0].size
@@ -91,8 +91,8 @@ class StudyOptions:
     """Options of a metric study.
 
     Attributes:
-        metrics: names; those that do not cost much where there are none, ``all`` for every one.
-        ladders: names; all where there are none.
+        metrics: names; those that do not cost much if there are none, ``all`` for every one.
+        ladders: names; all if there are none.
         seeds: how often each ladder is planted in each take, with other random numbers.
         frames: of a clip, and poses of a stretch of a camera path.
         size: of the images' shorter side, pixels.

@@ -156,7 +156,7 @@ def depth_loss(depths: Tensor, fused_depth: Tensor, weights: Tensor) -> Tensor:
 
 
 def mask_loss(background_weight: Tensor, alphas: Tensor) -> Tensor:
-    """Measure how far the background's weight is from 1 where no view covers the pixel, and from 0 elsewhere.
+    """Measure how far the background's weight is from 1 if no view covers the pixel, and from 0 elsewhere.
 
     Args:
         background_weight: w_BG, (B, H, W).
@@ -259,7 +259,7 @@ class BlendTask:
         schedule: see `Schedule`; the weight decay is the paper's.
 
     Reading:
-        The paper has 2e-4, for long trainings on a GPU. The one here lasts an hour of one core: at 1e-3 the refiner has most
+        The paper has 2e-4, for long trainings on a GPU. The schedule here takes an hour of one core: at 1e-3 the refiner has most
         of what it can learn after 500 steps.
     """
 

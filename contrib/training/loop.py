@@ -67,7 +67,7 @@ def write_state(folder: Path, state: TrainingState) -> None:
 
 
 def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> TrainingState:
-    """Return the state of a folder poured into a fresh one; the fresh one itself where there is none."""
+    """Return the state of a folder poured into a fresh one; the fresh one itself if there is none."""
     path = state_file(folder)
     if not path.is_file():
         return fresh
@@ -96,7 +96,7 @@ def pour_weights(path: Path, network: nn.Module) -> int:
     """Give a network the weights of such a file; one that says how earlier weights are `completed` takes those, too.
 
     Returns:
-        Pixels that they have learned from, 0 where the file does not say.
+        Pixels that they have learned from, 0 if the file does not say.
     """
     completed = getattr(network, "completed", dict)
     load_strict(completed(read_tensors(path, of=NETWORK)), network, path, NETWORK)

@@ -28,7 +28,7 @@ LOOK_S = 1.0  # between two looks at the trainings
 GRACE_S = 10.0  # that a stopped training has before it is killed
 TAIL_BYTES = 4096  # of a log: more than its last line
 CORES_PER_TRAINING = 2  # on a CPU: one computes steps, one makes batches
-TENTHS = 10  # lines of progress where there is no terminal
+TENTHS = 10  # lines of progress if there is no terminal
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def run_trainings(trainings: Sequence[Training], jobs: int) -> dict[str, str]:
 
 
 def last_line(path: Path) -> str:
-    """Return the last line of a file that is not empty, nothing where there is none; a line that is being written counts."""
+    """Return the last line of a file that is not empty, nothing if there is none; a line that is being written counts."""
     try:
         with path.open("rb") as file:
             file.seek(max(file.seek(0, os.SEEK_END) - TAIL_BYTES, 0))
@@ -132,7 +132,7 @@ def _lock(training: Training, log: IO[bytes]) -> None:
 
 
 def _failure(training: Training, code: int) -> dict[str, str]:
-    """Describe why a training failed, by its name; nothing where it ended well."""
+    """Describe why a training failed, by its name; nothing if it ended well."""
     if code == 0:
         return {}
     end = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit {code}"

@@ -180,7 +180,7 @@ class BaselineTask:
 
     @cached_property
     def _refusals(self) -> list[str | None]:
-        """Of each validation view why the method cannot render it, None where it can."""
+        """Of each validation view why the method cannot render it, None if it can."""
         return [self.recipe.refusal(self.validation.read(index).instant) for index in range(len(self.validation))]
 
     def settle(self, network: nn.Module) -> None:

@@ -52,7 +52,7 @@ class StepConstants:
         pinholes: fx, fy, cx, cy of the sources and of the target, (K + 1, 4), float64.
         small_target: the same of the target at the network's size, (4,), float64.
         gauge: weights by which gains are averaged into the target's, (K,), float64.
-        signs: of each pair of sources, -1 where its names are not in order, (P,), float64.
+        signs: of each pair of sources, -1 if its names are not in order, (P,), float64.
         lens: largest squared tangent in any picture, and instants that a ratio is the mean of, (2,), float64.
         numbers: `NEAR` and its neighbours, (7,), float32.
         to_views, from_views: matrices by `pixel_maps` from the target to each source and back, (K + 1, 12), float32; the last is
@@ -63,8 +63,8 @@ class StepConstants:
         weights, distances, axes: geometric weight of each source, its distance from the target and the cosine between their
             axes, (K,), float32.
         centres: of the sources in the target's frame, (K, 3), float32.
-        flags: `PAST`, `SHOWN` and `GAINS`: 1 where that memory counts, (3,), int32.
-        previous: place of each source in the state's stacks, -1 where it was not there, (K,), int32.
+        flags: `PAST`, `SHOWN` and `GAINS`: 1 if that memory counts, (3,), int32.
+        previous: place of each source in the state's stacks, -1 if it was not there, (K,), int32.
         rows: of each pair in the table of ratios, (P,), int32.
     """
 
@@ -132,7 +132,7 @@ class StepConstants:
         Args:
             sources: its views, nearest first.
             end: depth where rays end, see `march_end`.
-            before: of the state that is read; None where nothing is remembered.
+            before: of the state that is read; None if nothing is remembered.
             rows: of each pair of sources in the table of ratios.
         """
         target, cameras = instant.target, tuple(source.camera for source in sources)
@@ -191,7 +191,7 @@ class StepConstants:
 
 
 def _place(camera: Camera, before: Remembered | None) -> int:
-    """Return the place of a camera in the stacks of the instant before, -1 where it was not there at this size."""
+    """Return the place of a camera in the stacks of the instant before, -1 if it was not there at this size."""
     named = [each.name == camera.name and each.size == camera.size for each in before.cameras] if before else []
     return named.index(True) if True in named else NO_VIEW
 

@@ -376,7 +376,7 @@ def ratio_medians(
 def compare_colours(
     looks: wp.array3d[wp.float32], flags: wp.array2d[wp.int32], medians: wp.array2d[wp.float64], out: wp.array[wp.float64]
 ):
-    """Share of the looks of each pair whose colours are alike, -1 where it shares too little; a block each."""
+    """Share of the looks of each pair whose colours are alike, -1 if it shares too little; a block each."""
     pair, lane = wp.tid()
     seen = wp.int32(0)
     alike = wp.int32(0)

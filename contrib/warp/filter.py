@@ -158,7 +158,7 @@ def gain_of_past(
     beta: wp.float32,
     gain: wp.array2d[wp.float32],
 ):
-    """Trust in the fused depth of the instant before, none where a view that covers a pixel has changed; -1 without a past."""
+    """Trust in the fused depth of the instant before, none if a view that covers a pixel has changed; -1 without a past."""
     y, x = wp.tid()
     largest = wp.float32(-1.0)
     for k in range(alphas.shape[0]):
@@ -214,7 +214,7 @@ def weigh_depths(depths: Tensor, c: StepConstants, t: Tables) -> Tensor:
 
 
 def trust_past(features: Tensor, alphas: Tensor, c: StepConstants, options: OnlineOptions) -> Tensor:
-    """Return the gain of the past's evidence for each ray, (H, W); -1 where there is no past."""
+    """Return the gain of the past's evidence for each ray, (H, W); -1 if there is no past."""
     gain = torch.empty(alphas.shape[1:], device=alphas.device)
     launch(gain_of_past, gain.shape, features, alphas, c.previous, c.flags, options.beta_temporal, gain)
     return gain

@@ -367,7 +367,7 @@ def march(
         past: depth and weight that the march of the instant before found, of its target's size.
         gain: of the past along each ray, (H, W), see `trust_past`.
         limits: smallest step, in tau, and largest weight of the past.
-        out: depth, (H, W), world units, 0 where there is no surface, and the sum of the weights behind it.
+        out: depth, (H, W), world units, 0 if there is no surface, and the sum of the weights behind it.
     """
     (width, height), device = t.sizes.whole, depths.device
     columns = -(-height // COLUMN), -(-width // COLUMN)

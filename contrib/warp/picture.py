@@ -104,7 +104,7 @@ def unit(v: wp.vec3f) -> wp.vec3f:
 
 @wp.func
 def inverse(depth: wp.float32, length: wp.float32) -> wp.float32:
-    """Return a length over a depth, 0 where that is unknown."""
+    """Return a length over a depth, 0 if that is unknown."""
     value = wp.float32(0.0)
     if depth > 0.0:
         value = length / depth
@@ -251,7 +251,7 @@ def fill_unknown(
     column_shares: wp.array[wp.float32],
     out: wp.array3d[wp.float32],
 ):
-    """Pull: unknown pixels take the interpolated coarse colour as far as they are unknown; none where all are known."""
+    """Pull: unknown pixels take the interpolated coarse colour as far as they are unknown; none if all are known."""
     y, x = wp.tid()
     certainty = known[y, x]
     fx = column_shares[x]

@@ -169,7 +169,7 @@ def _area_cells(length: int, cells: int) -> tuple[Any, Any]:
 
 
 def masked_median(values: Tensor, mask: Tensor) -> Tensor:
-    """Return the median of the values that count, the mean of the two middle ones of an even number; 0 where none does.
+    """Return the median of the values that count, the mean of the two middle ones of an even number; 0 if none does.
 
     Torch's own reads it back, or takes at most 16 million values.
 

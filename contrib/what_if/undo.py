@@ -39,7 +39,7 @@ class Undo:
         exact: whether no value is interpolated or rounded.
         changes: view -> what undoes the fault there; other views stay as they are.
         of_truth: view -> the inverse change of the truth instead, where the renders would be interpolated.
-        words_of_truth: that, for another row; empty where there is none.
+        words_of_truth: that, for another row; empty if there is none.
         border_px: width along each side within which pixels are made of what lies outside of the picture.
     """
 
@@ -240,7 +240,7 @@ _WAYS: Mapping[str, Callable[[Values, Size], _Way]] = {
 
 
 def find_gain(views: Mapping[str, ViewFrames]) -> float | None:
-    """Return the gain that all channels of all views have alike; None where there is none to speak of.
+    """Return the gain that all channels of all views have alike; None if there is none to speak of.
 
     Reading:
         The doctor asks for no gain, since the exposure of cameras differs and methods blend them. One number for every channel of

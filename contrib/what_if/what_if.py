@@ -22,7 +22,7 @@ from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import as_ranges
 from ggvs_eval.statistics.paired import Comparison, compare
 
-FEWEST_FRAMES = 8  # four to estimate on, without which no instant is told from its neighbours
+FEWEST_FRAMES = 8  # four to estimate on, fewer do not distinguish neighbouring instants
 HONEST = "as handed in"
 PLACE = "what-if"
 
@@ -62,7 +62,7 @@ class WhatIf:
     """What frames would score without the faults of their handling.
 
     Attributes:
-        rows: the frames as they came first; empty where no fault was found that can be undone.
+        rows: the frames as they came first; empty if no fault was found that can be undone.
         estimated_on: frames that the faults were looked for and measured on.
         scored_on: instants that every row is scored on; of other frames.
         views: how many.
@@ -115,7 +115,7 @@ def what_if(
     treated = [{name: apply(one.undos, name, view, one.on_truth) for name, view in views.items()} for one in treatments]
     shared = [i for i in frames if i not in middle and all(i in view.frames for each in treated for view in each.values())]
     if not shared:
-        raise RenderError(f"{len(frames)} frames leave none to score under every row; render more than twice the offset")
+        raise RenderError(f"{len(frames)} frames leave none that every row can score; render more than twice the offset")
     border_px = max(undo.border_px for undo in undos)
     table: list[tuple[Any, ...]] = []
     not_computed: dict[str, str] = {}

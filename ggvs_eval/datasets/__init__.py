@@ -128,7 +128,7 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
 def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
     """Return a name in a folder that shows a calibration, the layouts that have it, or what it is and what to do.
 
-    None where there is none, or no folder. The marks of layouts go first; files of `find_marked` are of no layout.
+    None if there is none, or no folder. The marks of layouts go first; files of `find_marked` are of no layout.
     """
     if not path.is_dir():
         return None
@@ -143,17 +143,17 @@ def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
 def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
     """State why a path is of no layout: what it shows first, then what else was looked for."""
     within, mark = _captures_within(path), calibration_mark(path)
-    mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
+    remedy = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
     reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
     if mark is None:
         notes = unread_note(path) if path.is_dir() and not within else []
         unread = f" ({'; '.join(notes[:LISTED])})" if notes else ""
-        return f"{path}: wanted a capture in a known layout{unread}; {mend} (looked for: {reasons})"
+        return f"{path}: wanted a capture in a known layout{unread}; {remedy} (looked for: {reasons})"
     name, layouts, what = mark
     if not layouts:
-        return f"{path}: {name} exists: {what}; {mend} (looked for: {reasons})"
+        return f"{path}: {name} exists: {what}; {remedy} (looked for: {reasons})"
     lacking = " or ".join(f"{layout}: {refusals.get(layout)}" for layout in layouts)
-    return f"{path}: {name} exists, but the capture is incomplete, {lacking}; {mend} (also looked for: {reasons})"
+    return f"{path}: {name} exists, but the capture is incomplete, {lacking}; {remedy} (also looked for: {reasons})"
 
 
 def _captures_within(path: Path) -> list[str]:

@@ -176,7 +176,7 @@ def align_numbers(
     frames in their order are one instant.
 
     Raises:
-        CaptureError: cameras without a common number, or other numbers of pictures that masks or depth go with.
+        CaptureError: cameras without a common number, or masks or depth with another number of images.
     """
     unchanged = list(sources.values())
     images = {name: list(source_chain(source))[-1] for name, source in sources.items()}
@@ -267,7 +267,7 @@ def _gaps(videos: Mapping[str, VideoFrames | None]) -> list[str]:
 
 
 def largest_lag_s(sources: Mapping[str, FrameSource]) -> float | None:
-    """Return the largest distance in time of frames of one number, by the videos' time stamps; None where some are no videos."""
+    """Return the largest distance in time of frames of one number, by the videos' time stamps; None if some are no videos."""
     times = [video.times_s for video in _videos(sources).values() if video]
     if len(times) < len(sources):
         return None
@@ -284,7 +284,7 @@ def uneven_notes(sources: Mapping[str, FrameSource]) -> list[str]:
 
 
 def _videos(sources: Mapping[str, FrameSource]) -> dict[str, VideoFrames | None]:
-    """Return the video of each camera, also behind an undistortion; None where its frames are images."""
+    """Return the video of each camera, also behind an undistortion; None if its frames are images."""
     return {
         name: next((each for each in source_chain(source) if isinstance(each, VideoFrames)), None)
         for name, source in sources.items()
@@ -322,7 +322,7 @@ def crop_lens(name: str, lens: Lens, frames: Size, crop: Crop | None) -> Lens:
 
     Args:
         frames: (width, height) of the frames, pixels; the crop is of pixels of the calibrated size.
-        crop: where they begin in the calibrated picture; None where that is not given.
+        crop: where they begin in the calibrated picture; None if that is not given.
     """
     if crop is None or has_shape(frames, (lens.width, lens.height)):
         return lens

@@ -37,7 +37,7 @@ class Kind:
 
     Attributes:
         describe: its layout in one line.
-        content: what their text holds; None where the suffix says enough.
+        content: what their text holds; None if the suffix says enough.
         read: gives the cameras of a file.
     """
 
@@ -67,7 +67,7 @@ class CalibrationFile:
     """Cameras of calibration files.
 
     Attributes:
-        units: 1 per metre where the unit is known; None where it is not.
+        units: 1 per metre where the unit is known; None if it is not.
     """
 
     cameras: dict[str, FileCamera]
@@ -75,7 +75,7 @@ class CalibrationFile:
 
 
 def refuse(kind: str, path: Path) -> str | None:
-    """State why there is no calibration of a kind; None where there is one."""
+    """State why there is no calibration of a kind; None if there is one."""
     kinds = " or ".join(f"*{suffix}" for suffix in KINDS[kind].suffixes)
     return None if find_calibration_files(path, kind) else f"no calibration of this kind in {kinds}"
 
@@ -136,8 +136,8 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     chosen = [camera for camera in filmed if camera.world_to_camera is not None]
     if len(chosen) < 2:
         without = [camera.name for camera in filmed if camera.world_to_camera is None]
-        mend = f"'ggvs-eval calibrate {folder} RIG --known-intrinsics {path}' finds them"
-        raise CaptureError(f"{path}: wanted poses, got only intrinsics of {listed(without)}; {mend}")
+        remedy = f"'ggvs-eval calibrate {folder} RIG --known-intrinsics {path}' finds them"
+        raise CaptureError(f"{path}: wanted poses, got only intrinsics of {listed(without)}; {remedy}")
     crop = given_crop(folder)
     poses = [camera.world_to_camera for camera in chosen if camera.world_to_camera is not None]
     try:
@@ -177,7 +177,7 @@ def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamer
 
 
 def _text(file: Path) -> str:
-    """Return the text of a file; none where it cannot be read."""
+    """Return the text of a file; none if it cannot be read."""
     try:
         return read_plain_text(file, LARGEST_XML_BYTES)
     except (OSError, UnicodeDecodeError):

@@ -91,10 +91,10 @@ class FileCamera:
     Attributes:
         name: as the file calls it.
         K: intrinsics in pixels, (3, 3), pixel centres at halves.
-        size: (width, height) of the calibrated images; None where the file does not say.
-        world_to_camera: (4, 4); None where only the lens is known.
+        size: (width, height) of the calibrated images; None if the file does not say.
+        world_to_camera: (4, 4); None if only the lens is known.
         is_metric: whether the pose is known to be in metres.
-        stem: what the file is called; empty where it is of several cameras.
+        stem: what the file is called; empty if it is of several cameras.
         unknown: entries of the file that were passed over.
     """
 

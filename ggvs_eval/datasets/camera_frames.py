@@ -27,7 +27,7 @@ ARRANGEMENTS = (
     *("images/CAM.png", "CAM.png", "images_2/CAM.png", "images_4/CAM.png", "images_8/CAM.png"),
 )
 IN_WORDS = f"{', '.join(each for each in ARRANGEMENTS if not each.endswith('.png'))} or one image per camera, here or in images/"
-# Folders that captures hold beside those of their cameras.
+# Folders that captures hold next to those of their cameras.
 NO_CAMERAS = {"images", "frames", "videos", "background", "bkgd", "mask", "masks", "bgmtv2", "schp", "depth", "path", "sparse"}
 LISTED = 24
 # File systems take no longer ones.
@@ -86,8 +86,8 @@ def require_frames(path: Path, image_names: Mapping[str, str]) -> FoundFrames:
     if missing:
         kept = next(iter(found.sources.values())).path
         unread = _unread(path, missing)
-        mend = f"but {unread}" if unread else "restore them or remove these cameras from the model"
-        raise CaptureError(f"{path}: wanted frames of every camera, got none for {listed(missing)}, only for {kept}; {mend}")
+        remedy = f"but {unread}" if unread else "restore them or remove these cameras from the model"
+        raise CaptureError(f"{path}: wanted frames of every camera, got none for {listed(missing)}, only for {kept}; {remedy}")
     return FoundFrames({name: found.sources[name] for name in image_names}, found.beside)
 
 
@@ -181,7 +181,7 @@ def coding_of(source: FrameSource, frames: range) -> Coding | None:
     """State how frames were coded.
 
     Returns:
-        None where every pixel is as it was given; `Coding.unknown` where it is not and nothing more is known.
+        None if every pixel is as it was given; `Coding.unknown` where it is not and nothing more is known.
     """
     stored = source
     while hasattr(stored, "source"):  # undistorted, held still, or with noise added

@@ -48,7 +48,7 @@ class CameraTable:
         width: of the images the calibration was made for.
         world_to_camera: 4 x 4; this or camera_to_world.
         camera_to_world: 4 x 4.
-        distortion: of the lens; none where absent.
+        distortion: of the lens; none if absent.
         near: smallest depth of the scene, world units; with far, or neither.
         far: largest depth of the scene, world units.
         crop: column and row of the calibrated picture that the frames begin with, where they are a part of it.

@@ -46,7 +46,7 @@ class CalibratedView:
         image_name: as the model calls it.
         world_to_camera: rigid transform, (4, 4).
         lens: intrinsics and distortion at the size of the calibration.
-        depth_percentiles: 1st, 50th and 99th percentile of the depth of the points it sees, world units; None where it sees none.
+        depth_percentiles: 1st, 50th and 99th percentile of the depth of the points it sees, world units; None if it sees none.
         quaternion_length: of its rotation as the file has it, which is brought to 1.
     """
 
@@ -147,8 +147,8 @@ def lens_of_colmap(model: str, params: Sequence[float], width: int, height: int)
     """
     models = OPENCV_MODELS | FISHEYE_MODELS
     if model not in models:
-        mend = "undistort images and model by 'colmap image_undistorter' first"
-        raise CameraError(f"wanted one of {', '.join(models)}, got {model}; {mend}")
+        remedy = "undistort images and model by 'colmap image_undistorter' first"
+        raise CameraError(f"wanted one of {', '.join(models)}, got {model}; {remedy}")
     n_focal, n_coefficients, positions = models[model]
     if len(params) != n_focal + 2 + len(positions) or not np.isfinite(params).all():
         raise CameraError(f"wanted {n_focal + 2 + len(positions)} finite parameters of {model}, got {list(params)}")

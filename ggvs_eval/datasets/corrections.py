@@ -100,7 +100,7 @@ def corrections_file(path: Path) -> Path:
 
 
 def read_corrections(file: Path) -> dict[str, Correction]:
-    """Return the corrections by camera; none where there is no file.
+    """Return the corrections by camera; none if there is no file.
 
     Raises:
         CaptureError: a damaged file, a camera named twice, a gain that is no gain.

@@ -59,7 +59,7 @@ class Placed(NamedTuple):
         K: intrinsics of its pinhole image, (3, 3).
         world_to_camera: (4, 4).
         size: (width, height), pixels.
-        near_far: depth range, world units; None where the capture gives none.
+        near_far: depth range, world units; None if the capture gives none.
     """
 
     name: str
@@ -164,7 +164,7 @@ def _convergence_rad(axes: Array) -> float:
 def points_depth_range(
     points_world: Array, pose: Array, K: Array, size: tuple[int, int], fewest: int = 1
 ) -> tuple[float, float, float] | None:
-    """1st, 50th and 99.9th percentile of the depth of the points in a camera's view; None where it sees too few.
+    """1st, 50th and 99.9th percentile of the depth of the points in a camera's view; None if it sees too few.
 
     Args:
         points_world: (N, 3).

@@ -45,8 +45,8 @@ class EasyMocapView:
         name: as in ``names``.
         K: intrinsics at the size of the calibration, pixel centres at halves.
         world_to_camera: (4, 4).
-        size: (width, height) of the calibration; None where the file does not say.
-        near_far: depth range; None where the file does not say.
+        size: (width, height) of the calibration; None if the file does not say.
+        near_far: depth range; None if the file does not say.
     """
 
     name: str
@@ -187,7 +187,7 @@ def _filmed(path: Path) -> tuple[list[EasyMocapView], dict[str, CameraFrames], l
 
 
 def _depth_ranges(path: Path, views: Sequence[EasyMocapView], lenses: Sequence[Lens]) -> list[tuple[float, float] | None]:
-    """Near and far of each camera; None where the capture says nothing of them.
+    """Near and far of each camera; None if the capture says nothing of them.
 
     Reading:
         What extri.yml says (n_, f_) where it does; else the nearest corner of the people's hulls, with a margin, to the far end

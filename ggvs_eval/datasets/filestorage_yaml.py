@@ -47,7 +47,7 @@ class FileStorageYaml:
             raise self._refused("OpenCV YAML, which begins with %YAML:1.0", repr(lines[0][:40]) if lines else "no line")
 
     def texts(self, key: str) -> list[str]:
-        """Return a sequence of texts; empty where it is absent or something else."""
+        """Return a sequence of texts; empty if it is absent or something else."""
         value = self.entries.get(key, "").strip()
         if value.startswith("[") and value.endswith("]"):
             items = value[1:-1].split(",")
@@ -61,11 +61,11 @@ class FileStorageYaml:
         return key in self.entries
 
     def text(self, key: str) -> str:
-        """Return a text without its quotes; empty where it is absent."""
+        """Return a text without its quotes; empty if it is absent."""
         return _unquoted(self.entries.get(key, ""))
 
     def number(self, key: str) -> float | None:
-        """Return a positive number; None where it is absent."""
+        """Return a positive number; None if it is absent."""
         if not self.has(key):
             return None
         value = _number(self.entries[key])
@@ -161,7 +161,7 @@ def refused(path: Path, form: str, content: str) -> CaptureError:
 
 
 def _number(text: str) -> float:
-    """Return a number as OpenCV writes it, NaN where the text is none: ``1.``, ``-.Inf``."""
+    """Return a number as OpenCV writes it, NaN if the text is none: ``1.``, ``-.Inf``."""
     plain = re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text.strip())
     return float(plain[0]) if plain else float("nan")
 

@@ -135,8 +135,8 @@ class ImageFrames:
             files = [file.name for number, file in numbered if number == wrong[0]]
             shown = "no number" if wrong[0] is None else f"the number {wrong[0]}"
             repeats = f"{'several with ' * (len(files) > 1)}{shown} ({' and '.join(files[:LISTED])})"
-            mend = "give each a number of its own, or put those of other cameras into other folders"
-            raise CaptureError(f"{self.path}: wanted one image per frame number, got {repeats}; {mend}")
+            remedy = "give each a number of its own, or put those of other cameras into other folders"
+            raise CaptureError(f"{self.path}: wanted one image per frame number, got {repeats}; {remedy}")
         in_time = sorted((number or 0, file) for number, file in numbered)
         self._check_steps([number for number, _ in in_time])
         return tuple(file for _, file in in_time)
@@ -171,7 +171,7 @@ class NumberedFrames(ImageFrames):
     def files(self) -> tuple[Path, ...]:
         """The images in the order of time."""
         if not self.numbered:
-            raise CaptureError(f"{self.path}: wanted images of each camera, got none of one; restore them")
+            raise CaptureError(f"{self.path}: wanted images of every camera, got none of one; restore them")
         return self._in_time(self.numbered)
 
     @cached_property

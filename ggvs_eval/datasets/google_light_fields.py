@@ -167,7 +167,7 @@ def _read_position(path: Path) -> list[list[_SpacesView]]:
     models = load_models(file)
     if not isinstance(models, list) or not models or not all(isinstance(at, list) and at for at in models):
         raise CaptureError(
-            f"{file}: wanted a list over rig positions of lists of cameras, got something else; copy the scene again"
+            f"{file}: wanted a list over rig positions of lists of cameras, got another structure; copy the scene again"
         )
     check_rig_size(file, sum(map(len, models)))
     return [[_read_spaces_view(path, index, camera, model) for camera, model in enumerate(at)] for index, at in enumerate(models)]
@@ -192,8 +192,8 @@ def _read_path(path: Path, model: dict[str, Any], usual: str, where: str) -> Pat
         or set(relative) & set("\\:")
         or len(relative) > 200
     ):
-        mend = "correct the file before you trust it"
-        raise CaptureError(f"{path / MODELS}: wanted relative_path of {where} within the scene, got {relative!r:.60}; {mend}")
+        remedy = "correct the file before you trust it"
+        raise CaptureError(f"{path / MODELS}: wanted relative_path of {where} within the scene, got {relative!r:.60}; {remedy}")
     return find_below(path, relative)
 
 
@@ -267,7 +267,7 @@ def load_immersive(path: Path, units: GivenUnits) -> Capture:
 def _read_immersive(file: Path) -> list[_ImmersiveView]:
     models = load_models(file)
     if not isinstance(models, list) or not models:
-        raise CaptureError(f"{file}: wanted a list of cameras, got something else; copy the scene again")
+        raise CaptureError(f"{file}: wanted a list of cameras, got another structure; copy the scene again")
     check_rig_size(file, len(models))
     return [_read_immersive_view(file, index, model) for index, model in enumerate(models)]
 

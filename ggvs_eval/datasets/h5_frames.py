@@ -119,8 +119,8 @@ def h5_parts(path: Path) -> dict[str, list[H5Frames]]:
     rgb_counts = parts["rgb"].counts
     for name, part in parts.items():
         if part.counts != rgb_counts[: len(part.counts)]:
-            mend = "write both from the same frames"
-            raise CaptureError(f"{path}: wanted {name} for the (cameras, frames) {rgb_counts} of rgb, got {part.counts}; {mend}")
+            remedy = "write both from the same frames"
+            raise CaptureError(f"{path}: wanted {name} of (cameras, frames) {rgb_counts} of rgb, got {part.counts}; {remedy}")
     return {name: [H5Frames(whole, name, camera) for camera in range(rgb_counts[0])] for name in names}
 
 

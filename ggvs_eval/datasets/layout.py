@@ -14,7 +14,7 @@ class DatasetSpec:
 
     Attributes:
         describe: the layout in one line, for help texts.
-        refuse: says why a path is not of this layout, None where it is.
+        refuse: says why a path is not of this layout, None if it is.
         load: opens a path of this layout; the second argument is what the user knows of its units.
         marks: patterns of names by which a folder shows that it is meant to be of this layout.
     """

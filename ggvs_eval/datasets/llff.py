@@ -198,7 +198,7 @@ class CameraPath:
 
     Attributes:
         cameras: one pose per image, called ``path0000``, ...
-        images: the true images; None where only the poses are known.
+        images: the true images; None if only the poses are known.
         time_s: the instant of the capture that they show, as ``demo.json`` says; the first where it says nothing.
     """
 
@@ -208,7 +208,7 @@ class CameraPath:
 
 
 def open_path(capture_folder: Path) -> CameraPath | None:
-    """Open ``path/poses_bounds.npy`` and ``path/images/`` of a capture folder; None where it carries no path."""
+    """Open ``path/poses_bounds.npy`` and ``path/images/`` of a capture folder; None if it carries no path."""
     poses_file = capture_folder / "path" / POSES
     if not poses_file.is_file():
         return None

@@ -155,7 +155,7 @@ def _refused(file: Path, error: Exception) -> CaptureError:
 
 
 def _world_to_camera(frame: Mapping[str, Any]) -> tuple[Array, float]:
-    """The pose of a frame, its axes brought to length 1 where all have one length, as instant-ngp does; and that length."""
+    """The pose of a frame, its axes brought to length 1 if all have one length, as instant-ngp does; and that length."""
     camera_to_world = np.array(frame["transform_matrix"], dtype=np.float64)
     if camera_to_world.shape != (4, 4) or not np.isfinite(camera_to_world).all():
         raise ValueError(f"the transform_matrix of {frame['file_path']} is not 4 x 4 finite numbers")

@@ -22,7 +22,7 @@ class ByHand:
     """A scene without a single address, with instructions to get it."""
 
     scene: str
-    mend: str
+    remedy: str
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class PublicDataset:
         licence: under which it is published.
         url: of an archive, ``{archive}`` being its name.
         archives: names of the archives, each a scene or all of them.
-        folders: scenes of the only archive; none where each archive is a scene.
+        folders: scenes of the only archive; none if each archive is a scene.
         by_hand: scenes that are not at one address.
     """
 
@@ -122,7 +122,7 @@ def get_capture(name: str) -> Path:
         return place
     for each in dataset.by_hand:
         if each.scene == scene:
-            raise DownloadError(f"{name}: {each.mend} to {place} ({dataset.page})")
+            raise DownloadError(f"{name}: {each.remedy} to {place} ({dataset.page})")
     archive = dataset.archives[0] if dataset.folders else scene
     file = dataset.folder() / f"{archive}.zip"
     download(dataset.url.format(archive=archive), file, file.with_suffix(".json"))

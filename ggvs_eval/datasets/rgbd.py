@@ -38,7 +38,7 @@ class DepthFrames:
         scale_to_units: world units per step of the files, 0.001 for millimetres in a world of metres.
         width: of the camera's frames, pixels.
         height: of the camera's frames, pixels.
-        K: intrinsics of the camera's frames, (3, 3); None where both show the same field of view.
+        K: intrinsics of the camera's frames, (3, 3); None if both show the same field of view.
         K_depth: intrinsics of the depth maps as they are on disk, (3, 3); None in the same case.
         depth_to_colour: rigid transform of points in the depth camera's frame to the colour camera's, (4, 4), world units; None
             where the sensor shares the camera's centre and orientation. Needs both intrinsics.

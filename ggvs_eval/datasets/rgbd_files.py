@@ -44,10 +44,10 @@ class RgbdSequence:
         depths: depth map of each frame.
         poses: camera_to_world of each frame, (4, 4); not finite where tracking was lost.
         K: intrinsics of the images, (3, 3), and the file that says so.
-        K_depth: the same for the depth maps; None where they have the images' field of view.
+        K_depth: the same for the depth maps; None if they have the images' field of view.
         depth_to_colour: rigid transform of points in the depth camera's frame to the colour camera's, (4, 4), metres; None where
             they are one.
-        note: what was left out and why; empty where nothing was.
+        note: what was left out and why; empty if nothing was.
     """
 
     images: dict[int, Path]
@@ -136,7 +136,7 @@ def _read_K(file: Path) -> tuple[Array, Path]:
 
 
 def _read_extrinsics(folder: Path) -> Array | None:
-    """Read the extrinsics from depth to colour camera: depth_to_colour, (4, 4), metres; None where they are one camera.
+    """Read the extrinsics from depth to colour camera: depth_to_colour, (4, 4), metres; None if they are one camera.
 
     Reading:
         SensReader writes both matrices and does not say which way they run. ScanNet's own calibration code multiplies
@@ -157,7 +157,7 @@ def _read_extrinsics(folder: Path) -> Array | None:
 
 
 def _read_extrinsic(file: Path) -> Array:
-    """Return a rigid transform, (4, 4); the identity where there is no file."""
+    """Return a rigid transform, (4, 4); the identity if there is no file."""
     matrix = _read_matrix(file, (4,)) if file.is_file() else np.eye(4)
     rotation = matrix[:3, :3]
     is_transform = np.isfinite(matrix).all() and np.allclose(matrix[3], [0, 0, 0, 1])
@@ -245,7 +245,7 @@ def _number(word: str) -> float:
 
 
 def _assumed(path: Path, K: Array, data_set: str) -> str:
-    """A note on intrinsics that no file of the sequence states; empty where one does."""
+    """A note on intrinsics that no file of the sequence states; empty if one does."""
     values = ", ".join(f"{value:g}" for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
     other = f"if another camera filmed this, write its 3 x 3 matrix in pixels into {INTRINSICS}"
     return "" if (path / INTRINSICS).is_file() else f"K of {data_set} is taken (fx, fy, cx, cy {values}); {other}"

@@ -75,7 +75,7 @@ def guess_units_per_metre(cameras: Sequence[Camera], median_depths: Sequence[flo
 
 
 def read_note(path: Path, key: str) -> float | None:
-    """Return a number that a synthetic capture notes about itself in ``demo.json``; None where there is no such file or note."""
+    """Return a number that a synthetic capture notes about itself in ``demo.json``; None if there is no such file or note."""
     file = path / DEMO_NOTES
     if not file.is_file():
         return None

@@ -1,4 +1,4 @@
-"""Files that show cameras and that nothing here reads: named with what they are and the way back, by ``file_marks.toml``."""
+"""Calibration files that no reader supports: named with their program and the export that is read, by ``file_marks.toml``."""
 
 import re
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ def find_marked(path: Path) -> tuple[Path, FileMark] | None:
 
 
 def unread_note(path: Path) -> list[str]:
-    """A note on files whose names say cameras, in a folder without a calibration or beside its frames, that nothing reads."""
+    """A note on files whose names say cameras, in a folder without a calibration or next to its frames, that nothing reads."""
     entries = list_entries(path)
     files = [*entries, *(file for folder in entries if folder.is_dir() for file in list_entries(folder))]
     media = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
@@ -81,7 +81,7 @@ def is_own(file: Path) -> bool:
 
 
 def first_bytes(file: Path) -> bytes:
-    """What a file begins with; nothing where it cannot be read."""
+    """First bytes of a file; empty if it cannot be read."""
     try:
         check_plain(file, LARGEST_PICTURE)
         with file.open("rb") as opened:

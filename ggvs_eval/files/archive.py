@@ -63,7 +63,7 @@ def unpack(path: Path, folder: Path, limits: Limits, error: type[GgvsError]) -> 
         error: raised for what cannot be unpacked.
 
     Returns:
-        The folder, or the only folder in it where there is nothing else.
+        The folder, or the only folder in it if there is nothing else.
 
     Raises:
         GgvsError: of class `error`: a damaged archive, an absolute path, one with ``..``, a link, a device, a name twice, more

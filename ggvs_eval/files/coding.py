@@ -46,7 +46,7 @@ class Coding:
         crf: x264's constant rate factor.
         settings: other settings of x264, in its own syntax.
         frame_bytes: of each measured frame that is coded by its difference from others; of all frames where none is.
-        unknown: why frames cannot be coded again in the same way; empty where they can.
+        unknown: why frames cannot be coded again in the same way; empty if they can.
     """
 
     size: tuple[int, int] = (0, 0)

@@ -16,7 +16,7 @@ def digest_files(paths: Iterable[Path]) -> str:
         paths: files; only their names enter, not their folders, so that a moved capture keeps its digest.
 
     Raises:
-        CaptureError: no such file, no regular one, or a picture that is larger than any can be.
+        CaptureError: no such file, no regular one, or an image file larger than any real one.
 
     Returns:
         64 hexadecimal digits.

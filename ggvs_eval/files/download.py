@@ -78,7 +78,7 @@ def download(url: str, file: Path, record: Path) -> Fetched:
 
 
 def read_record(record: Path) -> Fetched | None:
-    """Read the record of the first download; None where there was none."""
+    """Read the record of the first download; None if there was none."""
     try:
         return Fetched(**json.loads(record.read_text(encoding="utf-8"))) if record.is_file() else None
     except (OSError, ValueError, TypeError) as error:

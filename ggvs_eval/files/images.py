@@ -72,7 +72,7 @@ def read_encoded(path: Path) -> NDArray[np.uint8]:
 
 
 def decode_image(encoded: NDArray[np.uint8], flags: int) -> NDArray[np.generic] | None:
-    """Return the image that a file's bytes hold, as ``cv2.imdecode`` gives it; None where they hold none."""
+    """Return the image that a file's bytes hold, as ``cv2.imdecode`` gives it; None if they hold none."""
     if not encoded.size or _is_cut_png(encoded.tobytes()):
         return None
     try:

@@ -26,7 +26,7 @@ def is_junk(name: str) -> bool:
 
 
 def list_entries(folder: Path) -> list[Path]:
-    """Return the files and folders in a folder by name, junk aside; none where there is no folder."""
+    """Return the files and folders in a folder by name, junk aside; none if there is no folder."""
     return sorted(entry for entry in folder.iterdir() if not is_junk(entry.name)) if folder.is_dir() else []
 
 
@@ -58,7 +58,7 @@ def find_below(folder: Path, relative: str) -> Path:
     """Return the file or folder of a relative name, as the disk spells it: umlauts and the suffix's case may differ.
 
     Returns:
-        folder / relative where there is none.
+        folder / relative if there is none.
     """
     if (folder / relative).exists():
         return folder / relative
@@ -74,7 +74,7 @@ def _spelling(name: str) -> tuple[str, str]:
 
 
 def unread_pictures(folder: Path) -> str:
-    """Return the pictures in a folder whose format is not read, and what to do; empty where there are none."""
+    """Return the pictures in a folder whose format is not read, and what to do; empty if there are none."""
     counts = Counter(file.suffix.lower() for file in list_files(folder, UNREAD_PICTURES))
     listed = " and ".join(f"{count} {suffix}" for suffix, count in counts.most_common())
     return f"{listed} unsupported pictures: convert them to .png" if listed else ""

@@ -18,7 +18,7 @@ class Fields(int):
 
 
 def numbers_in(stems: Sequence[str], are_of_one: bool = True) -> list[Number | None]:
-    """Return the number of each of the names of one folder's frames, without their suffixes; None where there is none.
+    """Return the number of each of the names of one folder's frames, without their suffixes; None if there is none.
 
     It is the last number of a name, unless that is the same in all of them, as the size of the pictures is: then the last that
     varies. Digits, a point and digits are one number, as time stamps have it, unless they are fields of a name: then the text

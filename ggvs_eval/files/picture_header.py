@@ -21,7 +21,7 @@ class PictureHeader(NamedTuple):
         width: in pixels, turned as its EXIF tag says.
         colours: ``grey``, ``palette`` or ``CMYK`` where its pixels are no RGB; else empty.
         orientation: its EXIF tag, 1 to 8; 1 is shown as it is stored.
-        profile: name of its colour profile; empty where it has none, or that of sRGB.
+        profile: name of its colour profile; empty if it has none, or that of sRGB.
     """
 
     form: Literal["PNG", "JPEG"]
@@ -86,7 +86,7 @@ def read_picture_header(path: Path) -> PictureHeader:
 
 
 def read_orientation(encoded: bytes) -> int:
-    """Return the EXIF orientation of a picture's bytes; 1 where they say none, or nothing that makes sense."""
+    """Return the EXIF orientation of a picture's bytes; 1 if they say none, or nothing that makes sense."""
     from PIL import Image
 
     if EXIF_MARK not in encoded[:EXIF_WITHIN] and EXIF_CHUNK not in encoded:

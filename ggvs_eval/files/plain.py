@@ -30,7 +30,7 @@ def check_plain(path: Path, most_bytes: int | None = None) -> int:
     """Refuse files that reading would wait for, or never end with.
 
     Args:
-        most_bytes: that it may have; None where nothing of it is read at once.
+        most_bytes: that it may have; None if nothing of it is read at once.
 
     Raises:
         NotPlainError: no regular file, or a larger one.

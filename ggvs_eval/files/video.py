@@ -145,7 +145,7 @@ class VideoFrames:
 
     @cached_property
     def uneven(self) -> str:
-        """Distances between frames where their rate varies; empty where it does not."""
+        """Distances between frames where their rate varies; empty if it does not."""
         with self._open() as container:
             stream = container.streams.video[0]
             times = sorted(sample.timestamp for sample in stream.index_entries if not sample.is_discard)

@@ -43,7 +43,7 @@ def configuration_of(path: Path, names: Collection[str], of: str) -> str | None:
     """Return the configuration recorded in a weights file.
 
     Returns:
-        The name, None where the file says nothing: a checkpoint of the authors, or a copy of it, which is the full one.
+        The name, None if the file says nothing: a checkpoint of the authors, or a copy of it, which is the full one.
     """
     name = read_notes(path).get(CONFIGURATION_NOTE)
     if name is not None and name not in names:
@@ -52,7 +52,7 @@ def configuration_of(path: Path, names: Collection[str], of: str) -> str | None:
 
 
 def read_notes(path: Path) -> dict[str, str]:
-    """Return the texts in the header of safetensors; none of a checkpoint, or where there is no file."""
+    """Return the texts in the header of safetensors; none of a checkpoint, or if there is no file."""
     if path.suffix != ".safetensors" or not path.is_file():
         return {}
     try:

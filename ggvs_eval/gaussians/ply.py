@@ -21,7 +21,7 @@ from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.plain import check_plain, why_unread
 from ggvs_eval.gaussians.cloud import CONSTANT, HIGHEST_DEGREE, GaussianCloud
 
-COMPRESSED = ("chunk", "vertex", "sh")  # its elements, the last one where there is one
+COMPRESSED = ("chunk", "vertex", "sh")  # its elements, the last one if there is one
 CHUNK_SIZE = 256
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 CHUNK = tuple(

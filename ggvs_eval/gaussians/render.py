@@ -28,8 +28,8 @@ class GaussianImage:
     Attributes:
         image: colour over the background, (H, W, 3), not below 0; above 1 where Gaussians are brighter than white.
         alpha: coverage, (H, W), in [0, 1).
-        depth: mean z of what covers the pixel, weighted by how much it covers, (H, W), world units; 0 where nothing does.
-        radii: 3 standard deviations in the image along the longer axis, rounded up, (N,) int32 pixels; 0 where a Gaussian is not
+        depth: mean z of what covers the pixel, weighted by how much it covers, (H, W), world units; 0 if nothing does.
+        radii: 3 standard deviations in the image along the longer axis, rounded up, (N,) int32 pixels; 0 if a Gaussian is not
             visible.
     """
 

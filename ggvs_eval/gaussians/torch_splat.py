@@ -36,7 +36,7 @@ class Ellipses:
         opacities: (N,), in (0, 1).
         colours: as seen from the camera, (N, 3), not below 0.
         depths: z of the centres in the camera, (N,).
-        visible: (N,), True where a Gaussian touches the image.
+        visible: (N,), True if a Gaussian touches the image.
     """
 
     centres: torch.Tensor

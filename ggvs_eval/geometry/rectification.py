@@ -207,7 +207,7 @@ def at_matches(right: Values, disparity: Map) -> Values:
         disparity: of the left image, (H, W), pixels.
 
     Returns:
-        Values, (H, W), 0 where the match is outside.
+        Values, (H, W), 0 if the match is outside.
     """
     columns = np.rint(np.arange(disparity.shape[1], dtype=np.float32) - disparity)
     rows = np.broadcast_to(np.arange(len(disparity), dtype=np.float32)[:, None], disparity.shape)

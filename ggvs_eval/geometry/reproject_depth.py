@@ -25,7 +25,7 @@ def reproject_depth(source: Camera, depth: NDArray[np.floating], target: Camera)
         target: the camera on whose grid depth is wanted; of any size and field of view, near the source.
 
     Returns:
-        z in the target camera, (H', W') float32, 0 where the source measured nothing that the target sees.
+        z in the target camera, (H', W') float32, 0 if the source measured nothing that the target sees.
 
     Raises:
         RenderError: depth of another size than the source.

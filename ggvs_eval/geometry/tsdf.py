@@ -71,7 +71,7 @@ def fusion_weights(depth: NDArray[np.float32], tau: float, depth_noise: float) -
         depth_noise: the differences that are still trusted fully, world units (1 mm in the paper).
 
     Returns:
-        (H, W) float32 from depth_noise / tau to 1, 0 where the depth is invalid. Invalid and outside neighbours count tau.
+        (H, W) float32 from depth_noise / tau to 1, 0 if the depth is invalid. Invalid and outside neighbours count tau.
 
     Examples:
         >>> plane = np.full((9, 9), 2.0, np.float32)

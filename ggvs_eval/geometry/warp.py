@@ -22,7 +22,7 @@ class Warp:
     """A source image in the target view.
 
     Attributes:
-        colour: (H, W, 3) float32, 0 where the surface projects outside the source image or the target has no depth.
+        colour: (H, W, 3) float32, 0 if the surface projects outside the source image or the target has no depth.
         visibility: (H, W) float32 in [0, 1]: whether the source sees this surface or another one before or behind it.
     """
 

@@ -64,7 +64,7 @@ class CodeTree:
                 yield from (".".join([*above, stem]).removesuffix(".__init__") for stem in stems)
 
     def file(self, module: str) -> Path | None:
-        """Return the source or extension module of a dotted name; None where there is none of that name."""
+        """Return the source or extension module of a dotted name; None if there is none of that name."""
         _, *parts = module.split(".")
         apart = dict(self.apart).get(parts[0]) if parts else None
         path = apart.joinpath(*parts[1:]) if apart else self.folder.joinpath(*parts)

@@ -181,7 +181,7 @@ def start_remedy() -> str:
 
 
 def last_error(text: str) -> str:
-    r"""Return the exception that a process ended with, in one line, out of what it printed; empty where it ended with none.
+    r"""Return the exception that a process ended with, in one line, out of what it printed; empty if it ended with none.
 
     Examples:
         >>> last_error("Traceback (most recent call last):\n  File ...\nKeyError: 'cam00'\n")

@@ -51,7 +51,7 @@ class Failure:
     """Reason why something was not done.
 
     Attributes:
-        traceback: of bugs of the package; empty where the user can fix it.
+        traceback: of bugs of the package; empty if the user can fix it.
     """
 
     name: str
@@ -149,7 +149,7 @@ class StageStatus:
         in_hand: names of jobs that a process is working on.
         failed: why jobs failed when they were last tried, and are not tried again now.
         missing: names of jobs that wait.
-        left_s: estimate of the time that the rest takes, in seconds; None where nothing runs or nothing is done yet.
+        left_s: estimate of the time that the rest takes, in seconds; None if nothing runs or nothing is done yet.
     """
 
     stage: str

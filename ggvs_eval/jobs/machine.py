@@ -34,7 +34,7 @@ def available_bytes(meminfo: Path = MEMINFO, cgroup: Path = CGROUP) -> float:
 
 
 def resident_bytes(pids: Iterable[int]) -> tuple[float, float]:
-    """Sum the resident memory of processes, and find the highest peak of any one; 0 where the system does not report it."""
+    """Sum the resident memory of processes, and find the highest peak of any one; 0 if the system does not report it."""
     now, most = 0.0, 0.0
     for pid in pids:
         status = Path(f"/proc/{pid}/status")
@@ -51,7 +51,7 @@ class PeakMemory:
     earlier jobs have needed.
 
     Attributes:
-        bytes: the peak; None where the system does not report it.
+        bytes: the peak; None if the system does not report it.
     """
 
     def __init__(self, process: Path = SELF) -> None:

@@ -172,5 +172,5 @@ def _weighted_sum(lines: Any, weights: Array32) -> Array32:
 
 
 def _number(values: NDArray[Any]) -> Any:
-    """Return a float where there is one value alone, as NumPy's functions give it."""
+    """Return a float if there is one value alone, as NumPy's functions give it."""
     return values[()] if values.ndim == 0 else values

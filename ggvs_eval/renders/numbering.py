@@ -1,7 +1,7 @@
 """Numbering of rendered frames: one decision for all views of a method, reported, and an error where there are two.
 
 Reading:
-    Numbers in names are instants of the capture, counted from 0; or from 1 where they fit the protocol only then, and the
+    Numbers in names are instants of the capture, counted from 0; or from 1 if they fit the protocol only then, and the
     protocol starts with the capture or the last number is one that no instant counted from 0 has. Numbers beyond the capture are
     counted from their first where that gives the whole capture, or a protocol that starts with it. What fits in two ways, or
     would fit only if counted from the protocol's first frame, is an error: ``--first-frame`` says which number that frame bears,

@@ -57,7 +57,7 @@ class RenderedView(Protocol):
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Frame numbers that there are, rising."""
+        """Frame numbers that there are, ascending."""
 
     def faults(self, size: tuple[int, int]) -> dict[int, str]:
         """Return frame number -> why this frame cannot be used at (width, height), e.g. ``64 x 48 instead of 128 x 96``."""
@@ -110,7 +110,7 @@ class Fit:
     """Fit of renders to a protocol.
 
     Attributes:
-        usable: view -> frames that can be scored, rising; views without any have no entry.
+        usable: view -> frames that can be scored, ascending; views without any have no entry.
         missing: what is not there, by view.
         faulty: what is there and cannot be used, by view and reason.
         extras: what belongs to no view or frame.
@@ -167,7 +167,7 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
 
 
 def partial_text(fitted: Fit, request: FrameRequest) -> str:
-    """Describe the frames behind a row of these renders; empty where none is missing."""
+    """Describe the frames behind a row of these renders; empty if none is missing."""
     if not fitted.usable:
         raise RenderError(
             f"{request.label}: wanted frames of the protocol, got none: {_listed((*fitted.missing, *fitted.faulty))}; "
@@ -200,7 +200,7 @@ def read_header(path: Path) -> PictureHeader:
 
 
 def size_fault(size: tuple[int, int], wanted: tuple[int, int]) -> str:
-    """Describe a wrong (width, height) of a frame; empty where it is right.
+    """Describe a wrong (width, height) of a frame; empty if it is right.
 
     Examples:
         >>> size_fault((320, 120), (160, 120))
@@ -231,7 +231,7 @@ class PixelRemarks:
             self._grey.append(number)
 
     def notes(self) -> list[str]:
-        """Return a line for each kind of remarkable frame; none where there are none."""
+        """Return a line for each kind of remarkable frame; none if there are none."""
         black, grey = (f"{counted(len(some), 'frame')} ({as_ranges(some)})" for some in (self._black, self._grey))
         notes = [f"{black} all zero (failed rendering?); scored anyway"] if self._black else []
         return notes + ([f"{grey} grey: the same level is measured in all three channels"] if self._grey else [])
@@ -251,7 +251,7 @@ class PictureView:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Frame numbers that there are, rising."""
+        """Frame numbers that there are, ascending."""
         return tuple(sorted(self.pictures))
 
     def faults(self, size: tuple[int, int]) -> dict[int, str]:
@@ -283,7 +283,7 @@ class PictureView:
 
 
 def _fault(path: Path, size: tuple[int, int]) -> str:
-    """State why one picture cannot be used; empty where it can."""
+    """State why one picture cannot be used; empty if it can."""
     try:
         header = read_header(path)
     except RenderError:

@@ -145,7 +145,7 @@ def run_files(path: Path, request: FrameRequest) -> list[Path]:
 
 
 def find_run(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
-    """Return the method's pictures, which bear the numbers of their instants."""
+    """Return the method's pictures, which have the numbers of their instants."""
     folder = _method_folder(path, request)
     if request.first_frame is not None:
         return find_folders(folder, request, is_temporary)
@@ -160,7 +160,7 @@ def _method_folder(path: Path, request: FrameRequest) -> Path:
 
 
 def instead_of(path: Path, view: str, request: FrameRequest) -> str:
-    """Describe files that look like a view's missing frames, with a remedy; empty where there are none."""
+    """Describe files that look like a view's missing frames, with a remedy; empty if there are none."""
     folder = find_below(path, view)
     unread = unread_pictures(folder)
     if unread or list_images(folder):
@@ -189,7 +189,7 @@ def instead_of_all(path: Path, request: FrameRequest) -> str:
 
 
 def respelled(view: str, names: Mapping[str, str], request: FrameRequest) -> str:
-    """Return the name that was probably meant to be a view's, with a remedy; empty where there is none."""
+    """Return the name that was probably meant to be a view's, with a remedy; empty if there is none."""
     others = {name: shown for name, shown in names.items() if name not in request.cameras}
     for name, shown in others.items():
         if name.casefold() == view.casefold():

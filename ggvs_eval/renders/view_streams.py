@@ -51,7 +51,7 @@ class ArrayStack:
 
     @property
     def name(self) -> str:
-        """File, and member where there is one, for messages."""
+        """File, and member if there is one, for messages."""
         return f"{self.path}" if self.member is None else f"{self.path}[{self.member}]"
 
     @property
@@ -92,8 +92,8 @@ class ArrayStack:
         if len(shape) != 4 or shape[3] != 3 or 0 in shape:
             raise RenderError(f"{self.name}: wanted an array (T, H, W, 3), got {_other_shape(shape)}")
         if dtype != np.uint8 and dtype.kind != "f":
-            mend = "divide by 65535.0" if dtype == np.uint16 else "convert it"
-            raise RenderError(f"{self.name}: wanted uint8, or float in [0, 1], got {dtype}; {mend}")
+            remedy = "divide by 65535.0" if dtype == np.uint16 else "convert it"
+            raise RenderError(f"{self.name}: wanted uint8, or float in [0, 1], got {dtype}; {remedy}")
         return shape, dtype
 
     def _map(self) -> np.ndarray:
@@ -221,7 +221,7 @@ class StreamView:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Frame numbers that there are, rising."""
+        """Frame numbers that there are, ascending."""
         return tuple(sorted(self.indices))
 
     def faults(self, size: tuple[int, int]) -> dict[int, str]:

@@ -65,8 +65,8 @@ class ErrorOfMean:
         weights: (G,), sum to 1.
         scales: (G,), standard errors.
         freedom: degrees of freedom.
-        short: why the series is too short for its correlation; empty where it is not.
-        uncalled: why it is too short to call the sign of its mean; empty where it is not.
+        short: why the series is too short for its correlation; empty if it is not.
+        uncalled: why it is too short to call the sign of its mean; empty if it is not.
     """
 
     weights: Array

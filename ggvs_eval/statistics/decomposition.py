@@ -66,7 +66,7 @@ class TwoWay:
         return float(np.square(self.rest).sum())
 
     def shares(self) -> dict[str, float]:
-        """Part of the variance about the grand mean that is due to ``view``, ``time`` and ``rest``; 0 where nothing varies."""
+        """Part of the variance about the grand mean that is due to ``view``, ``time`` and ``rest``; 0 if nothing varies."""
         squares = {"view": self.ss_view, "time": self.ss_time, "rest": self.ss_rest}
         total = sum(squares.values())
         return {name: square / total if total else 0.0 for name, square in squares.items()}
@@ -140,8 +140,8 @@ class Panel:
     """One metric of one method and scene.
 
     Attributes:
-        views: names in alphabetical order; the only one is None where a value belongs to the whole rig.
-        frames: frame numbers, rising; the only one is -1 where a value belongs to the whole sequence.
+        views: names in alphabetical order; the only one is None if a value belongs to the whole rig.
+        frames: frame numbers, ascending; the only one is -1 if a value belongs to the whole sequence.
         values: (V, T), finite.
     """
 
@@ -155,7 +155,7 @@ def read_panel(results: Results, metric: str, scene: str, method: str, variant: 
 
     Args:
         variant: its variant, empty for the plain method.
-        dataset: None where the results know one only.
+        dataset: None if the results know one only.
 
     Raises:
         ResultsError: no such values, a missing cell, or a value that is not finite.

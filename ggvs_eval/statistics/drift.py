@@ -19,7 +19,7 @@ class Drift:
     Attributes:
         slope: per frame.
         half_width: of its interval.
-        short: why the series is too short for its correlation; empty where it is not.
+        short: why the series is too short for its correlation; empty if it is not.
     """
 
     slope: float

@@ -26,9 +26,9 @@ class Interval:
 
     Attributes:
         value: the number of the whole table, as `ggvs_eval.results.Results.summary` has it.
-        low: lower bound; None where there is no interval.
+        low: lower bound; None if there is no interval.
         high: upper bound, as far above the value as `low` is below; None where `low` is.
-        note: what the interval takes as given (``given this scene, these 3 views``; empty where nothing), and that a clip is too
+        note: what the interval takes as given (``given this scene, these 3 views``; empty if nothing), and that a clip is too
             short for it; or why there is none.
         is_short: whether the clip is too short for the interval: it covers less than its level says.
     """
@@ -41,7 +41,7 @@ class Interval:
 
     @property
     def half_width(self) -> float | None:
-        """Distance of either bound from the value; None where there is no interval."""
+        """Distance of either bound from the value; None if there is no interval."""
         return None if self.high is None else self.high - self.value
 
 
@@ -60,7 +60,7 @@ class Spread:
 
     @property
     def note(self) -> str:
-        """Caveats in words: assumptions, and a clip that is too short; empty where there are none."""
+        """Caveats in words: assumptions, and a clip that is too short; empty if there are none."""
         narrow = self.short.replace("clip too short", "interval perhaps too narrow")
         return "; ".join(filter(None, (f"given {', '.join(self.given)}" if self.given else "", narrow)))
 
@@ -71,7 +71,7 @@ class Spread:
 
     @property
     def _greatest(self) -> ErrorOfMean | None:
-        """The greatest of its errors; None where there is none."""
+        """The greatest of its errors; None if there is none."""
         greatest = max(self.parts, key=lambda part: part.half_width(1.0 - LEVEL))
         return greatest if greatest.half_width(1.0 - LEVEL) > 0.0 else None
 
@@ -91,7 +91,7 @@ class Spread:
         return CLEAR * math.hypot(*(part.greatest_half_width(1.0 - level) for part in self.parts)) < abs(self.value)
 
     def undecided(self, level: float = LEVEL) -> str:
-        """Return why the sign is open though the p value may be small: the clip is too short; empty where it is not."""
+        """Return why the sign is open though the p value may be small: the clip is too short; empty if it is not."""
         return "" if self.is_clear(level) or not self._greatest else self._greatest.uncalled
 
     def p_value(self) -> float:

@@ -26,11 +26,11 @@ class Comparison:
     """The difference of two methods, first minus second.
 
     Attributes:
-        low: lower bound of its interval; None where there is none.
+        low: lower bound of its interval; None if there is none.
         high: upper bound; None where `low` is.
         p_value: two-sided p value of no difference; None where `low` is.
         note: what is taken as given (``given this scene, these 3 views``), or why there is no interval.
-        short: why the clip is too short to call it, regardless of the p value; empty where it is not.
+        short: why the clip is too short to call it, regardless of the p value; empty if it is not.
         is_clear: whether even too short a clip would be long enough to call it.
         corrected: p value after Holm's correction for the comparisons that it was made with.
         outcome: of the first method; ``untested`` before it was decided, see `decide`.
@@ -52,7 +52,7 @@ class Judgement:
     """Standing of the methods in one metric on one data set: the one place from which reports take who is better.
 
     Attributes:
-        best: label of the best number among the contenders; empty where nothing is ranked.
+        best: label of the best number among the contenders; empty if nothing is ranked.
         comparisons: label -> its decided difference to the best, for every other method that is ranked.
         variants: ranked methods that do not compete, since one of their kind competes for all -> their difference to that one.
         unranked: label -> why its number is not ranked, as it follows the name.
@@ -76,7 +76,7 @@ class Judgement:
 
     @property
     def winner(self) -> str:
-        """Label of the best where every rival is worse; empty where there is no rival, or no decision."""
+        """Label of the best where every rival is worse; empty if there is no rival, or no decision."""
         return self.best if self.rivals and len(self.having("worse")) == len(self.rivals) else ""
 
     @property
@@ -93,7 +93,7 @@ class Judgement:
 
     @property
     def marked(self) -> frozenset[str]:
-        """Labels of the best and of what is not worse; none where that is undecided, or would be every method."""
+        """Labels of the best and of what is not worse; none if that is undecided, or would be every method."""
         if self.undecided:
             return frozenset()
         level = {self.best, *(label for label, one in self.comparisons.items() if one.outcome in NOT_WORSE)}

@@ -90,7 +90,7 @@ class PooledTable:
         values: label -> mean over frames, then views, then scenes, as `ggvs_eval.results.Results.summary` has it.
         scenes: label -> its number on each scene, scenes in alphabetical order.
         refusals: label -> why its number cannot be made of views and frames.
-        no_interval: why no number has an interval; empty where they have.
+        no_interval: why no number has an interval; empty if they have.
     """
 
     values: Mapping[str, float]

@@ -20,7 +20,7 @@ class Pooling:
 
     Attributes:
         rule: one of `RULES`.
-        parts: names in the table of what the rule is applied to; empty where that is the metric itself.
+        parts: names in the table of what the rule is applied to; empty if that is the metric itself.
         settings: further arguments of the rule.
     """
 
@@ -35,7 +35,7 @@ class Pooling:
 
     @property
     def no_interval(self) -> str:
-        """Reason why numbers by this rule have no interval, though two of them can be compared; empty where they have one.
+        """Reason why numbers by this rule have no interval, though two of them can be compared; empty if they have one.
 
         Reading:
             The deviation of a short correlated clip is too small on average and its square has a long tail: intervals of it cover

@@ -19,10 +19,10 @@ class Answer:
     """Answer of a metric to a degradation.
 
     Attributes:
-        correlation: Spearman's, of strength and how much worse the metric says it is, mean over clips; +1 where the metric gets
-            worse with every step, -1 where it gets better, 0 where it does not change.
+        correlation: Spearman's, of strength and how much worse the metric says it is, mean over clips; +1 if the metric gets
+            worse with every step, -1 if it gets better, 0 if it does not change.
         low: lower bound of the bootstrap interval over clips; None of one clip.
-        least_strength: least strength from which on the mean worsening is larger than the spread over clips; None where there is
+        least_strength: least strength from which on the mean worsening is larger than the spread over clips; None if there is
             none, or one clip.
     """
 
@@ -46,7 +46,7 @@ def answer(strengths: Sequence[float], worse: Mapping[str, Sequence[Sequence[flo
     """Find out how a metric answers a ladder of strengths.
 
     Args:
-        strengths: rising, (S,); the first is 0 where the undegraded has a value.
+        strengths: rising, (S,); the first is 0 if the undegraded has a value.
         worse: clip -> one row for each seed of the degradation, (S,): the metric's values, turned so that more is worse.
 
     Example:

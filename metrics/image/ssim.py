@@ -217,7 +217,7 @@ def _no_window(name: SsimName) -> MetricError:
 
 
 def _bounding_box(mask: Mask) -> tuple[slice, slice]:
-    """Return the rows and columns of the smallest rectangle around what is true; empty where nothing is."""
+    """Return the rows and columns of the smallest rectangle around what is true; empty if nothing is."""
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     if not rows.size:
         return slice(0, 0), slice(0, 0)

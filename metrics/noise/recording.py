@@ -248,7 +248,7 @@ class Recorder:
         return self._film(self.clean(), sigma_255, number)
 
     def doubt(self) -> str:
-        """Return the reason why another recording cannot be simulated; empty where it can."""
+        """Return the reason why another recording cannot be simulated; empty if it can."""
         weakest = KEEPING_STEPS * self._coding.step_255
         if self.sigma_255 < weakest:
             hidden = f"below {weakest:.1f} grey levels x264 hides it at crf {self._coding.crf:g}"

@@ -177,7 +177,7 @@ class HorizontalPath:
         return replace(self, near=self.near / factor, far=self.far * factor)
 
     def slope_px(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
-        """dx/dv = -f * step / z in px per pose; 0 where the depth is 0, that is unknown."""
+        """dx/dv = -f * step / z in px per pose; 0 if the depth is 0, that is unknown."""
         has_depth = depth > 0
         return np.where(has_depth, self.slope_of_unit_depth_px / np.where(has_depth, depth, 1.0), 0.0).astype(np.float32)
 
@@ -318,7 +318,7 @@ class SlopeAgreement:
     """Agreement between the slopes that the images show and those that depth predicts.
 
     Attributes:
-        median_error_px: median absolute difference over the measured pixels, px per pose step; None where none was measured.
+        median_error_px: median absolute difference over the measured pixels, px per pose step; None if none was measured.
         agreeing_share: pixels whose slope could be measured and agrees, of all pixels with a depth. Blur lowers it.
         measured_share: pixels whose slope could be measured, of all pixels with a depth.
         predicted_px: mean absolute predicted slope, px per pose step: the error of an image that never moves.

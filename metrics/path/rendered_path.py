@@ -119,7 +119,7 @@ class PathPose:
         camera: the pose.
         image: rendered image, (H, W, 3), uint8 in 0..255 or float in [0, 1].
         depth: (H, W) float32, world units, 0 = unknown; None without depth.
-        sources: names of the cameras that the image is made of, e.g. the K nearest; empty where unknown.
+        sources: names of the cameras that the image is made of, e.g. the K nearest; empty if unknown.
     """
 
     camera: Camera
@@ -155,9 +155,9 @@ class RenderedPath:
         rows: image rows that EPIs are taken from.
         depths: those rows of each pose's depth; None without depth.
         sources: names of the source cameras of each pose.
-        n_switches: steps at which the source cameras change; None where that was not measured.
+        n_switches: steps at which the source cameras change; None if that was not measured.
         sharpness: of each pose's image, see `metrics.image.sharpness`.
-        folder: of the complete images, see `write_view`, and the depths; None where no metric wants them.
+        folder: of the complete images, see `write_view`, and the depths; None if no metric wants them.
     """
 
     def __init__(self, folder: Path | None = None) -> None:

@@ -69,7 +69,7 @@ def depth_blinking(later: Map, earlier: Map, static: Mask | None = None) -> floa
         static: see `depth_mtv`.
 
     Returns:
-        Per cent of the pixels known in at least one of the frames; 0 where none is.
+        Per cent of the pixels known in at least one of the frames; 0 if none is.
 
     Example:
         >>> import numpy as np
@@ -123,7 +123,7 @@ def _variation(depths: Sequence[Map], static: Mask | None) -> float:
 
 
 def _log(depth: Map) -> Map:
-    """Natural logarithm; NaN where the depth is unknown."""
+    """Natural logarithm; NaN if the depth is unknown."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.log(np.where(np.isfinite(depth) & (depth > 0), depth, np.nan).astype(np.float32))
 

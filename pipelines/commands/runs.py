@@ -301,7 +301,7 @@ def sweep(
     from ggvs_eval.sweep import load_sweep
 
     definition, part = load_sweep(name), Shard.parse(shard)
-    networks = _networks(weights, "cpu" if plan else device)  # planned commands may run where there is a GPU
+    networks = _networks(weights, "cpu" if plan else device)  # planned commands may run if there is a GPU
     given = [_open(reading, engine.place(path), protocol) for path in capture]
     captures = given or [unpack_rooms(reading.open, dry_run and plan is None).beside(engine.place(out))]
     paths = [each.path for each in captures]
@@ -394,7 +394,7 @@ def _protocol(source: str | None, capture: Capture) -> Protocol:
 
 
 def _missing_renders(run: RunFolder) -> str:
-    """Return the views that methods of a merged run lack, as text; empty where nothing is missing."""
+    """Return the views that methods of a merged run lack, as text; empty if nothing is missing."""
     from ggvs_eval.coverage import read_import
 
     views = run.protocol().views.test

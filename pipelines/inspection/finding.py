@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 # Of a question that is put to every camera: ok, could not be found out, look at it, or results would be spoilt. Of a fault that
-# is given only where there is one: an unusual rendering could explain the evidence too, or nothing else does.
+# is given only if there is one: an unusual rendering could explain the evidence too, or nothing else does.
 Verdict = Literal["ok", "unknown", "warn", "bad", "likely", "certain"]
 # From harmless to harmful: a rig is as good as its worst camera; what could not be found out is reported, but stops nothing.
 SEVERITY: Mapping[str, int] = {"ok": 0, "unknown": 1, "warn": 2, "likely": 2, "bad": 3, "certain": 3}
@@ -22,7 +22,7 @@ class Finding:
         verdict: how bad it is, or how sure.
         measured: what was found, in words and numbers, or why nothing was.
         values: the same for programs; names carry their units.
-        advice: what to do about it; empty where nothing is to be done.
+        advice: what to do about it; empty if nothing is to be done.
     """
 
     subject: str
@@ -34,7 +34,7 @@ class Finding:
 
 
 def worst(findings: Iterable[Finding]) -> Verdict:
-    """Return the most harmful of some verdicts; ``ok`` where there are none."""
+    """Return the most harmful of some verdicts; ``ok`` if there are none."""
     return max((finding.verdict for finding in findings), key=SEVERITY.__getitem__, default="ok")
 
 

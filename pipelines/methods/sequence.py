@@ -29,7 +29,7 @@ def open_sequence(path: Path, n_frames: int | None) -> CloudSequence:
 
     Args:
         path: see `splats_files`; or the folder of a fit, ``RUN/fits/LABEL/FOLD``.
-        n_frames: of the capture, by which Gaussians of 4DGS's authors move; None where it is not known.
+        n_frames: of the capture, by which Gaussians of 4DGS's authors move; None if it is not known.
 
     Raises:
         RenderError: nothing there that is known, a fit that is not finished, or files of 4DGS without the length of their clip.

@@ -32,12 +32,12 @@ STAGES: dict[str, str] = {
 
 
 def depth_cost(matcher: str) -> float | None:
-    """Return the core-seconds per megapixel of a depth map; None where they are not known."""
+    """Return the core-seconds per megapixel of a depth map; None if they are not known."""
     return DEPTH.get(matcher.partition(":")[0].partition("+")[0])
 
 
 def render_cost(label: str) -> float | None:
-    """Return the core-seconds per megapixel of a method's frame; None where they are not known."""
+    """Return the core-seconds per megapixel of a method's frame; None if they are not known."""
     return RENDERED.get(split_label(label)[0])
 
 

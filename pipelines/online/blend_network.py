@@ -190,7 +190,7 @@ def compose_tensors(outputs: BlendOutputs, colours: Tensor, coverage: Tensor) ->
 
 
 def weighted_mean_tensor(values: Tensor, weights: Tensor) -> Tensor:
-    """Return the mean over the views, 0 where no view has weight.
+    """Return the mean over the views, 0 if no view has weight.
 
     Args:
         values: (B, K, C, H, W).

@@ -136,7 +136,7 @@ def odd_ones(likeness: Array) -> NDArray[np.bool_]:
     """Mark the sources that are like none of those that see the same surfaces, though others are like each other.
 
     Args:
-        likeness: share of alike looks of every two sources, (K, K); NaN where they share too little.
+        likeness: share of alike looks of every two sources, (K, K); NaN if they share too little.
 
     Examples:
         >>> odd_ones(np.array([[np.nan, 0.9, 0.0], [0.9, np.nan, 0.1], [0.0, 0.1, np.nan]]) - 0.05)
@@ -289,7 +289,7 @@ class LensFallOff:
         self._count, self._slope = 0, 0.0
 
     def step(self, pairs: Sequence[tuple[Map, Map]], corner: float) -> float:
-        """Return the slope by the present instant and those before, 0 where none can be measured.
+        """Return the slope by the present instant and those before, 0 if none can be measured.
 
         Args:
             pairs: of each pair of sources, what they see together: the logarithm of the ratio of its two brightnesses, (N,), and

@@ -37,7 +37,7 @@ RENEWAL = 0.15  # share of a new filling in the recursive mean of fillings
 SURE_STILL = 0.5  # stillness from which on a pixel is background
 FEATHER = 0.5  # share of COVERED_ALPHA below which a pixel is a hole altogether
 RULES = (BEHIND, FORGETTING, RENEWAL, SURE_STILL, COVERED_ALPHA, COVERED_ALPHA * FEATHER)  # of the kernel
-Changes = Sequence[Change | None]  # of each source view; None where it was not there at the instant before
+Changes = Sequence[Change | None]  # of each source view; None if it was not there at the instant before
 SAME_SURFACE_TAU = 2.0  # truncation distances within which a view's depth and the fused one are the same surface
 
 
@@ -188,7 +188,7 @@ class GeometryGuided:
         return self._compensation.step(filtered, self._tau(filtered)) if self.options.compensated else filtered
 
     def _weights(self, filtered: Instant) -> list[Map]:
-        """Weigh the filtered depths (Eqs. 11-12); none where they are not fused."""
+        """Weigh the filtered depths (Eqs. 11-12); none if they are not fused."""
         if not self.options.fused:
             return []
         noise = self.options.depth_noise_m * filtered.units_per_metre

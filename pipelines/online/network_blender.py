@@ -78,7 +78,7 @@ class Overview:
 
 
 def overview(maps: BlendMaps, scale: int) -> Overview:
-    """Return all that follows from the views alone.
+    """Return the inputs that depend on the views alone.
 
     Args:
         maps: the K views.

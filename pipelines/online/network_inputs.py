@@ -271,10 +271,10 @@ def surface_normals(points: Map, has_depth: NDArray[np.bool_]) -> Map:
 
     Args:
         points: in the camera's frame, (3, H, W).
-        has_depth: where there is a surface, (H, W).
+        has_depth: if there is a surface, (H, W).
 
     Returns:
-        (3, H, W), float32, 0 where the pixel or one of its four neighbours is unknown.
+        (3, H, W), float32, 0 if the pixel or one of its four neighbours is unknown.
     """
     padded = np.pad(points, ((0, 0), (1, 1), (1, 1)), mode="edge")
     along_row = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]

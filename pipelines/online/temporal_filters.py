@@ -311,7 +311,7 @@ def splatted_change(splats: Sequence[Splat], beta_mask: float, lambda_t: float) 
         lambda_t: as in `difference_mask`.
 
     Returns:
-        Absolute difference of colours, (ceil(H / 4), ceil(W / 4)), 0 where neither a cell nor its neighbours are covered.
+        Absolute difference of colours, (ceil(H / 4), ceil(W / 4)), 0 if neither a cell nor its neighbours are covered.
     """
     mask = np.zeros_like(cells(splats[0].alpha))
     for view in splats:

@@ -34,7 +34,7 @@ class Timing:
 
     @property
     def outside(self) -> str:
-        """Frames of views that the cameras do not see, in words; empty where there is none."""
+        """Frames of views that the cameras do not see, in words; empty if there is none."""
         count = sum(share < LEAST_SEEN for share in self.seen)
         where = f"from within {SEEN_FROM_DEG:g} degrees"
         return (

@@ -104,7 +104,7 @@ class Playback:
         instants: frame number of the capture at each step.
         depth_keys: camera -> key of its depth.
         sources: which cameras are source views.
-        live: how depth is found for each picture, by a network on a GPU; None where the store has it.
+        live: how depth is found for each picture, by a network on a GPU; None if the store has it.
     """
 
     capture: Capture

@@ -243,10 +243,10 @@ def _checked_depth(camera: Camera, depth: Map) -> Map:
     """Return depth as float32 in separate memory."""
     depth, shape = np.asarray(depth), (camera.height, camera.width)
     if depth.shape != shape or not np.issubdtype(depth.dtype, np.floating):
-        mend = "depth has the size of its image, in world units"
+        remedy = "depth has the size of its image, in world units"
         if depth.shape == shape:
-            mend = "to world units, of a sensor's millimetres by depth.astype(np.float32) / 1000 * units_per_metre"
-        raise DepthError(f"camera {camera.name}: wanted floating-point depth of {shape}, got {depth.dtype} {depth.shape}; {mend}")
+            remedy = "to world units, of a sensor's millimetres by depth.astype(np.float32) / 1000 * units_per_metre"
+        raise DepthError(f"camera {camera.name}: wanted float depth of {shape}, got {depth.dtype} {depth.shape}; {remedy}")
     low, high = float(depth.min()), float(depth.max())
     if not 0 <= low <= high < np.inf:
         raise DepthError(
@@ -315,13 +315,13 @@ class Doubts:
         if not known.size or outside.mean() <= MOST_OUTSIDE:
             return
         median = float(np.median(known))
-        mend = (
+        remedy = (
             "divide millimetres by 1000 and multiply by units_per_metre" if median > MILLIMETRES * camera.far else "as these are"
         )
         self._say(
             "depth",
             f"camera {camera.name}: {outside.mean():.0%} of its depth is far outside near..far = {camera.near:g}.."
-            f"{camera.far:g}, its median is {median:g}; depth is in world units: {mend}",
+            f"{camera.far:g}, its median is {median:g}; depth is in world units: {remedy}",
         )
 
     def _say(self, kind: str, text: str) -> None:

@@ -26,7 +26,7 @@ def write_prepared_page(prepared: RunPlan, workers: int = 1) -> Path:
 
 
 def _registration(job: DepthJob, width_px: int) -> str:
-    """Describe the registration of a job's sensor depth in words; empty where there was none."""
+    """Describe the registration of a job's sensor depth in words; empty if there was none."""
     options = job.spec["options"]
     applied = options.get("registration") if isinstance(options, dict) else None
     return Registration(**applied).describe(width_px) if applied else ""

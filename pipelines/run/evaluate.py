@@ -154,7 +154,7 @@ class Stages:
     failures: list[Failure] = field(default_factory=list)
 
     def attempt(self, name: str, work: Callable[[], Value]) -> Value | None:
-        """Do something; None where it failed."""
+        """Do something; None if it failed."""
         return attempt(name, work, self.failures) if self.goes_on else work()
 
     def note(self, stage: str, jobs: Sequence[Job]) -> None:

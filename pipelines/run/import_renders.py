@@ -234,7 +234,7 @@ def run_for(
 
     Args:
         root: the folder; ``scores/<capture's folder>`` where None.
-        open_capture: opens what was rendered, once all else is known to be right; None where the folder has a run.
+        open_capture: opens what was rendered, once all else is known to be right; None if the folder has a run.
         protocol: a .toml file or a packaged name; the folder's own, or the packaged one that fits, where None.
 
     Raises:
@@ -273,7 +273,7 @@ def asked_protocol(source: str) -> Protocol:
     A packaged protocol may name metrics whose package is not installed; these are not computed.
 
     Raises:
-        ProtocolError: no such protocol, or one that makes no sense; a mistyped metric is named with the nearest one.
+        ProtocolError: no such protocol, or an invalid one; a mistyped metric is named with the nearest one.
     """
     protocol = load_protocol(source)
     try:

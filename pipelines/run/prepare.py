@@ -114,7 +114,7 @@ def _write_path_truth(prepared: RunPlan) -> None:
 
 
 def time_live_depth(plan: RunPlan) -> None:
-    """Measure it on the first frames of each test view, once, in this process alone; nothing where depth is not live.
+    """Measure it on the first frames of each test view, once, in this process alone; nothing if depth is not live.
 
     What is timed is what the run's depth was made by: all sources of the view together, by pairs that are matched once or in one
     batch on a GPU, and each map checked against the others. The seconds of each frame and the threads are written next to the

@@ -38,7 +38,7 @@ def ceiling_jobs(run: RunFolder, protocol: Protocol, views: Sequence[str]) -> li
     """Return the jobs that estimate what perfect renderings of some test views would score, from their captured frames alone.
 
     Returns:
-        One per test view; empty where the protocol wants none.
+        One per test view; empty if the protocol wants none.
     """
     metrics = [name for name in ceiling_metrics() if name in protocol.measurement.metrics]
     if not protocol.measurement.ceilings or not metrics:
@@ -61,8 +61,8 @@ def find_seen_view(view: str, psnrs_db: Collection[float], perfect: Mapping[str,
 
     Args:
         view: name.
-        psnrs_db: of its frames; empty where they were not measured.
-        perfect: its record of `read_ceilings`; None where there is none.
+        psnrs_db: of its frames; empty if they were not measured.
+        perfect: its record of `read_ceilings`; None if there is none.
     """
     ceiling_db = (perfect or {}).get("noise_free", {}).get(COMPARED)
     return [] if ceiling_db is None or not psnrs_db else find_seen(view, float(np.mean(list(psnrs_db))), ceiling_db)

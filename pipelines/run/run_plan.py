@@ -38,7 +38,7 @@ def choose_path(capture: Capture, protocol: Protocol) -> CameraPath:
     """Return the protocol's poses, else the capture's own path where it has one, else a translation around the first test view.
 
     Returns:
-        Poses at the size of a test view; none where the protocol wants none.
+        Poses at the size of a test view; none if the protocol wants none.
 
     Reading:
         The paper moves the camera horizontally and does not say from where to where; this one spans the nearest cameras on both
@@ -78,10 +78,10 @@ class RunRequest:
     """User request for a run.
 
     Attributes:
-        labels: methods; none where it is only prepared.
+        labels: methods; none if it is only prepared.
         depth: how depth is found; as the folder says, or the default.
         shared: folder whose truth/ and depth/ it uses together with others; its own where None.
-        views: units of a shard, test views or ``path``; None for all, none where the run is only prepared.
+        views: units of a shard, test views or ``path``; None for all, none if the run is only prepared.
         imports: label -> renders of others, which become a method of the run.
         name: of the run in a sweep, for people.
     """
@@ -114,8 +114,8 @@ class RunPlan:
         plans: test view -> how it is synthesised.
         path: poses of the camera path, each with its plan.
         path_frame: the instant at which the camera moves along the path.
-        path_images: what a camera would have seen there; None where that is unknown.
-        fits: of the methods that are fitted; none where no such method is wanted.
+        path_images: what a camera would have seen there; None if that is unknown.
+        fits: of the methods that are fitted; none if no such method is wanted.
     """
 
     request: RunRequest
@@ -179,7 +179,7 @@ class RunPlan:
 
     @property
     def units(self) -> list[RenderUnit]:
-        """The test views, and the camera path where there is one."""
+        """The test views, and the camera path if there is one."""
         plans = {view: (plan,) for view, plan in self.plans.items()} | ({PATH: self.path} if self.path else {})
         return [
             RenderUnit(name, of_unit, self.frames, self.path_frame, self.capture, self.run.depth)

@@ -269,7 +269,7 @@ def _derived(
 
     Args:
         values: metric -> view -> frame -> value.
-        not_computed: takes the reason where there is none.
+        not_computed: takes the reason if there is none.
     """
     measurement = protocol.measurement
     rows, reasons = derived_rows(select_metrics(measurement.metrics), values, metric_options(measurement))

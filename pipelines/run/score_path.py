@@ -39,7 +39,7 @@ def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list
     """The jobs that measure the path of every method that has one, and of the truth where the capture has true images of it.
 
     Returns:
-        One per method; empty where there is no path, or the protocol asks for none of its measures.
+        One per method; empty if there is no path, or the protocol asks for none of its measures.
 
     Raises:
         RenderError: pictures along the path that a method had are lost.
@@ -54,7 +54,7 @@ def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list
 
 
 def path_poses(run: RunFolder) -> range:
-    """Return the numbers of the poses of the camera path; none where there is no path."""
+    """Return the numbers of the poses of the camera path; none if there is no path."""
     return range(len(read_json(run.path_record)["cameras"]) if run.path_record.is_file() else 0)
 
 

@@ -83,7 +83,7 @@ def _on_screen_identity(measurement: Measurement, options: MetricOptions, screen
 
 
 def digest_frames(folder: Path, frames: Sequence[int]) -> str:
-    """SHA-256 of the wanted frames of a folder; empty where they are not all there."""
+    """SHA-256 of the wanted frames of a folder; empty if they are not all there."""
     digest = hashlib.sha256()
     for index in frames:
         file = frame_path(folder, index)
@@ -188,7 +188,7 @@ def _score_methods(
     """Some metrics of methods that have the same frames; frames are streamed, two instants in memory.
 
     What is measured from frame to frame is measured inside each stretch of consecutive frames; what belongs to the whole
-    sequence only where there is one stretch.
+    sequence only if there is one stretch.
     """
     from ggvs_eval.metrics.stream import fit_colour_maps, score_views
 
@@ -261,7 +261,7 @@ def truth_frames(run: RunFolder, view: str, frames: range, measurement: Measurem
 
 
 def _disoccluded(folder: Path, frames: range, measurement: Measurement) -> Iterator[Mask] | None:
-    """Read the masks of what no source camera sees of the view; None where they have not been computed."""
+    """Read the masks of what no source camera sees of the view; None if they have not been computed."""
     if missing_frames(folder, frames):
         return None
     return (_read_mask(frame_path(folder, index), measurement) for index in frames)

@@ -20,7 +20,7 @@ Clock = dict[str, float]  # stage -> seconds of a picture
 
 
 def read_clocks(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str]) -> dict[str, Clock | str]:
-    """Time that each method takes for a picture, or why it is not on the screen; nothing where the protocol has no stream."""
+    """Time that each method takes for a picture, or why it is not on the screen; nothing if the protocol has no stream."""
     stream = protocol.stream
     if stream is None:
         return {}
@@ -89,7 +89,7 @@ def _nature(label: str) -> tuple[bool, bool]:
 
 
 def _depth_seconds(run: RunFolder, stream: Stream) -> float:
-    """Time of the depth of all sources of a picture: stated, measured where it is live, none where it was computed before."""
+    """Time of the depth of all sources of a picture: stated, measured where it is live, none if it was computed before."""
     if stream.depth_ms is not None:
         return stream.depth_ms / 1000
     if not _is_live(run):

@@ -52,7 +52,7 @@ class Piece:
     Attributes:
         folder: where they will be; runs that share it have the piece in common.
         label: of the method that renders them.
-        core_seconds: of all of them at `pace` 1; None where they are not known.
+        core_seconds: of all of them at `pace` 1; None if they are not known.
     """
 
     kind: Kind
@@ -127,7 +127,7 @@ class Workload:
         return not self.pieces
 
     def describe(self) -> str:
-        """Return a few lines; none where everything is done."""
+        """Return a few lines; none if everything is done."""
         if self.is_nothing():
             return ""
         parts = [
@@ -203,7 +203,7 @@ def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workloa
 
 
 def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool = False) -> None:
-    """Print what runs will do, as a few lines; nothing where all is done.
+    """Print what runs will do, as a few lines; nothing if all is done.
 
     Args:
         plans: of the runs.

@@ -16,7 +16,7 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import CAPTURE, Sweep, SweepRow
 
-# Folder in the sweep, "" for the sweep's own where there is one capture -> what its variants start from.
+# Folder in the sweep, "" for the sweep's own if there is one capture -> what its variants start from.
 Captures = Mapping[str, tuple[Capture, Protocol]]
 
 
@@ -25,7 +25,7 @@ class Cell:
     """One run of a sweep.
 
     Attributes:
-        folder: of its capture in the sweep; empty where there is one capture.
+        folder: of its capture in the sweep; empty if there is one capture.
     """
 
     folder: str
@@ -111,7 +111,7 @@ def _with_rows(request: RunRequest, rows: Sequence[SweepRow]) -> RunRequest:
 
 
 def _why_not(row: SweepRow, captures: Sequence[str], networks: NetworkOptions) -> str | None:
-    """Return why a row cannot be computed; None where it can, as far as is known before it is tried."""
+    """Return why a row cannot be computed; None if it can, as far as is known before it is tried."""
     label = row.label
     if row.path is not None and len(captures) > 1 and CAPTURE not in row.path:
         return f"{row.path}: wanted {CAPTURE} in the path, got none, with {len(captures)} captures"

@@ -131,7 +131,7 @@ class Picture:
 
     @property
     def is_outside(self) -> bool:
-        """True where the cameras do not see enough of the view."""
+        """True if the cameras do not see enough of the view."""
         return self.seen < LEAST_SEEN
 
     @property

@@ -82,7 +82,7 @@ class Listener:
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{self._token}/"
 
     def refusal(self, request: "Request") -> str:
-        """Return why a request is not let in; empty where it is."""
+        """Return why a request is not let in; empty if it is."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_own(hosts[0]):
             return "unknown host name; use this machine's address, or localhost"
@@ -184,7 +184,7 @@ def _first_free(address: str, port: int, family: int) -> socket.socket:
 
 
 def _own_address(family: socket.AddressFamily) -> str:
-    """Return the address by which other machines reach this one; the loopback's where there is no way to others."""
+    """Return the address by which other machines reach this one; the loopback's if there is no way to others."""
     if family == socket.AF_INET:
         with socket.socket(family, socket.SOCK_DGRAM) as probe, suppress(OSError):
             probe.connect(ELSEWHERE)

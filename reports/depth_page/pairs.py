@@ -37,7 +37,7 @@ class PairErrors:
         row_px: median distance from the row where a match belongs, pixels; 0 without matches, and so are the next two.
         row_high_px: distance that one match in ten exceeds.
         outside: share of matches whose disparity is not looked for.
-        obstacle: why the two cannot be rectified, and nothing above was measured; empty where they can.
+        obstacle: why the two cannot be rectified, and nothing above was measured; empty if they can.
     """
 
     camera: str

@@ -37,8 +37,8 @@ class DepthStatistics:
         measured: share of pixels with a measured depth.
         filled: share of pixels whose depth was filled in from others.
         empty: share of pixels without depth.
-        confidence: median of the measured pixels, in [0, 1]; 0 where there are none.
-        near: depth that 1 % of the measured pixels fall below, world units; 0 where there are none.
+        confidence: median of the measured pixels, in [0, 1]; 0 if there are none.
+        near: depth that 1 % of the measured pixels fall below, world units; 0 if there are none.
         median: median depth of the measured pixels.
         far: depth that 1 % of the measured pixels exceed.
     """
@@ -80,7 +80,7 @@ class Resynthesis:
     Attributes:
         image: from the other camera's pixels, RGB uint8 (H, W, 3), its exposure fitted to this camera's.
         is_seen: pixels that the other camera sees as well, if the depth is right, (H, W).
-        difference: from the true image, mean of the three channels, of 255 levels, (H, W); 0 where nothing is seen.
+        difference: from the true image, mean of the three channels, of 255 levels, (H, W); 0 if nothing is seen.
         gain: factor on red, green and blue that the exposure was fitted by.
     """
 
@@ -96,7 +96,7 @@ class Resynthesis:
 
     @property
     def error(self) -> float:
-        """Mean difference over them, of 255 levels; 0 where there are none."""
+        """Mean difference over them, of 255 levels; 0 if there are none."""
         return float(self.difference[self.is_seen].mean()) if self.is_seen.any() else 0.0
 
 
@@ -170,7 +170,7 @@ class InstantPictures:
     """A camera at one instant.
 
     Attributes:
-        again: the image made again, None where the camera was matched with no other.
+        again: the image made again, None if the camera was matched with no other.
     """
 
     frame: int
@@ -185,7 +185,7 @@ class PictureOfPair:
     """A camera and one of its partners, rectified.
 
     Attributes:
-        beside: True where the camera is on the left and the partner on the right, False where it is above it.
+        beside: True if the camera is on the left and the partner on the right, False if it is above it.
     """
 
     partner: str
@@ -286,7 +286,7 @@ class StoredDepth:
     Attributes:
         job: the camera and the partners it was matched with.
         frames: instants to show, ascending; the features of the first one show the calibration.
-        registration: what was done to a sensor's depth, in words; empty where nothing was.
+        registration: what was done to a sensor's depth, in words; empty if nothing was.
     """
 
     job: DepthJob
@@ -306,7 +306,7 @@ class CameraPictures:
     Attributes:
         partners: of the job that is pictured; where a camera has several, the one that measured least.
         depth_range: nearest and farthest depth of the colours, world units.
-        again_from: the camera that images are made again from, the nearest partner; empty where there is none.
+        again_from: the camera that images are made again from, the nearest partner; empty if there is none.
         pairs: one per partner that the camera can be rectified with.
     """
 

@@ -58,7 +58,7 @@ class Panel:
     """One metric in one view along time.
 
     Attributes:
-        unit: unit of the values; empty where there is none.
+        unit: unit of the values; empty if there is none.
         better: ``higher is better`` or ``lower is better``.
         bounds: first and last frame, lower and upper end of the values; the same in all views.
     """

@@ -263,7 +263,7 @@ def _frames(run: MeasuredRun, folders: dict[str, Path]) -> Iterator[Image8]:
 
 
 def _sheet(pictures: Sequence[Image8], columns: int) -> Image8:
-    """Return the pictures of one size in rows, black where there is none, of even width and height."""
+    """Return the pictures of one size in rows, black if there is none, of even width and height."""
     height, width, _ = pictures[0].shape
     rows = math.ceil(len(pictures) / columns)
     sheet = np.zeros((rows * height + rows * height % 2, columns * width + columns * width % 2, 3), np.uint8)

@@ -71,7 +71,7 @@ class Slices:
         context: frame that the row is taken from.
         title: what the slice is of.
         first: number of its first sample, a frame or a pose.
-        fps: samples per second; 0 where they are none of time, or it is unknown.
+        fps: samples per second; 0 if they are none of time, or it is unknown.
     """
 
     kind: SliceKind
@@ -121,7 +121,7 @@ def _stack_rows(folder: Path, indices: range, row: int) -> Image8:
 
 
 def find_breaks(image: Image8, truth: Image8) -> tuple[Break, ...]:
-    """Return the places at which a slice changes most unlike the truth, the largest first; none where noise would explain them.
+    """Return the places at which a slice changes most unlike the truth, the largest first; none if noise would explain them.
 
     Args:
         image: slice of a method, (samples, x, 3).
@@ -145,7 +145,7 @@ def find_breaks(image: Image8, truth: Image8) -> tuple[Break, ...]:
 
 
 def _with_breaks(strips: Sequence[Strip]) -> tuple[Strip, ...]:
-    """Strips, the truth first, each with the places at which it breaks; none where there is no truth."""
+    """Strips, the truth first, each with the places at which it breaks; none if there is no truth."""
     truth = strips[0].image
     if truth is None:
         return tuple(strips)
@@ -203,7 +203,7 @@ def path_folders(run: MeasuredRun, labels: Iterable[str]) -> tuple[dict[str, Pat
         labels: the methods; those without a path are left out.
 
     Returns:
-        Label -> folder, and the number of poses, 0 where the run has no path.
+        Label -> folder, and the number of poses, 0 if the run has no path.
     """
     counts = {label: len(list(run.folder.path(label).glob("*.png"))) for label in ("truth", *labels)}
     folders = {label: run.folder.path(label) for label, count in counts.items() if count}  # none of a path that was refused
@@ -213,7 +213,7 @@ def path_folders(run: MeasuredRun, labels: Iterable[str]) -> tuple[dict[str, Pat
 
 
 def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
-    """Return the epipolar plane images of the truth and every method; None where the run has no camera path.
+    """Return the epipolar plane images of the truth and every method; None if the run has no camera path.
 
     Reading:
         The paper fixes a row without saying which; unless one is given, it is the row in which methods differ most. Where there
@@ -243,7 +243,7 @@ def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
 
     Reading:
         The paper fixes a row without saying which; unless one is given, it is the row in which methods differ most, or the truth
-        changes most over time where there is one method alone or all are equal.
+        changes most over time if there is one method alone or all are equal.
     """
     views = run.protocol.views.test
     if view not in views:

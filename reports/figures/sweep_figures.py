@@ -32,7 +32,7 @@ A_STREAM_SWEEP = "make one with `ggvs-eval sweep stream FOLDER --capture CAPTURE
 
 
 def read_k_table(sweep: Path) -> pd.DataFrame:
-    """Return the table of a sweep over K: rows (method, K), rising in K; of several captures their mean."""
+    """Return the table of a sweep over K: rows (method, K), ascending in K; of several captures their mean."""
     file = sweep / SWEEP_FILE
     if not file.is_file():
         raise ResultsError(f"{sweep}: wanted the folder of a sweep, it has no {SWEEP_FILE}; {A_K_SWEEP}")
@@ -172,7 +172,7 @@ class RatePanel:
 
 
 def rate_panels(runs: Sequence[MeasuredRun]) -> tuple[RatePanel, ...]:
-    """Return a panel per metric of runs that differ in K alone, or of one; none where nothing is on a screen."""
+    """Return a panel per metric of runs that differ in K alone, or of one; none if nothing is on a screen."""
     streams = {run.protocol.stream for run in runs}
     (stream,) = streams if len(streams) == 1 else (None,)
     if stream is None:

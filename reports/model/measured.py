@@ -33,7 +33,7 @@ class MetricNote:
     """A metric as a report knows it.
 
     Attributes:
-        unit: e.g. ``dB``; empty where there is none.
+        unit: e.g. ``dB``; empty if there is none.
         group: short name of its table.
         group_title: heading of that table.
         decimals: digits after the point; None for four significant ones.
@@ -92,7 +92,7 @@ class Reference:
 
 
 def read_references(folder: RunFolder) -> tuple[Reference, ...]:
-    """Read the references of the score step; none where it wrote none."""
+    """Read the references of the score step; none if it wrote none."""
     file = folder.root / REFERENCES_FILE
     return tuple(Reference(**entry) for entry in read_json(file)) if file.is_file() else ()
 
@@ -135,7 +135,7 @@ def shared_references(runs: Sequence["MeasuredRun"]) -> tuple[Reference, ...]:
 
 
 def captured_values(references: Sequence[Reference]) -> dict[str, float]:
-    """Return the scores of the captured images along the camera path; empty where there are none."""
+    """Return the scores of the captured images along the camera path; empty if there are none."""
     along = [reference for reference in references if reference.group == "path"]
     return {metric: value for each in along for metric, value in each.values.items() if isinstance(value, float | int)}
 
@@ -177,7 +177,7 @@ class MeasuredRun:
         metrics: metric -> its note.
         references: grey rows that belong to no method.
         replicas: label of a fitted method -> labels of the same by other seeds, which are in no table but that of the spread.
-        all_results: what came out, with these; None where there are none.
+        all_results: what came out, with these; None if there are none.
         from_sources: labels of the methods that render each instant from the source views of the protocol; others are fitted to
             more, or it is unknown.
     """
@@ -221,7 +221,7 @@ class MeasuredRun:
 
     @property
     def has_own_truth(self) -> bool:
-        """True where the truth came with the renders and no capture was read."""
+        """True if the truth came with the renders and no capture was read."""
         return "truth" in self.results.provenance
 
     @property

@@ -23,7 +23,7 @@ class Column:
     """Head of a column.
 
     Attributes:
-        unit: unit of its values; empty where there is none.
+        unit: unit of its values; empty if there is none.
         higher_is_better: direction; None where values are not ranked.
         describe: what it is, one sentence.
     """
@@ -49,7 +49,7 @@ class Column:
 
     @property
     def arrow(self) -> str:
-        """Direction in which values get better; empty where they are not ranked."""
+        """Direction in which values get better; empty if they are not ranked."""
         return {True: "↑", False: "↓", None: ""}[self.higher_is_better]
 
 
@@ -59,12 +59,12 @@ class Cell:
 
     Attributes:
         text: rounded value and nothing else, or the reason why there is none; never empty.
-        value: unrounded; None where there is none.
+        value: unrounded; None if there is none.
         best: its column's judgement marks it: the best, or not worse than that.
         shade: strength of the blue behind it, 0 to 1.
-        spread: rounded half width of its interval, ``± 0.21``, with `SHORT` where it is not to be relied on; empty where there is
+        spread: rounded half width of its interval, ``± 0.21``, with `SHORT` where it is not to be relied on; empty if there is
             none.
-        low: lower bound of the interval, unrounded; None where there is none.
+        low: lower bound of the interval, unrounded; None if there is none.
         high: upper bound; None where `low` is.
         note: what the interval takes as given, or why there is none.
         bound: ``at most`` or ``at least``, before the value, where it is a bound.
@@ -94,12 +94,12 @@ class Cell:
 
     @property
     def is_short(self) -> bool:
-        """True where the clip is too short for the interval."""
+        """True if the clip is too short for the interval."""
         return self.spread.endswith(SHORT)
 
     @property
     def hint(self) -> str:
-        """One line about the interval, or why there is no value or rank; empty where nothing is known of these."""
+        """One line about the interval, or why there is no value or rank; empty if nothing is known of these."""
         if self.value is None:
             return self.note
         unranked = f"not ranked: it {self.unranked}" if self.unranked else ""

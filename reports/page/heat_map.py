@@ -19,10 +19,10 @@ class HeatMap:
     """One metric of every method over views and frames.
 
     Attributes:
-        unit: unit of the values; empty where there is none.
+        unit: unit of the values; empty if there is none.
         low: smallest finite value of all methods.
         high: largest finite value of all methods.
-        values: label -> view -> one value per frame of the run; None where there is none or none that is finite.
+        values: label -> view -> one value per frame of the run; None if there is none or none that is finite.
     """
 
     metric: str

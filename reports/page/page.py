@@ -97,9 +97,9 @@ def viewer_data(
     """Everything that the viewer, the linked slices and the heat maps of one run share.
 
     Args:
-        path: its frames along the camera path, compressed; None where there is none.
+        path: its frames along the camera path, compressed; None if there is none.
         fps: frames per second of the capture; 0 where unknown.
-        full: the run folder as an address from the page; empty where the page cannot name it.
+        full: the run folder as an address from the page; empty if the page cannot name it.
     """
     return {
         "run": run.folder.root.resolve().name,
@@ -201,7 +201,7 @@ def _coded(text: str) -> str:
 
 
 def run_address(root: Path, folder: Path | None) -> str:
-    """Return a run folder as an address from a page; empty where the page loads nothing, or they are too far apart.
+    """Return a run folder as an address from a page; empty if the page loads nothing, or they are too far apart.
 
     A page is in its run folder, or in that of a run next to it; a longer address would reveal the machine that made it.
     """
@@ -371,7 +371,7 @@ def _insets(run: MeasuredRun, keys: Sequence[str]) -> dict[str, Any]:
 
 
 def _matcher(run: MeasuredRun) -> str:
-    """Name of the matcher whose depth the run has, its file without folders; empty where the depth was not computed here."""
+    """Name of the matcher whose depth the run has, its file without folders; empty if the depth was not computed here."""
     record = run.folder.depth_record
     kind, colon, file = str(read_json(record).get("matcher", "") if record.is_file() else "").partition(":")
     return f"{kind}{colon}{Path(file).name}"

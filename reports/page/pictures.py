@@ -50,7 +50,7 @@ POSES_AT_MOST = 480  # over all methods; the browser decodes each of them for on
 
 
 def diagnostics_label(run: MeasuredRun) -> str | None:
-    """Return the first method with diagnostics, ours before its variants; None where none has any."""
+    """Return the first method with diagnostics, ours before its variants; None if none has any."""
     first = run.protocol.views.test[0]
     return next((label for label in run.ours_first if (run.folder.renders(label, first) / DIAGNOSTICS).is_dir()), None)
 
@@ -80,7 +80,7 @@ class Comparison:
 
     Attributes:
         frames: frame numbers shown, every ``stride``-th one.
-        stride: 1 where all frames are shown.
+        stride: 1 if all frames are shown.
         width: width of the pictures, pixels.
         full_size: width and height of the frames on disk.
         keys: ``truth``, the methods' labels, and what one of them decided inside, see `diagnostics_folders`.
@@ -278,7 +278,7 @@ class PathPictures:
 
 
 def path_pictures(run: MeasuredRun, byte_budget: int = PATH_BYTES) -> PathPictures | None:
-    """Compress the frames along the camera path; None where the run has none.
+    """Compress the frames along the camera path; None if the run has none.
 
     Args:
         byte_budget: what they may take, before base64; it decides their width.

@@ -82,7 +82,7 @@ def quality_over_time(column: Column, values: Sequence[tuple[str, float]], timin
 
 
 def _mean_time(name: str, timings: Sequence[Table]) -> float | None:
-    """Return the milliseconds of a frame of a method, the mean over runs; None where none was recorded."""
+    """Return the milliseconds of a frame of a method, the mean over runs; None if none was recorded."""
     found = [
         cell.value
         for table in timings

@@ -27,11 +27,11 @@ class SweepSection:
 
     Attributes:
         table: a row per method and variant.
-        panels: a curve per method over K; none where the sweep has a single K.
-        ks: numbers of source views, rising.
+        panels: a curve per method over K; none if the sweep has a single K.
+        ks: numbers of source views, ascending.
         measured_on: protocol, frames and views of the curves.
         runs_follow: whether the page shows its runs too.
-        rates: quality on the screen over pictures per second, of all its runs; none where nothing is on a screen.
+        rates: quality on the screen over pictures per second, of all its runs; none if nothing is on a screen.
     """
 
     name: str

@@ -48,7 +48,7 @@ class Difference:
         first: number of the first method.
         second: of the second.
         comparison: first minus second, decided together with those in the other metrics, or in the other views of one metric.
-        set_aside: why either may not be ranked, in words; empty where both may.
+        set_aside: why either may not be ranked, in words; empty if both may.
     """
 
     note: MetricNote
@@ -65,7 +65,7 @@ class Difference:
 
     @property
     def is_significant(self) -> bool:
-        """True where one is judged better than the other."""
+        """True if one is judged better than the other."""
         return not self.set_aside and self.comparison.outcome in ("better", "worse")
 
     @property

@@ -167,7 +167,7 @@ def _rendering_cell(run: MeasuredRun, label: str) -> Cell:
 
 
 def _seed_table(run: MeasuredRun) -> Table | None:
-    """Return the largest minus smallest number over the seeds of a fit; None where every method has one seed."""
+    """Return the largest minus smallest number over the seeds of a fit; None if every method has one seed."""
     if run.all_results is None:
         return None
     summary = run.all_results.summary().droplevel("dataset")
@@ -191,7 +191,7 @@ def _seed_cell(note: MetricNote, values: Sequence[float]) -> Cell:
 
 
 def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, ...]:
-    """Price of being online: every fitted method minus GGVS, per dataset; nothing where either is missing or set aside."""
+    """Price of being online: every fitted method minus GGVS, per dataset; nothing if either is missing or set aside."""
     labels = [label for run in runs for label in run.ours_first if label not in results.set_aside]
     fitted = list(dict.fromkeys(label for run in runs for label in fit_records(run) if label in labels))
     ours = [label for label in labels if label in runs[0].ours and label not in fitted]
@@ -231,7 +231,7 @@ def difference_cell(note: MetricNote, comparison: Comparison | None, why_absent:
 
 
 def budget_tables(run: MeasuredRun) -> tuple[Table, ...]:
-    """Cost at equal quality and the best method under each budget, of ranked methods alone; nothing where none is fitted."""
+    """Cost at equal quality and the best method under each budget, of ranked methods alone; nothing if none is fitted."""
     summary = run.results.summary().droplevel("dataset")
     numbers = {label_of(*names): float(summary.loc[names].get("PSNR", math.nan)) for names in summary.index}
     ranked = [label for label in run.labels if label not in run.results.set_aside]
@@ -283,7 +283,7 @@ def _reached(outcome: Outcome, ahead_db: float) -> Outcome:
 
 
 def _crossing(points: Sequence[tuple[float, float, Outcome]]) -> Cell:
-    """Return the first of some (seconds, dB, outcome against a target), rising in seconds, that is not worse than the target.
+    """Return the first of some (seconds, dB, outcome against a target), ascending in seconds, that is not worse than the target.
 
     The cell is a bound, as the truth is between two points.
     """

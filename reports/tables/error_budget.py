@@ -76,7 +76,7 @@ GRADES = ("good", "fair", "poor")
 
 
 def decomposition_table(run: MeasuredRun) -> Table | None:
-    """Return the table of one run; None where it has a single view or frame, or no L1."""
+    """Return the table of one run; None if it has a single view or frame, or no L1."""
     if run.protocol.frames.count < 2 or len(run.protocol.views.test) < 2 or METRIC not in set(run.results.table["metric"]):
         return None
     rows = [run.row(label, _variance_cells(run, label)) for label in run.labels]
@@ -122,7 +122,7 @@ def error_budget(image: Image8, truth: Image8, unseen: Mask | None) -> ErrorBudg
     Args:
         image: synthesised, (H, W, 3).
         truth: (H, W, 3).
-        unseen: true where no source view covers the pixel, (H, W); None where that is not known.
+        unseen: true where no source view covers the pixel, (H, W); None if that is not known.
 
     Reading:
         Only what one smooth map explains is called colour: a body that is missing is as wide as a camera's other white balance.
@@ -197,7 +197,7 @@ def _misplaced(image: Array32, truth: Image8, coverage: Map, width: int) -> floa
 
     Args:
         image: without its wide error, (H, W, 3).
-        coverage: 1 where a source sees the pixel, (H, W).
+        coverage: 1 if a source sees the pixel, (H, W).
         width: columns of the pictures that it is sought in.
     """
     size = width, max(1, round(width / truth.shape[1] * truth.shape[0]))
@@ -220,7 +220,7 @@ def _misplaced(image: Array32, truth: Image8, coverage: Map, width: int) -> floa
 
 
 def budget_table(run: MeasuredRun) -> Table | None:
-    """Return a row per method, and one per view of the one that the page shows first; None where there are no pictures."""
+    """Return a row per method, and one per view of the one that the page shows first; None if there are no pictures."""
     if not run.pictured:
         return None
     shown = run.ours_first[0]
@@ -345,7 +345,7 @@ def _agreeing_shares(run: MeasuredRun) -> list[float]:
 
 
 def largest_cause(name: str, budgets: Sequence[Table]) -> str:
-    """Return the largest part of a method's squared error, in words; empty where no error was taken apart."""
+    """Return the largest part of a method's squared error, in words; empty if no error was taken apart."""
     rows = [(budget, row) for budget in budgets if budget.key == BUDGET_KEY for row in budget.rows if row.name == name]
     if not rows:
         return ""

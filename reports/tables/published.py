@@ -60,7 +60,7 @@ def is_higher_better(metric: str) -> bool:
 
 
 def paper_dataset(name: str) -> str:
-    """Return the paper's own name of a data set; empty where it has none of that name."""
+    """Return the paper's own name of a data set; empty if it has none of that name."""
     return next((dataset for dataset in read_published("quality") if dataset.lower() == name.lower()), "")
 
 
@@ -86,7 +86,7 @@ class PublishedTerms:
         protocol: packaged protocol that it belongs to.
         checked: where each value was read.
         scenes: names of the scenes of which only the mean is published.
-        withheld: why no value is shown next to measured ones; empty where they are.
+        withheld: why no value is shown next to measured ones; empty if they are.
     """
 
     protocol: str
@@ -171,7 +171,7 @@ def _shown(protocol: Protocol, scenes: Collection[str]) -> dict[tuple[str, str],
 
 
 def _difference(protocol: Protocol, scenes: Collection[str]) -> str:
-    """Return what a run under a packaged protocol's name does or shows otherwise; empty where values compare."""
+    """Return what a run under a packaged protocol's name does or shows otherwise; empty if values compare."""
     if protocol.name not in packaged_protocols():
         return f"no packaged protocol is called {protocol.name}"
     ours, theirs = _terms(protocol), _terms(load_protocol(protocol.name))
@@ -202,7 +202,7 @@ class PaperTerms:
     """The paper's protocol on one data set, as far as it states it.
 
     Attributes:
-        scenes: names of the scenes; empty where it names none.
+        scenes: names of the scenes; empty if it names none.
         layouts: in which the data set is on disk.
         test_views: how many; it does not say which.
         size: width and height of the rendered images, pixels.
@@ -226,7 +226,7 @@ class PaperTerms:
         return "whole" if name == dataset else "part" if name.startswith(f"{dataset},") else "other"
 
     def departures(self, run: MeasuredRun) -> tuple[str, ...]:
-        """List a run's departures from the paper's protocol, in words; empty where it agrees in all that the paper states."""
+        """List a run's departures from the paper's protocol, in words; empty if it agrees in all that the paper states."""
         capture, protocol = run.capture, run.protocol
         size, layout = rendered_size(run), capture.get("layout", "unknown")
         measured = (protocol.measurement.width, protocol.measurement.height) if protocol.measurement.width else size

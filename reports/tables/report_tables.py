@@ -208,7 +208,7 @@ def _instants(protocol: Protocol) -> str:
 
 
 def _sources(runs: Sequence[MeasuredRun], names: Mapping[str, str]) -> str:
-    """Return the number of source views of those methods of which it is known; empty where it is of none."""
+    """Return the number of source views of those methods of which it is known; empty if it is of none."""
     known = set().union(*(run.from_sources for run in runs))
     others = [name for label, name in names.items() if label not in known]
     if len(others) == len(names):

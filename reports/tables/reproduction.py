@@ -63,12 +63,12 @@ class Reproduction:
         table: key in `TABLES`.
         dataset: as the paper calls it.
         metric: metric, or stage of the timing.
-        unit: of both values; empty where there is none.
+        unit: of both values; empty if there is none.
         paper: value with the digits that the paper prints.
         ours: what was measured on the same data and terms, or that nothing was.
         status: see `MEANING`.
         reason: why, in words; never empty, and the same for all values that lack the same thing.
-        remark: what else is known of this value alone; empty where nothing is.
+        remark: what else is known of this value alone; empty if nothing is.
     """
 
     table: str
@@ -332,7 +332,7 @@ def _table(entries: Sequence[Reproduction]) -> Table:
 
 
 def _best(rows: Sequence[Row], at: int, column: Column) -> set[str]:
-    """Return the methods of the best published value, which has no interval; none where all are the same."""
+    """Return the methods of the best published value, which has no interval; none if all are the same."""
     values = {row.label: value for row in rows if (value := row.cells[at].value) is not None}
     top = (max if column.higher_is_better else min)(values.values(), default=None)
     best = {label for label, value in values.items() if value == top}

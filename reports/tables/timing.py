@@ -92,7 +92,7 @@ def _caption(run: MeasuredRun, jobs: dict[str, list[dict[str, Any]]], first: int
 
 @dataclass(frozen=True)
 class PublishedTime:
-    """The stage here that does what one of the paper's times is of; None where there is none, with the reason."""
+    """The stage here that does what one of the paper's times is of; None if there is none, with the reason."""
 
     stage: str | None
     why_not: str = ""
@@ -127,14 +127,14 @@ def evaluate_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: f
 
 
 def _stage_ms(run: MeasuredRun, label: str, stage: str) -> float | None:
-    """Return the median milliseconds of a stage of one method; None where none were recorded."""
+    """Return the median milliseconds of a stage of one method; None if none were recorded."""
     table = timing_table(run)
     column = next((at for at, column in enumerate(table.columns) if column.name == stage), None)
     return None if column is None or label not in run.labels else table.rows[run.labels.index(label)].cells[column].value
 
 
 def stream_table(run: MeasuredRun) -> Table | None:
-    """Return one row per method; None where the protocol has no stream, or nothing was scored under it."""
+    """Return one row per method; None if the protocol has no stream, or nothing was scored under it."""
     stream, file = run.protocol.stream, run.folder.stream_record
     if stream is None or not file.is_file():
         return None

@@ -117,8 +117,8 @@ class Contender:
     """One method in the headline metric.
 
     Attributes:
-        place: of the value in the drawing, per cent from the left; None where it is not finite.
-        span: ends of the interval in the same way; None where there is none.
+        place: of the value in the drawing, per cent from the left; None if it is not finite.
+        span: ends of the interval in the same way; None if there is none.
         worth: of a variant of GGVS, its difference to the full method in words; empty otherwise.
     """
 
@@ -139,7 +139,7 @@ class Verdict:
         margin: by how much, with its interval; or what to do, where nothing is ranked.
         absolute: the first's number next to the capture's ceiling and published ones, and the sources of its error; empty where
             there is nothing to compare with.
-        column: the metric that this is in; None where nothing is ranked.
+        column: the metric that this is in; None if nothing is ranked.
         meaning: what it measures, in plain words.
         contenders: every method that competes, the best first; of GGVS the full method, unless only its variants were measured.
         parts: variants of GGVS, with what each lacks or adds.
@@ -222,7 +222,7 @@ def _nothing(results: Results) -> str:
 
 
 def _worth(one: Comparison, decimals: int | None) -> str:
-    """Difference of a variant to the method itself, with its interval where there is one."""
+    """Difference of a variant to the method itself, with its interval if there is one."""
     worth = signed(one.difference, decimals)
     half = None if one.high is None else one.high - one.difference
     return worth if half is None else f"{worth} {spread_text(one.difference, half, decimals, bool(one.short))}"

@@ -17,7 +17,7 @@ Value = tuple[float, str, int]  # of a frame of a view
 
 
 def worst_frames_table(run: MeasuredRun) -> Table | None:
-    """Return two columns for each metric of the paper's tables that has values per frame; None where there is none."""
+    """Return two columns for each metric of the paper's tables that has values per frame; None if there is none."""
     found = {metric: values for metric in HEADLINES if metric in run.metrics and (values := _values(run, metric))}
     if not found or len(run.frames) * len(run.protocol.views.test) < 2:
         return None

@@ -91,7 +91,7 @@ def first_evaluation(walk):
     few = {"frames": replace(protocol.frames, count=FRAMES), "synthesis": replace(protocol.synthesis, k=2)}
     short = replace(protocol, measurement=cheap, **few)
     (quick / "quick.toml").write_text(short.to_toml(), encoding="utf-8")
-    for file in (quick / "mended").glob("*/*.png"):
+    for file in (quick / "fixed").glob("*/*.png"):
         if int(file.stem) not in short.frames.numbers:
             file.unlink()
     steps = []

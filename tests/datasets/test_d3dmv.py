@@ -177,8 +177,8 @@ SHAPE = (N_CAMERAS, N_FRAMES, HEIGHT, WIDTH, 3)
         ({"shape": (3, 2**30, 36, 64, 3), "dtype": "u1"}, "bytes in a smaller file"),
         ({"data": np.zeros(SHAPE, np.uint8), "chunks": (1, 1, 36, 64, 3), "scaleoffset": 0}, "got the unknown compression 6"),
         ({"shape": SHAPE, "dtype": "u1", "external": [("/etc/hostname", 0, 2**20)]}, "got data that are stored in another file"),
-        ({"data": np.zeros((2, *SHAPE[1:]), np.uint8)}, "wanted fg_rgb for the (cameras, frames) (2, 4) of rgb, got (3, 4)"),
-        ({"data": np.zeros((3, 3, *SHAPE[2:]), np.uint8)}, "wanted fg_rgb for the (cameras, frames) (3, 3) of rgb, got (3, 4)"),
+        ({"data": np.zeros((2, *SHAPE[1:]), np.uint8)}, "wanted fg_rgb of (cameras, frames) (2, 4) of rgb, got (3, 4)"),
+        ({"data": np.zeros((3, 3, *SHAPE[2:]), np.uint8)}, "wanted fg_rgb of (cameras, frames) (3, 3) of rgb, got (3, 4)"),
     ],
     ids=lambda value: value[:24] if isinstance(value, str) else "",
 )

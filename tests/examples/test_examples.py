@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
     protocol = load_protocol(folder / "quick" / "quick.toml")
     measurement = replace(protocol.measurement, metrics=("PSNR", "SSIM"), ceilings=False)
     cut = replace(protocol, views=Views(("cam00", "cam03"), "test"), measurement=measurement)
-    for renders in ("mended", "late"):
+    for renders in ("fixed", "late"):
         shutil.rmtree(folder / "quick" / renders / "cam07")
     (folder / "quick" / "quick.toml").write_text(cut.to_toml(), encoding="utf-8")
     small = replace(cut, views=Views(("cam03",), "test"), frames=Frames(1, 2), synthesis=Synthesis(2, width=120, height=90))
@@ -71,8 +71,8 @@ def test_folders_are_scored(folder):
     values = {line.split()[1]: float(line.split()[2]) for line in out.splitlines() if line.startswith("PSNR")}
     summary = Results.read(folder / "out" / "scores").summary().droplevel(["dataset", "variant"])["PSNR"]
     assert values == pytest.approx(summary.round(4).to_dict(), abs=1e-9)
-    assert values["mended"] > values["late"] + 2
-    assert re.search(r"^SSIM +mended +0\.\d+ \+- \d\S* +given this scene", out, re.MULTILINE), out
+    assert values["fixed"] > values["late"] + 2
+    assert re.search(r"^SSIM +fixed +0\.\d+ \+- \d\S* +given this scene", out, re.MULTILINE), out
     assert "late shows every frame one instant late, so it is not ranked" in out
     assert (folder / out.splitlines()[-1]).is_file()
 

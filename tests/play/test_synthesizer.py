@@ -227,7 +227,7 @@ def spoilt(kind: str):
         ("BGRA image", RenderError, r"got uint8 \(72, 96, 4\); leave the fourth channel out"),
         ("CHW image", RenderError, r"got uint8 \(3, 72, 96\); channels come last: np\.moveaxis"),
         ("grey image", RenderError, r"got uint8 \(72, 96\); repeat grey"),
-        ("small depth", DepthError, r"camera x\+0.15: wanted floating-point depth of \(72, 96\), got float32 \(71, 96\)"),
+        ("small depth", DepthError, r"camera x\+0.15: wanted float depth of \(72, 96\), got float32 \(71, 96\)"),
         ("integer depth", DepthError, r"got uint16 \(72, 96\); .*/ 1000 \* units_per_metre"),
         ("no confidence", DepthError, r"wanted confidence of \(72, 96\) like its depth, got \(2, 2\)"),
         ("NaN depth", DepthError, r"camera x\+0.15: depth must be finite and not negative, got nan"),

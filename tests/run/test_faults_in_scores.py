@@ -24,7 +24,7 @@ from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.compare_runs import differences, method_sides
 from ggvs_eval.results import Fault, Results
 from ggvs_eval.run_folder import RunFolder, frame_path
-from ggvs_eval.synthetic.shipped import LATE, MENDED, PROTOCOL, QUICK_ROOM, quick_protocol, write_quick
+from ggvs_eval.synthetic.shipped import FIXED, LATE, PROTOCOL, QUICK_ROOM, quick_protocol, write_quick
 
 pytestmark = pytest.mark.slow
 
@@ -42,7 +42,7 @@ def quick(tmp_path_factory) -> Path:
     protocol = quick_protocol()
     cheap = replace(protocol, measurement=replace(protocol.measurement, metrics=("PSNR", "L1"), ceilings=False))
     (folder / PROTOCOL).write_text(cheap.to_toml(), encoding="utf-8")
-    for file in (folder / MENDED).glob("*/*.png"):
+    for file in (folder / FIXED).glob("*/*.png"):
         for label, spoilt in (("bgr", np.s_[..., ::-1]), ("flipped", np.s_[:, ::-1])):
             write_image(folder / label / file.parent.name / file.name, np.ascontiguousarray(read_image(file)[spoilt]))
     return folder
@@ -52,7 +52,7 @@ def quick(tmp_path_factory) -> Path:
 def run(quick) -> RunFolder:
     """A scored run of honest renders and three that are spoilt; nobody changes it."""
     with run_for(quick / "run", lambda: open_capture(quick / QUICK_ROOM), str(quick / PROTOCOL), 1) as made:
-        for label, folder in (("mine", MENDED), ("late", LATE), ("bgr", "bgr"), ("flipped", "flipped")):
+        for label, folder in (("mine", FIXED), ("late", LATE), ("bgr", "bgr"), ("flipped", "flipped")):
             import_renders(made, label, quick / folder)
     score(made)
     return made
@@ -163,14 +163,14 @@ def test_renders_better_than_a_perfect_one_have_seen_the_view(quick, tmp_path):
     (tmp_path / "seen.toml").write_text(with_ceilings.to_toml(), encoding="utf-8")
     with run_for(tmp_path / "run", lambda: open_capture(quick / QUICK_ROOM), str(tmp_path / "seen.toml"), 1) as made:
         numbers = short.frames.numbers
-    for file in (frame_path(quick / MENDED / view, frame) for view in short.views.test for frame in numbers):
+    for file in (frame_path(quick / FIXED / view, frame) for view in short.views.test for frame in numbers):
         truth = read_image(made.truth(file.parent.name) / file.name).astype(np.float32)
         write_image(
             tmp_path / "seen" / file.parent.name / file.name, np.rint(0.9 * truth + 0.1 * read_image(file)).astype(np.uint8)
         )
     for view in short.views.test:
         for frame in numbers:
-            write_image(tmp_path / "mine" / view / f"{frame:04d}.png", read_image(frame_path(quick / MENDED / view, frame)))
+            write_image(tmp_path / "mine" / view / f"{frame:04d}.png", read_image(frame_path(quick / FIXED / view, frame)))
     import_renders(made, "seen", tmp_path / "seen")
     import_renders(made, "mine", tmp_path / "mine")
 

@@ -13,7 +13,7 @@ from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables_of_runs import tables_of_runs
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder
-from ggvs_eval.synthetic.shipped import LATE, MENDED, PROTOCOL, QUICK_ROOM, quick_protocol, write_quick
+from ggvs_eval.synthetic.shipped import FIXED, LATE, PROTOCOL, QUICK_ROOM, quick_protocol, write_quick
 
 pytestmark = pytest.mark.slow
 VIEW = "cam00"
@@ -30,11 +30,11 @@ def quick(tmp_path_factory) -> Path:
         measurement=replace(protocol.measurement, metrics=("PSNR", "SSIM", "TCC"), ceilings=False),
     )
     (folder / PROTOCOL).write_text(cheap.to_toml(), encoding="utf-8")
-    for name in (MENDED, LATE):
+    for name in (FIXED, LATE):
         (folder / "one" / name).mkdir(parents=True)
         (folder / "one" / name / VIEW).symlink_to(folder / name / VIEW)
     call("score", "--capture", folder / QUICK_ROOM, "--protocol", folder / PROTOCOL, "--run", folder / "run", "--renders",
-         f"theirs={folder / 'one' / MENDED}")  # fmt: skip
+         f"theirs={folder / 'one' / FIXED}")  # fmt: skip
     return folder
 
 
@@ -154,11 +154,11 @@ def test_a_failed_call_leaves_no_folder(quick, tmp_path, monkeypatch, verb, rend
 def test_doctor_leaves_nothing_where_scores_are_kept(quick, tmp_path, monkeypatch, capsys):
     """Without --run neither `scores/` nor anything else is written, where there are scores too."""
     monkeypatch.chdir(tmp_path)
-    call("doctor", quick / "one" / MENDED, "--capture", quick / QUICK_ROOM, "--protocol", quick / PROTOCOL)
+    call("doctor", quick / "one" / FIXED, "--capture", quick / QUICK_ROOM, "--protocol", quick / PROTOCOL)
     assert list(tmp_path.iterdir()) == []
-    call("score", "--capture", quick / QUICK_ROOM, "--protocol", quick / PROTOCOL, "--renders", f"a={quick / 'one' / MENDED}")
+    call("score", "--capture", quick / QUICK_ROOM, "--protocol", quick / PROTOCOL, "--renders", f"a={quick / 'one' / FIXED}")
     before = sorted(tmp_path.rglob("*"))
-    call("doctor", quick / "one" / MENDED, "--capture", quick / QUICK_ROOM)
+    call("doctor", quick / "one" / FIXED, "--capture", quick / QUICK_ROOM)
     assert sorted(tmp_path.rglob("*")) == before
 
 

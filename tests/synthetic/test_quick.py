@@ -10,7 +10,7 @@ from ggvs_eval.synthetic import shipped
 
 
 def test_renders_of_a_run_are_packed_and_come_back(tmp_path, monkeypatch):
-    """What a run rendered is what ``mended`` shows at its number and ``late`` one frame later, within the video's coding."""
+    """What a run rendered is what ``fixed`` shows at its number and ``late`` one frame later, within the video's coding."""
     monkeypatch.setattr(shipped, "RENDERS", tmp_path / "shipped")
     (tmp_path / "shipped").mkdir()
     protocol = shipped.quick_protocol()
@@ -24,6 +24,6 @@ def test_renders_of_a_run_are_packed_and_come_back(tmp_path, monkeypatch):
     assert load_protocol(folder / shipped.PROTOCOL) == protocol
     for index, view in enumerate(protocol.views.test):
         for frame in protocol.frames.numbers:
-            for kind, shown in ((shipped.MENDED, frame), (shipped.LATE, frame - 1)):
+            for kind, shown in ((shipped.FIXED, frame), (shipped.LATE, frame - 1)):
                 level = read_image(frame_path(folder / kind / view, frame)).mean()
                 assert abs(level - (20 * shown + 10 * index + 20)) < 3

@@ -75,7 +75,7 @@ def _with_margin(share: Tensor, cells: int) -> Tensor:
 
 
 def _inside(grid: Tensor) -> Tensor:
-    """1 where both coordinates are within (-1, 1), else 0."""
+    """1 if both coordinates are within (-1, 1), else 0."""
     return (grid.abs() < 1).all(dim=-1).float()
 
 

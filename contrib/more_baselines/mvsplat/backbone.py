@@ -48,7 +48,7 @@ def _stage(width_in: int, width: int, stride: int = 1) -> nn.Sequential:
 
 
 class AttentionLayer(nn.Module):
-    """Attention of one head within windows, added to what asks; after it a perceptron where there is one."""
+    """Attention of one head within windows, added to what asks; after it a perceptron if there is one."""
 
     def __init__(self, width: int, perceptron: bool) -> None:
         super().__init__()
@@ -70,7 +70,7 @@ class AttentionLayer(nn.Module):
 
         Args:
             views: (K, h, w, C).
-            others: what each view sees of the others, features of all K; None where each looks at itself.
+            others: what each view sees of the others, features of all K; None if each looks at itself.
         """
         target = views if others is None else others
         seen = _attend(self.q_proj(views), self.k_proj(target), self.v_proj(target), blocks, across=others is not None)

@@ -121,7 +121,7 @@ CONFIGURATIONS = {
 
 
 class MvsplatNetwork(nn.Module):
-    """The network; parameters bear the names of the published checkpoint, without ``encoder.``."""
+    """The network; parameters have the names of the published checkpoint, without ``encoder.``."""
 
     def __init__(self, configuration: str = FULL) -> None:
         super().__init__()

@@ -69,7 +69,7 @@ class MvsplatRecipe(TrainingRecipe[MvsplatNetwork]):
 
 
 def _disparity_error(disparities: Sequence[Tensor], views: Views, instant: Instant) -> Tensor:
-    """Return the mean absolute error of inverse depths (K, 1, H, W) where the sources' depth is known, 0 where it nowhere is."""
+    """Return the mean absolute error of inverse depths (K, 1, H, W) where the sources' depth is known, 0 if it nowhere is."""
     errors = []
     for number, source in enumerate(instant.sources):
         height, width = source.depth.shape

@@ -84,7 +84,7 @@ class TrainingRecipe(ABC, Generic[Network]):
         """
 
     def refusal(self, instant: Instant) -> str | None:
-        """Return the reason why the method cannot render an instant, regardless of the network; None where it can."""
+        """Return the reason why the method cannot render an instant, regardless of the network; None if it can."""
         return None
 
     @abstractmethod

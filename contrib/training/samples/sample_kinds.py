@@ -45,11 +45,11 @@ class RawViews:
 
     Attributes:
         splats: splatted colour, (K, H, W, 3), float32 in [0, 1].
-        depths: splatted depth, (K, H, W), float32, world units, 0 where the view shows nothing.
+        depths: splatted depth, (K, H, W), float32, world units, 0 if the view shows nothing.
         alphas: coverage of the splats, (K, H, W), float32 in [0, 1).
         warps: colour of the source image at the fused surface, (K, H, W, 3).
         visibilities: whether the view sees the fused surface, (K, H, W), in [0, 1].
-        fused_depth: of the ray march, (H, W), float32, world units, 0 where it met nothing.
+        fused_depth: of the ray march, (H, W), float32, world units, 0 if it met nothing.
         shares: of the views, see `SourceView.share`, (K,); 1 unless given.
     """
 
@@ -72,7 +72,7 @@ class RawViews:
 
     @property
     def splatted(self) -> BlendMaps:
-        """The views by their splats alone."""
+        """Only the splats of the views."""
         stacks = self.splats, self.alphas, self.alphas, tuple(self.alphas), tuple(self.depths)
         return BlendMaps(self.target, self.sources, *stacks, self.fused_depth, self.shares)
 

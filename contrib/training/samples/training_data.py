@@ -39,7 +39,7 @@ class RoomPlan:
     Attributes:
         first_room: seed of the first room, from 1000 on.
         views: K of most samples.
-        other_views: K of the others, so that one network learns to serve them all.
+        other_views: K of the other samples, so that one network learns every K.
         other_share: share of the others.
         width: of the images, pixels.
         height: of the images, pixels.

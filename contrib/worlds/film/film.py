@@ -56,7 +56,7 @@ class DepthWriter:
             )
 
     def add(self, frame: int, depth: Array32) -> None:
-        """Keep the depth of a video frame, (H, W), if it is one of those wanted."""
+        """Keep the depth of a video frame, (H, W), if it was requested."""
         if frame in self._row:
             self._depth[self._row[frame]] = depth
 
@@ -108,7 +108,7 @@ def misplaced(options: DemoOptions, camera: Camera, image_width: int) -> Camera:
 
 
 def measured(options: DemoOptions, depth: Array32, number: int) -> Array32:
-    """Depth as the sensor gives it, world units of the rig, 0 where it knows none; exact where the options want no noise.
+    """Depth as the sensor gives it, world units of the rig, 0 if it knows none; exact where the options want no noise.
 
     Args:
         depth: exact, (H, W).

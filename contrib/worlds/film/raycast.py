@@ -285,7 +285,7 @@ class Picture(NamedTuple):
     Attributes:
         image: as the lens shows it, sRGB in [0, 1], (H, W, 3).
         foreground: share of each pixel of the image that moving things cover, [0, 1], (H, W).
-        depth: world units, 0 where nothing is, (H, W); of the camera without its lens, so that it fits the undistorted image.
+        depth: world units, 0 if nothing is, (H, W); of the camera without its lens, so that it fits the undistorted image.
     """
 
     image: Array32
@@ -294,7 +294,7 @@ class Picture(NamedTuple):
 
 
 def render_depth(instant: Instant, camera: Camera) -> Array32:
-    """Return the depth at the pixel centres of any camera, world units, 0 where nothing is, (H, W)."""
+    """Return the depth at the pixel centres of any camera, world units, 0 if nothing is, (H, W)."""
     grid, eye = PixelGrid(camera), eye_in_room(camera)
     return _with_moving(instant.moving, grid, eye, depth_along(instant.static, eye, grid.rays))
 
@@ -335,7 +335,7 @@ class View:
         return self._averaged(linear), self._averaged(covered)
 
     def depth(self, instant: Instant) -> Array32:
-        """Return the depth of the same room at an instant, world units, 0 where nothing is, (H, W)."""
+        """Return the depth of the same room at an instant, world units, 0 if nothing is, (H, W)."""
         return _with_moving(instant.moving, self._grid, self._eye, self._depth)
 
     def _averaged(self, fine: Array32) -> Array32:

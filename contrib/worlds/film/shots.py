@@ -232,8 +232,8 @@ class Shot:
         noted: the camera as it is written down, wrong where the options want it to be.
         instants: the instant that each frame shows, in frames from time 0.
         sensor: what films; None gives the pictures without gain and noise.
-        poses: where the camera is while it exposes a picture, evenly spaced in time; empty where it is static.
-        depth_pose: where the sensor of depth of a hand-held camera is when it measures; None where it has none.
+        poses: where the camera is while it exposes a picture, evenly spaced in time; empty if it is static.
+        depth_pose: where the sensor of depth of a hand-held camera is when it measures; None if it has none.
     """
 
     camera: Camera

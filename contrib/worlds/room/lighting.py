@@ -114,7 +114,7 @@ class Instant:
     """The room at one time, lit.
 
     Attributes:
-        moving: what does; None where all of it is taken away.
+        moving: what does; None if all of it is taken away.
         static_light: irradiance of the static vertices, RGB, (V, 3).
         moving_light: irradiance of the moving vertices, RGB, (V', 3).
         highlights: position and power of the strong lights, for specular reflection.
@@ -315,7 +315,7 @@ def _crosses(bounds: tuple[Array32, Array32], origins: Array32, point: Array32) 
         for axis in range(3):
             inverse = 1 / (point[axis] - origins[:, axis])
             first, second = ((bound[axis] - origins[:, axis]) * inverse for bound in bounds)
-            # fmin and fmax pass over NaN: 0 / 0 where the segment runs within a side of the box.
+            # fmin and fmax pass over NaN: 0 / 0 if the segment runs within a side of the box.
             np.fmax(enter, np.fmin(first, second), out=enter)
             np.fmin(leave, np.fmax(first, second), out=leave)
     return enter <= leave

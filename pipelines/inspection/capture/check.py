@@ -105,7 +105,7 @@ class CaptureCheck:
 
 
 def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = None, workers: int = 1) -> CaptureCheck:
-    """Find what would spoil results on a capture.
+    """Find faults of a capture that would spoil results.
 
     Every frame is decoded once. A capture that does not open gives one bad finding, and the findings of its frames; a frame that
     cannot be read is a finding too, and the other cameras continue.
@@ -215,7 +215,7 @@ def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...
 
 
 def _examine_unopened(path: Path, message: str, workers: int) -> tuple[Finding, ...]:
-    """Report why a capture does not open, and findings on its frames where there are some."""
+    """Report why a capture does not open, and findings on its frames if there are some."""
     found: tuple[Finding, ...] = (Finding(RIG, OPENS, "bad", message, {}, "fix this first"),)
     try:
         filmed = uncalibrated_capture(path, find_rig_frames(path))
@@ -234,7 +234,7 @@ def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding,
     """Evaluate the scale by the metres it gives for the scene's depth and the cameras' spacing.
 
     Args:
-        depths: depths of triangulated matches per camera, world units, where there are any.
+        depths: depths of triangulated matches per camera, world units, if there are any.
     """
     medians = [float(np.median(values)) for values in depths.values() if len(values)]
     depth = float(np.median(medians or [np.sqrt(camera.near * camera.far) for camera in capture.cameras]))
@@ -271,7 +271,7 @@ def _guessed(capture: Capture, depth: float, spacing: float, values: dict[str, o
 
 
 def open_uncalibrated(path: Path) -> Capture | None:
-    """Open the frames of a folder that is no capture yet; None where it is one, or holds no frames of two cameras.
+    """Open the frames of a folder that is no capture yet; None if it is one, or holds no frames of two cameras.
 
     A folder that shows a calibration is none of these, though nothing can read it whole.
 

@@ -189,7 +189,7 @@ def propose_corrections(findings: Iterable[Finding], present: Mapping[str, Corre
         present: corrections under which they were found; what is found is added to them.
 
     Returns:
-        All corrections, by camera; `present` where there is nothing to add.
+        All corrections, by camera; `present` if there is nothing to add.
 
     Reading:
         Half a frame and less cannot be corrected by a shift, nor can an offset that changes within the clip. Of gains only those
@@ -214,7 +214,7 @@ def repair_capture(path: Path, findings: Iterable[Finding]) -> str:
     """Write what was found into the capture's ``corrections.toml``.
 
     Returns:
-        The file and what it says now; empty where there was nothing to add, and the file is as it was.
+        The file and what it says now; empty if there was nothing to add, and the file is as it was.
     """
     file = corrections_file(path)
     present = read_corrections(file)

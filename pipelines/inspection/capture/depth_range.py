@@ -45,7 +45,7 @@ def check_depth_range(
     """Evaluate near and far of every camera.
 
     Args:
-        depths: depths of triangulated matches per camera, world units, where there are any.
+        depths: depths of triangulated matches per camera, world units, if there are any.
     """
     spacing = neighbour_spacing(cameras)
     typical = float(np.median([np.sqrt(camera.near * camera.far) for camera in cameras]))

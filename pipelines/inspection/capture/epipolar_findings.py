@@ -60,7 +60,7 @@ class Repair:
 
 
 def explain_camera(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index: int, trusted: Sequence[int]) -> Repair | None:
-    """Return the explanation that suits one camera best, evaluated against trusted cameras; None where none does."""
+    """Return the explanation that suits one camera best, evaluated against trusted cameras; None if none does."""
     own = [pair for pair in pairs if index in (pair.first, pair.second) and pair.seen_from(index)[0] in trusted]
     own = sorted(own, key=lambda pair: -len(pair.uv_first))[:MOST_OWN_PAIRS]
     before = camera_error(cameras, own, index)
@@ -207,7 +207,7 @@ class CalibrationVerdict:
     Attributes:
         findings: for the rig and each camera.
         pairs: matched pairs, with those that were added for cameras in doubt.
-        trusted: indices of cameras that agree with their neighbours; empty where they cannot be distinguished from the others.
+        trusted: indices of cameras that agree with their neighbours; empty if they cannot be distinguished from the others.
         suspects: indices of cameras that do not.
     """
 

@@ -37,7 +37,7 @@ def check_lens(capture: Capture) -> tuple[Finding, ...]:
 
 
 def _record(capture: Capture) -> Mapping[str, Any]:
-    """Return what `calibrate` recorded of the capture; empty where it was calibrated otherwise, or cannot be read."""
+    """Return what `calibrate` recorded of the capture; empty if it was calibrated otherwise, or cannot be read."""
     file = capture.path / RECORD
     try:
         return dict(read_json(file)) if file.is_file() else {}

@@ -63,7 +63,7 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
 
 
 def look_at_point(cameras: Sequence[Camera]) -> Array | None:
-    """Return the point that most viewing axes pass near, (3,); None where they are parallel.
+    """Return the point that most viewing axes pass near, (3,); None if they are parallel.
 
     Reading:
         The sum of distances to the axes is minimised (reweighted least squares), so that one camera that looks elsewhere does not

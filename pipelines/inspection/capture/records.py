@@ -57,7 +57,7 @@ class CameraRecord:
         noise_sigma_255: of a single pixel, from differences of consecutive frames; NaN with fewer than two frames.
         energy: frame -> motion since the frame before, in cells of the picture, float16 (h, w).
         instants: features of the first frame that was read and is not black, of the middle and of the last, by frame number as
-            it would be without damage; empty where nothing was read.
+            it would be without damage; empty if nothing was read.
         shifts_px: how the picture has moved since the first frame: right, down, turned and enlarged, the last two as the
             displacement at the root mean square distance from the middle; (T, 4), NaN where unknown.
         levels: logarithm of the brightness around the first frame's features, against the first frame, (T,).
@@ -243,7 +243,7 @@ class _Followed:
 
 
 def fit_similarity(before: Array, after: Array) -> tuple[Array | None, int]:
-    """Similarity (2, 3) that most points share, fitted to those that do, and how many do; None where no motion is shared."""
+    """Similarity (2, 3) that most points share, fitted to those that do, and how many do; None if no motion is shared."""
     motion, inliers = cv2.estimateAffinePartial2D(before, after, ransacReprojThreshold=CORNER_PX, maxIters=500, refineIters=10)
     return (None, 0) if motion is None else (np.asarray(motion), int(inliers.sum()))
 

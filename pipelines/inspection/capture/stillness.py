@@ -109,7 +109,7 @@ def describe_when(first: int, last: int, fps: float = 0.0) -> str:
 
 
 def _lost(camera: Camera, record: CameraRecord, frames: NDArray[np.intp]) -> Finding | None:
-    """Return a camera whose picture was lost in mid-clip: features say whether it moved far; None where they, too, are silent."""
+    """Return a camera whose picture was lost in mid-clip: features say whether it moved far; None if they, too, are silent."""
     first, *others = record.instants.items()
     last_seen = int(frames[-1]) if len(frames) else 0
     for frame, features in others:

@@ -70,7 +70,7 @@ class Lag:
 
 
 def plane_signals(one: Camera, other: Camera, energy_one: Array32, energy_other: Array32) -> tuple[Array, Array] | None:
-    """Return the motion energy per half-plane and frame as two cameras see it, both (PLANES, T); None where they share no plane.
+    """Return the motion energy per half-plane and frame as two cameras see it, both (PLANES, T); None if they share no plane.
 
     Args:
         energy_one: (T, h, w).
@@ -124,7 +124,7 @@ def best_lag(one: Array, other: Array, largest: int) -> Lag | None:
 
 
 def _per_plane(energy: Array32, planes: NDArray[np.int64]) -> Array:
-    """Return the mean energy of the pixels of each plane, (PLANES, T); 0 where a plane has none."""
+    """Return the mean energy of the pixels of each plane, (PLANES, T); 0 if a plane has none."""
     count = np.bincount(planes, minlength=PLANES + 2)[1:-1]
     sums = np.stack([np.bincount(planes, frame.ravel(), PLANES + 2)[1:-1] for frame in energy], axis=1)
     return np.asarray(sums / np.maximum(count, 1)[:, None])
@@ -270,7 +270,7 @@ def _supported(count: int, lags: Lags) -> Lags:
 
 
 def solve_offsets(count: int, lags: Lags) -> Array:
-    """Offset of each camera, frames, median 0, (count,); NaN where no pair tells."""
+    """Offset of each camera, frames, median 0, (count,); NaN if no pair determines it."""
     if not lags:
         return np.full(count, np.nan)
     weights = np.array([lag.correlation * max(lag.margin, 0.01) for lag in lags.values()])
@@ -328,7 +328,7 @@ def _lag_costs(one: Array, other: Array, base: int) -> Array:
 
 
 def _later(signal: Array, lag: int) -> Array:
-    """Return the signal (P, T) of `lag` instants later at each; NaN where there is none."""
+    """Return the signal (P, T) of `lag` instants later at each; NaN if there is none."""
     frames = signal.shape[1]
     moved = np.full_like(signal, np.nan)
     begin, end = max(0, -lag), frames - max(0, lag)
@@ -467,7 +467,7 @@ def _evaluate(name: str, index: int, offsets: Array, lags: Lags, steps: Sequence
 
 
 def whole_shift(values: Mapping[str, Any]) -> int:
-    """Return the frames by which a camera can be shifted into step; 0 where its offset is not certainly beyond half a frame.
+    """Return the frames by which a camera can be shifted into step; 0 if its offset is not certainly beyond half a frame.
 
     Args:
         values: of a finding on the time offset.

@@ -40,7 +40,7 @@ class Light:
 
     Attributes:
         verdict: ok, warn, bad, or unknown while too little is there.
-        reason: the worst finding in words; empty where all is well.
+        reason: the worst finding in words; empty if all is well.
         time: of the round in which it came to this, seconds since 1970.
         n_frames: read so far.
     """

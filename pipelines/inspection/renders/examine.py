@@ -166,7 +166,7 @@ DARK_255 = 4.0
 # Usual change of the gain from one frame to the next, as the standard deviation of gains that do not depend on each other: honest
 # renders had 0.1 % at most, random gains within 3 % have 1.7 %.
 LEAST_FLICKER = 0.01
-# Part of the change that sixteen regions have alike: 0.3 at most in honest renders, 1 where a frame is multiplied.
+# Part of the change that sixteen regions have alike: 0.3 at most in honest renders, 1 if a frame is multiplied.
 LEAST_COMMON = 0.7
 
 

@@ -204,7 +204,7 @@ def forgiven_error(views: Mapping[str, ViewFrames]) -> str:
         views: name -> rendered and captured frames, of which a few are read.
 
     Returns:
-        A sentence with both numbers; empty where no frame has the size of its truth, all are the truth itself, or the metric is
+        A sentence with both numbers; empty if no frame has the size of its truth, all are the truth itself, or the metric is
         not installed.
     """
     if FORGIVING not in METRICS or PLAIN not in METRICS:

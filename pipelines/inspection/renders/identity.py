@@ -91,7 +91,7 @@ class Sample:
     Attributes:
         indices: frame numbers of the rendered frames.
         rendered: small rendered frames, (n, h, w, 3) float32 on the scale 0..255.
-        truth_indices: frame numbers of the captured frames, `LARGEST_OFFSET` more at either end where there are any.
+        truth_indices: frame numbers of the captured frames, `LARGEST_OFFSET` more at either end if there are any.
         truth: small captured frames, (m, h, w, 3) float32 on the scale 0..255.
     """
 
@@ -233,7 +233,7 @@ def structure(image: Array32) -> Array32:
 
 
 def correlation(first: Array32, second: Array32) -> float:
-    """Return the normalised correlation of two arrays of one shape; 0 where they differ in shape or nothing varies."""
+    """Return the normalised correlation of two arrays of one shape; 0 if they differ in shape or nothing varies."""
     if first.shape != second.shape:
         return 0.0
     one, other = first - first.mean(), second - second.mean()

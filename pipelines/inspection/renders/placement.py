@@ -184,7 +184,7 @@ class Placed:
     Attributes:
         findings: what is wrong with it.
         view: the view, a wrong scale of the picture corrected.
-        shift_px: rightwards and downwards; None where the scale is wrong too.
+        shift_px: rightwards and downwards; None if the scale is wrong too.
     """
 
     findings: list[Finding]

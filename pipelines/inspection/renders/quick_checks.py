@@ -200,7 +200,7 @@ def _grey(frames: Array32) -> Array32:
 def _timing(
     sample: Sample, rendered: Array32, truth: Array32, numbers: Sequence[int], lag: int, is_reversed: bool
 ) -> _Timing | None:
-    """Correlate the frames with the instants of these numbers; None where the truth has too few of them.
+    """Correlate the frames with the instants of these numbers; None if the truth has too few of them.
 
     Args:
         rendered: (n, h, w).

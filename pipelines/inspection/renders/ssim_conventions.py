@@ -185,7 +185,7 @@ def _change_scores(rendered: Image8, truth: Image8) -> dict[str, float]:
 
 
 def sdt_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
-    """Return the standard deviation of L1 over time: of which errors, in which order, with which divisor."""
+    """Return the standard deviation of L1 over time: candidates for the errors, the order and the divisor."""
     errors = _errors(views)
     if min(len(values) for values in errors.values()) < 2:
         raise MetricError("SDT is a spread over frames: a view has 1; needs 2")
@@ -203,7 +203,7 @@ def sdt_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRea
 
 
 def sdv_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
-    """Return the standard deviation of L1 over views: of which errors, in which order, with which divisor."""
+    """Return the standard deviation of L1 over views: candidates for the errors, the order and the divisor."""
     errors = _errors(views)
     if len(errors) < 2 or not _is_table(errors):
         raise MetricError(f"SDV is a spread over views with equal frames: {len(errors)} view; needs 2 of as many frames")

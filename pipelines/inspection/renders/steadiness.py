@@ -112,7 +112,7 @@ def steadiness_line(views: Mapping[str, ViewFrames]) -> str:
         views: name -> rendered and captured frames, of which a few neighbours are read.
 
     Returns:
-        A sentence with the values of the renders and of the capture; empty where no frame has the size of its truth, the view has
+        A sentence with the values of the renders and of the capture; empty if no frame has the size of its truth, the view has
         one frame, or nothing is static.
     """
     values = []

@@ -1,6 +1,6 @@
 """Cameras of a fixed rig from one instant of its frames: SIFT, exhaustive matching and COLMAP's mapper, one pose per camera.
 
-The frames are handed to COLMAP in a child process and put beside its model.
+The frames are handed to COLMAP in a child process and put next to its model.
 """
 
 import importlib.metadata
@@ -276,11 +276,11 @@ def _missing(images: Mapping[str, str], result: Mapping[str, Any]) -> dict[str, 
 def _unregistered(folder: Path, missing: Mapping[str, str], n_cameras: int, log: Path, known_poses: Path | None) -> CaptureError:
     """Return the error of a model that lacks cameras; leaving them out is offered only where two others remain."""
     listed = ", ".join(f"{name} ({reason})" for name, reason in missing.items())
-    mend = "give these cameras more texture, light or overlap with others, another frame, or known intrinsics"
-    mend += "" if n_cameras - len(missing) < 2 else ", or continue without them (--allow-missing)"
+    remedy = "give these cameras more texture, light or overlap with others, another frame, or known intrinsics"
+    remedy += "" if n_cameras - len(missing) < 2 else ", or continue without them (--allow-missing)"
     if known_poses is not None and find_calibration_files(known_poses):
-        mend += f", or put {known_poses.name} next to the frames, which makes them a capture"
-    return CaptureError(f"{folder}: wanted a pose of all {n_cameras} cameras, found none of {listed}; {mend}; log: {log}")
+        remedy += f", or put {known_poses.name} next to the frames, which makes them a capture"
+    return CaptureError(f"{folder}: wanted a pose of all {n_cameras} cameras, found none of {listed}; {remedy}; log: {log}")
 
 
 def _read(unfinished: Path, out: Path, missing: Mapping[str, str], result: Mapping[str, Any]) -> Calibration:
@@ -357,7 +357,7 @@ def run_worker(unfinished: Path, out: Path, job: Mapping[str, Any]) -> dict[str,
 
     Args:
         unfinished: folder in the making; its ``work/images/`` holds the images, its ``work/sparse/0`` will hold the model.
-        out: what it will be called, for errors; the log of a failure is kept beside it.
+        out: what it will be called, for errors; the log of a failure is kept next to it.
     """
     work = unfinished / "work"
     write_json(work / "job.json", job)

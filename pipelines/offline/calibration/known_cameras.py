@@ -29,7 +29,7 @@ class KnownCamera:
     """Prior knowledge of one camera.
 
     Attributes:
-        world_to_camera: (4, 4); None where only the lens is known.
+        world_to_camera: (4, 4); None if only the lens is known.
         is_metric: whether the pose is known to be in metres.
     """
 
@@ -45,7 +45,7 @@ class IntrinsicsTable:
     Attributes:
         width: of its images, pixels.
         K: intrinsics, 3 x 3, pixels, pixel centres at halves.
-        distortion: of the lens; none where absent.
+        distortion: of the lens; none if absent.
     """
 
     name: str

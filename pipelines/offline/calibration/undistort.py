@@ -181,7 +181,7 @@ class Undistorted:
 
     Attributes:
         path: the folder: ``CAM.mp4`` or ``images/CAM/``, and ``intrinsics.toml``.
-        fps: frames per second; 0 where the capture is a single instant.
+        fps: frames per second; 0 if the capture is a single instant.
     """
 
     path: Path

@@ -205,7 +205,7 @@ def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
 
 
 def _filled(known: DepthMap, options: DepthOptions) -> DepthMap:
-    """Fill what is unknown by the guess, where there is one, else from the background."""
+    """Fill what is unknown by the guess, if there is one, else from the background."""
     unknown = ~is_known(known.depth)
     if known.guess is None or unknown.mean() < options.filler_share:
         return DepthMap(*fill_background(known.depth, known.confidence, FILLED_CONFIDENCE), known.guess)

@@ -44,7 +44,7 @@ def check_consistency(camera: Camera, depth_map: DepthMap, others: Sequence[tupl
         depth_map: depth and confidence, (H, W).
 
     Returns:
-        Depth, 0 where it is unknown, and confidence: the mean over the camera and those that see the point, who contradicts
+        Depth, 0 if it is unknown, and confidence: the mean over the camera and those that see the point, who contradicts
         counting 0; half of what it was where none does. `fill_background` guesses the rest.
 
     Reading:
@@ -136,7 +136,7 @@ class _OtherView:
         """Check points (P,) of the camera against this view.
 
         Returns:
-            Whether it supports each, whether it contradicts it, the depth it would give the point, 0 where that is less sure than
+            Whether it supports each, whether it contradicts it, the depth it would give the point, 0 if that is less sure than
             the point's, and its own confidence, (P,).
         """
         there_u, there_v, expected = self._there.move(u, v, depth)

@@ -36,7 +36,7 @@ class DepthPartners:
         self.unmatched: dict[str, str] = {}  # camera that none can be matched with -> why
 
     def of(self, source: Camera, target: Camera | None = None) -> tuple[str, ...]:
-        """The partners of a source, never the target; none where a sensor measured its depth, or where it is in `unmatched`."""
+        """The partners of a source, never the target; none if a sensor measured its depth, or where it is in `unmatched`."""
         left_out = target.name if target and target.name in self._capture.camera_names else None
         key = source.name, left_out
         if key not in self._found:
@@ -57,7 +57,7 @@ class DepthPartners:
         return bool(self.of(source, target)) or _sensor(self._capture, source.name, self._options) is not None
 
     def sources(self, target: Camera, k: int, how: SourceChoice = "nearest") -> tuple[ChosenSource, ...]:
-        """The K sources of a target: of those that have depth where there are enough, else as `choose_sources` takes them."""
+        """The K sources of a target: of those that have depth if there are enough, else as `choose_sources` takes them."""
         cameras: Sequence[Camera] = self._capture.cameras
         first = chosen = choose_sources(target, cameras, k, how)
         while without := {each.camera.name for each in chosen if not self.has_depth(each.camera, target)}:
@@ -69,7 +69,7 @@ class DepthPartners:
         return chosen
 
     def describe_unmatched(self) -> str:
-        """Return one line that names all cameras without depth, and why; empty where there are none."""
+        """Return one line that names all cameras without depth, and why; empty if there are none."""
         if not self.unmatched:
             return ""
         reason = next(iter(self.unmatched.values())).partition(": ")[2]
@@ -148,7 +148,7 @@ def _checked(job: DepthJob, jobs_by_source: Mapping[str, DepthJob], options: Dep
 
 
 def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEstimator | None:
-    """Return the filter of the depth that a sensor measured; None where there is no such depth or it is not wanted."""
+    """Return the filter of the depth that a sensor measured; None if there is no such depth or it is not wanted."""
     if options.sensor is None or capture.extras_of(name).depth is None:
         return None
     source = registered(capture, options.sensor).extras_of(name).depth
@@ -159,7 +159,7 @@ def depth_job(capture: Capture, camera_name: str, partner_names: Sequence[str], 
     """Return a job with all that its depth depends on, as it is found.
 
     Args:
-        partner_names: the cameras it is matched with; none where a sensor measured its depth, or nothing did.
+        partner_names: the cameras it is matched with; none if a sensor measured its depth, or nothing did.
     """
     names = (camera_name, *partner_names)
     camera, *partners = (capture.camera(name) for name in names)

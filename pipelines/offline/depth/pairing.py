@@ -116,7 +116,7 @@ def _sample_view(camera: Camera) -> Array:
 
 
 def _evaluate(camera: Camera, other: Camera, points: Array, max_angle_rad: float) -> Partner | None:
-    """Evaluate what `other` is worth to `camera`; None where a match makes no sense."""
+    """Evaluate what `other` is worth to `camera`; None if a match makes no sense."""
     uv, depth = other.project(points)
     inside = (depth > 0) & ((uv > 0) & (uv < other.size)).all(axis=-1)  # (S,)
     angle = _angle_rad(camera, other)

@@ -104,7 +104,7 @@ def surface_normals(camera: Camera, depth: Map) -> Map:
         depth: (H, W), z in world units, 0 = invalid.
 
     Returns:
-        (H, W, 3) float32; 0 where the depth is invalid or too few neighbours are on the same surface.
+        (H, W, 3) float32; 0 if the depth is invalid or too few neighbours are on the same surface.
     """
     sums = _window_sums(depth)
     determined = (depth > 0) & (sums[5] >= FEWEST)

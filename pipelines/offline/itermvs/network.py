@@ -34,7 +34,7 @@ class MatchedViews:
     Attributes:
         members: index of the picture of each camera, then of its partners, (K, 1 + M), int64.
         projections: (K, M, 13). 9 numbers of a matrix that takes a pixel of the camera (u, v, 1), times its depth, to the
-            partner's homogeneous pixels, 3 of an offset that is added, and 1, or 0 where there is no such partner. Pixels are
+            partner's homogeneous pixels, 3 of an offset that is added, and 1, or 0 if there is no such partner. Pixels are
             whole: the middle of the first one is at 0.
         ranges: inverse depth at far, its growth from there to near, and the least depth at which a partner sees, (K, 3).
     """
@@ -53,7 +53,7 @@ class Partner:
 
     @property
     def counted(self) -> Tensor:
-        """1, or 0 where there is no such partner, (K, 1, 1, 1)."""
+        """1, or 0 if there is no such partner, (K, 1, 1, 1)."""
         return self.projection[:, 12].view(-1, 1, 1, 1)
 
     def rays(self, size: Sequence[int], spacing: int) -> Tensor:
@@ -64,7 +64,7 @@ class Partner:
 
 
 class Convolution(nn.Module):
-    """A 3x3 convolution, a normalisation where there is one, and a ReLU where it is wanted."""
+    """A 3x3 convolution, a normalisation if there is one, and a ReLU where it is wanted."""
 
     def __init__(self, width_in: int, width: int, stride: int = 1, *, normalised: bool = False, relu: bool = True) -> None:
         super().__init__()

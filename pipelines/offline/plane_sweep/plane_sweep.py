@@ -69,7 +69,7 @@ class SurfaceFit:
     def confidence(self, inverse_depth: Map) -> Map:
         """Measure how far all partners confirm the surface, (H, W) in [0, 1]; those that do not see it count 0.
 
-        A partner that sees it confirms it by the correlation of its window, and a little without any: where there is no texture
+        A partner that sees it confirms it by the correlation of its window, and a little without any: if there is no texture
         the surface comes from its surroundings, and is better than what would be guessed in its place.
         """
         total = np.zeros_like(inverse_depth)

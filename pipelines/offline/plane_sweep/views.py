@@ -27,7 +27,7 @@ class PartnerView:
     Attributes:
         positions: position of each pixel of the turned image in the partner's, (Hv, Wv, 2), array indices.
         first: first column of each row whose window is inside the partner's image, (Hv,) float32.
-        last: the last one, less than the first where there is none, (Hv,) float32.
+        last: the last one, less than the first if there is none, (Hv,) float32.
         start: see above, pixels.
         slope: see above, pixels x world units.
         along: how far the partner's centre is in front of the reference's, world units.
@@ -101,7 +101,7 @@ class Projection:
 
 
 def turn_partner(camera: Camera, partner: Camera, planes: SweepPlanes, radius: int) -> PartnerView | None:
-    """Prepare one partner of a sweep; None where it sees nothing of any plane.
+    """Prepare one partner of a sweep; None if it sees nothing of any plane.
 
     Args:
         radius: of the matched window, pixels.

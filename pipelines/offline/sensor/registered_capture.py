@@ -29,7 +29,7 @@ def registered(capture: Capture, registration: RegistrationName | None) -> Captu
     """Return the capture with its sensor depth registered, where that is asked for and found to be of use.
 
     Args:
-        registration: of sensor depth; None where that is not used.
+        registration: of sensor depth; None if that is not used.
     """
     if registration != "estimated" or not is_sequence(capture):
         return capture

@@ -35,7 +35,7 @@ class Registration:
 
     @property
     def moves(self) -> bool:
-        """True if it moves depth in the image."""
+        """True if the registration shifts depth in the image."""
         return (self.right, self.down, self.roll_rad, self.delay_frames) != (0.0, 0.0, 0.0, 0.0)
 
     def apply(self, depth: Map, camera: Camera, taken_at: Array) -> Map:
@@ -111,7 +111,7 @@ class RegisteredDepth:
 
 
 def with_registration(capture: Capture, registration: Registration) -> Capture:
-    """Return the capture with the depth of every frame registered; as it is where nothing is to be done."""
+    """Return the capture with the depth of every frame registered; as it is if nothing is to be done."""
     if registration == Registration():
         return capture
     extras = []

@@ -110,7 +110,7 @@ def _view(capture: Capture, index: int) -> View:
 STEP, SMOOTH, INSIDE_PX = 0.06, 0.03, 3
 # Sensors lose the pixels between two surfaces: holes up to this share of the image's width are looked across.
 HOLE = 0.025
-# Half of the largest response is a gradient of twice the image's median, and half a level of 255 where there is none.
+# Half of the largest response is a gradient of twice the image's median, and half a level of 255 if there is none.
 GRADIENT_FACTOR, LEAST_GRADIENT = 2.0, 0.5
 
 
@@ -281,7 +281,7 @@ def measure_registration(capture: Capture, chosen: Sequence[int] | None = None) 
         chosen: which of them to look at; 16 evenly spaced ones when None.
 
     Returns:
-        None where there is no depth, or too few edges.
+        None if there is no depth, or too few edges.
 
     Reading:
         Where a near surface ends before a far one, colour has an edge too. The offset, roll and delay are those under which the

@@ -164,7 +164,7 @@ def _facing(depth: Map, camera: Camera) -> Map:
 
 
 def _shift(depth: Map, down: int, right: int) -> Map:
-    """Return the map moved by some pixels, 0 where nothing comes in."""
+    """Return the map moved by some pixels, 0 if nothing comes in."""
     height, width = depth.shape
     moved = np.zeros_like(depth)
     moved[max(down, 0) : height + min(down, 0), max(right, 0) : width + min(right, 0)] = depth[

@@ -172,7 +172,7 @@ def close_edges(depth: Map, image: Image8, hole_px: int) -> Map:
 
 
 def _ends(depth: Map) -> tuple[Indices, Indices, Indices]:
-    """Column of each pixel and of the last known one before and the first after it, -1 and W where there is none; (H, W) each."""
+    """Column of each pixel and of the last known one before and the first after it, -1 and W if there is none; (H, W) each."""
     width = depth.shape[1]
     columns = np.broadcast_to(np.arange(width), depth.shape)
     before = np.maximum.accumulate(np.where(depth > 0, columns, -1), axis=1)

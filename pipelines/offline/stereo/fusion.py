@@ -21,7 +21,7 @@ def fuse(depths: Map, confidences: Map, disparities: Map, error_px: float) -> tu
         disparities: the disparities they come from, (N, H, W), pixels.
 
     Returns:
-        Depth (H, W), 0 where no partner has an opinion, and confidence (H, W): the supporters' summed confidence over N.
+        Depth (H, W), 0 if no partner has an opinion, and confidence (H, W): the supporters' summed confidence over N.
     """
     best, support = np.zeros_like(depths[0]), np.zeros_like(depths[0])
     for first in range(0, len(best), FUSED_ROWS):

@@ -96,7 +96,7 @@ def normalisation(norm: Norm) -> Callable[[int], nn.Module]:
 
 
 class RaftStereo(nn.Module):
-    """The network; parameters bear the names of the published checkpoints.
+    """The network; parameters have the names of the published checkpoints.
 
     Args:
         volume_bytes: memory for the correlation volume, see `Correlation`.

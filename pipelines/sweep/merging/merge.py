@@ -52,7 +52,7 @@ def job_units(root: Path, folder: str) -> list[Unit]:
 
 
 def same_unit(one: Unit, other: Unit) -> str:
-    """Return why two units of one name are not the same; empty where they are."""
+    """Return why two units of one name are not the same; empty if they are."""
     if one.source.is_file():
         return "" if filecmp.cmp(one.source, other.source, shallow=False) else "they have different bytes"
     for record in (JOB_FILE, IMPORT_FILE):
