@@ -46,7 +46,8 @@ TURNED = {  # EXIF orientation -> quarter turns against the clock by which such 
     6: 3,
     8: 1,
 }
-SOON_S = 5.0
+SOON_S = 5.0  # of a core
+WAITS_S = 60.0  # by the clock, on a busy machine; a pipe that is read never ends
 
 
 def with_poses(folder: Path, change: Callable[[np.ndarray], np.ndarray]) -> Path:
@@ -366,20 +367,20 @@ def many_models(folder: Path, count: int) -> Path:
 def test_a_rig_of_20_000_cameras_is_refused_at_once(write, tmp_path):
     """Before poses are read, and before anything of every pair of cameras is held in memory."""
     folder = write(tmp_path / "rig", 20_000)
-    begun_s = time.monotonic()
+    begun_s = time.process_time()
 
     assert "wanted at most 10000 cameras, got 20" in refusal(folder)
-    assert time.monotonic() - begun_s < SOON_S
+    assert time.process_time() - begun_s < SOON_S
 
 
 def test_a_description_of_20_000_cameras_is_too_large(tmp_path):
     """TOML's parser takes a second per megabyte; its limit is one of bytes."""
     folder = write_capture_toml(tmp_path / "rig")
     (folder / "capture.toml").write_text(20_000 * camera_toml(make_rig()[0], "frames/cam01"))
-    begun_s = time.monotonic()
+    begun_s = time.process_time()
 
     assert "capture.toml: wanted a TOML file, got: 6 MB, above the limit of 4 MB" in refusal(folder)
-    assert time.monotonic() - begun_s < SOON_S
+    assert time.process_time() - begun_s < SOON_S
 
 
 HEADERS = {
@@ -405,7 +406,7 @@ def test_impostors_are_refused_at_once(layout, impostor, tmp_path):
     begun_s = time.monotonic()
 
     assert read_everything(folder) not in CAPTURES
-    assert time.monotonic() - begun_s < 2 * SOON_S
+    assert time.monotonic() - begun_s < WAITS_S
 
 
 @pytest.mark.parametrize(
@@ -416,10 +417,10 @@ def test_keys_of_60_kb_are_read_or_refused_at_once(layout, file, tmp_path):
     """Nobody looks for likely names, and no message repeats them."""
     folder = CAPTURES[layout](tmp_path / "room")
     add_long_key(folder / file)
-    begun_s = time.monotonic()
+    begun_s = time.process_time()
 
     assert len(read_everything(folder)) < 1500
-    assert time.monotonic() - begun_s < SOON_S
+    assert time.process_time() - begun_s < SOON_S
 
 
 def test_a_key_of_60_kb_in_a_protocol(tmp_path):

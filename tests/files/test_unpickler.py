@@ -75,11 +75,11 @@ def test_instructions_that_no_data_needs_are_refused(name):
 def test_bombs_take_neither_memory_nor_time(content):
     """What a few bytes claim is not believed. Python's own unpickler takes 34 GB for one, and hashes a key for ever."""
     tracemalloc.start()
-    began = time.monotonic()
+    began = time.process_time()
     with suppress(ValueError):  # the first is plain data in the end: nothing, noted at a high place
         assert unpickle_plain(content) is None
 
-    assert time.monotonic() - began < 10
+    assert time.process_time() - began < 10
     assert tracemalloc.get_traced_memory()[1] < 8 << 20
     tracemalloc.stop()
 

@@ -123,7 +123,7 @@ def test_what_is_no_scene(tmp_path, plane_capture, sequence):
         "empty": "got none of them",
         "unnumbered": r"b\.ply: wanted a frame number in the name",
         "double": r"1\.ply and x01\.ply are both of frame 1",
-        "deformed": r"point_cloud\.ply: wanted a \.ply file|deformation\.pth: not a file of tensors",
+        "deformed": r"point_cloud\.ply: wanted a \.ply file|deformation\.pth: wanted a file of tensors only",
     }
     for name, files in (("unnumbered", ("a1", "b")), ("double", ("1", "x01")), ("deformed", ("point_cloud",)), ("empty", ())):
         (tmp_path / name).mkdir()
