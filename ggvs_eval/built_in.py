@@ -116,6 +116,13 @@ VERBS: dict[str, Verb] = {
         "Find the metric conventions that give a quoted number.",
         EVALUATE,
         "out/mine ssim 0.936 --method mine",
+        "check-table",
+    ),
+    "check-table": Verb(
+        "ggvs_eval.contrib.table_check.command:check_table",
+        "Check every cell of a published table against scored runs.",
+        EVALUATE,
+        "out/mine --table paper.tex --out out/checked",
     ),
     "prepare": Verb(
         f"{VERBS_ROOM}.runs:prepare",

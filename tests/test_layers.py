@@ -56,6 +56,7 @@ FLOORS = (
         "contrib.more_baselines",
         "contrib.more_metrics",
         "contrib.study",
+        "contrib.table_check",
         "contrib.warp",
         "contrib.what_if",
     ),

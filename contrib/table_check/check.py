@@ -1,0 +1,236 @@
+"""Verdicts on the cells of a published table: reproduced, by another convention, undecided, or not."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Literal
+
+import numpy as np
+
+from ggvs_eval.contrib.table_check.quoted_tables import QuotedCell
+from ggvs_eval.errors import GgvsError, ResultsError, did_you_mean
+from ggvs_eval.merged_results import merge_results
+from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.pipelines.inspection.renders.explain import (
+    ALL_VIEWS,
+    WEAK_CHANCE,
+    chance,
+    explain,
+    metric_family,
+    printed,
+    tolerance,
+)
+from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
+from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.reports.model.table import Cell
+from ggvs_eval.reports.tables.report_tables import main_tables
+from ggvs_eval.statistics.paired import OUTCOMES, judge_against
+
+Verdict = Literal["reproduced", "other convention", "undecided", "not reproduced", "not checked"]
+VERDICTS: Mapping[Verdict, str] = {
+    "reproduced": "equal to this protocol's value, to the printed digits",
+    "other convention": "equal under another convention of the metric",
+    "undecided": "not equal, but within the interval of this clip: too short to contradict it",
+    "not reproduced": "outside the interval, and no known convention gives it",
+    "not checked": "no such method, scene or metric in the runs",
+}
+
+
+@dataclass(frozen=True)
+class CheckedCell:
+    """A quoted cell with its verdict.
+
+    Attributes:
+        quoted: the cell.
+        label: method of the runs that it was checked against; empty if there is none.
+        measured: value under the runs' protocol; None if there is none.
+        reason: convention, difference or what is missing, in words.
+        by_chance: probability that a number near the quoted one with as many digits would match what was tried, 0 to 1.
+        neighbour: the next method in the same column from which the clip does not distinguish it; empty if there is none.
+    """
+
+    quoted: QuotedCell
+    verdict: Verdict
+    label: str = ""
+    measured: float | None = None
+    reason: str = ""
+    by_chance: float = 0.0
+    neighbour: str = ""
+
+
+class Runs:
+    """Scored runs, asked for values of single cells.
+
+    Args:
+        runs: at least one; a scene can have a protocol of its own.
+        names: name of a row of the table -> label of a method.
+    """
+
+    def __init__(self, runs: Sequence[MeasuredRun], names: Mapping[str, str]) -> None:
+        """Raise ResultsError for a label that no run has."""
+        self.runs, self.names = runs, names
+        labels = list(dict.fromkeys(label for run in runs for label in run.labels))
+        for name, label in names.items():
+            if label not in labels:
+                raise ResultsError(f"{name}={label}: wanted a method of the runs, got {label!r}{did_you_mean(label, labels)}")
+        titles = (
+            (title, label)
+            for run in runs
+            for label in run.labels
+            for title in (label, run.name(label), run.names.get(label, label))
+        )
+        self._titles = {_plain(title): label for title, label in titles}
+        self._value = cache(self._measure)
+        self._conventions = cache(self._recompute)
+
+    def label(self, method: str) -> str:
+        """Return the method of a row's name: as given, by its label or by its title; empty if there is none."""
+        return self.names.get(method) or self._titles.get(_plain(method), "")
+
+    def of_scene(self, scene: str) -> tuple[MeasuredRun, ...]:
+        """Return the runs of a scene; all of them for a mean, none if the name is unknown."""
+        called = _plain(scene)
+        return tuple(
+            run for run in self.runs if not called or called in map(_plain, (run.scene, run.title, run.protocol.dataset))
+        )
+
+    def value(self, metric: str, label: str, scene: str) -> Cell | None:
+        """Return the measured value of a cell with its interval; None if it was not measured."""
+        return self._value(metric, scene).get(label)
+
+    def conventions(self, metric: str, label: str, scene: str) -> dict[str, float]:
+        """Return the value under every known convention: means over the runs of the scene.
+
+        Raises:
+            GgvsError: frames that are gone, or a metric of which no conventions are known.
+        """
+        return self._conventions(metric, label, scene)
+
+    def outcome(self, metric: str, scene: str, label: str, other: str) -> str:
+        """Return how the runs of a scene decide between two methods, in words; empty if the first is better or worse."""
+        runs, is_higher_better = self.of_scene(scene), bool(METRICS[metric].higher_is_better)
+        results = merge_results([run.results for run in runs])
+        comparisons = judge_against(results, metric, is_higher_better, runs[0].protocol.dataset, other, [label])
+        found = comparisons[label].outcome if label in comparisons else "untested"
+        return "" if found in ("better", "worse") else OUTCOMES[found]
+
+    def _measure(self, metric: str, scene: str) -> dict[str, Cell]:
+        runs = self.of_scene(scene)
+        if not runs or metric not in runs[0].metrics:
+            return {}
+        results = merge_results([run.results for run in runs])
+        rows = [row for table in main_tables(runs, results, [metric]) for row in table.rows if row.label]
+        return {row.label: row.cells[0] for row in rows if row.cells[0].value is not None}
+
+    def _recompute(self, metric: str, label: str, scene: str) -> dict[str, float]:
+        family = metric_family(metric.replace("_", "-"))
+        found: dict[str, list[float]] = {}
+        runs = self.of_scene(scene)
+        for run in runs:
+            views = views_of_run(run.folder, label, as_measured=True)
+            for one in explain(family, "0", views):
+                if one.views == ALL_VIEWS:
+                    found.setdefault(one.name, []).append(one.value)
+        return {name: float(np.mean(values)) for name, values in found.items() if len(values) == len(runs)}
+
+
+def check_cells(cells: Sequence[QuotedCell], runs: Runs) -> list[CheckedCell]:
+    """Judge every cell; conventions are recomputed only for cells that the runs' own protocol does not reproduce.
+
+    Reading:
+        A convention whose match is likelier than `WEAK_CHANCE` to be an accident counts only if it also gives another cell of
+        the same metric; otherwise the cell is not reproduced.
+    """
+    checked = [_against_protocol(cell, runs) for cell in cells]
+    candidates = {
+        at: _matching(cells[at], runs) for at, one in enumerate(checked) if one.verdict in ("undecided", "not reproduced")
+    }
+    for at, (matches, share) in candidates.items():
+        elsewhere = {
+            name for i, (names, _) in candidates.items() if i != at and cells[i].metric == cells[at].metric for name in names
+        }
+        names = matches if share <= WEAK_CHANCE else [name for name in matches if name in elsewhere]
+        one = checked[at]
+        if names:
+            words = names[0] if len(names) == 1 else f"{names[0]}, or {len(names) - 1} more"
+            checked[at] = replace(one, verdict="other convention", reason=words, by_chance=share)
+        else:
+            by_accident = f"; only a chance match: {matches[0]}" if matches else ""
+            checked[at] = replace(one, reason=f"{one.reason}{by_accident}", by_chance=share)
+    return [_with_neighbour(one, checked, runs) for one in checked]
+
+
+def _against_protocol(cell: QuotedCell, runs: Runs) -> CheckedCell:
+    label = runs.label(cell.method)
+    if not label:
+        return CheckedCell(cell, "not checked", reason=f"no method {cell.method!r} in the runs; name it with --rows")
+    hashes = {run.protocol.sha256 for run in runs.of_scene(cell.scene)}
+    if len(hashes) != 1:
+        reason = "a mean over runs of several protocols" if hashes else f"no run of the scene {cell.scene!r}"
+        return CheckedCell(cell, "not checked", label, reason=reason)
+    own = runs.value(cell.metric, label, cell.scene)
+    if own is None or own.value is None:
+        reason = f"{cell.metric} was not measured; add it to the protocol"
+        return CheckedCell(cell, "not checked", label, reason=reason)
+    number = printed(cell.text)[0]
+    if abs(own.value - number) <= tolerance(cell.text, own.value):
+        return CheckedCell(cell, "reproduced", label, own.value, by_chance=chance(cell.text, [own.value]))
+    off = f"off by {number - own.value:+.3g}"
+    if own.low is not None and own.high is not None and own.low <= number <= own.high:
+        return CheckedCell(cell, "undecided", label, own.value, f"{off}, within the interval {own.low:.4g} to {own.high:.4g}")
+    return CheckedCell(cell, "not reproduced", label, own.value, off)
+
+
+def _matching(cell: QuotedCell, runs: Runs) -> tuple[list[str], float]:
+    """Return the conventions that give a cell's digits, and the probability that one of all would by chance."""
+    try:
+        values = runs.conventions(cell.metric, runs.label(cell.method), cell.scene)
+    except GgvsError:  # frames that are gone, or a metric with one convention: nothing else explains the number
+        return [], 0.0
+    number = printed(cell.text)[0]
+    names = [name for name, value in values.items() if abs(value - number) <= tolerance(cell.text, value)]
+    return names, chance(cell.text, [value for value in values.values() if math.isfinite(value)])
+
+
+def _with_neighbour(one: CheckedCell, checked: Sequence[CheckedCell], runs: Runs) -> CheckedCell:
+    """Add the next worse method of the column if the clip does not distinguish the two."""
+    cell, better = one.quoted, METRICS[one.quoted.metric].higher_is_better
+    if one.measured is None or better is None:
+        return one
+    sign, number = 1.0 if better else -1.0, printed(cell.text)[0]
+    column = [
+        each for each in checked if each.quoted.column == cell.column and each.measured is not None and each.label != one.label
+    ]
+    worse = [each for each in column if sign * printed(each.quoted.text)[0] <= sign * number]
+    if not worse:
+        return one
+    nearest = max(worse, key=lambda each: sign * printed(each.quoted.text)[0])
+    outcome = runs.outcome(cell.metric, cell.scene, one.label, nearest.label)
+    return replace(one, neighbour=f"not distinguished from {nearest.quoted.method} ({outcome})" if outcome else "")
+
+
+def expected_by_chance(checked: Sequence[CheckedCell]) -> tuple[float, float]:
+    """Return the number of cells that would match by chance, and the probability that at least as many do as did.
+
+    Reading:
+        Cells are taken as independent, and all numbers near a quoted one as equally likely (`explain.chance`). The tail is that
+        of the sum of unequal Bernoulli variables, computed exactly.
+
+    Example:
+        >>> cell = QuotedCell("a", "", "PSNR", "30.0", 0, 1)
+        >>> expected_by_chance([CheckedCell(cell, "reproduced", by_chance=0.5), CheckedCell(cell, "reproduced", by_chance=0.5)])
+        (1.0, 0.25)
+    """
+    tried = [one for one in checked if one.verdict != "not checked"]
+    chances = [min(one.by_chance, 1.0) for one in tried]
+    count = sum(one.verdict in ("reproduced", "other convention") for one in tried)
+    distribution = np.array([1.0])
+    for share in chances:
+        distribution = np.convolve(distribution, [1.0 - share, share])
+    return float(sum(chances)), float(min(distribution[count:].sum(), 1.0)) if count else 1.0
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"\W|_", "", name).lower()
