@@ -142,6 +142,12 @@ VERBS: dict[str, Verb] = {
         EVALUATE,
         "ablations out/ablations --capture my_capture --protocol mine.toml",
     ),
+    "calibrations": Verb(
+        "ggvs_eval.contrib.given_depth.calibrations:calibrations",
+        "Render one capture under several calibrations or depths and compare.",
+        EVALUATE,
+        "out/cal given=room refined=room_refined --depths vggt=vggt_depth",
+    ),
     "status": Verb(
         f"{VERBS_ROOM}.runs:status",
         "Show progress, failures and disk use of a run or sweep.",

@@ -1,0 +1,174 @@
+"""One capture under several calibrations or depths: the same frames and protocol, and what each choice costs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.errors import CaptureError, CommandError
+from ggvs_eval.files.atomic import write_text
+from ggvs_eval.pipelines.commands.flags import (
+    CAPTURE_DEFAULTS,
+    DEPTH_DEFAULTS,
+    HERE,
+    CaptureFlags,
+    CaptureOptions,
+    DepthFlags,
+    Labels,
+    Output,
+    Running,
+)
+from ggvs_eval.pipelines.inspection.table import text_table
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.reports.model.table import format_value, signed
+from ggvs_eval.reports.tables.compare_runs import Difference, differences, differences_csv, run_sides
+
+Variants = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="NAME=CAPTURE ...")]
+Depths = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=DIR ...")]
+METHODS = ("ours-geometric",)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A calibration or a depth under which the capture is rendered.
+
+    Attributes:
+        name: as the table calls it, and its run folder.
+        path: folder of the capture with that calibration.
+        depth: folder of another program's depth; None for the usual one.
+    """
+
+    name: str
+    path: Path
+    depth: Path | None
+
+
+def calibrations(
+    out: Output,
+    variants: Variants,
+    depths: Depths = (),
+    protocol: str | None = None,
+    methods: Labels = METHODS,
+    reading: CaptureFlags = CAPTURE_DEFAULTS,
+    depth: DepthFlags = DEPTH_DEFAULTS,
+    engine: Running = HERE,
+) -> None:
+    """Render one capture under several calibrations or depths and compare them.
+
+    Frames and protocol are the same; each variant is a run folder OUT/NAME. The table gives the differences to the first
+    one, paired over frames. A second call resumes.
+
+    Args:
+        out: folder of the runs, and of calibrations.csv.
+        variants: captures with the same frames and another calibration each, as given=room refined=room_refined.
+        depths: depth of another program for a variant; a new name uses the first capture, as vggt=vggt_depth.
+        protocol: protocol (.toml or packaged name); fitted to the first capture by default.
+        methods: methods that show the difference.
+        reading: capture reading; --depth-scale and --depth-is hold for all depths.
+        depth: depth estimation.
+        engine: job execution.
+    """
+    from ggvs_eval.pipelines.methods.registry import find_method
+    from ggvs_eval.pipelines.run.evaluate import measure
+    from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
+    from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+    from ggvs_eval.protocol import load_protocol
+
+    for label in methods:
+        find_method(label)
+    wanted = parse_variants(variants, depths)
+    opened = {each: _open(each, reading) for each in wanted}
+    first = opened[wanted[0]]
+    terms = load_protocol(protocol) if protocol else suggest_protocol(first)
+    for each, capture in opened.items():
+        require_same_frames(wanted[0], first, each, capture, terms)
+    for each, capture in opened.items():
+        measure(plan_run(RunRequest(engine.place(out) / each.name, capture, terms, methods, depth)), engine)
+    found = {each.name: _against(out / wanted[0].name, out / each.name) for each in wanted[1:]}
+    write_text(
+        out / "calibrations.csv",
+        differences_csv(
+            {f"{method}: {name} against {wanted[0].name}": rows for name, one in found.items() for method, rows in one.items()}
+        ),
+    )
+    print(costs_text(wanted[0].name, found))
+
+
+def parse_variants(variants: Sequence[str], depths: Sequence[str]) -> list[Variant]:
+    """Return the variants in their order, those with a depth of their own last.
+
+    Raises:
+        CommandError: no NAME=PATH, a name that is no folder's, or fewer than two variants.
+    """
+    folders, maps = (_pairs(words) for words in (variants, depths))
+    if not folders:
+        raise CommandError("wanted NAME=CAPTURE of at least one capture, got none; give e.g. given=room refined=room_refined")
+    usual = next(iter(folders.values()))
+    found = [Variant(name, path, maps.get(name)) for name, path in folders.items()]
+    found += [Variant(name, usual, folder) for name, folder in maps.items() if name not in folders]
+    if len(found) < 2:
+        raise CommandError(f"wanted at least two variants, got {found[0].name}; add NAME=CAPTURE, or --depths NAME=DIR")
+    return found
+
+
+def _pairs(words: Sequence[str]) -> dict[str, Path]:
+    pairs = [word.partition("=") for word in words]
+    for name, equals, path in pairs:
+        if not (equals and path) or not name or Path(name).name != name or name.startswith("."):
+            raise CommandError(f"wanted NAME=PATH with a name that a folder can have, got {name}{equals}{path}")
+    if len({name for name, _, _ in pairs}) < len(pairs):
+        raise CommandError(f"wanted each name once, got {', '.join(name for name, _, _ in pairs)}; rename one")
+    return {name: Path(path) for name, _, path in pairs}
+
+
+def _open(variant: Variant, reading: CaptureOptions) -> Capture:
+    return replace(reading, depth=variant.depth or reading.depth).open(variant.path)
+
+
+def require_same_frames(one: Variant, first: Capture, other: Variant, second: Capture, protocol: Protocol) -> None:
+    """Refuse a variant whose test views have other pictures, before hours are spent on it.
+
+    Raises:
+        CaptureError: a test view is missing, or its first frame differs.
+    """
+    start = protocol.frames.start
+    for view in protocol.views.test:
+        if view not in second.camera_names:
+            raise CaptureError(f"{other.path}: wanted the test view {view}, got {', '.join(second.camera_names)}; add it")
+        if not np.array_equal(first.frame(view, start), second.frame(view, start)):
+            raise CaptureError(
+                f"{other.path}: wanted the frames of {one.path}, but frame {start} of {view} differs (another lens model is "
+                "undistorted to other pictures); undistort once, and calibrate the pinhole videos"
+            )
+
+
+def _against(first: Path, second: Path) -> dict[str, tuple[Difference, ...]]:
+    """Return the differences of the second run to the first, per method, second minus first."""
+    return {other.label: differences(other, one, first) for one, other in run_sides(first, second)}
+
+
+def costs_text(first: str, found: Mapping[str, Mapping[str, Sequence[Difference]]]) -> str:
+    """Return a line per variant, method and metric: value of the first, value, and difference with its interval."""
+    rows = []
+    for name, methods in found.items():
+        for method, several in methods.items():
+            for one in several:
+                if one.view:
+                    continue
+                digits, change = one.note.decimals, one.comparison
+                interval = (
+                    ""
+                    if change.low is None or change.high is None
+                    else f"{signed(change.low, digits)} to {signed(change.high, digits)}"
+                )
+                values = (format_value(one.second, digits), format_value(one.first, digits), signed(change.difference, digits))
+                verdict = one.verdict.replace("first", name).replace("second", first)
+                rows.append(
+                    (name, method, f"{one.metric} ({one.note.unit})" if one.note.unit else one.metric, *values, interval, verdict)
+                )
+    heads = {"variant": 0, "method": 0, "metric": 0, first: 0, "value": 0, f"minus {first}": 0, "95 %": 0, "verdict": 1}
+    return text_table(heads, rows)
