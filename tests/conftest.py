@@ -105,6 +105,16 @@ def _rooms_lit_once(shared_folder) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def no_pixels() -> Iterator[None]:
+    """Figures of a module's reports are composed but not drawn: that takes longer than all else of a report."""
+    from matplotlib.figure import Figure
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", lambda _self, file, **_: Path(file).write_bytes(b"no pixels"))
+        yield
+
+
 @pytest.fixture(scope="session")
 def written_dynerf(tmp_path_factory) -> Path:
     """A tiny capture in DyNeRF's layout; nobody changes it."""
