@@ -25,6 +25,7 @@ from helpers.small_rig import NAMES, Frames, brighten, bump, expose, film_rig, l
 pytestmark = pytest.mark.slow
 
 N_FRAMES = 24
+SHARED = CalibrationOptions(shared_intrinsics=True, max_features=1500)
 Plant = Callable[[Frames], Frames]
 
 
@@ -268,7 +269,7 @@ def calibrated(filmed, tmp_path_factory) -> tuple[Calibration, CaptureCheck]:
     folder = tmp_path_factory.mktemp("calibrated")
     for name, frames in filmed[1].items():
         write_video(folder / "table" / f"{name}.mp4", frames[:14], 30.0, crf=6)
-    rig = calibrate(folder / "table", folder / "rig", CalibrationOptions(shared_intrinsics=True))
+    rig = calibrate(folder / "table", folder / "rig", SHARED)
     return rig, check_capture(folder / "rig")
 
 
@@ -283,7 +284,7 @@ def test_a_shared_lens_that_fits_all_is_not_questioned(calibrated):
 
 def test_one_zoom_under_a_shared_lens_is_named_and_can_be_freed(filmed, tables, tmp_path):
     """8 %: that camera and no other, the factor within its interval; freed, the common focal length is right again."""
-    options = CalibrationOptions(shared_intrinsics=True)
+    options = SHARED
     calibrated = calibrate(tables / "zoomed", tmp_path / "rig", options)
 
     assert set(calibrated.odd_lenses) == {"cam05"}
