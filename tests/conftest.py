@@ -38,6 +38,7 @@ MARKERS = {
 TAKES = "takes(seconds): may take so many seconds of a core"
 # Of processor time, which a busy machine prolongs less, on a machine that does the work of `_slowness` in so many seconds.
 MOST_S, REFERENCE_S = 5.0, 0.035
+IMPORT_S = 0.003  # of a module that a test is the first to need
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -67,23 +68,24 @@ def pytest_slow_files_first(items: list[pytest.Item]) -> None:
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
     """Fail where fixtures take long, which others may share."""
-    started_s = _used_s()
+    began = _used_s(), len(sys.modules)
     result = yield
-    _refuse_long(item, "its fixtures", _used_s() - started_s, 4 * MOST_S)
+    _refuse_long(item, "its fixtures", began, 4 * MOST_S)
     return result
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
     """Fail where a test takes long."""
-    started_s = _used_s()
+    began = _used_s(), len(sys.modules)
     result = yield
     takes = item.get_closest_marker("takes")
-    _refuse_long(item, "it", _used_s() - started_s, takes.args[0] if takes else MOST_S)
+    _refuse_long(item, "it", began, takes.args[0] if takes else MOST_S)
     return result
 
 
-def _refuse_long(item: pytest.Item, what: str, used_s: float, most_s: float) -> None:
+def _refuse_long(item: pytest.Item, what: str, began: tuple[float, int], most_s: float) -> None:
+    used_s = _used_s() - began[0] - IMPORT_S * (len(sys.modules) - began[1])
     if used_s > most_s and not item.get_closest_marker("proof") and used_s > most_s * _slowness():
         pytest.fail(f"{item.nodeid}: {what} took {used_s:.1f} s of a core, wanted {most_s:g} at most; do less", pytrace=False)
 
