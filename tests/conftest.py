@@ -4,14 +4,16 @@ Folders mirror those of the package; what tests build on is the package `helpers
 installed wheel.
 
 Files or tests that take long say ``pytestmark = pytest.mark.slow``, those that throw damaged files ``pytest.mark.fuzz``; what
-opens a browser is `page` by itself, and all others are `quick`, for ``make test-quick``. A quick test that is slow is named among
-the warnings; it does not fail, since another machine may be slower than ours. ``pytest.mark.proof`` does whole, in half a minute,
-what others test in parts: ``make test`` leaves it to ``make validate``, so as to be over in ten minutes.
+opens a browser is `page` by itself, and all others are `quick`, for ``make test-quick``. ``pytest.mark.proof`` does whole, in
+half a minute, what others test in parts: ``make test`` leaves it to ``make validate``. Any other test that takes more than
+`MOST_S` of a core fails by name, as do fixtures that take four times as long; ``pytest.mark.takes(12)`` allows a test more.
 """
 
 import os
 import shutil
+import statistics
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,15 +35,17 @@ MARKERS = {
     "fuzz": "reads hundreds of damaged files",
     "gpu": "wants a GPU",
 }
-# Of processor time, so that a busy machine names no test.
-QUICK_S = 5.0
-STARTED_S = pytest.StashKey[float]()
+TAKES = "takes(seconds): may take so many seconds of a core"
+# Of processor time, which a busy machine prolongs less, on a machine that does the work of `_slowness` in so many seconds.
+MOST_S, REFERENCE_S = 5.0, 0.035
+IMPORT_S = 0.003  # of a module that a test is the first to need
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Make the markers known; here and not in setup.cfg, which lies in the checkout alone."""
     for name, meaning in MARKERS.items():
         config.addinivalue_line("markers", f"{name}: {meaning}")
+    config.addinivalue_line("markers", TAKES)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -63,26 +67,47 @@ def pytest_slow_files_first(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
-    """Note when a test, or a fixture that it needs first, begins."""
-    item.stash[STARTED_S] = _used_s()
-    return (yield)
+    """Fail where fixtures take long, which others may share."""
+    began = _used_s(), len(sys.modules)
+    result = yield
+    _refuse_long(item, "its fixtures", began, 4 * MOST_S)
+    return result
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """Name a quick test that is slow."""
+    """Fail where a test takes long."""
+    began = _used_s(), len(sys.modules)
     result = yield
-    used_s = _used_s() - item.stash[STARTED_S]
-    if item.get_closest_marker("quick") and used_s > QUICK_S:
-        item.warn(
-            pytest.PytestWarning(f"took {used_s:.1f} s of a core, wanted {QUICK_S:g} at most; make it faster or mark it slow")
-        )
+    takes = item.get_closest_marker("takes")
+    _refuse_long(item, "it", began, takes.args[0] if takes else MOST_S)
     return result
 
 
+def _refuse_long(item: pytest.Item, what: str, began: tuple[float, int], most_s: float) -> None:
+    used_s = _used_s() - began[0] - IMPORT_S * (len(sys.modules) - began[1])
+    if used_s > most_s and not item.get_closest_marker("proof") and used_s > most_s * _slowness():
+        pytest.fail(f"{item.nodeid}: {what} took {used_s:.1f} s of a core, wanted {most_s:g} at most; do less", pytrace=False)
+
+
 def _used_s() -> float:
-    """Processor time of this process and of those that it waited for."""
-    return sum(os.times()[:4])
+    """Processor time of this process and of those that it waited for, but for light that many tests share."""
+    from helpers import lit_rooms
+
+    return sum(os.times()[:4]) - lit_rooms.lit_s
+
+
+def _slowness() -> float:
+    """By which factor this machine is slower now than the one that limits are meant for, at least 1."""
+    import numpy as np
+
+    def work_s() -> float:
+        start = time.process_time()
+        np.sort(np.random.default_rng(0).normal(size=400_000))
+        sum(number * number for number in range(200_000))
+        return time.process_time() - start
+
+    return max(1.0, statistics.median(work_s() for _ in range(7)) / REFERENCE_S)
 
 
 @pytest.fixture(scope="session")
@@ -102,6 +127,16 @@ def _rooms_lit_once(shared_folder) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(film, "_lit_room", stored_rooms(shared_folder))
+        yield
+
+
+@pytest.fixture(scope="module")
+def no_pixels() -> Iterator[None]:
+    """Figures of a module's reports are composed but not drawn: that takes longer than all else of a report."""
+    from matplotlib.figure import Figure
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", lambda _self, file, **_: Path(file).write_bytes(b"no pixels"))
         yield
 
 

@@ -119,6 +119,34 @@ class FrameTime(NamedTuple):
     is_hidden: bool
 
 
+class VideoHeader(NamedTuple):
+    """Properties of a video that its index, its stream and its first frame give; the others are not read.
+
+    Attributes:
+        n_frames: frames that are presented.
+        n_inside: those of them whose data are inside the file.
+        size: (width, height) of the frames as they are stored.
+        fps: average over the file.
+        steps: shortest and longest distance between frames, ticks.
+        tick_ms: length of a tick.
+        conversions: changes by reading frames as 8-bit RGB.
+        transfer: see `VideoFrames.transfer`.
+        turn_deg: angle by which the first frame is to be turned against the clock.
+    """
+
+    n_frames: int
+    n_inside: int
+    n_bytes: int
+    size: tuple[int, int]
+    fps: float
+    steps: tuple[int, int]
+    tick_ms: float
+    conversions: tuple[str, ...]
+    transfer: str
+    interlaced: bool
+    turn_deg: int = 0
+
+
 @dataclass(frozen=True)
 class VideoFrames:
     """The frames of a video file, a `FrameSource`. Frames are numbered in the order of presentation, from 0.
@@ -135,26 +163,21 @@ class VideoFrames:
     @property
     def n_frames(self) -> int:
         """Frames that are presented, counted in the file's index of samples."""
-        return self._header[0]
+        return self._whole.n_frames
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels, as the frames are shown."""
-        width, height = self._header[1]
+        width, height = self._whole.size
         return (height, width) if self._quarter_turns % 2 else (width, height)
 
-    @cached_property
+    @property
     def uneven(self) -> str:
-        """Distances between frames where their rate varies; empty if it does not."""
-        with self._open() as container:
-            stream = container.streams.video[0]
-            times = sorted(sample.timestamp for sample in stream.index_entries if not sample.is_discard)
-            tick_ms = 1000 * float(stream.time_base or 0)
-        steps = [later - earlier for earlier, later in pairwise(times)] or [0]
-        shortest, longest = min(steps), max(steps)
+        """Distances between frames where their rate varies; empty where it does not."""
+        shortest, longest = self._header.steps
         if longest - shortest <= max(1, LARGEST_JITTER * longest):  # time stamps are rounded to ticks
             return ""
-        return f"{shortest * tick_ms:.1f} to {longest * tick_ms:.1f} ms"
+        return f"{shortest * self._header.tick_ms:.1f} to {longest * self._header.tick_ms:.1f} ms"
 
     @cached_property
     def times_s(self) -> Array:
@@ -163,40 +186,25 @@ class VideoFrames:
             tick_s = float(container.streams.video[0].time_base or 0)
         return tick_s * np.array([frame.presented - self._shown[0].presented for frame in self._shown], np.float64)
 
-    @cached_property
+    @property
     def conversions(self) -> dict[str, int]:
         """Change by reading frames as 8-bit RGB -> number of frames that it changes."""
-        with self._open() as container:
-            pixels = container.streams.video[0].format
-            components = pixels.components if pixels else ()
-            has_alpha = any(component.is_alpha for component in components)
-            colours = "grey" if len(components) - has_alpha == 1 and not (pixels and pixels.has_palette) else ""
-            bits = max((component.bits for component in components), default=8)
-        return dict.fromkeys(conversions_to_rgb8(colours, bits, has_alpha), self.n_frames)
+        return dict.fromkeys(self._header.conversions, self.n_frames)
 
-    @cached_property
+    @property
     def transfer(self) -> str:
         """``HLG`` or ``PQ`` where the levels are those of high dynamic range and not of a display; else empty."""
-        with self._open() as container:
-            return HDR_TRANSFERS.get(int(container.streams.video[0].codec_context.color_trc), "")
+        return self._header.transfer
 
-    @cached_property
+    @property
     def interlaced(self) -> bool:
         """Whether a frame holds two instants, one in every other row, as the stream or its first frame says."""
-        import av
-
-        try:
-            with self._open() as container:
-                if container.streams.video[0].codec_context.field_order > PROGRESSIVE:
-                    return True
-                return next((frame.interlaced_frame for frame in container.decode(video=0)), False)
-        except av.error.FFmpegError:  # damaged: reading frames gives the better message
-            return False
+        return self._header.interlaced
 
     @property
     def fps(self) -> float:
         """Frames per second, the average over the file."""
-        return self._header[2]
+        return self._whole.fps
 
     @cached_property
     def digest(self) -> str:
@@ -282,28 +290,52 @@ class VideoFrames:
         """Presented frames in order; frame t is the one at index t."""
         return [frame for frame in self._timestamps if not frame.is_hidden]
 
+    @property
+    def _whole(self) -> VideoHeader:
+        """The header of a file that holds the data of all its frames."""
+        header = self._header
+        if not header.n_frames or header.n_inside < header.n_frames:
+            raise self._damaged(header.n_inside, f"the file ends after {header.n_bytes} bytes", header.n_frames)
+        return header
+
     @cached_property
-    def _header(self) -> tuple[int, tuple[int, int], float]:
-        """Frame count, size and rate; the frame data are not read, but must be inside the file."""
+    def _header(self) -> VideoHeader:
+        """All that opening a video tells and its first frame: a file is opened once for it, as that takes longer than reading."""
+        import av
+
         n_bytes = self.path.stat().st_size if self.path.is_file() else 0
         with self._open() as container:
             stream = container.streams.video[0]
             samples = [sample for sample in stream.index_entries if not sample.is_discard]
-            whole = sum(sample.pos + sample.size <= n_bytes for sample in samples)
-            if not samples or whole < len(samples):
-                raise self._damaged(whole, f"the file ends after {n_bytes} bytes", len(samples))
-            return len(samples), (stream.width, stream.height), float(stream.average_rate or 0)
+            steps = [later - earlier for earlier, later in pairwise(sorted(sample.timestamp for sample in samples))] or [0]
+            components = stream.format.components if stream.format else ()
+            has_alpha = any(component.is_alpha for component in components)
+            colours = "grey" if len(components) - has_alpha == 1 and not (stream.format and stream.format.has_palette) else ""
+            bits = max((component.bits for component in components), default=8)
+            header = VideoHeader(
+                len(samples),
+                sum(sample.pos + sample.size <= n_bytes for sample in samples),
+                n_bytes,
+                (stream.width, stream.height),
+                float(stream.average_rate or 0),
+                (min(steps), max(steps)),
+                1000 * float(stream.time_base or 0),
+                tuple(conversions_to_rgb8(colours, bits, has_alpha)),
+                HDR_TRANSFERS.get(int(stream.codec_context.color_trc), ""),
+                stream.codec_context.field_order > PROGRESSIVE,
+            )
+            try:
+                first = next(container.decode(video=0), None)
+            except av.error.FFmpegError:  # damaged: reading frames gives the better message
+                return header
+        if first is None:
+            return header
+        return header._replace(interlaced=header.interlaced or first.interlaced_frame, turn_deg=first.rotation)
 
-    @cached_property
+    @property
     def _quarter_turns(self) -> int:
         """By how many right angles, against the clock, frames are turned before they are shown; the first one says so."""
-        import av
-
-        try:
-            with self._open() as container:
-                angle_deg = next((frame.rotation for frame in container.decode(video=0)), 0)
-        except av.error.FFmpegError:  # damaged: reading frames gives the better message
-            return 0
+        angle_deg = self._header.turn_deg
         if angle_deg % 90:
             expected = "frames that are shown upright or turned by right angles"
             raise CaptureError(f"{self.path}: wanted {expected}, got {angle_deg} degrees; {MEND} without a turn")

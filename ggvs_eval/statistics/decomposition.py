@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
@@ -181,24 +181,29 @@ def make_panel(cells: "pd.DataFrame", what: str) -> Panel:
     """
     if cells.empty:
         raise ResultsError(f"{what}: no values in the results; score it")
-    views = cells["view"].astype(object).where(cells["view"].notna(), "")  # one key for "the whole rig"
-    cells = cells.assign(view=views)
-    if cells.duplicated(["view", "frame"]).any():
+    views, rows = np.unique(cells["view"].to_numpy(dtype=object, na_value="").astype(str), return_inverse=True)
+    frames, columns = np.unique(cells["frame"].to_numpy(), return_inverse=True)
+    counts = np.zeros((len(views), len(frames)), int)
+    np.add.at(counts, (rows, columns), 1)
+    if counts.max() > 1:
         raise ResultsError(f"{what}: two values for one view and frame; score again into a new folder")
-    matrix = cells.pivot(index="view", columns="frame", values="value").sort_index().sort_index(axis=1)
-    _check_cells(matrix, {(view, frame) for view, frame in zip(views, cells["frame"], strict=True)}, what)
-    names = tuple(None if view == "" else str(view) for view in matrix.index)
-    return Panel(names, tuple(int(frame) for frame in matrix.columns), matrix.to_numpy(dtype=np.float64))
+    values = np.full(counts.shape, np.nan)
+    values[rows, columns] = cells["value"].to_numpy(dtype=np.float64)
+    names = tuple(str(view) or None for view in views)  # None of the whole rig
+    panel = Panel(names, tuple(int(frame) for frame in frames), values)
+    _check_cells(panel, counts > 0, what)
+    return panel
 
 
-def _check_cells(matrix: "pd.DataFrame", present: set[tuple[str, int]], what: str) -> None:
-    """Refuse a matrix with holes, naming the first ones."""
-    holes = ~np.isfinite(matrix.to_numpy(dtype=np.float64))
+def _check_cells(panel: Panel, present: NDArray[np.bool_], what: str) -> None:
+    """Refuse a panel with holes, naming the first ones."""
+    holes = ~np.isfinite(panel.values)
     if not holes.any():
         return
-    bad = [(matrix.index[row], matrix.columns[column]) for row, column in np.argwhere(holes)]
-    missing = [cell for cell in bad if cell not in present]
-    named = ", ".join(f"{view or 'the rig'} frame {frame}" for view, frame in (missing or bad)[:NAMED])
+    bad = [(row, column) for row, column in np.argwhere(holes)]
+    missing = [cell for cell in bad if not present[cell]]
+    cells = (missing or bad)[:NAMED]
+    named = ", ".join(f"{panel.views[row] or 'the rig'} frame {panel.frames[column]}" for row, column in cells)
     more = f" and {len(missing or bad) - NAMED} more" if len(missing or bad) > NAMED else ""
     if missing:
         raise ResultsError(f"{what}: wanted a value for each view and frame, {named}{more} missing; score all frames of each")

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Spread:
         """Reason why the clip is too short for its own correlation, where its error over time is the greatest; else empty."""
         return self._greatest.short if self._greatest else ""
 
-    @property
+    @cached_property
     def _greatest(self) -> ErrorOfMean | None:
         """The greatest of its errors; None if there is none."""
         greatest = max(self.parts, key=lambda part: part.half_width(1.0 - LEVEL))

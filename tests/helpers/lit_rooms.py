@@ -1,6 +1,7 @@
 """Rooms whose light is computed once for all processes of a session: it takes seconds of ray casting, and many tests film."""
 
 import fcntl
+import time
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -17,6 +18,7 @@ from ggvs_eval.contrib.worlds.room.room import build_room
 from ggvs_eval.files.atomic import atomic_file
 
 Arrays = tuple[np.ndarray, ...]
+lit_s = 0.0  # processor time that this process has spent on light
 
 
 class StoredLitRoom(LitRoom):
@@ -43,8 +45,11 @@ class StoredLitRoom(LitRoom):
         with path.with_suffix(".lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)  # the second of two processes waits and reads
             if not path.is_file():
+                started_s = time.process_time()
                 with atomic_file(path) as unfinished, unfinished.open("wb") as file:
                     np.savez(file, *compute())
+                global lit_s
+                lit_s += time.process_time() - started_s
         with np.load(path) as stored:
             return tuple(stored[key] for key in stored.files)
 

@@ -41,7 +41,8 @@ def write_rig(folder: Path, cameras: list[Camera], frames: Mapping[str, Frames])
 
 def brighten(frame: Image8, gain: object) -> Image8:
     """Multiply sRGB values."""
-    return np.clip(np.rint(frame * np.asarray(gain)), 0, 255).astype(np.uint8)
+    levels = np.broadcast_to(np.arange(256)[:, None] * np.asarray(gain), (256, 3))
+    return np.asarray(cv2.LUT(frame, np.clip(np.rint(levels), 0, 255).astype(np.uint8)[None]), np.uint8)
 
 
 def warp(frame: Image8, right: float = 0.0, down: float = 0.0, zoom: float = 1.0) -> Image8:

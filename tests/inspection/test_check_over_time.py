@@ -8,21 +8,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.corrections import FILE, read_corrections
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.commands.captures import check as check_command
+from ggvs_eval.pipelines.inspection.capture import check as check_module
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture, examine, record_cameras
 from ggvs_eval.pipelines.inspection.capture.colour import describe_repair, propose_corrections, repair_capture
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, Recorder, record_camera
 from ggvs_eval.pipelines.inspection.finding import Finding
-from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
+from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate
 from helpers.small_rig import NAMES, Frames, brighten, bump, expose, film_rig, lose, warp, write_rig
 
 pytestmark = pytest.mark.slow
 
 N_FRAMES = 24
+SHARED = CalibrationOptions(shared_intrinsics=True, max_features=1500)
 Plant = Callable[[Frames], Frames]
 
 
@@ -54,6 +57,18 @@ def spoilt(filmed, plants: dict[str, Plant]) -> CaptureCheck:
     _, frames, folder, records = filmed
     changed = [recorded(plants[each.name](frames[each.name]), each.name) if each.name in plants else each for each in records]
     return CaptureCheck(folder, examine(open_capture(folder), changed))
+
+
+@pytest.fixture
+def recorded_once(filmed, monkeypatch) -> set[str]:
+    """Names of the cameras whose frames a check looks at; of the others it gets what is recorded of the clean rig."""
+    named: set[str] = set()
+
+    def recall(capture: Capture, _workers: int) -> list[CameraRecord]:
+        return [record_camera(capture, each.name) if each.name in named else each for each in filmed[3]]
+
+    monkeypatch.setattr(check_module, "record_cameras", recall)
+    return named
 
 
 def minded(check: CaptureCheck) -> dict[tuple[str, str], Finding]:
@@ -176,6 +191,7 @@ def test_a_lost_frame_is_found_with_its_time_and_no_shift_is_proposed(filmed):
     assert propose_corrections(check.findings, {}) == {}
 
 
+@pytest.mark.usefixtures("recorded_once")
 def test_a_clean_rig_is_left_as_it_is(rig, monkeypatch, capsys):
     """`--repair` writes no corrections where nothing lies outside of its interval."""
     monkeypatch.chdir(rig.parent)
@@ -185,9 +201,10 @@ def test_a_clean_rig_is_left_as_it_is(rig, monkeypatch, capsys):
     assert "corrections" not in capsys.readouterr().out
 
 
-def test_a_gain_is_written_within_two_percent_and_said_before_and_after(filmed, rig, monkeypatch, capsys):
+def test_a_gain_is_written_within_two_percent_and_said_before_and_after(filmed, rig, recorded_once, monkeypatch, capsys):
     """15 % brighter: that camera alone is corrected; the output gives the gain before and after, and the check is then clean."""
     write_video(rig / "cam05.mp4", [brighten(frame, 1.15) for frame in filmed[1]["cam05"]], 30.0, crf=6)
+    recorded_once.add("cam05")
     monkeypatch.chdir(rig.parent)
     check_command(rig, repair=True, jobs=1)
 
@@ -246,18 +263,28 @@ def tables(filmed, tmp_path_factory) -> Path:
     return folder
 
 
-def test_a_shared_lens_that_fits_all_is_not_questioned(tables, tmp_path):
-    """Each camera of a clean rig is freed once and none disagrees."""
-    calibrated = calibrate(tables / "clean", tmp_path / "rig", CalibrationOptions(shared_intrinsics=True))
+@pytest.fixture(scope="module")
+def calibrated(filmed, tmp_path_factory) -> tuple[Calibration, CaptureCheck]:
+    """The clean rig with poses from one instant and one lens for all, and its check."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    for name, frames in filmed[1].items():
+        write_video(folder / "table" / f"{name}.mp4", frames[:14], 30.0, crf=6)
+    rig = calibrate(folder / "table", folder / "rig", SHARED)
+    return rig, check_capture(folder / "rig")
 
-    assert calibrated.odd_lenses == {}
-    (rig, *_) = check_capture(tmp_path / "rig").of("lens")
+
+def test_a_shared_lens_that_fits_all_is_not_questioned(calibrated):
+    """Each camera of a clean rig is freed once and none disagrees."""
+    found, check = calibrated
+
+    assert found.odd_lenses == {}
+    (rig, *_) = check.of("lens")
     assert (rig.verdict, rig.measured) == ("ok", "one for all cameras; 0 disagree")
 
 
 def test_one_zoom_under_a_shared_lens_is_named_and_can_be_freed(filmed, tables, tmp_path):
     """8 %: that camera and no other, the factor within its interval; freed, the common focal length is right again."""
-    options = CalibrationOptions(shared_intrinsics=True)
+    options = SHARED
     calibrated = calibrate(tables / "zoomed", tmp_path / "rig", options)
 
     assert set(calibrated.odd_lenses) == {"cam05"}
@@ -285,15 +312,12 @@ def test_own_lenses_want_a_shared_one_and_known_names(tables, tmp_path):
         calibrate(tables / "clean", tmp_path / "rig", CalibrationOptions(shared_intrinsics=True, own_lens=("cam99",)))
 
 
-def test_a_calibrated_rig_of_equal_cameras_gets_no_gain(filmed, tables, tmp_path):
+def test_a_calibrated_rig_of_equal_cameras_gets_no_gain(calibrated):
     """Poses from one instant by `calibrate`: no gain is measured beyond its error, so none is written."""
-    for name, frames in filmed[1].items():
-        write_video(tmp_path / "table" / f"{name}.mp4", frames[:14], 30.0, crf=6)
-    calibrate(tmp_path / "table", tmp_path / "rig", CalibrationOptions(shared_intrinsics=True))
-    check = check_capture(tmp_path / "rig")
+    rig, check = calibrated
 
     assert {each.verdict for each in check.of("colour gain")} == {"ok"}
-    assert repair_capture(tmp_path / "rig", check.findings) == ""
+    assert repair_capture(rig.path, check.findings) == ""
 
 
 @pytest.mark.proof

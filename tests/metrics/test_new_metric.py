@@ -161,7 +161,7 @@ def test_what_has_no_parts_gets_no_interval_by_a_guess(scored_run):
 
 def test_it_stands_in_its_tables(scored_run, tmp_path):
     """The report has its column in the table of its group, with unit, direction, digits and interval."""
-    page = write_report([scored_run.root], tmp_path / "report")
+    page = write_report([scored_run.root], tmp_path / "report", with_figures=False)
     rows = list(csv.DictReader((page.parent / "tables.csv").open(encoding="utf-8")))
     (mine,) = [row for row in rows if (row["method"], row["column"]) == ("whole", "Relative_error")]
     found = intervals(score(scored_run), "Relative_error", "Tiny room")["whole"]

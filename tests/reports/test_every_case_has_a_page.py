@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import pytest
+from matplotlib.figure import Figure
 
 from ggvs_eval.contrib.export.tracking import track_results
 from ggvs_eval.errors import GgvsError
@@ -70,19 +71,31 @@ CASES = {
 EDITS = ("all at fault", "all partial", "nothing measured")
 
 
-def crosses() -> list[tuple[str, ...]]:
-    """Each case alone, each two that can meet, and a still of one view by one method."""
-    pairs = [pair for pair in combinations(CASES, 2) if not {*pair} <= {*EDITS}]
-    return (
-        [(name,) for name in CASES]
-        + pairs
-        + [("one frame", "one view", "one method", "no path", *each) for each in ((), *zip(EDITS))]
-    )
+STILLS = [("one frame", "one view", "one method", "no path", *each) for each in ((), *zip(EDITS))]
+PAIRS = [pair for pair in combinations(CASES, 2) if not {*pair} <= {*EDITS}]
 
 
-@pytest.mark.parametrize("names", crosses(), ids=" + ".join)
-def test_every_output_is_written_and_says_what_happened(tmp_path, names):
-    """Page, Markdown, LaTeX, CSV, Excel, leaderboard, trackers; a figure is drawn, or refused with a reason in one line."""
+@pytest.mark.parametrize(
+    ("drawn", "names"),
+    [
+        *(("report", names) for names in (*((name,) for name in CASES), *STILLS)),
+        *(("nothing", names) for names in PAIRS),
+        *(pytest.param("all", names, marks=pytest.mark.proof) for names in PAIRS),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " + ".join(value),
+)
+def test_every_output_is_written_and_says_what_happened(tmp_path, monkeypatch, drawn, names):
+    """Page, Markdown, LaTeX, CSV, Excel, leaderboard, trackers; a figure is drawn, or refused with a reason in one line.
+
+    Each case alone, a still of one view by one method, and each two that can meet: figures of the latter are made whole but for
+    their pixels, as are those that the report has drawn already; the proof draws all.
+    """
+
+    def draw_no_pixels() -> None:
+        monkeypatch.setattr(Figure, "savefig", lambda _self, file, **_: file.write_bytes(b"pixels"))
+
+    if drawn == "nothing":
+        draw_no_pixels()
     shape = WHOLE
     for name in names:
         shape = replace(shape, **CASES[name].shape)
@@ -109,6 +122,8 @@ def test_every_output_is_written_and_says_what_happened(tmp_path, names):
     assert "Nothing is ranked" in board if headline.startswith("Nothing is ranked") else "<table" in board
     if importlib.util.find_spec("tensorboardX"):
         track_results([root], "tensorboard", tmp_path / "tracked")
+    if drawn == "report":
+        draw_no_pixels()
     for kind in ("crops", "failures", "epi", "time"):
         with refused_in_one_line():
             assert write_figure(root, kind, tmp_path / f"{kind}.png", rule="worst")[0].is_file()

@@ -117,6 +117,8 @@ def test_the_figure_of_failures_is_about_our_method_itself(tmp_path, monkeypatch
     for module in (paper_figures, report):
         monkeypatch.setattr(module, "draw_failures", lambda run, files, label, *rest: asked.append(label) or tuple(files))
     write_figure(root, "failures", tmp_path / "failures.png")
+    for others in ("draw_slices", "draw_crops", "draw_curves"):
+        monkeypatch.setattr(report, others, lambda *_: None)
     report.write_report([root], tmp_path / "report")
     assert asked == ["ours-geometric"] * 2
 

@@ -72,18 +72,19 @@ def winners(run: MeasuredRun) -> set[str]:
     return {place for place, says in named.items() if says}
 
 
+@pytest.mark.parametrize("sets", [10, pytest.param(40, marks=pytest.mark.proof)])
 @pytest.mark.parametrize(
     ("frames", "correlation", "views"), [(12, 0.9, 3), (24, 0.0, 3), (24, 0.8, 3), (24, 0.8, 9), (60, 0.9, 5)]
 )
-def test_of_equal_methods_none_wins_anywhere(tmp_path, frames, correlation, views):
-    """Five methods equal but for correlated errors: in at most 5 % of 40 data sets (and what chance adds) any place names one."""
+def test_of_equal_methods_none_wins_anywhere(tmp_path, frames, correlation, views, sets):
+    """Five methods equal but for correlated errors: in 5 % of data sets, and what chance adds, any place names one."""
     run, random = write_equals(tmp_path / "run", views, frames), np.random.default_rng(8)
     wrong: Counter[str] = Counter()
-    for _ in range(40):
+    for _ in range(sets):
         shared = 30.0 + random.standard_normal((views, 1))
         values = {label: shared + 0.3 * autoregressive(random, views, frames, correlation) for label in EQUALS}
         wrong.update(winners(with_values(run, values)))
-    assert all(count <= 4 for count in wrong.values()), wrong
+    assert all(count <= sets / 10 for count in wrong.values()), wrong
     if frames == 12:
         assert wrong["budget"] == 0
 

@@ -68,7 +68,7 @@ def everything_run(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def report(everything_run) -> Path:
     """Folder of its report."""
-    return write_report([everything_run]).parent
+    return write_report([everything_run], with_figures=False).parent
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ import pytest
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import Frames
+from ggvs_eval.reports import report as report_module
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.page.leaderboard import write_leaderboard
 from ggvs_eval.reports.page.page import render_page
@@ -45,8 +46,10 @@ def runs(tmp_path_factory) -> dict[str, Path]:
 
 @pytest.fixture(scope="module")
 def report(runs, tmp_path_factory) -> Path:
-    """Folder of their common report."""
-    return write_report(list(runs.values()), tmp_path_factory.mktemp("groups") / "report").parent
+    """Folder of their common report; of the figures of a run, which others draw, the folder alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report_module, "_draw_figures", lambda _section, folder, _numbers: folder.mkdir(parents=True))
+        return write_report(list(runs.values()), tmp_path_factory.mktemp("groups") / "report").parent
 
 
 def rows_of(report: Path) -> list[dict[str, str]]:
@@ -91,7 +94,8 @@ def test_no_value_of_one_protocol_stands_among_anothers(report, runs):
     assert {row["k"] for row in together} == {"2"}
     assert len({row["protocol_sha256"] for row in together}) == 2
     for names in (("room", "kitchen"), ("street",)):
-        alone = rows_of(write_report([runs[name] for name in names], report.parent / "-".join(names)).parent)
+        page = write_report([runs[name] for name in names], report.parent / "-".join(names), with_figures=False)
+        alone = rows_of(page.parent)
         mine = [row for row in together if row["protocol_sha256"] == alone[0]["protocol_sha256"]]
         assert mine == alone
 
@@ -123,7 +127,7 @@ def test_captures_of_one_name_have_an_address_each(tmp_path):
 
 def test_headings_go_down_one_level_at_a_time(report, runs):
     """Of one protocol or several: one first heading, and none that is more than one level below the one before it."""
-    alone = write_report([runs["street"]], report.parent / "alone")
+    alone = write_report([runs["street"]], report.parent / "alone", with_figures=False)
     for page in (alone, report / "index.html"):
         levels = [int(tag[1]) for tag in PageReader(page.read_text(encoding="utf-8")).tags if re.fullmatch(r"h[1-6]", tag)]
         assert levels.count(1) == 1
@@ -148,7 +152,7 @@ def test_captures_of_one_name_are_two_scenes(tmp_path):
     other = Results.read(runs[1])
     replace(other, table=other.table.assign(value=other.table["value"] + 1.0)).write(runs[1])
 
-    report = write_report(runs, tmp_path / "report").parent
+    report = write_report(runs, tmp_path / "report", with_figures=False).parent
 
     psnr = [run.summary().xs("Demo room")["PSNR"].max() for run in map(Results.read, runs)]
     (best,) = [

@@ -41,7 +41,7 @@ def whole_run(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def report(whole_run, tmp_path_factory) -> Path:
     """Folder of its report."""
-    return write_report([whole_run], tmp_path_factory.mktemp("reports") / "report").parent
+    return write_report([whole_run], tmp_path_factory.mktemp("reports") / "report", with_figures=False).parent
 
 
 def test_every_number_is_the_summary_rounded(whole_run, report):
@@ -117,7 +117,7 @@ def test_a_run_that_says_too_little_of_its_metrics_is_scored_again(tmp_path):
 def test_missing_metric_says_why(tmp_path):
     """Where a metric could not be computed its reason stands in the cell, and no cell is blank or NaN."""
     run = write_run(tmp_path / "run", SMALL, not_computed={"LPIPS": "weights absent, run `make install`"})
-    report = write_report([run]).parent
+    report = write_report([run], with_figures=False).parent
     for name in ("index.html", "tables.md", "tables.csv", "tables.tex"):
         text = re.sub(r"base64,[\w+/=]+", "", (report / name).read_text(encoding="utf-8"))
         assert "not computed: weights absent" in text
@@ -379,7 +379,7 @@ def test_where_a_clip_is_too_short_nothing_is_bold(tmp_path):
 def test_what_has_no_interval_says_why(tmp_path):
     """With one frame nothing could be compared, so nothing is bold, no cell has bounds, and caption, page and CSV say why."""
     shape = RunShape(frames=Frames(0, 1), metrics=("PSNR", "SSIM"), poses=0)
-    report = write_report([write_run(tmp_path / "run", shape)]).parent
+    report = write_report([write_run(tmp_path / "run", shape)], with_figures=False).parent
     markdown = (report / "tables.md").read_text(encoding="utf-8")
     assert "No interval for PSNR, SSIM: 1 frame; an interval needs 2." in markdown
     assert "Nothing is bold in PSNR, SSIM: nothing could be compared (1 frame; an interval needs 2)." in markdown

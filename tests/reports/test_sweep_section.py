@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from ggvs_eval.reports import report
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.page.sweep_section import sweep_runs, sweep_section
 from ggvs_eval.reports.report import write_report
@@ -20,7 +21,9 @@ def sweep(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def page(sweep) -> str:
     """The page of the sweep, where it lies by default."""
-    file = write_report([sweep])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "_draw_figures", lambda *_: None)  # of each run
+        file = write_report([sweep])
     assert file == sweep / "report" / "index.html"
     return file.read_text(encoding="utf-8")
 
@@ -66,8 +69,9 @@ def test_a_sweep_of_one_k_has_a_table_alone(sweep, tmp_path):
     assert sweep_runs(tmp_path) == [tmp_path / "a" / "demo", tmp_path / "b" / "demo"]
 
 
-def test_a_sweep_may_stand_without_its_runs(sweep, tmp_path):
+def test_a_sweep_may_stand_without_its_runs(sweep, tmp_path, monkeypatch):
     """As `tables_of` it follows the groups, says on what it was measured, and which command shows its runs."""
+    monkeypatch.setattr(report, "_draw_figures", lambda *_: None)  # of the run
     page = write_report([sweep / "k2"], tmp_path / "report", tables_of=[sweep]).read_text(encoding="utf-8")
 
     assert 'class="group-name"' not in page  # one run, one group, which then has no frame of its own

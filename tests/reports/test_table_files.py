@@ -41,7 +41,7 @@ def nasty_run(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def report(nasty_run) -> Path:
     """Folder of its report."""
-    return write_report([nasty_run]).parent
+    return write_report([nasty_run], with_figures=False).parent
 
 
 def compile_latex(body: str, folder: Path) -> str:

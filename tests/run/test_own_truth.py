@@ -12,11 +12,11 @@ from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables_of_runs import tables_of_runs
 from ggvs_eval.results import Results
-from ggvs_eval.run_folder import RunFolder
-from ggvs_eval.synthetic.shipped import FIXED, LATE, PROTOCOL, QUICK_ROOM, quick_protocol, write_quick
+from ggvs_eval.run_folder import RunFolder, frame_path
+from ggvs_eval.synthetic.shipped import LATE, MENDED, PROTOCOL, QUICK_ROOM, quick_protocol, write_quick
 
 pytestmark = pytest.mark.slow
-VIEW = "cam00"
+VIEW, FRAMES = "cam00", 4
 
 
 @pytest.fixture(scope="module")
@@ -27,12 +27,15 @@ def quick(tmp_path_factory) -> Path:
     cheap = replace(
         protocol,
         views=replace(protocol.views, test=(VIEW,)),
+        frames=replace(protocol.frames, count=FRAMES),
         measurement=replace(protocol.measurement, metrics=("PSNR", "SSIM", "TCC"), ceilings=False),
     )
     (folder / PROTOCOL).write_text(cheap.to_toml(), encoding="utf-8")
-    for name in (FIXED, LATE):
-        (folder / "one" / name).mkdir(parents=True)
-        (folder / "one" / name / VIEW).symlink_to(folder / name / VIEW)
+    for name in (MENDED, LATE):
+        for frame in cheap.frames.numbers:
+            one = frame_path(folder / "one" / name / VIEW, frame)
+            one.parent.mkdir(parents=True, exist_ok=True)
+            one.symlink_to(frame_path(folder / name / VIEW, frame))
     call("score", "--capture", folder / QUICK_ROOM, "--protocol", folder / PROTOCOL, "--run", folder / "run", "--renders",
          f"theirs={folder / 'one' / FIXED}")  # fmt: skip
     return folder
@@ -54,13 +57,14 @@ def write_archive(quick: Path, file: Path, **changed: np.ndarray) -> Path:
     psnr = -10 * np.log10(np.mean((truth.astype(float) - rendered) ** 2, axis=(1, 2, 3)))
     arrays = {"renders": rendered, "gts": truth, "metrics": np.stack([np.full(len(psnr), 0.5), psnr], axis=1)} | changed
     file.parent.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(file, **arrays)
+    np.savez(file, **arrays)
     return file
 
 
 def test_the_same_scores_with_and_without_the_capture(quick, tmp_path, capsys):
-    """An archive whose truth is the captured frames has the scores that its renders have with the capture, to the last bit."""
+    """A compressed archive whose truth is the captured frames has the scores of its renders with the capture, to the last bit."""
     archive = write_archive(quick, tmp_path / f"{VIEW}.npz")
+    np.savez_compressed(archive, **np.load(archive))
     call("score", "--with-truth", "--renders", f"theirs={archive}", "--protocol", quick / PROTOCOL, "--run", tmp_path / "own")
     assert "metrics column 1 is PSNR and agrees" in capsys.readouterr().out
     own, with_capture = Results.read(tmp_path / "own").table, Results.read(quick / "run").table
@@ -121,11 +125,11 @@ def test_other_archives_are_refused_and_leave_nothing(quick, tmp_path, change, w
 def test_two_methods_share_one_truth(quick, tmp_path):
     """A second archive with the same truth becomes a second row; one with another truth is refused."""
     first = write_archive(quick, tmp_path / "a" / f"{VIEW}.npz")
-    other = write_archive(quick, tmp_path / "b" / f"{VIEW}.npz", renders=stack(quick / LATE / VIEW))
+    other = write_archive(quick, tmp_path / "b" / f"{VIEW}.npz", renders=stack(quick / "one" / LATE / VIEW))
     run = tmp_path / "own"
     call("score", "--with-truth", "--renders", f"a={first}", f"b={other}", "--protocol", quick / PROTOCOL, "--run", run)
     assert {*Results.read(run).row_labels} == {"a", "b"}
-    foreign = write_archive(quick, tmp_path / "c" / f"{VIEW}.npz", gts=stack(quick / LATE / VIEW))
+    foreign = write_archive(quick, tmp_path / "c" / f"{VIEW}.npz", gts=stack(quick / "one" / LATE / VIEW))
     with pytest.raises(SystemExit, match="wanted the reference of this run"):
         call("score", "--with-truth", "--renders", f"c={foreign}", "--protocol", quick / PROTOCOL, "--run", run)
     assert RunFolder(run).labels() == ["a", "b"]

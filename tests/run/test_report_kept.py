@@ -8,10 +8,12 @@ from helpers.run_folders import RunShape, write_run
 
 pytestmark = pytest.mark.slow
 
+SMALL = RunShape(views=("cam00",), metrics=("PSNR", "TCC"), poses=0)
+
 
 def test_every_file_that_is_lost_or_changed_comes_back(tmp_path):
     """The page and each table, deleted in turn; nothing is written where nothing is missing."""
-    run = write_run(tmp_path / "run", RunShape())
+    run = write_run(tmp_path / "run", SMALL)
     folder = report([run], with_figures=False).parent
     files = {file: file.read_bytes() for file in folder.iterdir() if not file.name.startswith(".")}
     assert {"index.html", "tables.md", "tables.tex", "tables.csv", "reproduction.csv"} <= {file.name for file in files}
@@ -30,7 +32,7 @@ def test_every_file_that_is_lost_or_changed_comes_back(tmp_path):
 def test_a_workbook_comes_once_it_can_be_written(tmp_path, monkeypatch, capsys):
     """Where openpyxl was installed after the first report, the next one has a workbook."""
     pytest.importorskip("openpyxl")
-    run = write_run(tmp_path / "run", RunShape())
+    run = write_run(tmp_path / "run", SMALL)
     with monkeypatch.context() as without:
         without.setattr(table_formats.importlib.util, "find_spec", lambda name: None)
         folder = report([run], with_figures=False).parent

@@ -1,0 +1,67 @@
+"""A test that takes long fails by name, unless it is a proof or says how long it takes."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+TESTS = """
+import time
+import pytest
+
+
+def work(seconds):
+    start = time.process_time()
+    while time.process_time() < start + seconds:
+        pass
+
+
+@pytest.fixture(scope="module")
+def slow_fixture():
+    work(1.2)
+
+
+def test_long(): work(0.4)
+def test_short(): pass
+@pytest.mark.takes(20)
+def test_allowed(): work(0.4)
+@pytest.mark.proof
+def test_proof(): work(0.4)
+def test_fixture(slow_fixture): pass
+"""
+
+
+def test_a_long_test_fails_by_name(tmp_path):
+    """Over the limit: the test and the fixture are named with their seconds; what is shorter, a proof or allowed more passes."""
+    here = Path(__file__).parent
+    limited = (
+        (here / "conftest.py")
+        .read_text(encoding="utf-8")
+        .replace("MOST_S, REFERENCE_S = 5.0, 0.035", "MOST_S, REFERENCE_S = 0.2, 9.0")
+    )
+    (tmp_path / "conftest.py").write_text(limited, encoding="utf-8")
+    shutil.copytree(here / "helpers", tmp_path / "helpers")
+    (tmp_path / "test_them.py").write_text(TESTS)
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:randomly",
+        "-p",
+        "no:xdist",
+        "-c",
+        "/dev/null",
+        tmp_path,
+    ]
+    printed = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path).stdout
+
+    assert [each in printed for each in ("1 failed", "3 passed", "1 error")] == [True] * 3, printed
+    assert "test_long: it took 0.4 s of a core, wanted 0.2 at most" in printed
+    assert "test_fixture: its fixtures took 1.2 s of a core, wanted 0.8 at most" in printed
