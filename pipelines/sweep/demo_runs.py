@@ -18,6 +18,7 @@ from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptio
 from ggvs_eval.pipelines.methods.registry import usual_methods
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import measure, report
+from ggvs_eval.pipelines.run.prepare import drop_found_depth
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work, print_plan
 from ggvs_eval.pipelines.sweep.run_sweep import SweepPlan, plan_cells, run_sweep
@@ -85,11 +86,12 @@ def demo_plans(
         unpack: gives the capture of a folder and a room's name.
         rooms: by the names of their protocols.
     """
+    sweep = k_sweep(labels[MAIN])
     for name in rooms:
         place = demo_root(root, name)
-        capture = unpack(capture_beside(place), name)
-        yield plan_run(RunRequest(place, capture, load_protocol(name), labels[name], depth, networks))
-    if (sweep := k_sweep(labels[MAIN])).row:
+        capture, shared = unpack(capture_beside(place), name), root if name == MAIN and sweep.row else None
+        yield plan_run(RunRequest(place, capture, load_protocol(name), labels[name], depth, networks, shared))
+    if sweep.row:
         main = unpack(capture_beside(root), MAIN)
         yield plan_cells(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, networks, shared=root)
 
@@ -111,8 +113,10 @@ def evaluate_demos(
     """
     roots: list[Path] = []
     tables: list[Path] = []
+    plans: list[RunPlan] = []
     failures: tuple[Failure, ...] = ()
     for each in planned:
+        plans += each.plans if isinstance(each, SweepPlan) else [each]
         if isinstance(each, SweepPlan):
             result = run_sweep(each, workers)
             failures, tables = result.failures, [] if result.table.empty else [each.root]
@@ -122,6 +126,8 @@ def evaluate_demos(
         roots.append(each.run.root)
         if is_new:
             show(report(roots, with_figures=False))
+    if not failures:
+        drop_found_depth(plans)
     page = report(roots, tables_of=tables)
     if failures:
         raise RenderError(f"{k_root(roots[0])}: {len(failures)} failed, first {failures[0]}; run the same command to retry")

@@ -18,6 +18,7 @@ from ggvs_eval.contrib.worlds.film.shots import rig_shots
 from ggvs_eval.contrib.worlds.room.room import build_room
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import DEMO_NOTES
+from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.jobs.machine import pace
 from ggvs_eval.pipelines.commands.main import run_command
@@ -152,12 +153,17 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     def film(folder: Path, name: str) -> Capture:
         return open_capture(write_demo(folder, rooms[name], 1))
 
-    root, told, shown = tmp_path / "out", [], []
+    root, told, shown, in_store = tmp_path / "out", [], [], []
+
+    def announced(each):
+        told.append(each)
+        in_store.append(len([*(root / "depth").rglob("*.npz")]))
+        return each
 
     def run() -> Path:
         labels = {MAIN: ["no-blending", "distance-based"], "demo-d3dmv": ["no-blending"]}
         planned = demo_plans(root, labels, film, rooms=tuple(rooms))
-        return evaluate_demos((told.append(each) or each for each in planned), 1, keep)
+        return evaluate_demos(map(announced, planned), 1, keep)
 
     def keep(page: Path) -> None:
         shown.append(page.read_text())
@@ -173,10 +179,14 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     text = page.read_text()
     assert all(load_protocol(name).dataset.replace("'", "&#39;") in text for name in rooms)
     assert all(folder.joinpath("depth").resolve() == root / "depth" for folder in over_k)
-    assert text.index('id="group1"') < text.index("Quality and time over K <") < text.index('id="paper"')
+    assert text.index('id="group1"') < text.index("Quality and time over K <")
     assert 'class="group-name">Demo room <span class="on">demo-k' not in text  # the runs over K lie beside, in out-k
     datasets = [load_protocol(name).dataset.replace("'", "&#39;") for name in rooms]
     assert [[dataset in text for dataset in datasets] for text in shown] == [[True, False], [True, True]]  # one after the other
+    kept = {job.key for plan in (told[0], *told[2].plans) for job in plan.view_jobs}
+    stored = {file.parent for file in (root / "depth").rglob("*.npz")}
+    assert stored == {DepthStore(root / "depth").folder(key) for key in kept}  # what was found for checks alone is gone, ...
+    assert in_store[2] > 2 * len({job.key for job in told[0].view_jobs})  # ... after the runs over K, which read it
     before = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts}
     written_ns = page.stat().st_mtime_ns
     run()
