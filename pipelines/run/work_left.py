@@ -390,7 +390,10 @@ def _title(plans: Sequence[RunPlan]) -> str:
     methods = f" x {len(labels)} methods" if labels else ""
     many = f"{len(plans)} runs of " if len(plans) > 1 else ""
     ks = ", ".join(map(str, sorted({plan.protocol.synthesis.k for plan in plans})))
-    return f"{many}{len(first.plans)} views x {len(first.frames)} frames{methods} at {width} x {height}, K = {ks}"
+    measured = (plan.protocol.measurement for plan in plans)
+    every = {each.lpips_every for each in measured if each.lpips_every > 1 and any("LPIPS" in name for name in each.metrics)}
+    lpips = f", LPIPS of one frame in {' or '.join(map(str, sorted(every)))}" if every else ""
+    return f"{many}{len(first.plans)} views x {len(first.frames)} frames{methods} at {width} x {height}, K = {ks}{lpips}"
 
 
 def _existing(folder: Path) -> Path:

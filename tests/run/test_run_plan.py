@@ -305,6 +305,18 @@ def test_disk_is_what_the_run_leaves(finished, demo_capture, protocol, tmp_path)
     assert everything / 2 < work.disk_bytes < everything * 2
 
 
+def test_the_plan_states_which_frames_lpips_measures(demo_capture, protocol, tmp_path):
+    """One frame in four of LPIPS is in the plan's first line, and scoring is estimated to take less."""
+    works = []
+    for every in (1, 4):
+        measurement = dataclasses.replace(protocol.measurement, metrics=("PSNR", "LPIPS"), lpips_every=every)
+        plan = planned(tmp_path, demo_capture, dataclasses.replace(protocol, measurement=measurement))
+        works.append(count_work([plan], tmp_path))
+    assert [", LPIPS of one frame in 4; left are" in each.describe() for each in works] == [False, True]
+    whole, few = (sum(piece.core_seconds for piece in each.pieces if piece.kind == "score") for each in works)
+    assert few < 0.5 * whole
+
+
 def test_passing_depth_makes_room_for_renders(tmp_path):
     """At once on disk are the depth for checks or the renders, whichever is larger, and all the rest."""
     kept, passing = (Piece("depth", tmp_path / name, 1, 10.0, passing=name == "passing") for name in ("kept", "passing"))
