@@ -68,7 +68,8 @@ def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
     """
     check_pair(rendered, truth)
     if net == "vgg":
-        return _distance(*compare_in_bands(truth, [rendered]), net).value
+        (maps,) = compare_in_bands(truth, [rendered])
+        return _distance(maps, net).value
     return lpips_between(lpips_features(rendered, net), lpips_features(truth, net), net)
 
 
@@ -150,7 +151,7 @@ def compare_in_bands(truth: Image, renderings: Sequence[Image]) -> list[list[NDA
     Whole features of large frames are never kept: those of 1352 x 1014 pixels are 660 MB a frame.
     """
     _require_side(truth, "vgg")
-    heads = load_heads("vgg")
+    heads: Any = load_heads("vgg")
     halved, distances = compiled_bands([compiled_input(each) for each in (truth, *renderings)], heads)
     theirs = compiled_layers(halved.pop(0), BANDED_LAYERS)
     for maps in distances:
