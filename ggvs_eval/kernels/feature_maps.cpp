@@ -36,7 +36,7 @@ class Runner {
 public:
     Runner(int threads, int level) : threads_(threads), kernels_(feature_kernels(level)), memory_(threads) {}
 
-    void filter_colours(const FeatureLayer& layer, const PaddedMap& from, const MapOut& out) {
+    void filter_colours(const FeatureLayer& layer, const PaddedMap& from, const MapOut& out) {  // the first rows of from
         const Block block(layer, kRowsMultiple);
         reserve(block);
         parallel_for(out.height, threads_, [&](int y, int worker) {
@@ -46,8 +46,9 @@ public:
         });
     }
 
+    // As many rows of from as out has.
     void filter(const FeatureLayer& layer, const PaddedMap& from, const MapOut& out, const MapOut& halved) {
-        const int tiles = from.tile_rows * from.tile_columns;
+        const int tiles = (out.height + kTile - 1) / kTile * from.tile_columns;
         // The more weights, the more tiles share them on their way through the cache; but a small map is shared by all threads.
         const int most = layer.before + layer.after < kManyChannels ? kRowsMultiple : kMostMultiples * kRowsMultiple;
         const int count = std::clamp((tiles + threads_ - 1) / threads_, 1, most);
@@ -72,6 +73,60 @@ private:
     const FeatureKernels& kernels_;
     std::vector<AlignedFloats> memory_;
 };
+
+constexpr int kBand = 32;  // rows of a frame that enter at once, whole tiles also after two halvings
+
+// The rows of a map that the next layer still has to filter, with the one before them; whole tiles of them leave.
+class Window {
+public:
+    // most: rows that are added at once.
+    Window(int height, int width, int channels, int most)
+        : height_(height), most_(most + kTile), rows_(std::min(most_, height), width, channels) {}
+
+    int64_t floats() const { return rows_.floats(); }
+    int most() const { return most_; }
+
+    void begin(float* zeros) { rows_.corner = zeros; }
+
+    const PaddedMap& rows() const { return rows_; }
+    // Place of `count` more rows.
+    MapOut next(int count) const { return {rows_.pixel(end_ - begin_, 0), rows_.row, count, rows_.width}; }
+    int begun() const { return begin_; }
+    int left() const { return height_ - end_; }
+
+    // Rows that can be filtered: of tiles that have all their sources.
+    int ready() const {
+        const int here = end_ - begin_;
+        return end_ == height_ ? here : std::max(0, (here - 1) / kTile * kTile);
+    }
+
+    void add(int count) {
+        end_ += count;
+        if (end_ == height_) std::fill(rows_.pixel(end_ - begin_, -1), rows_.corner + floats(), 0.0f);
+    }
+
+    void drop(int count) {
+        const float* kept = rows_.pixel(count - 1, -1);
+        std::copy(kept, const_cast<const float*>(rows_.pixel(end_ - begin_, -1)), rows_.corner);
+        begin_ += count;
+    }
+
+private:
+    int height_, most_, begin_ = 0, end_ = 0;  // rows begin_ to end_ are here, and the one before them
+    PaddedMap rows_;
+};
+
+// What a frame's maps are on their way through all layers: a window before each of them.
+std::vector<Window> windows_of(const BandedJob& job) {
+    std::vector<Window> windows;
+    int height = job.height, width = job.width, most = kBand;
+    for (size_t n = 0; n < job.layers.size(); ++n) {
+        windows.emplace_back(height, width, job.layers[n].before, most);
+        most = windows.back().most();
+        if (job.weights[n]) height /= 2, width /= 2, most /= 2;
+    }
+    return windows;
+}
 
 }  // namespace
 
@@ -121,6 +176,54 @@ void compare_features(const ComparedPixels& all, int threads, int level) {
         kernels.compare_pixels({all.ours + at, all.theirs + at, all.weights, std::min(kPixels, all.count - first), all.channels,
                                 all.out + first});
     });
+}
+
+void compare_banded(const BandedJob& job, int threads, int level) {
+    Runner runner(threads, level);
+    std::vector<std::vector<Window>> windows(job.frames.size(), windows_of(job));
+    int64_t row_floats = 0, tap_floats = 0;
+    for (size_t n = 0; n < job.layers.size(); ++n) {
+        const Window& window = windows[0][n];
+        row_floats += window.floats();
+        if (job.weights[n]) tap_floats = std::max(tap_floats, int64_t(window.most()) * window.rows().width * job.layers[n].after);
+    }
+    AlignedFloats memory(int64_t(job.frames.size()) * row_floats), taps(2 * tap_floats);
+    float* rows = memory.data();
+    for (auto& of_frame : windows)
+        for (Window& window : of_frame) window.begin(rows), rows += window.floats();
+    const int64_t line = int64_t(job.width) * kColours;
+    while (const int more = std::min(kBand, windows[0][0].left())) {
+        for (size_t f = 0; f < job.frames.size(); ++f) {
+            Window& colours = windows[f][0];
+            const MapOut to = colours.next(more);
+            for (int y = 0; y < more; ++y) std::copy_n(job.frames[f] + (job.height - colours.left() + y) * line, line, to.data + y * to.row);
+            colours.add(more);
+        }
+        for (size_t n = 0; n < job.layers.size(); ++n) {
+            const FeatureLayer& layer = job.layers[n];
+            const int count = windows[0][n].ready(), first = windows[0][n].begun(), width = windows[0][n].rows().width;
+            for (size_t f = 0; count > 0 && f < job.frames.size(); ++f) {
+                Window& from = windows[f][n];
+                const bool is_last = n + 1 == job.layers.size();
+                const int64_t halved_row = int64_t(width / 2) * layer.after;
+                const MapOut next = is_last ? MapOut{job.halved[f] + first / 2 * halved_row, halved_row, count / 2, width / 2}
+                                            : windows[f][n + 1].next(job.weights[n] ? count / 2 : count);
+                if (layer.before == kColours) {
+                    runner.filter_colours(layer, from.rows(), next);
+                } else if (!job.weights[n]) {
+                    runner.filter(layer, from.rows(), next, MapOut{});
+                } else {
+                    float* tap = taps.data() + (f > 0) * tap_floats;
+                    runner.filter(layer, from.rows(), {tap, int64_t(width) * layer.after, count, width}, next);
+                    if (f > 0)
+                        compare_features({tap, taps.data(), job.weights[n], count * width, layer.after,
+                                          job.distances[n][f - 1] + int64_t(first) * width}, threads, level);
+                }
+                if (!is_last) windows[f][n + 1].add(next.height);
+                from.drop(count);
+            }
+        }
+    }
 }
 
 void feature_maps(const FeatureJob& job, const std::array<float*, 2>& memory, int threads, int level) {

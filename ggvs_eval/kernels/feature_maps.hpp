@@ -107,6 +107,20 @@ struct FeatureJob {
 // Floats that `feature_maps` needs for the maps between the layers: those of even ones and of odd ones.
 std::array<int64_t, 2> feature_memory(const FeatureJob& job);
 
+// Frames of one size that go through the first layers together, by bands of rows, so that no map of these layers is ever whole.
+// Every layer that is tapped is compared with that of the first frame; the last one is.
+struct BandedJob {
+    int height, width;
+    std::vector<const float*> frames;  // (height, width, 3) each
+    std::vector<FeatureLayer> layers;
+    std::vector<const float*> weights;               // of the differences: (after) of a tapped layer, null elsewhere
+    std::vector<std::vector<float*>> distances;      // of each layer that is tapped, and each frame but the first: (height', width')
+    std::vector<float*> halved;                      // of each frame: what the last layer hands on, (height', width', after)
+};
+
+// Its memory goes back to the system: kept ones would add up to more than a whole map.
+void compare_banded(const BandedJob& job, int threads, int level);
+
 // Weighted squared distances of the features' directions.
 void compare_features(const ComparedPixels& all, int threads, int level);
 

@@ -16,8 +16,10 @@ from ggvs_eval.kernels import SIMD_LEVELS, _features, get_simd_level, get_thread
 from ggvs_eval.metric_choices import LpipsNet
 from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.image.lpips_network import (
+    BANDED_LAYERS,
     LAYERS,
     MIN_SIDE_PX,
+    compiled_bands,
     compiled_input,
     compiled_layers,
     load_heads,
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 Features: TypeAlias = "list[NDArray[np.float32]] | list[torch.Tensor]"  # of the compared layers
 # Of truths whose features a process remembers from one run to the next; four of 480 x 360 pixels.
 REMEMBERED_BYTES = 400_000_000
+PIXEL_BYTES = 488  # of VGG's compared layers
 
 
 def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
@@ -64,6 +67,9 @@ def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
         in bfloat16 by torch and compares in single precision, and is 6e-5 to 9e-5 lower on renders of the demo room.
     """
     check_pair(rendered, truth)
+    if net == "vgg":
+        (maps,) = compare_in_bands(truth, [rendered])
+        return _distance(maps, net).value
     return lpips_between(lpips_features(rendered, net), lpips_features(truth, net), net)
 
 
@@ -80,8 +86,7 @@ def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> Features
     """
     if net not in LAYERS:
         raise MetricError(f"LPIPS: wanted a network of {', '.join(LAYERS)}, got {net!r}")
-    if min(image.shape[:2]) < MIN_SIDE_PX[net]:
-        raise MetricError(f"LPIPS-{net} needs at least {MIN_SIDE_PX[net]} pixels a side, got {image.shape[:2]}")
+    _require_side(image, net)
     if net == "vgg" and device == "cpu":
         return compiled_layers(compiled_input(image))
     import torch
@@ -91,6 +96,11 @@ def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> Features
     with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
         features = network_input(image, device)[None].to(weights["conv0.weight"]).contiguous(memory_format=torch.channels_last)
         return [tap.float() for tap in tapped_layers(features, LAYERS[net], weights)]
+
+
+def _require_side(image: Image, net: LpipsNet) -> None:
+    if min(image.shape[:2]) < MIN_SIDE_PX[net]:
+        raise MetricError(f"LPIPS-{net} needs at least {MIN_SIDE_PX[net]} pixels a side, got {image.shape[:2]}")
 
 
 @dataclass(frozen=True)
@@ -126,9 +136,28 @@ def compare_features(rendered: Features, truth: Features, net: LpipsNet) -> Lpip
         raise MetricError(f"LPIPS-{net}: the frames differ in size; resize or render again, metrics never resample")
     device = "cpu" if isinstance(truth[0], np.ndarray) else str(truth[0].device)
     distance: Callable[..., NDArray[np.float32]] = _compiled_distances if device == "cpu" else _device_distances
-    maps = tuple(distance(*layer) for layer in zip(rendered, truth, load_heads(net, device), strict=True))
+    return _distance([distance(*layer) for layer in zip(rendered, truth, load_heads(net, device), strict=True)], net)
+
+
+def _distance(maps: Sequence[NDArray[np.float32]], net: LpipsNet) -> LpipsDistance:
+    """Return the distance whose maps these are."""
     value = require_finite(sum(float(each.mean(dtype=np.float64)) for each in maps), f"LPIPS-{net}")
-    return LpipsDistance(value, maps)
+    return LpipsDistance(value, tuple(maps))
+
+
+def compare_in_bands(truth: Image, renderings: Sequence[Image]) -> list[list[NDArray[np.float32]]]:
+    """Compare frames with one truth by VGG on the CPU: the maps of `compare_features`, bit by bit, in a fraction of its memory.
+
+    Whole features of large frames are never kept: those of 1352 x 1014 pixels are 660 MB a frame.
+    """
+    _require_side(truth, "vgg")
+    heads: Any = load_heads("vgg")
+    halved, distances = compiled_bands([compiled_input(each) for each in (truth, *renderings)], heads)
+    theirs = compiled_layers(halved.pop(0), BANDED_LAYERS)
+    for maps in distances:
+        ours = compiled_layers(halved.pop(0), BANDED_LAYERS)
+        maps += [_compiled_distances(*layer) for layer in zip(ours, theirs, heads[len(maps) :], strict=True)]
+    return distances
 
 
 def _compiled_distances(rendered: Any, truth: Any, weights: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -178,6 +207,20 @@ class _Remembered:
 _remembered = _Remembered(REMEMBERED_BYTES)
 
 
+def note_renderings(truth: TruthFrame, renderings: Sequence[Image8]) -> None:
+    """Note the frames that will be compared with a truth, so that those too large to remember its features share one pass."""
+    truth.once(note_renderings, lambda: tuple(renderings))
+
+
+def _bands_of(rendered: Image, truth: TruthFrame) -> list[NDArray[np.float32]]:
+    """`compare_in_bands` of a frame, with all that were noted where it is one of them."""
+    noted: tuple[Image, ...] = truth.once(note_renderings, tuple)
+    if all(each is not rendered for each in noted):
+        return compare_in_bands(truth.image, [rendered])[0]
+    maps = truth.once(compare_in_bands, lambda: dict(zip(map(id, noted), compare_in_bands(truth.image, noted), strict=True)))
+    return maps[id(rendered)]
+
+
 def is_looked_at(index: int, options: MetricOptions) -> bool:
     """Return whether LPIPS is computed for the frame at this index: it costs as much as all other metrics on many frames."""
     return (options.first_frame + index) % options.lpips_every == 0
@@ -191,12 +234,14 @@ def frames_note(options: MetricOptions) -> str:
 
 def distance_to_truth(rendered: Image, truth: TruthFrame, options: MetricOptions) -> LpipsDistance:
     """LPIPS of a frame, once for the metric and its parts."""
+    net, pixels = options.lpips_net, truth.image.shape[0] * truth.image.shape[1]
 
     def compute() -> LpipsDistance:
-        features = lpips_features(rendered, options.lpips_net, options.device)
-        return compare_features(features, truth_features(truth, options), options.lpips_net)
+        if net == "vgg" and options.device == "cpu" and pixels * PIXEL_BYTES > REMEMBERED_BYTES:
+            return _distance(_bands_of(rendered, truth), net)
+        return compare_features(lpips_features(rendered, net, options.device), truth_features(truth, options), net)
 
-    return shared_by_parts(rendered, truth, (compare_features, options.lpips_net), compute)
+    return shared_by_parts(rendered, truth, (compare_features, net), compute)
 
 
 def _inside(pair: FramePair, mask: Mask) -> float | None:

@@ -1,5 +1,6 @@
 """The networks of LPIPS and DISTS: their weights, and features of frames by torch or by a compiled kernel."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -52,6 +53,8 @@ LAYERS: dict[LpipsNet, tuple[Layer, ...]] = {
         Layer(tap=True),
     ),
 }
+# Of VGG the layers and levels that `compiled_bands` takes; deeper, filters outgrow maps, and a band would share them too little.
+BANDED_LAYERS, BANDED_LEVELS = 7, 3
 MIN_SIDE_PX: dict[LpipsNet, int] = {"vgg": 16, "vgg-bf16": 16, "alex": 31}  # below, the last layer has no pixel
 
 
@@ -187,3 +190,20 @@ def compiled_layers(features: NDArray[np.float32], first: int = 0, last: int | N
     """
     layers = _packed_layers(weights_path("vgg"))[first:last]
     return list(_features.feature_maps(features, layers, get_threads(), SIMD_LEVELS.index(get_simd_level())))
+
+
+def compiled_bands(
+    frames: Sequence[NDArray[np.float32]], heads: Sequence[NDArray[np.float32]]
+) -> tuple[list[NDArray[np.float32]], list[list[NDArray[np.float32]]]]:
+    """Run frames through VGG's first layers together, by bands of rows, and compare all with the first one.
+
+    Args:
+        frames: `compiled_input`, of one size.
+        heads: see `load_heads`.
+
+    Returns:
+        What layer `BANDED_LAYERS` takes of each frame, and of each but the first its distances at the levels before, (H', W')
+        each; their bits are those of whole maps.
+    """
+    layers, level = _packed_layers(weights_path("vgg"))[:BANDED_LAYERS], SIMD_LEVELS.index(get_simd_level())
+    return _features.compare_banded(frames, layers, heads[:BANDED_LEVELS], get_threads(), level)

@@ -248,7 +248,7 @@ def run(
     unpack = unpack_rooms(reading.open, dry_run)
     if capture is None and protocol is None:
         labels = room_labels(methods)
-        run_demos(root, labels, demo_plans(root, labels, unpack, depth, networks), engine, dry_run)
+        run_demos(root, labels, demo_plans(root, labels, unpack, depth, networks, in_stages=not dry_run), engine, dry_run)
         return
     opened = _open(reading, engine.place(capture), protocol) if capture else unpack.beside(root)
     chosen = _protocol(protocol, opened)

@@ -13,7 +13,7 @@ from ggvs_eval.errors import DeviceError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, finds_live
-from ggvs_eval.pipelines.offline.depth.fill_store import prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import drop_found, prepare_depth
 from ggvs_eval.pipelines.offline.depth.rig_depth import RigDepth
 from ggvs_eval.pipelines.run.claim import claim_folder
 from ggvs_eval.pipelines.run.derived_files import cache_frames, cache_path
@@ -47,6 +47,8 @@ def prepare(
 def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
     """Write protocol, capture record, truth frames and depth into a run folder; what is there is kept.
 
+    Depth that only checks read is removed after them, unless the run shares it, see `drop_found_depth`.
+
     Raises:
         CaptureError: frames that cannot be read.
         DepthError: depth that cannot be computed.
@@ -63,6 +65,8 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
     store = DepthStore(run.depth)
     _write_path_truth(plan)
     _fill_store(plan, store, workers)
+    if plan.request.shared is None:
+        drop_found_depth([plan])
     time_live_depth(plan)
     if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
         views = {view: (each.target, each.depth_keys) for view, each in plan.plans.items()}
@@ -90,6 +94,13 @@ def _fill_store(prepared: RunPlan, store: DepthStore, workers: Workers) -> None:
     except DeviceError as error:
         record = f"{prepared.run.depth_record}: this run's depth is found on {prepared.depth_device}"
         raise DeviceError(f"{record}: {error}; or use a new run folder") from error
+
+
+def drop_found_depth(plans: Sequence[RunPlan]) -> None:
+    """Remove depth that only checks read, as soon as no run of those that share a store lacks a check."""
+    for root in {plan.shared_root for plan in plans}:
+        work = [each for plan in plans if plan.shared_root == root for each in plan.depth_work()]
+        drop_found(work, DepthStore(root / "depth"))
 
 
 def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Workers = 1) -> RunFolder:

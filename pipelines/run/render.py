@@ -104,10 +104,11 @@ def method_code(spec: MethodSpec) -> str:
 
 
 def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
-    """Remember the order in which methods were asked for; a table shows them in it."""
+    """Remember the order in which methods were asked for, the last time for all of them; a table shows them in it."""
     order = run.root / "methods.json"
     record = read_json(order) if order.is_file() else {}
-    merged = list(dict.fromkeys([*record.get("labels", []), *labels]))
+    before = record.get("labels", [])
+    merged = list(dict.fromkeys([*([] if set(before) <= set(labels) else before), *labels]))
     if merged != record.get("labels"):
         write_json(order, {"labels": merged})
 

@@ -27,6 +27,7 @@ from ggvs_eval.pipelines.methods.stage_costs import (
     stage_of,
 )
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_left
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 from ggvs_eval.pipelines.run.derived_files import frames_left, path_left
 from ggvs_eval.pipelines.run.disocclusion import mask_files
@@ -52,7 +53,8 @@ class Piece:
     Attributes:
         folder: where they will be; runs that share it have the piece in common.
         label: of the method that renders them.
-        core_seconds: of all of them at `pace` 1; None if they are not known.
+        core_seconds: of all of them at `pace` 1; None where they are not known.
+        passing: they are removed before anything is rendered.
     """
 
     kind: Kind
@@ -61,6 +63,7 @@ class Piece:
     n_bytes: float = 0.0
     label: str = ""
     core_seconds: float | None = None
+    passing: bool = False
 
 
 @dataclass(frozen=True)
@@ -114,8 +117,9 @@ class Workload:
 
     @property
     def disk_bytes(self) -> float:
-        """Bytes that the runs will still write."""
-        return sum(piece.n_bytes for piece in self.pieces)
+        """Bytes that the runs will still take at once: what is passing makes room for renders."""
+        passing, later, rest = (sum(piece.n_bytes for piece in self.pieces if _turn(piece) == turn) for turn in range(3))
+        return rest + max(passing, later)
 
     @property
     def free_bytes(self) -> int:
@@ -189,6 +193,11 @@ class Workload:
                 f"{self.folder}: this run needs about {_size(needed)}, the disk has {_size(free)} free; free the difference, "
                 "choose a folder on another disk, or reduce the run (frames.count, views.test, synthesis.width, methods)"
             )
+
+
+def _turn(piece: Piece) -> int:
+    """Return 0 for what is passing, 1 for what is written after it is gone, and 2 for the rest."""
+    return 0 if piece.passing else 1 if piece.label else 2
 
 
 def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workload:
@@ -284,17 +293,22 @@ def work_left(plan: RunPlan) -> list[Piece]:
     n_pixels, run, of_path = width * height, plan.run, len(plan.path)
     pieces: list[Piece] = []
 
-    def add(kind: Kind, folder: Path, count: int, cost: float | None, bytes_per_pixel: float = 0.0, label: str = "") -> None:
+    def add(
+        kind: Kind, folder: Path, count: int, cost: float | None, pixel_bytes: float = 0.0, label: str = "", passing: bool = False
+    ) -> None:
         if count:
             seconds = None if cost is None else count * n_pixels / 1e6 * cost
-            pieces.append(Piece(kind, folder, count, count * n_pixels * bytes_per_pixel, label, seconds))
+            pieces.append(Piece(kind, folder, count, count * n_pixels * pixel_bytes, label, seconds, passing))
 
     for folder, count in _truth_left(plan).items():
         add("truth", folder, count, DECODED, TRUTH_BYTES)
     depth_costs = {"depth": depth_cost(plan.depth.matcher), "checked depth": CHECKED_DEPTH}
-    for kind, counts in _depth_left(plan, DepthStore(plan.shared_root / "depth")).items():
+    store = DepthStore(plan.shared_root / "depth")
+    kept = {store.folder(job.key) for jobs, _ in plan.depth_work() for job in jobs}
+    for kind, counts in _depth_left(plan, store).items():
         for folder, count in counts.items():
-            add(kind, folder, count, depth_costs[kind], DEPTH_BYTES)
+            passing = plan.request.shared is None and folder not in kept
+            add(kind, folder, count, depth_costs[kind], DEPTH_BYTES, passing=passing)
     if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
         for view in plan.plans:
             add("mask", run.disoccluded(view), _masks_left(plan, view), MASK)
@@ -339,21 +353,14 @@ def _poses_left(plan: RunPlan) -> int:
 
 def _depth_left(plan: RunPlan, store: DepthStore) -> dict[Kind, dict[Path, int]]:
     """Return the missing depth maps by folder of the store: as found, and checked against others."""
-    unchecked: dict[Path, int] = {}
-    checked: dict[Path, int] = {}
+    kinds: tuple[Kind, Kind] = ("depth", "checked depth")
+    counts: dict[Kind, dict[Path, int]] = {kind: {} for kind in kinds}
     for jobs, frames in plan.depth_work():
-        for job in jobs:
-            missing = _count(store, job.key, frames, checked if job.checked_with else unchecked)
-            for other in (job.unchecked, *job.checked_with) if job.checked_with and missing else ():
-                _count(store, other.key, frames, unchecked)
-    return {"depth": unchecked, "checked depth": checked}
-
-
-def _count(store: DepthStore, key: str, frames: Sequence[int], counts: dict[Path, int]) -> int:
-    """Return the missing instants of a key, noted in `counts`."""
-    missing = sum(not store.has(key, frame) for frame in frames)
-    counts[store.folder(key)] = max(counts.get(store.folder(key), 0), missing)
-    return missing
+        for kind, left in zip(kinds, depth_left(jobs, frames, store), strict=True):
+            for job, missing in left.items():
+                folder = store.folder(job.key)
+                counts[kind][folder] = max(counts[kind].get(folder, 0), len(missing))
+    return counts
 
 
 def _is_scored(run: RunFolder, view: str, labels: Sequence[str]) -> bool:
@@ -383,7 +390,10 @@ def _title(plans: Sequence[RunPlan]) -> str:
     methods = f" x {len(labels)} methods" if labels else ""
     many = f"{len(plans)} runs of " if len(plans) > 1 else ""
     ks = ", ".join(map(str, sorted({plan.protocol.synthesis.k for plan in plans})))
-    return f"{many}{len(first.plans)} views x {len(first.frames)} frames{methods} at {width} x {height}, K = {ks}"
+    measured = (plan.protocol.measurement for plan in plans)
+    every = {each.lpips_every for each in measured if each.lpips_every > 1 and any("LPIPS" in name for name in each.metrics)}
+    lpips = f", LPIPS of one frame in {' or '.join(map(str, sorted(every)))}" if every else ""
+    return f"{many}{len(first.plans)} views x {len(first.frames)} frames{methods} at {width} x {height}, K = {ks}{lpips}"
 
 
 def _existing(folder: Path) -> Path:

@@ -1,6 +1,7 @@
 """The demo rooms evaluated one after another, the figure over K, and one page of all: `ggvs-eval run` without a capture."""
 
 import atexit
+import shutil
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -8,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Engine, Workers
@@ -18,18 +20,22 @@ from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptio
 from ggvs_eval.pipelines.methods.registry import usual_methods
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import measure, report
+from ggvs_eval.pipelines.run.prepare import drop_found_depth
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work, print_plan
 from ggvs_eval.pipelines.sweep.run_sweep import SweepPlan, plan_cells, run_sweep
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import load_protocol
+from ggvs_eval.results import split_label
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, load_sweep
 from ggvs_eval.synthetic.shipped import MAIN, ROOMS, write_room
 
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")
-# Seconds of evaluating each room by the usual methods, and over K, times the cores: at `pace` 1.
+FIRST_FRAMES = 8  # of the main room, on the first page
+# Seconds until that page, and of evaluating each room by the usual methods, and over K, times the cores: at `pace` 1.
+FIRST_CORE_SECONDS = 160.0
 CORE_SECONDS = {MAIN: 470.0, "demo-enerf-outdoor": 90.0, "demo-d3dmv": 320.0, K_PROTOCOL: 210.0}
 # What the small rooms are evaluated by where no methods are named: the smaller one by all that the paper compares itself with.
 SMALL_ROOMS_METHODS = {
@@ -76,22 +82,33 @@ def demo_plans(
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
     rooms: Sequence[str] = ROOMS,
+    in_stages: bool = True,
 ) -> Iterator[RunPlan | SweepPlan]:
     """Plan the run of every demo room as soon as it is unpacked, and the main one's sweep over K.
+
+    Learned baselines of the small rooms take longer than all the rest: they come last, by a second plan of the same run.
 
     Args:
         root: run folder of the main room; the others' are next to it, and each capture next to its run.
         labels: name of a room -> its methods, see `room_labels`.
         unpack: gives the capture of a folder and a room's name.
         rooms: by the names of their protocols.
+        in_stages: plan learned baselines apart; otherwise each run has one plan, which counts all that is left of it.
     """
+    sweep, last = k_sweep(labels[MAIN]), []
     for name in rooms:
         place = demo_root(root, name)
-        capture = unpack(capture_beside(place), name)
-        yield plan_run(RunRequest(place, capture, load_protocol(name), labels[name], depth, networks))
-    if (sweep := k_sweep(labels[MAIN])).row:
+        capture, shared = unpack(capture_beside(place), name), root if name == MAIN and sweep.row else None
+        request = RunRequest(place, capture, load_protocol(name), labels[name], depth, networks, shared)
+        early = [label for label in labels[name] if split_label(label)[0] not in LEARNED_BASELINES]
+        if in_stages and name != MAIN and 0 < len(early) < len(labels[name]):
+            last.append(request)
+            request = replace(request, labels=early)
+        yield plan_run(request)
+    if sweep.row:
         main = unpack(capture_beside(root), MAIN)
         yield plan_cells(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, networks, shared=root)
+    yield from map(plan_run, last)
 
 
 @kept_workers()
@@ -100,7 +117,7 @@ def evaluate_demos(
 ) -> Path:
     """Evaluate every demo room, the main one also over K; a second call does only what is missing.
 
-    The page is there as soon as the first room is evaluated, and grows with every further one.
+    The page is there as soon as the first frames of the first room are evaluated, and grows with every further run.
 
     Args:
         planned: see `demo_plans`; each is made when the one before is done.
@@ -111,21 +128,48 @@ def evaluate_demos(
     """
     roots: list[Path] = []
     tables: list[Path] = []
+    plans: list[RunPlan] = []
     failures: tuple[Failure, ...] = ()
     for each in planned:
+        plans += each.plans if isinstance(each, SweepPlan) else [each]
         if isinstance(each, SweepPlan):
             result = run_sweep(each, workers)
             failures, tables = result.failures, [] if result.table.empty else [each.root]
             continue
-        is_new = not count_work([each], each.run.root).is_nothing()
+        left = count_work([each], each.run.root)
+        if not roots and left.count("depth", "checked depth") and each.protocol.frames.count > FIRST_FRAMES:
+            show(show_first_frames(each, workers))
         measure(each, workers)
-        roots.append(each.run.root)
-        if is_new:
-            show(report(roots, with_figures=False))
+        roots = [*dict.fromkeys([*roots, each.run.root])]
+        if not left.is_nothing():
+            show(report(roots, tables_of=tables, with_figures=False))
+            shutil.rmtree(first_root(each.run.root), ignore_errors=True)
+    if not failures:
+        drop_found_depth(plans)
     page = report(roots, tables_of=tables)
     if failures:
         raise RenderError(f"{k_root(roots[0])}: {len(failures)} failed, first {failures[0]}; run the same command to retry")
     return page
+
+
+def show_first_frames(plan: RunPlan, workers: Workers) -> Path:
+    """Evaluate the first frames of a run's views, and write the page of these in its place, which says so.
+
+    Captured frames and depth are the run's own. Renders and scores are a run of their own in its folder: what metrics say of a
+    sequence is never put together from parts of it.
+    """
+    protocol, count = plan.protocol, plan.protocol.frames.count
+    told = f"{protocol.dataset}: first {FIRST_FRAMES} of {count} frames, the others are being evaluated"
+    frames = replace(protocol.frames, count=FIRST_FRAMES)
+    first = replace(protocol, dataset=told, frames=frames, path=replace(protocol.path, poses=0, cameras=()))
+    root = first_root(plan.run.root)
+    measure(plan_run(replace(plan.request, root=root, protocol=first, shared=plan.shared_root)), workers)
+    return report([root], plan.run.report, with_figures=False)
+
+
+def first_root(root: Path) -> Path:
+    """Return the folder of the run of a run's first frames, which goes when all are evaluated."""
+    return root / "first_frames"
 
 
 def run_demos(
@@ -154,7 +198,7 @@ def run_demos(
         return each
 
     def show(page: Path) -> None:
-        print(f"{page} can be opened; each further run is added", file=sys.stderr, flush=True)
+        print(f"{page} can be opened; it grows with the frames and runs that follow", file=sys.stderr, flush=True)
 
     announced = map(announce, planned)
     if dry_run:
@@ -173,10 +217,9 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
         probe: seconds that work takes here for each second of `CORE_SECONDS`.
     """
     page = RunFolder(root).report / "index.html"
-    if page.is_file() or any(name not in CORE_SECONDS for name in labels):
+    if (page.is_file() and not first_root(root).exists()) or any(name not in CORE_SECONDS for name in labels):
         return ""
-    core_seconds = {name: seconds * probe() for name, seconds in CORE_SECONDS.items()}
-    whole, first = sum(core_seconds.values()) / jobs, core_seconds[MAIN] / jobs
+    whole, first = (seconds * probe() / jobs for seconds in (sum(CORE_SECONDS.values()), FIRST_CORE_SECONDS))
     return f"demo: about {duration(whole)} in all on {jobs} cores; in about {duration(first)} open {page}, updated by each run"
 
 

@@ -17,6 +17,7 @@ from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import Stages, attempt, measure_runs
+from ggvs_eval.pipelines.run.prepare import drop_found_depth
 from ggvs_eval.pipelines.run.run_plan import RunPlan, plan_run
 from ggvs_eval.pipelines.run.score import Scores
 from ggvs_eval.pipelines.sweep.cells import Captures, Cell, shard_cells, sweep_cells
@@ -99,6 +100,8 @@ def run_sweep(planned: SweepPlan, workers: Workers) -> SweepResult:
     """
     stages = Stages(planned.root, as_engine(workers), goes_on=True, failures=[*planned.failures])
     measured = {plan.name: scores for plan, scores in measure_runs(planned.plans, stages)}
+    if planned.shard.is_whole and not stages.failures:
+        drop_found_depth(planned.plans)
     parts = []
     for cell in planned.cells if planned.shard.is_whole else ():
         if cell.name in measured:

@@ -1,5 +1,6 @@
 """Textured surfaces seen by cameras that differ in place and direction, in closed form."""
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -57,9 +58,13 @@ def see_plane(camera: Camera, plane: np.ndarray = PLANE, gain: float = 1.0) -> I
     return quantise(paint(camera, plane_depth(camera, plane), random_texture()) / 255.0 * gain)
 
 
-def write_capture(folder: Path, n_frames: int = 3, step: float = 0.2) -> Capture:
-    """Five cameras before a plane that comes nearer by `step` from frame to frame, as image folders on disk."""
-    places = [(0, 0), (0.4, 0), (-0.4, 0), (0, 0.4), (0.8, 0)]
+FIVE_PLACES = ((0, 0), (0.4, 0), (-0.4, 0), (0, 0.4), (0.8, 0))
+
+
+def write_capture(
+    folder: Path, n_frames: int = 3, step: float = 0.2, places: Sequence[tuple[float, float]] = FIVE_PLACES
+) -> Capture:
+    """Cameras before a plane that comes nearer by `step` from frame to frame, as image folders on disk."""
     cameras = [look_from(x, y, f"cam{index:02d}") for index, (x, y) in enumerate(places)]
     for camera in cameras:
         for frame in range(n_frames):

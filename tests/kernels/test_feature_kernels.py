@@ -85,6 +85,42 @@ def test_bits_are_equal_for_all_threads_and_instruction_sets():
             assert np.array_equal(_features.compare_features(ours, theirs, weights, threads, level), distances)
 
 
+@pytest.mark.parametrize("size", [(4, 5), (31, 20), (33, 21), (67, 34), (100, 45)])
+def test_bands_have_the_bits_of_whole_maps(size):
+    """Heights that a band of 32 rows, tiles of four and halvings divide or not: what is handed on, distances of both taps."""
+    layers = packed(drawn_layers(((3, 64, False), (64, 64, True), (64, 128, False), (128, 128, True))))
+    frames, weights = [drawn(9 + n, *size, 3) for n in range(3)], [np.abs(drawn(n, 64 * n)) for n in (1, 2)]
+    taps = [_features.feature_maps(frame, layers, 1, 0) for frame in frames]
+
+    for level, threads in ((0, 3), (len(kernels.available_levels()) - 1, 1)):
+        halved, distances = _features.compare_banded(frames, layers, weights, threads, level)
+        for found, (_, tap) in zip(halved, taps, strict=True):
+            height, width = tap.shape[0] // 2, tap.shape[1] // 2
+            whole = tap[: 2 * height, : 2 * width].reshape(height, 2, width, 2, -1)
+            assert np.array_equal(found, whole.max(axis=(1, 3)))
+        for found, ours in zip(distances, taps[1:], strict=True):
+            for map_, *layer in zip(found, ours, taps[0], weights, strict=True):
+                assert np.array_equal(map_, _features.compare_features(*layer, 1, 0))
+
+
+@pytest.mark.parametrize(
+    ("frames", "layers", "count"),
+    [
+        ([], drawn_layers(), 2),
+        ([drawn(0, 8, 8, 64)], drawn_layers(), 2),
+        ([drawn(0, 8, 8, 3), drawn(0, 8, 9, 3)], drawn_layers(), 2),
+        ([drawn(0, 3, 8, 3)], drawn_layers(), 2),  # nothing left behind the second halving
+        ([drawn(0, 8, 8, 3)], drawn_layers(), 1),  # no weights for the second tap
+        ([drawn(0, 8, 8, 3)], drawn_layers()[:3], 2),  # the last one not tapped
+        ([drawn(0, 8, 8, 3)], drawn_layers(((3, 64, True),)), 1),
+        ([drawn(0, 8, 8, 3)], [], 0),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_bands(frames, layers, count):
+    with pytest.raises(TypeError, match="wanted"):
+        _features.compare_banded(frames, packed(layers), [drawn(0, 64)] * count, 1, 0)
+
+
 @given(seed=seeds)
 @settings(max_examples=5, deadline=None)
 def test_distances_are_those_of_directions(seed):

@@ -12,6 +12,7 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.stereo.pairwise import PairwiseEstimator
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
+from ggvs_eval.protocol import load_protocol
 from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
@@ -28,7 +29,7 @@ def planned(tmp_path_factory):
     return capture, [job for jobs in plan.values() for job in jobs.values()]
 
 
-def filled(store, planned, monkeypatch, workers=1, shares=True):
+def filled(store, planned, monkeypatch, workers=1, shares=True, options=OPTIONS, frames=FRAMES):
     """The maps of a store by job and frame, and the ordered pairs that were matched."""
     capture, jobs = planned
     pairs, match = [], SgbmMatcher.match
@@ -40,9 +41,9 @@ def filled(store, planned, monkeypatch, workers=1, shares=True):
     with monkeypatch.context() as patch:
         patch.setattr(SgbmMatcher, "match", counted)
         if not shares:
-            patch.setattr(fill_store, "_by_camera", lambda jobs, *_: [[job] for job in jobs])
-        prepare_depth(capture, jobs, FRAMES, store, OPTIONS, workers)
-    return {(job.key, frame): store.read(job.key, frame) for job in jobs for frame in FRAMES}, len(pairs)
+            patch.setattr(fill_store, "_by_camera", lambda needed, *_: [{job: needed[job]} for job in needed])
+        prepare_depth(capture, jobs, frames, store, options, workers)
+    return {(job.key, frame): store.read(job.key, frame) for job in jobs for frame in frames}, len(pairs)
 
 
 def test_a_pair_is_matched_once(planned, tmp_path, monkeypatch):
@@ -59,6 +60,28 @@ def test_a_pair_is_matched_once(planned, tmp_path, monkeypatch):
         np.testing.assert_array_equal(one.depth, apart[key].depth)
         np.testing.assert_array_equal(one.confidence, apart[key].confidence)
     assert filled(DepthStore(tmp_path / "together"), planned, monkeypatch)[1] == 0
+
+
+def test_an_instant_of_dynerf_is_98_matchings(tmp_path, monkeypatch):
+    """The packaged protocol on 21 cameras in two rows needs 36 maps of 98 ordered pairs; stores are equal byte by byte."""
+    rows = ((11, 0.0), (10, 0.2))
+    places = [(0.3 * (place - (count - 1) / 2), y) for count, y in rows for place in range(count)]
+    capture = write_capture(tmp_path / "rig", 1, places=places).resized(96, 72, "area")
+    protocol = load_protocol("dynerf")
+    plan = plan_depth(capture, [capture.camera(view) for view in protocol.views.test], protocol.synthesis.k, DepthOptions())
+    jobs = sorted({job for each in plan.values() for job in each.values()})
+    assert len({found for job in jobs for found in (job.unchecked, *job.checked_with)}) == 36
+
+    def made(name, **how):
+        how |= {"options": DepthOptions(), "frames": range(1)}
+        _, count = filled(DepthStore(tmp_path / name), (capture, jobs), monkeypatch, **how)
+        return count, {file.relative_to(tmp_path / name): file.read_bytes() for file in (tmp_path / name).rglob("*.*")}
+
+    count, store = made("together")
+    assert (count, len(store)) == (98, 2 * (36 + 36))  # found and checked, each with its spec
+    assert made("apart", shares=False) == (144, store)
+    assert made("two", workers=2)[1] == store
+    assert made("together")[0] == 0
 
 
 def test_what_is_missing_alone_is_computed(planned, tmp_path, monkeypatch):
@@ -79,7 +102,7 @@ def test_what_is_missing_alone_is_computed(planned, tmp_path, monkeypatch):
 def test_instants_that_depend_on_each_other_share_nothing(planned):
     """Matches that start from the instant before are their estimator's own."""
     capture, jobs = planned
-    unchecked = list({job.unchecked for job in jobs})
+    unchecked = dict.fromkeys((job.unchecked for job in jobs), FRAMES)
     assert all(len(group) == 1 for group in fill_store._by_camera(unchecked, replace(OPTIONS, keyframe_every=4), 1))
     assert max(map(len, fill_store._by_camera(unchecked, OPTIONS, 1))) > 1
     assert max(map(len, fill_store._by_camera(unchecked, OPTIONS, 64))) == 1

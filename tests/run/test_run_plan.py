@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
+from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.jobs.ledger import Ledger
@@ -25,7 +26,7 @@ from ggvs_eval.pipelines.run.evaluate import measure, render
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import DEPTH_BYTES, Piece, Workload, count_work, work_left
-from ggvs_eval.pipelines.sweep.run_sweep import plan_cells
+from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
 from ggvs_eval.run_folder import RunFolder, frame_path
@@ -79,12 +80,47 @@ def test_what_is_counted_is_what_is_made(demo_capture, protocol, finished, tmp_p
     left = counts(plan)
 
     assert left["truth"] == n_files(run.root / "truth", "*.png")
-    assert left["depth"] + left["checked depth"] == n_files(run.depth, "*.npz")
+    assert left["checked depth"] == n_files(run.depth, "*.npz")  # those that were found for the checks are gone
     assert left["mask"] == n_files(run.root / "disoccluded", "*.png")
     assert left["path depth"] == n_files(run.path_depth, "*.npy")
     assert left["render"] == n_files(run.root / "renders", "*.png")
     assert left["path render"] == n_files(run.root / "path", "*.png")
     assert {piece.folder.name for piece in work_left(plan) if piece.kind == "score"} == {"cam00", "cam01"}
+
+
+def test_depth_for_checks_alone_goes_and_is_found_again_where_a_check_is_lost(demo_capture, protocol, tmp_path, monkeypatch):
+    """A finished store has checked maps only; a lost one costs its own sources at its own instant, with the same bytes."""
+    plan = planned(tmp_path / "run", demo_capture, dataclasses.replace(protocol, path=CameraPath(0)))
+    prepare_run(plan)
+    store, (job, *_) = DepthStore(plan.run.depth), [job for job in plan.view_jobs if job.checked_with]
+    whole = {file: file.read_bytes() for file in plan.run.depth.rglob("*.npz")}
+    assert whole.keys() == {store.path(each.key, frame) for each in plan.view_jobs for frame in plan.frames}
+    prepare_run(plan)
+    assert {file: file.read_bytes() for file in plan.run.depth.rglob("*.npz")} == whole
+
+    store.path(job.key, 1).unlink()
+    assert (counts(plan)["depth"], counts(plan)["checked depth"]) == (1 + len(job.checked_with), 1)
+    written, write = [], DepthStore.write
+    monkeypatch.setattr(DepthStore, "write", lambda *call: written.append(call[2]) or write(*call))
+    prepare_run(plan)
+    assert written == [1] * (2 + len(job.checked_with))
+    assert {file: file.read_bytes() for file in plan.run.depth.rglob("*.npz")} == whole
+
+
+def test_a_shared_store_keeps_depth_for_checks_until_all_runs_are_done(demo_capture, protocol, tmp_path):
+    """The next variant of a sweep finds what the first one has found; after the sweep nothing of it is left."""
+    sweep = Sweep("s", "", (SweepRow("A", "no-blending"),), k=(2, 3))
+    short = dataclasses.replace(protocol, frames=Frames(0, 1), path=CameraPath(0))
+    planned_cells = plan_cells(tmp_path, {"": (demo_capture, short)}, sweep)
+    first, second = planned_cells.plans
+    alone = counts(second)["depth"]
+    prepare_run(first)
+    assert counts(second)["depth"] < alone
+    run_sweep(planned_cells, 1)
+    kept = {job.key for plan in planned_cells.plans for job in plan.view_jobs}
+    store = DepthStore(tmp_path / "depth")
+    assert set((tmp_path / "depth").rglob("*.npz")) == {store.path(key, 0) for key in kept}
+    assert not {"depth", "checked depth"} & {*counts(first), *counts(second)}
 
 
 def test_a_key_is_made_once(demo_capture, protocol, tmp_path, monkeypatch):
@@ -167,8 +203,10 @@ def test_a_plan_names_the_jobs_that_are_then_done(demo_capture, protocol, finish
     }
 
 
-def test_a_dry_run_says_what_the_run_then_does(demo_capture, protocol, tmp_path, capsys):
-    """The counts of the plan are the frames that the run renders and the views that it scores."""
+def test_a_dry_run_says_what_the_run_then_does(demo_capture, protocol, tmp_path, capsys, monkeypatch):
+    """The counts of the plan are the frames that the run renders, the maps that it makes and the views that it scores."""
+    maps, write = [], DepthStore.write
+    monkeypatch.setattr(DepthStore, "write", lambda *call: maps.append(call[1:3]) or write(*call))
     (tmp_path / "p.toml").write_text(protocol.to_toml())
     words = [
         "run",
@@ -186,7 +224,7 @@ def test_a_dry_run_says_what_the_run_then_does(demo_capture, protocol, tmp_path,
     run_command(words)
 
     frames = n_files(tmp_path / "run" / "renders", "????.png") + len(list((tmp_path / "run" / "path").glob("*-*/*.png")))
-    assert f"left are {frames} frames to render, {n_files(tmp_path / 'run' / 'depth', '*.npz')} depth maps" in told
+    assert f"left are {frames} frames to render, {len(maps)} depth maps" in told
     assert f"{len(list((tmp_path / 'run' / 'scores').iterdir()))} views to score" in told
     run_command([*words, "--dry-run"])
     assert "no work left" in capsys.readouterr().out.splitlines()[-1]
@@ -263,8 +301,28 @@ def test_disk_is_what_the_run_leaves(finished, demo_capture, protocol, tmp_path)
     depth = sum(file.stat().st_size for file in (finished / "depth").rglob("*.npz"))
     everything = sum(file.stat().st_size for file in finished.rglob("*") if file.is_file())
 
-    assert work.count("depth", "checked depth") * 64 * 48 * DEPTH_BYTES == pytest.approx(depth, rel=0.15)
+    assert work.count("checked depth") * 64 * 48 * DEPTH_BYTES == pytest.approx(depth, rel=0.15)
     assert everything / 2 < work.disk_bytes < everything * 2
+
+
+def test_the_plan_states_which_frames_lpips_measures(demo_capture, protocol, tmp_path):
+    """One frame in four of LPIPS is in the plan's first line, and scoring is estimated to take less."""
+    works = []
+    for every in (1, 4):
+        measurement = dataclasses.replace(protocol.measurement, metrics=("PSNR", "LPIPS"), lpips_every=every)
+        plan = planned(tmp_path, demo_capture, dataclasses.replace(protocol, measurement=measurement))
+        works.append(count_work([plan], tmp_path))
+    assert [", LPIPS of one frame in 4; left are" in each.describe() for each in works] == [False, True]
+    whole, few = (sum(piece.core_seconds for piece in each.pieces if piece.kind == "score") for each in works)
+    assert few < 0.5 * whole
+
+
+def test_passing_depth_makes_room_for_renders(tmp_path):
+    """At once on disk are the depth for checks or the renders, whichever is larger, and all the rest."""
+    kept, passing = (Piece("depth", tmp_path / name, 1, 10.0, passing=name == "passing") for name in ("kept", "passing"))
+    renders = [Piece("render", tmp_path / name, 1, 4.0, name) for name in ("a", "b", "c")]
+    assert Workload("", (kept, passing, *renders[:1]), tmp_path).disk_bytes == 20
+    assert Workload("", (kept, passing, *renders), tmp_path).disk_bytes == 22
 
 
 def test_a_sweep_is_planned_as_one(demo_capture, protocol, tmp_path):

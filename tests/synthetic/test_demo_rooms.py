@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,15 +19,19 @@ from ggvs_eval.contrib.worlds.film.shots import rig_shots
 from ggvs_eval.contrib.worlds.room.room import build_room
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import DEMO_NOTES
+from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.jobs.machine import pace
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.registry import usual_methods
+from ggvs_eval.pipelines.run.render import note_labels
+from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.pipelines.sweep import demo_runs
 from ggvs_eval.pipelines.sweep.demo_runs import capture_beside, demo_plans, demo_root, evaluate_demos
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
+from ggvs_eval.run_folder import RunFolder, read_json
 from helpers.captures import make_rig
 from helpers.refusals import refused
 
@@ -145,19 +150,27 @@ def small_protocols():
 
 @pytest.mark.proof
 def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
-    """Each room is rendered and evaluated beside the main one, one page shows all, and a second call computes nothing."""
+    """Each room is evaluated next to the main one, whose first frames have a page before; a second call computes nothing."""
     monkeypatch.setattr(demo_runs, "load_protocol", small_protocols)
+    monkeypatch.setattr(demo_runs, "FIRST_FRAMES", 1)
+    maps, write = [], DepthStore.write
+    monkeypatch.setattr(DepthStore, "write", lambda *call: maps.append(call[1:3]) or write(*call))
     rooms = {MAIN: TINY, "demo-d3dmv": replace(TINY, layout="d3dmv", cameras_per_row=2)}
 
     def film(folder: Path, name: str) -> Capture:
         return open_capture(write_demo(folder, rooms[name], 1))
 
-    root, told, shown = tmp_path / "out", [], []
+    root, told, shown, in_store = tmp_path / "out", [], [], []
+
+    def announced(each):
+        told.append(each)
+        in_store.append(len([*(root / "depth").rglob("*.npz")]))
+        return each
 
     def run() -> Path:
         labels = {MAIN: ["no-blending", "distance-based"], "demo-d3dmv": ["no-blending"]}
         planned = demo_plans(root, labels, film, rooms=tuple(rooms))
-        return evaluate_demos((told.append(each) or each for each in planned), 1, keep)
+        return evaluate_demos(map(announced, planned), 1, keep)
 
     def keep(page: Path) -> None:
         shown.append(page.read_text())
@@ -173,16 +186,56 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     text = page.read_text()
     assert all(load_protocol(name).dataset.replace("'", "&#39;") in text for name in rooms)
     assert all(folder.joinpath("depth").resolve() == root / "depth" for folder in over_k)
-    assert text.index('id="group1"') < text.index("Quality and time over K <") < text.index('id="paper"')
+    assert text.index('id="group1"') < text.index("Quality and time over K <")
     assert 'class="group-name">Demo room <span class="on">demo-k' not in text  # the runs over K lie beside, in out-k
     datasets = [load_protocol(name).dataset.replace("'", "&#39;") for name in rooms]
-    assert [[dataset in text for dataset in datasets] for text in shown] == [[True, False], [True, True]]  # one after the other
+    first, *later = shown
+    assert f"<h1>{datasets[0]}: first 1 of 2 frames, the others are being evaluated</h1>" in first
+    assert "1 frame each" in first
+    assert [[dataset in text for dataset in datasets] for text in later] == [[True, False], [True, True]]  # one after the other
+    assert not any("being evaluated" in text for text in (*later, text))
+    assert not (root / "first_frames").exists()
+    assert len(maps) == len(set(maps))  # depth of the first frames is the run's own
+    kept = {job.key for plan in (told[0], *told[2].plans) for job in plan.view_jobs}
+    stored = {file.parent for file in (root / "depth").rglob("*.npz")}
+    assert stored == {DepthStore(root / "depth").folder(key) for key in kept}  # what was found for checks alone is gone, ...
+    assert in_store[2] > 2 * len({job.key for job in told[0].view_jobs})  # ... after the runs over K, which read it
     before = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts}
     written_ns = page.stat().st_mtime_ns
     run()
-    assert len(shown) == len(rooms)
+    assert len(shown) == 1 + len(rooms)
     assert page.stat().st_mtime_ns == written_ns
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts} == before
+
+
+def test_learned_baselines_come_last(tmp_path, small_protocols, monkeypatch):
+    """Those of a small room are rendered after the runs over K; a dry run plans each room once."""
+    monkeypatch.setattr(demo_runs, "load_protocol", small_protocols)
+    captures = {}
+
+    def film(folder: Path, name: str) -> Capture:
+        if folder not in captures:
+            captures[folder] = open_capture(write_demo(folder, TINY, 1))
+        return captures[folder]
+
+    labels = {MAIN: ["no-blending", "ours", "ibrnet"], "demo-d3dmv": ["no-blending", "ibrnet", "ours+no-tsdf"]}
+
+    def planned(in_stages: bool) -> list[Sequence[str]]:
+        plans = demo_plans(tmp_path / "out", labels, film, rooms=tuple(labels), in_stages=in_stages)
+        return [plan.request.labels if isinstance(plan, RunPlan) else "K" for plan in plans]
+
+    small = labels["demo-d3dmv"]
+    assert planned(in_stages=True) == [labels[MAIN], ["no-blending", "ours+no-tsdf"], "K", small]
+    assert planned(in_stages=False) == [labels[MAIN], small, "K"]
+
+
+def test_methods_are_shown_in_the_order_of_the_call_that_names_all(tmp_path):
+    """A later call with more methods sets it; one with other methods adds them behind."""
+    run, orders = RunFolder(tmp_path), []
+    for asked in (["a", "c"], ["a", "b", "c"], ["c"], ["d", "a"]):
+        note_labels(run, asked)
+        orders.append("".join(read_json(run.root / "methods.json")["labels"]))
+    assert orders == ["ac", "abc", "abc", "abcd"]
 
 
 def test_a_dry_run_leaves_nothing(tmp_path, capsys):

@@ -1,6 +1,7 @@
 """Fill a depth store: every camera and instant that the online part will ask for."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -24,6 +25,7 @@ from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
 from ggvs_eval.pipelines.offline.stereo.pairwise import SharedMatches
 
 Item = TypeVar("Item")
+Instants = Mapping[DepthJob, Sequence[int]]  # of each job, ascending
 MOST_TOGETHER = 12  # cameras whose depth one process computes at once: it holds the maps of all their pairs
 
 
@@ -184,41 +186,72 @@ def prepare_depth(
     if options.sensor is not None:  # estimated once, here, for all workers
         capture = registered(capture, options.sensor)
         options = replace(options, sensor="given")
-    missing = [job for job in dict.fromkeys(jobs) if _missing(store, job.key, frames)]
-    checked = [job for job in missing if job.checked_with]
-    unchecked = [each for job in missing for each in (job.unchecked, *job.checked_with)]
+    found, checked = depth_left(jobs, frames, store)
     if isinstance(options.matcher, LiveMatcher) and options.keyframe_every == 1:
-        _share_pairs(capture, unchecked, frames, store, options, workers)
-    lacking = [job for job in dict.fromkeys(unchecked) if _missing(store, job.key, frames)]
-    groups = _by_camera(lacking, options, as_engine(workers).jobs)
-    run_all(partial(_run, capture, frames, store, options), groups, workers, "depth maps per camera")
-    lacking = [job for job in dict.fromkeys(checked) if _missing(store, job.key, frames)]
-    run_all(partial(_check, capture, frames, store, options), lacking, workers, "depth checked against other cameras")
+        _share_pairs(capture, found, store, options, workers)
+        found, _ = depth_left(jobs, frames, store)
+    groups = _by_camera(found, options, as_engine(workers).jobs)
+    run_all(partial(_run, capture, store, options), groups, workers, "depth maps per camera")
+    run_all(partial(_check, capture, store, options), [*checked.items()], workers, "depth checked against other cameras")
 
 
-def _by_camera(jobs: Sequence[DepthJob], options: DepthOptions, processes: int) -> list[list[DepthJob]]:
+def depth_left(jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore) -> tuple[Instants, Instants]:
+    """List the maps that a store lacks of some jobs.
+
+    Returns:
+        Those to be found, where a missing check reads them or nothing checks them, and those to be checked.
+    """
+    found: dict[DepthJob, list[int]] = {}
+    checked = {}
+    for job in dict.fromkeys(jobs):
+        missing = _missing(store, job.key, frames)
+        if missing and job.checked_with:
+            checked[job] = missing
+        for each in (job.unchecked, *job.checked_with) if missing else ():
+            found[each] = sorted({*found.get(each, ()), *_missing(store, each.key, missing)})
+    return {job: numbers for job, numbers in found.items() if numbers}, checked
+
+
+def drop_found(work: Sequence[tuple[Sequence[DepthJob], Sequence[int]]], store: DepthStore) -> None:
+    """Remove maps that only checks read, once every check of the jobs is done; `depth_left` then lists none of them.
+
+    Args:
+        work: jobs with their instants, of all runs that use the store.
+    """
+    if any(left for jobs, frames in work for left in depth_left(jobs, frames, store)):
+        return
+    pairs = [(job, frame) for jobs, frames in work for job in jobs for frame in frames]
+    read = {(each.key, frame) for job, frame in pairs if job.checked_with for each in (job.unchecked, *job.checked_with)}
+    for key, frame in read.difference((job.key, frame) for job, frame in pairs):
+        with suppress(OSError):  # a disk that is read-only keeps it
+            store.path(key, frame).unlink()
+
+
+def _by_camera(needed: Instants, options: DepthOptions, processes: int) -> list[Instants]:
     """Jobs that match one camera together, so that they share its pairs; each alone where instants depend on each other.
 
     So are they where there are more processes than cameras: they would wait.
     """
-    groups: dict[str, list[DepthJob]] = {}
-    for job in jobs:
-        groups.setdefault(job.camera_name if job.partner_names else job.key, []).append(job)
-    return list(groups.values()) if options.keyframe_every == 1 and len(groups) >= processes else [[job] for job in jobs]
+    groups: dict[str, dict[DepthJob, Sequence[int]]] = {}
+    for job, frames in needed.items():
+        groups.setdefault(job.camera_name if job.partner_names else job.key, {})[job] = frames
+    shares = options.keyframe_every == 1 and len(groups) >= processes
+    return list(groups.values()) if shares else [{job: frames} for job, frames in needed.items()]
 
 
-def _share_pairs(
-    capture: Capture, jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore, options: DepthOptions, workers: Workers
-) -> None:
+def _share_pairs(capture: Capture, needed: Instants, store: DepthStore, options: DepthOptions, workers: Workers) -> None:
     """Do the jobs that match cameras, together, so that they share their pairs; each process takes some of the instants."""
-    missing = {job for job in jobs if job.partner_names and _missing(store, job.key, frames)}
-    if not missing:
+    ordered = sorted(job for job in needed if job.partner_names)  # by name: neighbours mostly are each other's partners
+    if not ordered:
         return
-    ordered = sorted(missing)  # by name, as neighbours mostly are, and neighbours are each other's partners
-    processes = as_engine(workers).jobs
+    frames, processes = sorted(set().union(*(needed[job] for job in ordered))), as_engine(workers).jobs
     groups = max(-(-len(ordered) // MOST_TOGETHER), min(-(-processes // len(frames)), len(ordered)))
     spans = min(-(-processes // groups), len(frames))
-    items = [(span, group) for span in _split(frames, spans) for group in _split(ordered, groups)]
+    items = [
+        {job: [frame for frame in needed[job] if frame in span] for job in group}
+        for span in map(set, _split(frames, spans))
+        for group in _split(ordered, groups)
+    ]
     run_all(partial(_run_together, capture, store, options), items, workers, "depth maps of single cameras and instants")
 
 
@@ -226,16 +259,13 @@ def _split(items: Sequence[Item], parts: int) -> list[Sequence[Item]]:
     return [items[len(items) * n // parts : len(items) * (n + 1) // parts] for n in range(parts)]
 
 
-def _run_together(
-    capture: Capture, store: DepthStore, options: DepthOptions, item: tuple[Sequence[int], Sequence[DepthJob]]
-) -> None:
-    """Compute what is missing of some jobs at some instants, each pair of cameras matched once; runs in a worker."""
-    frames, jobs = item
-    missing = {job: _missing(store, store.write_spec(job.spec), frames) for job in jobs}
+def _run_together(capture: Capture, store: DepthStore, options: DepthOptions, needed: Instants) -> None:
+    """Compute some jobs at some instants, each pair of cameras matched once; runs in a worker."""
+    missing = {job: _missing(store, store.write_spec(job.spec), frames) for job, frames in needed.items()}
     instants = set().union(*missing.values())
     if not instants or not isinstance(options.matcher, LiveMatcher):
         return
-    matched = [(job.camera_name, *job.partner_names) for job in jobs]
+    matched = [(job.camera_name, *job.partner_names) for job in missing]
     names = list(dict.fromkeys(name for each in matched for name in each))
     rig = RigEstimator([capture.camera(name) for name in names], matched, options.matcher, ERROR_PX)
     start, stop = min(instants), max(instants) + 1
@@ -243,16 +273,19 @@ def _run_together(
     for frame, images in zip(range(start, stop), zip(*decoded, strict=True), strict=True):
         if frame not in instants:
             continue
-        for job, depth_map in zip(jobs, rig.estimate(dict(zip(names, images, strict=True))), strict=True):
+        for job, depth_map in zip(missing, rig.estimate(dict(zip(names, images, strict=True))), strict=True):
             if frame in missing[job]:
                 store.write(job.key, frame, finish(depth_map, options))
 
 
-def _check(capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
+def _check(capture: Capture, store: DepthStore, options: DepthOptions, item: tuple[DepthJob, Sequence[int]]) -> None:
     """Check one camera's depth against the others; runs in a worker."""
+    job, frames = item
     key = store.write_spec(job.spec)
     own, *others = ((each.camera_name, each.key) for each in (job.unchecked, *job.checked_with))
-    for frame in sorted(_missing(store, key, frames)):
+    for frame in frames:
+        if store.has(key, frame):
+            continue  # by another process, which may have dropped what it was checked against
         views = [(capture.camera(name), store.read(other, frame)) for name, other in others]
         camera, depth_map = capture.camera(own[0]), store.read(own[1], frame)
         if job.partner_names:
@@ -262,10 +295,10 @@ def _check(capture: Capture, frames: Sequence[int], store: DepthStore, options: 
         store.write(key, frame, checked)
 
 
-def _run(capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, jobs: Sequence[DepthJob]) -> None:
-    """Compute the missing frames of jobs of one camera, each partner matched once an instant; runs in a worker."""
-    missing = {job: _missing(store, store.write_spec(job.spec), frames) for job in jobs}
-    wanted = set().union(*missing.values())
+def _run(capture: Capture, store: DepthStore, options: DepthOptions, needed: Instants) -> None:
+    """Compute frames of jobs of one camera, each partner matched once an instant; runs in a worker."""
+    missing = {job: _missing(store, store.write_spec(job.spec), frames) for job, frames in needed.items()}
+    jobs, wanted = [*missing], set().union(*missing.values())
     if not wanted:
         return
     camera = capture.camera(jobs[0].camera_name)
@@ -292,5 +325,5 @@ def _run(capture: Capture, frames: Sequence[int], store: DepthStore, options: De
                     store.write(job.key, frame, depth_map)
 
 
-def _missing(store: DepthStore, key: str, frames: Sequence[int]) -> set[int]:
-    return {frame for frame in frames if not store.has(key, frame)}
+def _missing(store: DepthStore, key: str, frames: Sequence[int]) -> list[int]:
+    return [frame for frame in frames if not store.has(key, frame)]
