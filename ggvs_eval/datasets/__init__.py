@@ -8,6 +8,7 @@ from pathlib import Path
 from ggvs_eval import built_in
 from ggvs_eval.capture import Capture, GivenDepth
 from ggvs_eval.datasets.assemble import apply_known_traps
+from ggvs_eval.datasets.camera_frames import refuse_chapters
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.depth_range import settle_depth_ranges
 from ggvs_eval.datasets.layout import DatasetSpec
@@ -15,7 +16,7 @@ from ggvs_eval.datasets.public_captures import locate
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.datasets.unread_files import find_marked, unread_note
 from ggvs_eval.errors import CaptureError, GgvsError, did_you_mean
-from ggvs_eval.files.listing import list_entries
+from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_entries, list_files
 from ggvs_eval.plugins import Registry, foreign
 
 LISTED = 8
@@ -142,6 +143,7 @@ def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
 
 def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
     """State why a path is of no layout: what it shows first, then what else was looked for."""
+    refuse_chapters(path, [file.stem for file in list_files(path, VIDEO_SUFFIXES)])
     within, mark = _captures_within(path), calibration_mark(path)
     mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
     reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())

@@ -142,9 +142,11 @@ def _rig_over_time(described: list[dict[str, Any]]) -> list[dict[str, Any]]:
     by_pose: dict[bytes, list[dict[str, Any]]] = {}
     for frame in described:
         by_pose.setdefault(np.round(frame["transform_matrix"], 6).tobytes(), []).append(frame)
+    if len(by_pose) == len(described) or len({frame["file_path"] for frame in described}) < len(described):
+        return described
     groups = [sorted(group, key=_instant_of(group)) for group in by_pose.values()]
     times = {tuple(frame.get("time") for frame in group) for group in groups}
-    if len(groups[0]) == 1 or len({len(group) for group in groups}) > 1 or len(times) > 1:
+    if len({len(group) for group in groups}) > 1 or len(times) > 1:
         return described
     return [{**group[0], "time": None, RECORDED: [frame["file_path"] for frame in group]} for group in groups]
 
@@ -162,7 +164,7 @@ def _instant_of(group: Sequence[Mapping[str, Any]]) -> Callable[[Mapping[str, An
 def _names(described: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the cameras' names, those of a rig over time without the number of the instant."""
     names = camera_names([frame["file_path"] for frame in described])
-    if RECORDED in described[0]:
+    if described and RECORDED in described[0]:
         bare = [FRAME_NUMBER.sub("", name) for name in names]
         names = bare if all(bare) and len(set(bare)) == len(bare) else names
     return names

@@ -2,6 +2,7 @@
 
 import pytest
 
+from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.camera_frames import find_rig_frames
 from ggvs_eval.datasets.unread_files import file_marks
 from ggvs_eval.errors import CaptureError
@@ -104,5 +105,7 @@ def test_chapters_of_one_recording_are_no_cameras(tmp_path):
     check = check_capture(tmp_path / "table")
     assert not check.is_usable
     assert "chapters of one recording: GX010001 and GX020001; GX010002 and GX020002" in check.of("opens")[0].measured
+    with refused(CaptureError, "chapters of one recording", "concat"):
+        open_capture(tmp_path / "table")
     with refused(CaptureError, "chapters of one recording", "concat"):
         find_rig_frames(tmp_path / "table")
