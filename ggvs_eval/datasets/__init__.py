@@ -1,5 +1,6 @@
 """Dataset adapters: `open_capture` returns a `Capture` from any supported layout."""
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -14,9 +15,10 @@ from ggvs_eval.datasets.depth_range import settle_depth_ranges
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.public_captures import locate
 from ggvs_eval.datasets.units import GivenUnits
-from ggvs_eval.datasets.unread_files import find_marked, unread_note
+from ggvs_eval.datasets.unread_files import find_marked, unread_note, unused_note
 from ggvs_eval.errors import CaptureError, GgvsError, did_you_mean
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_entries, list_files
+from ggvs_eval.files.plain import watch_reads
 from ggvs_eval.plugins import Registry, foreign
 
 LISTED = 8
@@ -101,9 +103,12 @@ def open_capture(
     if path.is_dir() and not list_entries(path):
         raise CaptureError(f"{path}: wanted a capture, got an empty folder; add frames and poses, or try 'ggvs-eval demo'")
     spec = DATASETS[detect_layout(path, layout)]
-    capture = spec.load(path, units)
-    corrections = corrections_file(path)
-    capture = apply_corrections(capture, read_corrections(corrections), corrections)
+    with watch_reads() as used:
+        capture = spec.load(path, units)
+        corrections = corrections_file(path)
+        capture = apply_corrections(capture, read_corrections(corrections), corrections)
+        used |= {os.path.abspath(file) for mark in spec.marks for file in path.glob(mark)}
+    capture = replace(capture, notes=(*capture.notes, *unused_note(path, used)))
     return settle_depth_ranges(apply_known_traps(capture, leave_out=drop_unsynced), measure_depth)
 
 
