@@ -112,11 +112,15 @@ def mendable(error: BaseException) -> str | None:
     Examples:
         >>> mendable(OSError(errno.ENOSPC, "No space left on device", "run/a.png"))
         'run/a.png: No space left on device; make room; finished work is kept; run the same command to resume'
+        >>> mendable(MemoryError())
+        'out of memory; raise the limit (ulimit -v) or lower --jobs; finished work is kept; run the same command to resume'
         >>> mendable(ZeroDivisionError()) is None
         True
     """
     if isinstance(error, GgvsError):
         return str(error)
+    if isinstance(error, MemoryError):
+        return one_line(f"out of memory{': ' * bool(str(error))}{error}; raise the limit (ulimit -v) or lower --jobs; {GO_ON}")
     if not isinstance(error, OSError):
         return None
     remedy = "".join(f"; {remedy}" for numbers, remedy in REMEDIES.items() if error.errno in numbers)

@@ -9,6 +9,7 @@ from ggvs_eval.compute_device import compute_device
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians import GaussianCloud
 from ggvs_eval.gaussians.ply import read_ply
+from ggvs_eval.gaussians.settings import NO_SETTINGS, SplatSettings
 from ggvs_eval.method import Rendering
 from ggvs_eval.scene_fitter import FittedScene
 
@@ -23,29 +24,32 @@ class PublishedScene(FittedScene):
             last one is taken.
         instants: frame numbers of the clip that it was fitted to; an attribute too.
         near: Gaussians at or before this depth are not rendered, world units.
+        settings: of the training, where files next to it state any.
 
     Reading:
         The time of the i-th of n instants is i / n, as their loaders give it. Every Gaussian is moved; which ones are is a table
         next to the files that their program fills with yes.
     """
 
-    def __init__(self, folder: Path, instants: range, near: float, device: str = "cpu") -> None:
+    def __init__(
+        self, folder: Path, instants: range, near: float, device: str = "cpu", settings: SplatSettings = NO_SETTINGS
+    ) -> None:
         self._folder = _iteration(folder)
         self._motion = HexPlaneMotion(read_deformation(self._folder / FIELD)).to(compute_device(device))
         values = read_ply(self._folder / CLOUD).to(compute_device(device)).parameters()
         sh = values.pop("sh")
         self._gaussians = {**values, "sh_base": sh[:, :1], "sh_rest": sh[:, 1:]}
-        self.instants, self._near, self._device = instants, near, device
+        self.instants, self._near, self._device, self._settings = instants, near, device, settings
 
     def cloud(self, index: int) -> GaussianCloud:
         """Return the Gaussians of an instant."""
         if index not in self.instants:
             raise RenderError(f"{self._folder}: wanted instants {self.instants[0]}..{self.instants[-1]}, got {index}")
-        return self._motion.cloud(self._gaussians, self.instants.index(index) / len(self.instants))
+        return self._settings.apply(self._motion.cloud(self._gaussians, self.instants.index(index) / len(self.instants)))
 
     def render(self, index: int, target: Camera) -> Rendering:
         """Render one instant."""
-        return render_cloud(lambda: self.cloud(index), target, self._near, self._device)
+        return render_cloud(lambda: self.cloud(index), target, self._near, self._device, self._settings.background)
 
     @property
     def size_bytes(self) -> int:

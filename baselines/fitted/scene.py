@@ -8,7 +8,7 @@ them; what all Gaussians share are the parameters of the module.
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from time import perf_counter
@@ -340,14 +340,20 @@ def _notes(path: Path) -> Any:
         ) from error
 
 
-def render_cloud(cloud_of: Callable[[], GaussianCloud], target: Camera, near: float, device_name: str) -> Rendering:
+def render_cloud(
+    cloud_of: Callable[[], GaussianCloud],
+    target: Camera,
+    near: float,
+    device_name: str,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Rendering:
     """Render what a function gives on a device, with the time of both."""
     device = compute_device(device_name)
     with rendering_on(device):
         started = perf_counter()
         cloud = cloud_of()
         moved = clock_s(device)
-        picture = render_gaussians(cloud, target, near=near)
+        picture = render_gaussians(cloud, target, background, near=near)
         image, depth = picture.image.clamp(max=1).numpy(force=True), picture.depth.numpy(force=True)
         seconds = {"motion": moved - started, "splat": clock_s(device) - moved}
     return Rendering(image, depth, seconds)

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
+    BT601,
+    BT709,
     FrameMeasure,
     MaskReader,
     Recomputed,
@@ -16,12 +18,12 @@ from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
     halved,
     mean_over_views,
     view_pairs,
+    ycbcr,
 )
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
 Views = Mapping[str, ViewFrames]
 Masks = Mapping[str, MaskReader]
-LUMA = {"BT.709": (0.2126, 0.7152, 0.0722), "BT.601": (0.299, 0.587, 0.114)}
 OUR_IV_PSNR = "YCbCr of BT.709 without headroom, full chroma"
 OUR_DISTS = "frames at their own size"
 OUR_FLIP = "mean, 67 pixels per degree"
@@ -34,31 +36,26 @@ def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """IV-PSNR on the YCbCr that a video file would hold, and the PSNR of YCbCr that its program prints as well."""
     from ggvs_eval.contrib.more_metrics.iv_psnr import iv_psnr, psnr_ycbcr
 
-    def of_video(matrix: str, headroom: bool, chroma: int) -> FrameMeasure:
+    def of_video(matrix: NDArray[np.float64], headroom: bool, chroma: int) -> FrameMeasure:
         return lambda rendered, truth: iv_psnr(
             _ycbcr(rendered, matrix, headroom, chroma), _ycbcr(truth, matrix, headroom, chroma), colours="ycbcr"
         )
 
     measures: dict[str, FrameMeasure] = {
         OUR_IV_PSNR: iv_psnr,
-        "YCbCr of BT.601 without headroom, full chroma": of_video("BT.601", headroom=False, chroma=1),
-        "YCbCr of BT.709 in 16..235, full chroma": of_video("BT.709", headroom=True, chroma=1),
-        "YCbCr of BT.709 in 16..235, chroma 4:2:0 (video)": of_video("BT.709", headroom=True, chroma=2),
-        "YCbCr of BT.601 in 16..235, chroma 4:2:0 (video)": of_video("BT.601", headroom=True, chroma=2),
+        "YCbCr of BT.601 without headroom, full chroma": of_video(BT601, headroom=False, chroma=1),
+        "YCbCr of BT.709 in 16..235, full chroma": of_video(BT709, headroom=True, chroma=1),
+        "YCbCr of BT.709 in 16..235, chroma 4:2:0 (video)": of_video(BT709, headroom=True, chroma=2),
+        "YCbCr of BT.601 in 16..235, chroma 4:2:0 (video)": of_video(BT601, headroom=True, chroma=2),
         "PSNR of YCbCr 4:1:1, BT.709, without tolerance": psnr_ycbcr,
     }
     return frame_means(views, measures, OUR_IV_PSNR)
 
 
-def _ycbcr(image: Image8, matrix: str, headroom: bool, chroma: int) -> Image8:
+def _ycbcr(image: Image8, matrix: NDArray[np.float64], headroom: bool, chroma: int) -> Image8:
     """8-bit YCbCr, (H, W, 3); chroma averaged over N pixels a side and repeated."""
-    red, green, blue = LUMA[matrix]
-    r, g, b = np.moveaxis(image.astype(np.float64), -1, 0)
-    y = red * r + green * g + blue * b
-    scale, offset = (219 / 255, 16) if headroom else (1.0, 0)
-    chroma_scale = 224 / 255 if headroom else 1.0
-    planes = [offset + scale * y, *(128 + chroma_scale * (one - y) / (2 * (1 - share)) for one, share in ((b, blue), (r, red)))]
-    planes[1:] = [_coarse(plane, chroma) for plane in planes[1:]]
+    levels = ycbcr(image, matrix, headroom)
+    planes = [levels[..., 0], *(_coarse(levels[..., channel], chroma) for channel in (1, 2))]
     return np.rint(np.clip(np.stack(planes, axis=-1), 0, 255)).astype(np.uint8)
 
 

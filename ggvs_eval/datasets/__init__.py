@@ -1,5 +1,6 @@
 """Dataset adapters: `open_capture` returns a `Capture` from any supported layout."""
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -8,14 +9,16 @@ from pathlib import Path
 from ggvs_eval import built_in
 from ggvs_eval.capture import Capture, GivenDepth
 from ggvs_eval.datasets.assemble import apply_known_traps
+from ggvs_eval.datasets.camera_frames import refuse_chapters
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.depth_range import settle_depth_ranges
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.public_captures import locate
 from ggvs_eval.datasets.units import GivenUnits
-from ggvs_eval.datasets.unread_files import find_marked, unread_note
+from ggvs_eval.datasets.unread_files import find_marked, unread_note, unused_note
 from ggvs_eval.errors import CaptureError, GgvsError, did_you_mean
-from ggvs_eval.files.listing import list_entries
+from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_entries, list_files
+from ggvs_eval.files.plain import watch_reads
 from ggvs_eval.plugins import Registry, foreign
 
 LISTED = 8
@@ -100,9 +103,12 @@ def open_capture(
     if path.is_dir() and not list_entries(path):
         raise CaptureError(f"{path}: wanted a capture, got an empty folder; add frames and poses, or try 'ggvs-eval demo'")
     spec = DATASETS[detect_layout(path, layout)]
-    capture = spec.load(path, units)
-    corrections = corrections_file(path)
-    capture = apply_corrections(capture, read_corrections(corrections), corrections)
+    with watch_reads() as used:
+        capture = spec.load(path, units)
+        corrections = corrections_file(path)
+        capture = apply_corrections(capture, read_corrections(corrections), corrections)
+        used |= {os.path.abspath(file) for mark in spec.marks for file in path.glob(mark)}
+    capture = replace(capture, notes=(*capture.notes, *unused_note(path, used)))
     return settle_depth_ranges(apply_known_traps(capture, leave_out=drop_unsynced), measure_depth)
 
 
@@ -142,6 +148,7 @@ def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
 
 def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
     """State why a path is of no layout: what it shows first, then what else was looked for."""
+    refuse_chapters(path, [file.stem for file in list_files(path, VIDEO_SUFFIXES)])
     within, mark = _captures_within(path), calibration_mark(path)
     remedy = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
     reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())

@@ -15,7 +15,7 @@ from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.listing import IMAGE_SUFFIXES, list_images, unread_pictures
 from ggvs_eval.files.names import Fields, Number, is_stamp, numbers_in
-from ggvs_eval.files.picture_header import UPRIGHT, PictureHeader, read_picture_header
+from ggvs_eval.files.picture_header import SEEN_THROUGH, UPRIGHT, PictureHeader, read_picture_header, transparent_share
 from ggvs_eval.files.plain import NotPlainError
 
 Source = TypeVar("Source")
@@ -34,10 +34,17 @@ class ImageFrames:
     Attributes:
         path: folder of images, or one image.
         as_stored: use the pixels as stored; else turn them by their EXIF tags.
+        chosen: the images in the order of time, where a file lists them; else those of the folder.
     """
 
     path: Path
     as_stored: bool = field(default=False, kw_only=True)
+    chosen: tuple[Path, ...] = field(default=(), kw_only=True)
+
+    @classmethod
+    def listed(cls, files: tuple[Path, ...]) -> "ImageFrames":
+        """Return the frames that a file lists, in the order of time."""
+        return cls(files[0].parent, chosen=files)
 
     @property
     def n_frames(self) -> int:
@@ -47,6 +54,8 @@ class ImageFrames:
     @cached_property
     def files(self) -> tuple[Path, ...]:
         """The images in the order of time."""
+        if self.chosen:
+            return self.chosen
         if self.path.is_file():
             return (self.path,)
         files = list_images(self.path)
@@ -65,7 +74,7 @@ class ImageFrames:
     def numbers(self) -> tuple[Number, ...]:
         """The numbers of the images in the order of time; none of a single image, nor of time stamps, which are measured."""
         files = self.files
-        numbers = [] if self.path.is_file() else numbers_in([file.stem for file in files])
+        numbers = [] if self.path.is_file() or self.chosen else numbers_in([file.stem for file in files])
         counts = tuple(number for number in numbers if number is not None and not is_stamp(number))
         return counts if len(counts) == len(files) else ()
 
@@ -85,7 +94,11 @@ class ImageFrames:
     @cached_property
     def conversions(self) -> dict[str, int]:
         """Change by reading them as 8-bit RGB -> number of images that it changes; errors as of `size`."""
-        return dict(Counter(change for header in self._headers.values() for change in header.conversions))
+        changes = Counter(change for header in self._headers.values() for change in header.conversions)
+        clear = [file for file, header in self._headers.items() if header.has_alpha]
+        if clear and transparent_share(clear[0]):
+            changes[SEEN_THROUGH] = len(clear)
+        return dict(changes)
 
     @cached_property
     def orientations(self) -> tuple[int, ...]:

@@ -2,7 +2,8 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -12,14 +13,15 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import LARGEST_DEVIATION
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
-from ggvs_eval.datasets.camera_frames import listed, require_frames
+from ggvs_eval.datasets.camera_frames import is_inside, listed, require_frames
 from ggvs_eval.datasets.colmap_model import undistorted_sources
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import IMAGE_SUFFIXES
-from ggvs_eval.files.names import camera_names
+from ggvs_eval.files.names import camera_names, numbers_in
 from ggvs_eval.files.plain import read_plain_text
 from ggvs_eval.lens import Lens, check_K_size
 
@@ -31,8 +33,10 @@ FISHEYE_MODEL = "OPENCV_FISHEYE"
 MATRICES = ("K", "intrinsics", "intrinsic_matrix", "camera_intrinsics")
 FOCAL_LENGTHS = ("fl_x", "camera_angle_x", "fl_y", "camera_angle_y")
 USED = {*MATRICES, *FOCAL_LENGTHS, "camera_model", "is_fisheye", "w", "h", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2"}
+RECORDED = "pictures of a camera"  # in the order of time, of a rig that a file lists at several instants
+FRAME_NUMBER = re.compile(r"[_\-. ]+(frame|f|t)?\d+$", re.I)
 AXES_LENGTH = "length of the axes"  # of a pose as the file has it
-USED |= {AXES_LENGTH, "frames", "file_path", "transform_matrix", "near", "far", "time", TEST_IMAGES}
+USED |= {RECORDED, AXES_LENGTH, "frames", "file_path", "transform_matrix", "near", "far", "time", TEST_IMAGES}
 # Of other programs, and without a say in where a pixel looks: bounds of the scene, other files, names and times.
 HARMLESS = {"aabb_scale", "scale", "offset", "aabb", "render_aabb", "from_na", "sharpness", "ply_file_path", "applied_transform"}
 HARMLESS |= {"applied_scale", "orientation_override", "train_filenames", "val_filenames", "colmap_im_id"}
@@ -60,7 +64,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
     Reading:
         Cameras of split files are one rig; those of ``transforms_test.json``, or named by ``test_filenames``, become its test
-        views. Frames of different times are refused: they are one camera that moves through a moving scene. ``is_fisheye`` is
+        views. Frames of one pose are one camera, whose instants are in the order of their times, else of the numbers in their
+        names; different times of different poses are refused: they are one camera that moves. ``is_fisheye`` is
         instant-ngp's word for ``OPENCV_FISHEYE``. The size is that of the pictures where the file says none, a suffix that of
         the picture that is there.
     """
@@ -85,8 +90,11 @@ def load(path: Path, units: GivenUnits) -> Capture:
             "dynamic scene; give videos of several cameras"
         )
     names = sorted(frames)
-    found = require_frames(path, {name: _image(path, frames[name]["file_path"]) for name in names})
-    sources = list(found.sources.values())
+    if all(RECORDED in frames[name] for name in names):
+        sources: list[SizedSource] = [ImageFrames.listed(_recorded(path, frames[name][RECORDED])) for name in names]
+    else:
+        found = require_frames(path, {name: _image(path, frames[name]["file_path"]) for name in names})
+        sources = list(found.sources.values())
     placed, lenses = zip(
         *(_placed(files, name, frames[name], source) for name, source in zip(names, sources, strict=True)), strict=True
     )
@@ -115,14 +123,63 @@ def _read_frames(file: Path) -> dict[str, dict[str, Any]]:
         values = dict(json.loads(read_plain_text(file)))
         check_rig_size(file, len(values["frames"]))
         described = [{**values, **frame, "file_path": frame["file_path"].replace("\\", "/")} for frame in values["frames"]]
-        frames = dict(zip(camera_names([frame["file_path"] for frame in described]), described, strict=True))
+        for frame in described:
+            frame["transform_matrix"], frame[AXES_LENGTH] = _world_to_camera(frame)
+        described = _rig_over_time(described)
+        frames = dict(zip(_names(described), described, strict=True))
         if len(frames) != len(described) or not frames:
             raise ValueError(f"{len(described)} frames of {len(frames)} cameras")
-        for frame in frames.values():
-            frame["transform_matrix"], frame[AXES_LENGTH] = _world_to_camera(frame)
     except (OSError, ValueError, TypeError, KeyError, RecursionError, AttributeError, ArithmeticError) as error:
         raise _refused(file, error) from error
     return frames
+
+
+def _rig_over_time(described: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one entry per camera where a file lists a fixed rig at several instants; the entries themselves otherwise.
+
+    Poses tell cameras apart, names do not. An entry keeps the files of its camera, in the order of time.
+    """
+    by_pose: dict[bytes, list[dict[str, Any]]] = {}
+    for frame in described:
+        by_pose.setdefault(np.round(frame["transform_matrix"], 6).tobytes(), []).append(frame)
+    if len(by_pose) == len(described) or len({frame["file_path"] for frame in described}) < len(described):
+        return described
+    groups = [sorted(group, key=_instant_of(group)) for group in by_pose.values()]
+    times = {tuple(frame.get("time") for frame in group) for group in groups}
+    if len({len(group) for group in groups}) > 1 or len(times) > 1:
+        return described
+    return [{**group[0], "time": None, RECORDED: [frame["file_path"] for frame in group]} for group in groups]
+
+
+def _instant_of(group: Sequence[Mapping[str, Any]]) -> Callable[[Mapping[str, Any]], Any]:
+    """Return what orders the frames of one camera: their times, else the numbers in their names, else their place."""
+    paths = [frame["file_path"] for frame in group]
+    if all("time" in frame for frame in group):
+        return lambda frame: float(frame["time"])
+    numbers = numbers_in([path.rpartition(".")[0] for path in paths])
+    places = dict(zip(paths, numbers, strict=True)) if None not in numbers else {path: place for place, path in enumerate(paths)}
+    return lambda frame: places[frame["file_path"]]
+
+
+def _names(described: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the cameras' names, those of a rig over time without the number of the instant."""
+    names = camera_names([frame["file_path"] for frame in described])
+    if described and RECORDED in described[0]:
+        bare = [FRAME_NUMBER.sub("", name) for name in names]
+        names = bare if all(bare) and len(set(bare)) == len(bare) else names
+    return names
+
+
+def _recorded(path: Path, file_paths: Sequence[str]) -> tuple[Path, ...]:
+    """Return the pictures of a camera, which are all there."""
+    files = []
+    for file_path in file_paths:
+        relative = _image(path, file_path)
+        there = [at / relative for at in (path, path / "images") if is_inside(relative) and (at / relative).is_file()]
+        if not there:
+            raise CaptureError(f"{path}: wanted the picture {file_path} of {TRANSFORMS}, got no such file; restore it")
+        files.append(there[0])
+    return tuple(files)
 
 
 def _image(path: Path, file_path: str) -> str:

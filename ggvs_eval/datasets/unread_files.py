@@ -1,6 +1,8 @@
 """Calibration files that no reader supports: named with their program and the export that is read, by ``file_marks.toml``."""
 
+import os
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -17,6 +19,8 @@ FIRST_BYTES = 1 << 20
 # Our own, which are no calibration; calibration.json is a common name, and ours by its keys alone.
 OWN = ("units.toml", CROP_FILE, "corrections.toml", "depth_range.toml", "intrinsics.toml", "demo.json")
 OWN_REPORT, OWN_KEYS = "calibration.json", (b'"registered"', b'"mean_reprojection_error_px"')
+TEXTS = re.compile(r"readme|licen[cs]e|\.(md|pdf|html?)$", re.I)  # for people
+LISTED = 8
 # Words of a name that say that a file is of cameras.
 CAMERA_WORDS = re.compile(r"calib|camera|(?<![a-z])cams?(?![a-z])|pose|extrinsic|intrinsic", re.I)
 
@@ -70,6 +74,22 @@ def unread_note(path: Path) -> list[str]:
     media = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
     named = [file for file in files if CAMERA_WORDS.search(file.stem) and file.suffix.lower() not in media]
     return [f"{file.relative_to(path)} is there and is not read" for file in named if file.is_file() and not is_own(file)]
+
+
+def unused_note(path: Path, used: Collection[str]) -> list[str]:
+    """A note on what a folder holds beside a capture that was opened, and nothing of it was looked at.
+
+    Args:
+        used: absolute paths of files that were.
+    """
+    start = os.path.join(os.path.abspath(path), "")
+    tops = {file.removeprefix(start).partition(os.sep)[0] for file in used if file.startswith(start)}
+    left = [
+        entry for entry in list_entries(path) if entry.name not in tops and not is_own(entry) and not TEXTS.search(entry.name)
+    ]
+    names = [f"{entry.name}/" if entry.is_dir() else entry.name for entry in left]
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return [f"not used: {', '.join(names[:LISTED])}{more}"] if names else []
 
 
 def is_own(file: Path) -> bool:

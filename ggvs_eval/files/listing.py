@@ -41,10 +41,15 @@ def list_images(folder: Path) -> list[Path]:
 
 
 def list_files_below(folder: Path, suffixes: tuple[str, ...] = IMAGE_SUFFIXES) -> list[Path]:
-    """The files with one of some suffixes in a folder and the folders in it, by path, junk aside; links are not followed."""
-    found = []
-    for place, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if not is_junk(name)]
+    """The files with one of some suffixes in a folder and the folders in it, by path, junk aside.
+
+    Links to folders are followed, each folder once, so that circles end.
+    """
+    found, seen = [], {folder.resolve()}
+    for place, folders, names in os.walk(folder, followlinks=True):
+        inner = {name: Path(place, name).resolve() for name in sorted(folders) if not is_junk(name)}
+        folders[:] = [name for name, real in inner.items() if real not in seen]
+        seen.update(inner.values())
         found += [Path(place, name) for name in names if not is_junk(name) and Path(name).suffix.lower() in suffixes]
     return sorted(found)
 

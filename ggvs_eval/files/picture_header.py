@@ -8,6 +8,9 @@ from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain
 
 EXIF_ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)  # these are shown with width and height exchanged
 UPRIGHT = 1
+SEEN_THROUGH = (
+    "without the alpha of transparent pixels: the colour beneath counts, composite it over the background to change that"
+)
 PNG_DEPTH_AT = 24
 # A JPEG has its tags in a segment before its pixels, a PNG in a chunk anywhere.
 EXIF_MARK, EXIF_WITHIN, EXIF_CHUNK = b"Exif\0", 1 << 20, b"eXIf"
@@ -83,6 +86,18 @@ def read_picture_header(path: Path) -> PictureHeader:
         bits = _bits(path) if form == "PNG" else 8
         profile = _profile(image.info.get("icc_profile") or b"")
         return PictureHeader(form, width, height, COLOURS.get(image.mode, ""), bits, has_alpha, orientation, profile)
+
+
+def transparent_share(path: Path) -> float:
+    """Return the share of a picture's pixels that are not opaque; 0 where it cannot be decoded, which the reader reports."""
+    import numpy as np
+    from PIL import Image
+
+    try:
+        with Image.open(path, formats=("PNG", "JPEG")) as image:
+            return float((np.asarray(image.convert("RGBA").getchannel("A")) < 255).mean())
+    except Exception:  # as below
+        return 0.0
 
 
 def read_orientation(encoded: bytes) -> int:

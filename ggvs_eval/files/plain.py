@@ -5,6 +5,8 @@ import errno
 import os
 import re
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"))
@@ -16,6 +18,20 @@ SPARSE_FROM, SPARSE_SHARE, BLOCK_BYTES = 1 << 30, 0.01, 512
 # Byte order marks: Notepad and PowerShell begin their texts with one, PowerShell 5 writes UTF-16.
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+
+
+_watched: list[set[str]] = []
+
+
+@contextmanager
+def watch_reads() -> Iterator[set[str]]:
+    """Collect the absolute paths of the files that are looked at inside."""
+    seen: set[str] = set()
+    _watched.append(seen)
+    try:
+        yield seen
+    finally:
+        _watched.remove(seen)
 
 
 class NotPlainError(OSError):
@@ -36,6 +52,8 @@ def check_plain(path: Path, most_bytes: int | None = None) -> int:
         NotPlainError: no regular file, or a larger one.
         OSError: no such file, or no permission.
     """
+    for seen in _watched:
+        seen.add(os.path.abspath(path))
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         kind = next((kind for is_kind, kind in KINDS if is_kind(status.st_mode)), "a device")

@@ -7,6 +7,7 @@ Gaussians are drawn otherwise are refused.
 
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -104,7 +105,12 @@ OTHER_GAUSSIANS = {
     "Spacetime Gaussians": re.compile(r"trbf_.*|motion_.*|omega_.*|f_t_.*"),
     "Gaussians in time (4D Gaussian splatting)": re.compile(r"t|scale_t|rot_r_.*|time|velocity.*"),
     "Mip-Splatting": re.compile(r"filter_3D"),
+    "Scaffold-GS": re.compile(r"f_offset_.*|f_anchor_feat_.*"),
 }
+# Comments by which exporters say that a cloud was trained antialiased (gsplat, brush), and what is written as one.
+ANTIALIASED = re.compile(r"SplatRenderMode\W+mip|anti-?alias(ed|ing)?\W*(true|1|on|yes)?$", re.I)
+ANTIALIASED_COMMENT = "SplatRenderMode: mip"
+PLAIN_COMMENT = re.compile(r"SplatRenderMode\W+default|://", re.I)
 HARMLESS = {"nx", "ny", "nz", "red", "green", "blue", "alpha", "label", "obj_dc_0", "obj_dc_1", "obj_dc_2"}
 OTHER_FORMATS = (".spz", ".splat", ".ksplat", ".sog")
 MEND = "give the point_cloud.ply that 3D Gaussian splatting writes"
@@ -127,7 +133,7 @@ def read_ply(path: Path) -> GaussianCloud:
     try:
         size = check_plain(path)
         with path.open("rb") as file:
-            elements = _read_header(file, path)
+            elements, comments = _read_header(file, path)
             is_compressed = elements[0].name == COMPRESSED[0]
             wanted = elements if is_compressed else elements[:1]
             head, count = file.tell(), max(each.n_rows for each in wanted)
@@ -142,15 +148,24 @@ def read_ply(path: Path) -> GaussianCloud:
         raise RenderError(f"{path}: wanted a cloud of Gaussians (.ply), got an unreadable file: {why_unread(error)}") from error
     if any(len(table) < each.n_rows for table, each in zip(tables, wanted, strict=True)):
         raise RenderError(f"{path}: wanted {count} Gaussians, the file ended after {len(tables[-1])}; copy or save it again")
-    return _cloud(decompressed(*tables) if is_compressed else tables[0], path)
+    cloud = _cloud(decompressed(*tables) if is_compressed else tables[0], path)
+    return replace(cloud, is_antialiased=any(map(ANTIALIASED.search, comments)))
 
 
-def unknown_properties(path: Path) -> list[str]:
-    """Properties of a cloud's Gaussians that are not understood and passed over."""
+def header_notes(path: Path) -> list[str]:
+    """Return what a cloud's header says of its drawing, and which properties and settings in it are passed over."""
     with path.open("rb") as file:
-        names = next(each for each in _read_header(file, path) if each.name == "vertex").row.names or ()
+        elements, comments = _read_header(file, path)
+    names = next(each for each in elements if each.name == "vertex").row.names or ()
     known = {*MEANS, *COLOURS, "opacity", *SCALES, *TURNS, *HARMLESS, *PACKED}
-    return [name for name in names if name not in known and not name.startswith("f_rest_")]
+    unknown = [name for name in names if name not in known and not name.startswith("f_rest_")]
+    notes = [f"{', '.join(unknown)} of its Gaussians are unknown and ignored"] if unknown else []
+    for comment in comments:
+        if ANTIALIASED.search(comment):
+            notes.append(f"its Gaussians are drawn antialiased, as its header says: {comment}")
+        elif ":" in comment and not PLAIN_COMMENT.search(comment):
+            notes.append(f"the comment in its header is ignored: {comment}")
+    return notes
 
 
 def write_ply(path: Path, cloud: GaussianCloud) -> None:
@@ -165,7 +180,8 @@ def write_ply(path: Path, cloud: GaussianCloud) -> None:
     names = [*MEANS, "nx", "ny", "nz", *COLOURS, *(f"f_rest_{n}" for n in range(rest.shape[1])), "opacity", *SCALES, *TURNS]
     table = np.concatenate([means, np.zeros_like(means), sh[:, 0], rest, logits[:, None], log_scales, quaternions], axis=1)
     properties = "".join(f"property float {name}\n" for name in names)
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(cloud)}\n{properties}end_header\n"
+    comment = f"comment {ANTIALIASED_COMMENT}\n" if cloud.is_antialiased else ""
+    header = f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {len(cloud)}\n{properties}end_header\n"
     with atomic_file(path) as temporary, temporary.open("wb") as file:
         file.write(header.encode("ascii"))
         table.astype("<f4").tofile(file)
@@ -179,8 +195,8 @@ class _Element(NamedTuple):
     row: np.dtype
 
 
-def _read_header(file: IO[bytes], path: Path) -> list[_Element]:
-    """Return the elements of a file that begins with its Gaussians, or of a compressed one."""
+def _read_header(file: IO[bytes], path: Path) -> tuple[list[_Element], list[str]]:
+    """Return the elements of a file that begins with its Gaussians, or of a compressed one, and the comments."""
     lines = _header_lines(file, path)
     order = ORDERS.get(lines[1][1] if len(lines) > 1 and lines[1][:1] == ["format"] and len(lines[1]) > 1 else "")
     if order is None:
@@ -199,7 +215,7 @@ def _read_header(file: IO[bytes], path: Path) -> list[_Element]:
         raise RenderError(f"{path}: wanted `element vertex N` with its Gaussians first, got {first!r}; {MEND}")
     else:
         _require_properties(list(elements[0].row.names or ()), path)
-    return elements
+    return elements, [" ".join(words[1:]) for words in lines if words[:1] in (["comment"], ["obj_info"])]
 
 
 def _read_element(lines: list[list[str]], order: str, path: Path) -> _Element:
@@ -248,18 +264,18 @@ def _require_packed(elements: list[_Element], path: Path) -> None:
 
 
 def _require_properties(names: list[str], path: Path) -> None:
-    absent = [name for name in (*MEANS, *COLOURS, "opacity", *SCALES, *TURNS) if name not in names]
-    if absent:
-        raise RenderError(
-            f"{path}: wanted a cloud of Gaussians with {', '.join(absent[:4])}{'...' * (len(absent) > 4)}, got "
-            f"{', '.join(names[:12])}{'...' * (len(names) > 12)}; {MEND}"
-        )
     for kind, pattern in OTHER_GAUSSIANS.items():
         if foreign := [name for name in names if pattern.fullmatch(name)]:
             raise RenderError(
                 f"{path}: {', '.join(foreign[:3])}{'...' * (len(foreign) > 3)} are of {kind}, which render differently; render "
                 "them by their own code and score the frames by 'ggvs-eval score --renders'"
             )
+    absent = [name for name in (*MEANS, *COLOURS, "opacity", *SCALES, *TURNS) if name not in names]
+    if absent:
+        raise RenderError(
+            f"{path}: wanted a cloud of Gaussians with {', '.join(absent[:4])}{'...' * (len(absent) > 4)}, got "
+            f"{', '.join(names[:12])}{'...' * (len(names) > 12)}; {MEND}"
+        )
     rest = sum(name.startswith("f_rest_") for name in names)
     counts = [3 * ((degree + 1) ** 2 - 1) for degree in range(HIGHEST_DEGREE + 1)]
     if rest not in counts or any(f"f_rest_{n}" not in names for n in range(rest)):

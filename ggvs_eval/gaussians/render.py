@@ -50,7 +50,7 @@ def render_gaussians(
     """Render a cloud of Gaussians, differentiable in all its tensors (Kerbl et al. 2023, with a projection by K).
 
     Args:
-        cloud: N Gaussians, world units.
+        cloud: N Gaussians, world units; antialiased ones are drawn so.
         background: colour behind everything, three numbers in [0, 1].
         screen_offsets: (N, 2), pixels, added to the centres in the image: zeros that want a gradient get that of the centres,
             which density control looks at.
@@ -83,6 +83,8 @@ def render_gaussians(
         raise RenderError(f"Gaussian splat: wanted a background of three numbers, got {tuple(behind.shape)}")
     if not near > 0:
         raise RenderError(f"Gaussian splat: near must be positive, got {near:g}")
+    if cloud.is_antialiased:
+        cloud = torch_splat.compensated(cloud, camera, near)
     in_kernel = cloud.means.device.type == "cpu" and cloud.means.dtype == torch.float32
     splat = splat_compiled if in_kernel else torch_splat.splat
     colour, transmittance, depth_sum, radii = splat(cloud, camera, near, screen_offsets)

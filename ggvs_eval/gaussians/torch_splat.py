@@ -6,7 +6,7 @@ Autograd differentiates it. Any float, so that its gradients can be compared wit
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log
 
 import torch
@@ -16,6 +16,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.gaussians.cloud import GaussianCloud, harmonic_colours
 
 LOW_PASS_PX2 = 0.3  # added to both variances in the image, so that no Gaussian falls between the pixels
+LEAST_COMPENSATION = 0.005  # of an antialiased cloud's opacities
 LEAST_ALPHA = 1 / 255  # what covers less of a pixel does not touch it
 SLOPE_MARGIN = 0.3  # of half the image's extent: by how far outside the slopes of the Jacobian are held
 TILE = 16  # pixels, across and down
@@ -60,9 +61,32 @@ def project(cloud: GaussianCloud, camera: Camera, near: float) -> Ellipses:
         tan(fov / 2). With the principal point off the middle the same margin is kept beyond each border of the image: for a
         principal point in the middle both are the same.
     """
-    rotation, shift, centre = (
-        torch.tensor(part, dtype=cloud.means.dtype, device=cloud.means.device)
-        for part in (camera.rotation, camera.translation, camera.centre)
+    centre = torch.tensor(camera.centre, dtype=cloud.means.dtype, device=cloud.means.device)
+    centres, z, in_front, (var_x, var_y, covariance, plain) = _shadows(cloud, camera, near)
+    determinant = _low_passed(var_x, var_y, plain)
+    var_x, var_y = var_x + LOW_PASS_PX2, var_y + LOW_PASS_PX2
+    conics = torch.stack([var_y, -covariance, var_x], -1) / determinant[:, None]
+
+    opacities = cloud.opacity_logits.sigmoid()
+    # alpha = o exp(-q / 2) >= 1/255 holds up to q = 2 ln(255 o); the bound is a little generous, alpha itself decides.
+    furthest = (2 * (opacities.detach().log() - log(LEAST_ALPHA)) + 0.01).clamp_min(0)
+    reach = (furthest[:, None] * torch.stack([var_x, var_y], -1).detach()).sqrt()
+    last = torch.tensor([camera.width - 1, camera.height - 1], device=reach.device)
+    inside = ((centres.detach() + reach >= 0) & (centres.detach() - reach <= last)).all(-1)
+    visible = in_front & inside & (opacities >= LEAST_ALPHA) & determinant.isfinite()
+    radii = torch.where(visible, _radii(var_x.detach(), var_y.detach(), determinant.detach()), 0).to(torch.int32)
+
+    directions = torch.nn.functional.normalize(cloud.means - centre, dim=-1)
+    seen_colours = harmonic_colours(cloud.sh, directions)
+    return Ellipses(centres, conics, reach, radii, opacities, seen_colours, z, visible)
+
+
+def _shadows(
+    cloud: GaussianCloud, camera: Camera, near: float
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, tuple[torch.Tensor, ...]]:
+    """Return centres in the image, z, what is in front, and var_x, var_y, covariance and determinant before the low pass."""
+    rotation, shift = (
+        torch.tensor(part, dtype=cloud.means.dtype, device=cloud.means.device) for part in (camera.rotation, camera.translation)
     )
     x, y, z = (cloud.means @ rotation.T + shift).unbind(-1)
     in_front = z > near
@@ -79,22 +103,24 @@ def project(cloud: GaussianCloud, camera: Camera, near: float) -> Ellipses:
     covariance = (row_x * row_y).sum(-1)
     # Lagrange's identity for var_x var_y - covariance^2, which would cancel for thin Gaussians.
     plain = torch.linalg.cross(row_x, row_y, dim=-1).square().sum(-1)
-    determinant = plain + LOW_PASS_PX2 * (var_x + var_y) + LOW_PASS_PX2**2
-    var_x, var_y = var_x + LOW_PASS_PX2, var_y + LOW_PASS_PX2
-    conics = torch.stack([var_y, -covariance, var_x], -1) / determinant[:, None]
+    return centres, z, in_front, (var_x, var_y, covariance, plain)
 
-    opacities = cloud.opacity_logits.sigmoid()
-    # alpha = o exp(-q / 2) >= 1/255 holds up to q = 2 ln(255 o); the bound is a little generous, alpha itself decides.
-    furthest = (2 * (opacities.detach().log() - log(LEAST_ALPHA)) + 0.01).clamp_min(0)
-    reach = (furthest[:, None] * torch.stack([var_x, var_y], -1).detach()).sqrt()
-    last = torch.tensor([camera.width - 1, camera.height - 1], device=reach.device)
-    inside = ((centres.detach() + reach >= 0) & (centres.detach() - reach <= last)).all(-1)
-    visible = in_front & inside & (opacities >= LEAST_ALPHA) & determinant.isfinite()
-    radii = torch.where(visible, _radii(var_x.detach(), var_y.detach(), determinant.detach()), 0).to(torch.int32)
 
-    directions = torch.nn.functional.normalize(cloud.means - centre, dim=-1)
-    seen_colours = harmonic_colours(cloud.sh, directions)
-    return Ellipses(centres, conics, reach, radii, opacities, seen_colours, z, visible)
+def _low_passed(var_x: torch.Tensor, var_y: torch.Tensor, plain: torch.Tensor) -> torch.Tensor:
+    """Return the determinant after the low pass."""
+    return plain + LOW_PASS_PX2 * (var_x + var_y) + LOW_PASS_PX2**2
+
+
+def compensated(cloud: GaussianCloud, camera: Camera, near: float) -> GaussianCloud:
+    """Return an antialiased cloud as a plain one of a camera: opacities times sqrt(det S / det(S + 0.3 I)).
+
+    Reading:
+        The factor is at least 0.005, as 3D Gaussian splatting holds it; gsplat lets it fall to 0, which a pixel of 8 bits shows
+        in neither case.
+    """
+    _, _, _, (var_x, var_y, _, plain) = _shadows(cloud, camera, near)
+    factor = (plain / _low_passed(var_x, var_y, plain)).clamp_min(LEAST_COMPENSATION**2).sqrt()
+    return replace(cloud, opacity_logits=torch.logit(cloud.opacity_logits.sigmoid() * factor), is_antialiased=False)
 
 
 def rotations(quaternions: torch.Tensor) -> torch.Tensor:

@@ -34,6 +34,7 @@ EASYVOLCAP_NAME = re.compile(r"frame(\d+)_camera(\d+)(_gt|_error)?")
 EASYVOLCAP_FOLDER = "RENDER"
 # 3DGS and its kin, nerfstudio's `ns-render dataset`, NerfBaselines.
 PAIRS = (("renders", "gt"), ("rgb", "gt-rgb"), ("color", "gt-color"))
+OTHER_SPLITS = ("train", "video")  # of 3DGS and 4DGS: views that were trained on, and a path
 NERFBASELINES = "info.json"  # next to color/; then gt-color/ may be absent
 
 
@@ -128,7 +129,9 @@ def refuse_flat_set(path: Path, request: FrameRequest) -> str | None:
         return "not a folder"
     pairs = _pairs(path)
     if not pairs:
-        return f"no {', '.join(f'{rendered}/ next to {truth}/' for rendered, truth in PAIRS)}, here or in test/ours_<iteration>/"
+        none = f"no {', '.join(f'{rendered}/ next to {truth}/' for rendered, truth in PAIRS)}, here or in test/ours_<iteration>/"
+        others = [each.relative_to(path) for split in OTHER_SPLITS for each in sorted(path.glob(f"{split}/ours_*/{PAIRS[0][0]}"))]
+        return f"{none}; {others[0]}/ is there, which is no test set: render that (without --skip_test)" if others else none
     if len(pairs) > 1:
         places = [pair.rendered.parent for pair in pairs]
         shown = [pair.rendered if places.count(place) > 1 else place for pair, place in zip(pairs, places, strict=True)]

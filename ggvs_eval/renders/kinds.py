@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.listing import list_entries, list_files_below
 from ggvs_eval.renders import beside_truth, view_folders, view_streams
 from ggvs_eval.renders.request import FrameRequest, RenderSet
 from ggvs_eval.renders.view_folders import instead_of_all
@@ -43,6 +44,8 @@ KINDS = {
     "folders": Kind("<view>/<frame>.png", view_folders.refuse_folders, view_folders.folder_files, view_folders.find_folders),
     "names": Kind("<view>_<frame>.png", view_folders.refuse_flat, view_folders.flat_files, view_folders.find_flat),
 }
+SEVERAL = "several"  # how reasons begin that ask to choose among renders which are there
+LISTED = 8
 WEAKEST = "names"  # pictures can be next to the renders
 
 
@@ -60,5 +63,17 @@ def detect(path: Path, request: FrameRequest) -> str:
     instead = instead_of_all(path, request)
     if instead:
         raise RenderError(f"{path}: no renders of {', '.join(request.views)} that can be read: {instead}")
-    listed = "; ".join(f"{KINDS[name].describe}: {reason}" for name, reason in reasons.items())
-    raise RenderError(f"{path}: no renders of {', '.join(request.views)} that can be read: {listed}")
+    near = {name: reason for name, reason in reasons.items() if reason and reason.startswith(SEVERAL)}
+    listed = "; ".join(f"{KINDS[name].describe}: {reason}" for name, reason in (near or reasons).items())
+    held = contents(path)
+    there = f"holds {held}, but " if held and not near else ""
+    raise RenderError(f"{path}: {there}no renders of {', '.join(request.views)} that can be read: {listed}")
+
+
+def contents(path: Path) -> str:
+    """Name what a folder holds, folders with the number of pictures below them; empty for a file or an empty folder."""
+    entries = list_entries(path)
+    names = [
+        f"{each.name}/ ({len(list_files_below(each))} pictures)" if each.is_dir() else each.name for each in entries[:LISTED]
+    ]
+    return ", ".join(names) + (f" and {len(entries) - LISTED} more" if len(entries) > LISTED else "")

@@ -15,7 +15,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.files.picture_header import PictureHeader, read_picture_header
+from ggvs_eval.files.picture_header import SEEN_THROUGH, PictureHeader, read_picture_header, transparent_share
 from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, why_unread
 from ggvs_eval.progress import counted
 from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path
@@ -134,7 +134,7 @@ def fit(renders: RenderSet, request: FrameRequest) -> Fit:
         if absent:
             missing.append(f"{request.label} in {view} lacks {_absent(absent, view, renders, request)}")
         if doubles:
-            example = f"several pictures of one frame: {' and '.join(doubles[min(doubles)])}; keep one"
+            example = f"several pictures of one frame: {' and '.join(doubles[min(doubles)])}; give a folder with one of each"
             faulty.append(f"{request.label} in {view}: {as_ranges(sorted(doubles))} ({example})")
         by_fault: dict[str, list[int]] = defaultdict(list)
         for frame, fault in faults.items():
@@ -163,7 +163,8 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
     listed = [f"{title}: {_listed(items)}" for title, items in groups.items() if items]
     if listed:
         numbered = [numbering] if numbering else []
-        raise RenderError(f"{path}: {'; '.join([*numbered, *listed])}; fix these, or add --allow-partial to score the rest")
+        rest = ", or add --allow-partial to score the rest" if fitted.usable else ""
+        raise RenderError(f"{path}: {'; '.join([*numbered, *listed])}; fix these{rest}")
 
 
 def partial_text(fitted: Fit, request: FrameRequest) -> str:
@@ -213,6 +214,10 @@ def size_fault(size: tuple[int, int], wanted: tuple[int, int]) -> str:
         count, rest = divmod(size[axis], wanted[axis])
         if size[1 - axis] == wanted[1 - axis] and count > 1 and not rest:
             return f"{fault}: {count} pictures {lie}? cut out the rendered one"
+    if size[0] < wanted[0] and abs(size[0] / wanted[0] - size[1] / wanted[1]) < 1 / min(wanted):
+        return (
+            f"{fault}: to score them at this size, set synthesis.width = {size[0]}, synthesis.height = {size[1]} in the protocol"
+        )
     return fault
 
 
@@ -272,6 +277,8 @@ class PictureView:
                 converted["of JPEG, decoded once to PNG: coding errors count against the method"].append(number)
             for conversion in header._replace(colours=header.colours.replace("grey", "")).conversions:  # seen from its pixels
                 converted[f"read {conversion}"].append(number)
+            if header.has_alpha and transparent_share(source):
+                converted[f"read {SEEN_THROUGH}"].append(number)
             if header.form == "JPEG" or header.colours:
                 write_image(target, image)
             elif self.is_temporary:

@@ -177,7 +177,8 @@ def instead_of_all(path: Path, request: FrameRequest) -> str:
     others = [name for name in request.cameras if name in present]
     if others and present.isdisjoint(request.views):
         return (
-            f"{path.name} has {', '.join(others)}, cameras that are not test views of the protocol; write a protocol with them: "
+            f"{path.name} has {', '.join(others)}, which are sources under this protocol; its test views are "
+            f"{', '.join(request.views)}: render these; where the method did not use {', '.join(others)}, hold them out: "
             f"ggvs-eval protocol CAPTURE mine.toml --test {' '.join(others)}"
         )
     hints = [hint for view in request.views if (hint := instead_of(path, view, request))]

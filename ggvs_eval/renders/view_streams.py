@@ -44,10 +44,12 @@ class ArrayStack:
     Attributes:
         path: ``.npy`` or ``.npz``.
         member: name of the array in an ``.npz``; None for an ``.npy``.
+        place: of the view in an ``.npy`` that holds those of all views, (views, T, H, W, 3); None for one view's.
     """
 
     path: Path
     member: str | None = None
+    place: int | None = None
 
     @property
     def name(self) -> str:
@@ -86,6 +88,7 @@ class ArrayStack:
         if self.member is None:
             array = self._map()
             shape, dtype = array.shape, array.dtype
+            shape = shape if self.place is None else shape[1:]
         else:
             with self._open_member() as file:
                 shape, dtype = self._read_header(file)
@@ -103,7 +106,7 @@ class ArrayStack:
             raise RenderError(f"{self.path}: wanted an array of numbers, got: {error}; save it with numpy.save") from error
 
     def _mapped(self, start: int, stop: int) -> Iterator[np.ndarray]:
-        array = self._map()
+        array = self._map() if self.place is None else self._map()[self.place]
         return (array[index] for index in range(start, stop))
 
     def _unzipped(self, start: int, stop: int, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Iterator[np.ndarray]:
@@ -150,9 +153,18 @@ class ArrayStack:
         if frame.dtype == np.uint8:
             return np.ascontiguousarray(frame)
         values = np.asarray(frame, dtype=np.float64)
+        if (broken := ~np.isfinite(values)).any():
+            row, column, _ = np.argwhere(broken)[0]
+            kind = "NaN" if np.isnan(values[broken]).all() else "NaN or infinite"
+            raise RenderError(
+                f"{self.name}: wanted floats in [0, 1], but {np.count_nonzero(broken)} values of frame {index} are {kind}, the "
+                f"first at row {row}, column {column}; find out where the renderer makes them, clipping keeps NaN"
+            )
         low, high = float(values.min()), float(values.max())
-        if not (low >= -OVERSHOOT and high <= 1 + OVERSHOOT):  # NaN fails too
-            raise RenderError(f"{self.name}: wanted floats in [0, 1], frame {index} has {low:g} to {high:g}; scale or clip them")
+        if low < -OVERSHOOT or high > 1 + OVERSHOOT:
+            scale = "divide them by 255" if 2 < high <= 255 and low >= 0 else "scale or clip them"
+            scale = "map them by (x + 1) / 2" if -1 - OVERSHOOT <= low < -0.5 and high <= 1 + OVERSHOOT else scale
+            raise RenderError(f"{self.name}: wanted floats in [0, 1], frame {index} has {low:g} to {high:g}; {scale}")
         return values
 
 
@@ -164,6 +176,8 @@ def _other_shape(shape: tuple[int, ...]) -> str:
         return f"{shape}, which is grey: save numpy.repeat(frames, 3, -1)"
     if len(shape) == 4 and shape[3] == 4:
         return f"{shape}, which has a fourth channel: save frames[..., :3]"
+    if len(shape) == 4 and shape[1] == 3:
+        return f"{shape}, which has its channels first: save frames.transpose(0, 2, 3, 1)"
     return f"{shape}; transpose or split it"
 
 
@@ -282,18 +296,35 @@ def find_videos(path: Path, request: FrameRequest, is_temporary: bool) -> Render
 def refuse_arrays(path: Path, request: FrameRequest) -> str | None:
     """State why this is not one array per view; None if it is."""
     if path.is_file():
-        return None if path.suffix.lower() == ".npz" else "not an .npz file"
-    return None if _of_views(path, ARRAY_SUFFIXES, request) else f"no {request.views[0]}.npy or .npz"
+        return None if path.suffix.lower() == ".npz" or _stack_of_all(path, request) else "not an .npz file"
+    if _of_views(path, ARRAY_SUFFIXES, request) or _stack_of_all(path, request):
+        return None
+    return f"no {request.views[0]}.npy or .npz"
+
+
+def _stack_of_all(path: Path, request: FrameRequest) -> Path | None:
+    """Return the only ``.npy``, itself or in a folder, if it holds the stacks of as many views as are wanted."""
+    files = [path] if path.is_file() else list_files(path, (".npy",))
+    if len(files) != 1 or files[0].suffix.lower() != ".npy":
+        return None
+    try:
+        shape = map_array(files[0]).shape
+    except (ValueError, OSError):
+        return None
+    return files[0] if len(shape) == 5 and shape[0] == len(request.views) else None
 
 
 def array_files(path: Path, request: FrameRequest) -> list[Path]:
     """Return the files that hold the arrays."""
-    return [path] if path.is_file() else _of_views(path, ARRAY_SUFFIXES, request)
+    return (
+        [path] if path.is_file() else _of_views(path, ARRAY_SUFFIXES, request) or [*filter(None, [_stack_of_all(path, request)])]
+    )
 
 
 def find_arrays(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
     """The views' stacks (T, H, W, 3): ``<view>.npy``, ``<view>.npz`` with one array, or one ``.npz`` with an array per view.
 
+    One ``.npy`` of (views, T, H, W, 3) is read in the protocol's order of views.
     An ``.npz`` with renders and truth is one view's: of its name, or the only one.
     """
     del is_temporary  # written to PNG either way
@@ -304,6 +335,9 @@ def find_arrays(path: Path, request: FrameRequest, is_temporary: bool) -> Render
         if not view:
             raise RenderError(f"{path}: wanted an archive called like one of {', '.join(request.views)}; rename it to <view>.npz")
         stacks, unexpected = {view: ArrayStack(path, OWN_RENDERS)}, []
+    elif not _of_views(path, ARRAY_SUFFIXES, request) and (whole := _stack_of_all(path, request)):
+        stacks, unexpected = {view: ArrayStack(whole, place=place) for place, view in enumerate(request.views)}, []
+        notes += (f"{whole.name}: its {len(stacks)} stacks are taken for {', '.join(stacks)}, the protocol's order of views",)
     elif path.is_file():
         members = npz_members(path)
         twice = sorted({member for member in members if members.count(member) > 1})
@@ -385,7 +419,9 @@ def _one_each(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> d
     by_view: dict[str, Path] = {}
     for view, file in _by_view(path, suffixes, request):
         if view in by_view:
-            raise RenderError(f"{path}: wanted one file for {view}, got {by_view[view].name}, {file.name}; keep one")
+            raise RenderError(
+                f"{path}: wanted one file for {view}, got {by_view[view].name}, {file.name}; give a folder with one"
+            )
         by_view[view] = file
     return by_view
 

@@ -47,7 +47,7 @@ def run_command(arguments: list[str] | None = None) -> None:
     except BrokenPipeError:  # `ggvs-eval ... | head`
         _forget_output()
         sys.exit(1)
-    except (GgvsError, OSError) as error:
+    except (GgvsError, OSError, MemoryError) as error:
         try:
             sys.stdout.flush()
         except OSError:  # the full disk is that of the output

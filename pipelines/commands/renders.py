@@ -70,6 +70,7 @@ def explain(
     metric: Metric,
     quoted: Quoted,
     method: str | None = None,
+    mask: str | None = None,
     capture: Path | None = None,
     protocol: str | None = None,
     run: Path | None = None,
@@ -84,6 +85,8 @@ def explain(
         metric: metric family.
         quoted: value as printed, with its digits.
         method: method of the run folder, if it has several.
+        mask: for masked conventions: picture, white where pixels count; folder with VIEW.png or VIEW/FRAME.png; or a box in
+            pixels as LEFT,TOP,RIGHT,BOTTOM.
         capture: rendered capture.
         protocol: protocol (.toml or packaged name); fitted to the capture by default.
         run: run folder to create or resume; temporary by default, with the protocol of scores/CAPTURE.
@@ -92,7 +95,7 @@ def explain(
         jobs: parallel processes, at least 1.
     """
     from ggvs_eval.pipelines.inspection.renders.explain import explain as recompute
-    from ggvs_eval.pipelines.inspection.renders.explain import explanation_table, metric_family, printed
+    from ggvs_eval.pipelines.inspection.renders.explain import explanation_table, metric_family, printed, read_masks
     from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
 
     metric_family(metric)  # a mistyped name or number shows before anything is read
@@ -101,7 +104,8 @@ def explain(
         if method is None and len(labels) != 1:
             raise RenderError(f"{folder.root}: wanted one method, got {', '.join(labels)}; name one with --method")
         views = views_of_run(folder, method or labels[0], as_measured=True)
-        print(explanation_table(metric, quoted, recompute(metric, quoted, views)))
+        masks = read_masks(mask, views, folder.protocol().measurement) if mask else None
+        print(explanation_table(metric, quoted, recompute(metric, quoted, views, masks)))
 
 
 def steadiness(

@@ -12,7 +12,7 @@ from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.jobs.ledger import Entry
 from ggvs_eval.pipelines.methods.render_unit import RenderUnit
 from ggvs_eval.pipelines.methods.spec import SceneMethod, option_values, option_words
-from ggvs_eval.pipelines.methods.splats import open_splats, reading_modules, splats_files
+from ggvs_eval.pipelines.methods.splats import open_splats, reading_modules, require_instants, splats_files, splats_settings
 from ggvs_eval.run_folder import JOB_FILE, REFUSED, read_json
 from ggvs_eval.scene_fitter import FittedScene, SceneFitter
 
@@ -147,9 +147,15 @@ class StoredSplats(SceneMethod):
         open_splats(self.path)
 
     def identity(self, unit: RenderUnit) -> dict[str, Any]:
-        """Return the files, the clip that they belong to, and the places of the targets."""
-        instants = [0, unit.capture.n_frames]
-        return {"splats": digest_files(splats_files(self.path)), "instants": instants, "shots": unit.identity_of_shots()}
+        """Return the files, the settings next to them, the clip that they belong to, and the places of the targets.
+
+        Raises:
+            RenderError: a sequence that lacks an instant, before anything is prepared.
+        """
+        instants, settings = [0, unit.capture.n_frames], splats_settings(self.path).files
+        require_instants(self.path, [frame for _, frame, _ in unit.shots], unit.capture.n_frames)
+        stated = {"settings": digest_files(settings)} if settings else {}
+        return {"splats": digest_files(splats_files(self.path)), "instants": instants, "shots": unit.identity_of_shots()} | stated
 
     def scene(self, unit: RenderUnit) -> FittedScene:
         """Open the files."""

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from ggvs_eval.scene_fitter import FittedScene
 if TYPE_CHECKING:  # the command line starts without torch
     from ggvs_eval.baselines.fitted.published import PublishedScene
     from ggvs_eval.gaussians import GaussianCloud
+    from ggvs_eval.gaussians.settings import SplatSettings
 
 PREFIX = "splats:"
 CLOUD, DEFORMATION = "point_cloud.ply", "deformation.pth"
@@ -38,17 +40,20 @@ class SplatsScene(FittedScene):
 
     Args:
         path: see `splats_files`.
+        n_frames: of the capture; clouds that are numbered from 1 to it are those of its frames from 0.
 
     Reading:
-        Gaussians are in the world of the capture's cameras. What is at z <= 0.2 of the capture's units is left out, as 3D
-        Gaussian splatting does while it fits; the background is black. The number of a file of a sequence is the last one in its
-        name, and it is the capture's frame number, from 0.
+        Gaussians are in the world of the capture's cameras, unless a file next to them says otherwise. What is at z <= 0.2 of the
+        capture's units is left out, as 3D Gaussian splatting does while it fits; the background is black, or white where the
+        settings of the training say so. The number of a file of a sequence is the last one in its name, and it is the capture's
+        frame number, from 0.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, n_frames: int = 1) -> None:
         self._path = path
         self._files = splats_files(path)
-        self._by_number = _numbered(self._files, path)
+        self._by_number = _numbered(self._files, path, n_frames)
+        self._settings = splats_settings(path)
         self._read = lru_cache(maxsize=1)(_read)
         self._read(*self._by_number[self.instants[0]])  # what is broken shows before anything is rendered
 
@@ -59,14 +64,9 @@ class SplatsScene(FittedScene):
 
     def cloud(self, index: int) -> "GaussianCloud":
         """Return the Gaussians of an instant."""
-        first, last = self.instants[0], self.instants[-1]
-        place = self._by_number.get(index if len(self._by_number) > 1 else first)
-        if place is None:
-            raise RenderError(
-                f"{self._path}: wanted a cloud of frame {index}, there are {len(self._by_number)} of {first} to {last}; number "
-                "the files as the capture's frames, from 0"
-            )
-        return self._read(*place)
+        _require_instants([index], self._by_number, self._path)
+        cloud = self._read(*self._by_number[index if len(self._by_number) > 1 else self.instants[0]])
+        return self._settings.apply(cloud)
 
     def render(self, index: int, target: Camera) -> Rendering:
         """Render one instant."""
@@ -75,7 +75,7 @@ class SplatsScene(FittedScene):
         start = perf_counter()
         cloud = self.cloud(index)
         read = perf_counter()
-        picture = render_gaussians(cloud, target, near=NEAR_M)
+        picture = render_gaussians(cloud, target, self._settings.background, near=NEAR_M)
         seconds = {"read": read - start, "splat": perf_counter() - read}
         return Rendering(picture.image.clamp_max(1).numpy(), picture.depth.numpy(), seconds)
 
@@ -99,6 +99,8 @@ def _read(path: Path, mesh: int) -> "GaussianCloud":
     from ggvs_eval.gaussians import read_ply
 
     cloud: GaussianCloud = FILES[GLB].read(path, mesh) if _is_glb(path) else read_ply(path)
+    if not len(cloud):
+        raise RenderError(f"{path}: wanted a cloud of Gaussians, it holds no Gaussians; give one that the training kept")
     return cloud
 
 
@@ -116,7 +118,9 @@ def open_splats(path: Path, instants: range = range(1)) -> "SplatsScene | Publis
     from ggvs_eval.baselines.fitted.published import PublishedScene
 
     files = splats_files(path)
-    return PublishedScene(files[0].parent, instants, NEAR_M) if files[-1].name == DEFORMATION else SplatsScene(path)
+    if files[-1].name == DEFORMATION:
+        return PublishedScene(files[0].parent, instants, NEAR_M, settings=splats_settings(path))
+    return SplatsScene(path, len(instants))
 
 
 def splats_files(path: Path) -> list[Path]:
@@ -136,19 +140,62 @@ def splats_files(path: Path) -> list[Path]:
         raise RenderError(f"{path}: wanted {KINDS}; got an unreadable path: {why_unread(error)}") from error
     if not files:
         raise RenderError(f"{path}: wanted {KINDS}; got {'none of them' if path.is_dir() else 'no such path'}")
-    return [*files, place / DEFORMATION] if (place / DEFORMATION).is_file() else files
+    if (place / DEFORMATION).is_file():
+        return [*files, place / DEFORMATION]
+    numbers = _frame_numbers(files)
+    return [files[numbers.index(max(numbers))]] if _are_iterations(numbers) else files
+
+
+def splats_settings(path: Path) -> "SplatSettings":
+    """Return the settings next to the files of a scene; arguments and errors as of `splats_files`."""
+    from ggvs_eval.gaussians.settings import find_settings
+
+    return find_settings(splats_files(path)[0], path)
 
 
 def splats_notes(path: Path) -> list[str]:
-    """List what is passed over in the files of a scene; arguments and errors as of `splats_files`."""
-    from ggvs_eval.gaussians.ply import unknown_properties
+    """List what is passed over in the files of a scene, and what is assumed; arguments and errors as of `splats_files`."""
+    from ggvs_eval.gaussians.ply import header_notes
 
-    file = splats_files(path)[0]
-    names = [] if _is_glb(file) else unknown_properties(file)
-    return [f"{file}: {', '.join(names)} of its Gaussians are unknown and ignored"] if names else []
+    files = splats_files(path)
+    of_header = [] if _is_glb(files[0]) else [f"{files[0]}: {note}" for note in header_notes(files[0])]
+    n_others = len(list_files(files[0].parent, (".ply",))) - 1
+    if path.is_dir() and len(files) == 1 < n_others + 1 and files[0].name != CLOUD:
+        of_header.append(f"{path}: its {n_others + 1} files are numbered by iterations; the last one is used: {files[0].name}")
+    if len(files) > 1 and sorted(map(_whole, _frame_numbers(files))) == [*range(1, len(files) + 1)]:
+        n = len(files)
+        of_header.append(f"{path}: numbered from 1 to {n}; used as the frames 0 to {n - 1} if the capture has {n}")
+    return of_header + splats_settings(path).notes
 
 
-def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, tuple[Path, int]]:
+def _whole(number: Number | None) -> int:
+    return number if isinstance(number, int) else -1
+
+
+def _are_iterations(numbers: Sequence[Number | None]) -> bool:
+    """Return whether some numbers count iterations: whole hundreds, or one less, each of which differs from the others."""
+    counts = sorted(map(_whole, numbers))
+    are_hundreds = all(count >= 0 and count % 100 in (0, 99) for count in counts)
+    return len(counts) > 1 and are_hundreds and min(later - earlier for earlier, later in pairwise(counts)) >= 99
+
+
+def require_instants(path: Path, frames: Sequence[int], n_frames: int) -> None:
+    """Refuse a sequence that lacks clouds of some frames; nothing but names is read."""
+    files = splats_files(path)
+    if files[-1].name != DEFORMATION:
+        _require_instants(frames, _numbered(files, path, n_frames), path)
+
+
+def _require_instants(frames: Sequence[int], numbered: Mapping[int, object], path: Path) -> None:
+    absent = [frame for frame in frames if frame not in numbered]
+    if len(numbered) > 1 and absent:
+        raise RenderError(
+            f"{path}: wanted a cloud of frame {absent[0]}, there are {len(numbered)} of {min(numbered)} to {max(numbered)}; "
+            "number the files as the capture's frames, from 0"
+        )
+
+
+def _numbered(files: Sequence[Path], path: Path, n_frames: int) -> Mapping[int, tuple[Path, int]]:
     """Return frame number -> file and the mesh in it; a cloud of all instants is of frame 0."""
     if len(files) == 1:
         return {frame: (path, mesh) for frame, mesh in FILES[GLB].frames(path).items()} if _is_glb(path) else {0: (files[0], 0)}
@@ -160,7 +207,8 @@ def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, tuple[Path, int
             other = numbers[number][0].name
             raise RenderError(f"{path}: {other} and {file.name} are both of frame {number}; keep one of them")
         numbers[number] = (file, 0)
-    return numbers
+    counts_from_1 = sorted(numbers) == [*range(1, n_frames + 1)]
+    return {number - counts_from_1: place for number, place in numbers.items()}
 
 
 def _frame_numbers(files: Sequence[Path]) -> list[Number | None]:

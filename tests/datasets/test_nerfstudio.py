@@ -1,6 +1,7 @@
 """nerfstudio captures: transforms.json with one image per camera."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,48 @@ def test_a_pose_by_hand(tmp_path):
     uv, depth = camera.project(np.array([1.2, 2.1, 1.0]))
     assert depth == pytest.approx(2.0)
     np.testing.assert_allclose(uv, [32 + 0.9 * 64 * 0.1, 24 - 0.9 * 64 * 0.05])
+
+
+def over_time(folder: Path, name: Callable[[int, int], str], timed: bool = True) -> Path:
+    """A fixed rig at three instants in one file, which lists the last instant first."""
+    frames = []
+    for instant in (2, 1, 0):
+        for place, frame in enumerate(transforms()["frames"]):
+            frames.append({**frame, "file_path": name(place, instant)} | ({"time": instant / 2} if timed else {}))
+            write_image(folder / frames[-1]["file_path"], make_image(place, instant))
+    (folder / "transforms.json").write_text(json.dumps({**transforms(), "frames": frames}))
+    return folder
+
+
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize(
+    "name",
+    [
+        lambda place, instant: f"images/{NAMES[place]}/{instant:04d}.png",
+        lambda place, instant: f"images/{NAMES[place]}_{instant}.png",
+        lambda place, instant: f"{instant:03d}/{NAMES[place]}.png",
+    ],
+    ids=["folders of cameras", "one folder", "folders of instants"],
+)
+def test_a_rig_over_time_in_one_file(tmp_path, name, timed):
+    """Frames of one pose are one camera, in the order of their times, else of their numbers; the poses decide."""
+    read = open_capture(over_time(tmp_path / "scene", name, timed))
+
+    assert (read.camera_names, read.n_frames) == (NAMES, 3)
+    for place, camera in enumerate(read.cameras):
+        np.testing.assert_allclose(camera.centre, make_rig()[place].centre, atol=1e-12)
+        for instant in range(3):
+            assert np.array_equal(read.frame(camera.name, instant), make_image(place, instant))
+
+
+def test_a_rig_over_time_lacks_nothing(tmp_path):
+    """A picture that is not there is named; times that a camera lacks, and a camera that moves, are refused."""
+    folder = over_time(tmp_path / "scene", lambda place, instant: f"images/{NAMES[place]}/{instant:04d}.png")
+    (folder / "images" / NAMES[1] / "0001.png").unlink()
+    assert f"images/{NAMES[1]}/0001.png" in refusal(folder)
+    content = json.loads((folder / "transforms.json").read_text())
+    (folder / "transforms.json").write_text(json.dumps(content | {"frames": content["frames"][1:]}))
+    assert f"{3 * len(NAMES) - 1} frames of {len(NAMES)} cameras" in refusal(folder)
 
 
 def test_order_is_that_of_names(tmp_path):

@@ -9,7 +9,7 @@ import torch
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians import read_ply, write_ply
-from ggvs_eval.gaussians.ply import unknown_properties
+from ggvs_eval.gaussians.ply import header_notes
 from helpers.fuzz import damaged, random_edit
 from helpers.gaussian_clouds import random_cloud
 from helpers.refusals import refused
@@ -236,6 +236,7 @@ def test_broken_compressed_clouds(tmp_path, before, after, message):
         (("trbf_center", "trbf_scale", "motion_0", "omega_0"), "Spacetime Gaussians"),
         (("t", "scale_t", "rot_r_0"), "Gaussians in time"),
         (("filter_3D",), "Mip-Splatting"),
+        (("f_offset_0", "f_anchor_feat_0"), "Scaffold-GS"),
     ],
 )
 def test_gaussians_that_are_drawn_otherwise_are_refused(cloud_file, names, kind):
@@ -248,11 +249,31 @@ def test_gaussians_that_are_drawn_otherwise_are_refused(cloud_file, names, kind)
         read_ply(cloud_file)
 
 
+@pytest.mark.parametrize(
+    ("comment", "is_antialiased"),
+    [
+        ("SplatRenderMode: mip", True),
+        ("antialiased true", True),
+        ("SplatRenderMode: default", False),
+        ("antialiased: false", False),
+    ],
+)
+def test_comments_say_how_a_cloud_is_drawn(cloud_file, comment, is_antialiased):
+    """The exporters of gsplat and brush write the mode of the training into the header; it is applied, noted, and kept."""
+    damage(cloud_file, b"element vertex", f"comment {comment}\nelement vertex".encode())
+    cloud = read_ply(cloud_file)
+
+    assert cloud.is_antialiased == is_antialiased
+    assert any("drawn antialiased" in note for note in header_notes(cloud_file)) == is_antialiased
+    write_ply(cloud_file, cloud)
+    assert read_ply(cloud_file).is_antialiased == is_antialiased
+
+
 def test_other_properties_are_named(cloud_file, tmp_path):
     """Normals go without saying; what nobody knows here is told."""
-    assert unknown_properties(cloud_file) == []
+    assert header_notes(cloud_file) == []
     damage(cloud_file, b"property float nx", b"property float sh_bins")
-    assert unknown_properties(cloud_file) == ["sh_bins"]
+    assert header_notes(cloud_file) == ["sh_bins of its Gaussians are unknown and ignored"]
     assert len(read_ply(cloud_file)) == 5
     (tmp_path / "cloud.spz").write_bytes(b"\x1f\x8b")
     with refused(RenderError, "cloud.spz", ".ply", "convert it"):

@@ -52,6 +52,16 @@ def test_footprint_in_closed_form():
     assert picture.radii.tolist() == [int(np.ceil(3 * sqrt(variance + sqrt(0.1))))]  # the reference's floor below the root
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_antialiased_gaussians_keep_their_light(dtype):
+    """The opacity is multiplied by sqrt(det S / det(S + 0.3 I)), which is sigma^2 / (sigma^2 + 0.3) of a round Gaussian."""
+    thin = replace(point(4.0, scale=0.05, opacity=0.9, colour=WHITE.to(dtype)), is_antialiased=True)
+    variance = (FOCAL * 0.05 / 4.0) ** 2
+
+    alpha = render_gaussians(thin, camera_of(cx=20.5, cy=14.5)).alpha
+    assert float(alpha[14, 20]) == pytest.approx(0.9 * variance / (variance + 0.3), abs=1e-6)
+
+
 def test_alpha_is_at_most_099():
     """However opaque, a Gaussian leaves a hundredth of what is behind it."""
     picture = render_gaussians(point(opacity=0.9999), camera_of(cx=20.5, cy=15.5), background=(0.0, 1.0, 0.0))

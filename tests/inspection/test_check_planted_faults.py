@@ -244,6 +244,26 @@ def test_a_mirrored_pose_that_is_still_a_rotation_is_found(rig, clean_records):
     assert "mirrored in x" in found.measured
 
 
+@pytest.mark.parametrize("axis", [1, 2])
+def test_a_mirrored_system_of_all_cameras_is_named(rig, clean_records, axis):
+    """Left-handed axes, the world's and the cameras', pass as rotations; the pictures contradict, and the mirror is named."""
+    mirror = np.diag(np.where(np.arange(3) == axis, -1.0, 1.0))
+
+    def left_handed(pose: LlffPose) -> LlffPose:
+        rotation = pose.world_to_camera[:3, :3]
+        return pose._replace(
+            world_to_camera=with_pose(mirror @ rotation @ mirror, mirror @ (-rotation.T @ pose.world_to_camera[:3, 3]))
+        )
+
+    for camera in open_capture(rig).camera_names:
+        edit_pose(rig, camera, left_handed)
+    found = answer(examined(rig, clean_records), "epipolar error", "rig")
+
+    assert found.verdict == "bad"
+    assert f"its own {'xyz'[axis]} axis too (left-handed axes" in found.measured
+    assert found.advice == "correct all cameras as named"
+
+
 def test_a_pose_turned_round_is_found_by_pose_and_by_matches(rig, clean_records):
     """Half a turn about the x axis, as OpenGL's axes would be, looks away from the scene and puts the matches behind it."""
     edit_pose(rig, "cam05", turn_half)

@@ -1,6 +1,6 @@
 """Every convention is recognised by a value computed independently of it; a wrong value is recognised by none."""
 
-from functools import cache
+from fractions import Fraction
 
 import cv2
 import numpy as np
@@ -9,6 +9,7 @@ from scipy import ndimage
 from skimage import data
 
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import write_image
 from ggvs_eval.metrics.image.fetch_lpips import NETS, weights_path
 from ggvs_eval.metrics.image.ms_ssim import ms_ssim
 from ggvs_eval.metrics.time.strred import luma, pool, strred
@@ -21,12 +22,13 @@ from ggvs_eval.pipelines.inspection.renders.explain import (
     explanation_table,
     metric_family,
     printed,
+    read_masks,
     tolerance,
 )
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import ALL_VIEWS, Recomputed
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.pipelines.inspection.renders.ssim_conventions import frame_measures
-from ggvs_eval.plugins import Registry
+from ggvs_eval.protocol import Measurement
 
 pytestmark = pytest.mark.slow
 
@@ -115,6 +117,14 @@ def enlarged(image) -> np.ndarray:
     return np.rint(torch.nn.functional.interpolate(planes, scale_factor=2, mode="bilinear")[0].permute(1, 2, 0).numpy())
 
 
+def yuv_420(image) -> list[np.ndarray]:
+    """Planes of BT.709 in 16..235, rounded; chroma is the rounded mean of 2 x 2."""
+    y = grey(image, (0.2126, 0.7152, 0.0722))
+    chroma = [np.rint(128 + 224 / 255 * (image[..., n] - y) / d) for n, d in ((2, 1.8556), (0, 1.5748))]
+    quarters = [plane.reshape(SHAPE[0] // 2, 2, SHAPE[1] // 2, 2).mean(axis=(1, 3)) for plane in chroma]
+    return [np.rint(16 + 219 / 255 * y), *map(np.rint, quarters)]
+
+
 PSNR = {
     "RGB, mean of the frames' PSNR": lambda: mean_over_frames(lambda r, c: decibels(squared(r, c))),
     "RGB, PSNR of the mean squared error": lambda: decibels(mean_over_frames(squared)),
@@ -140,6 +150,23 @@ PSNR = {
     "grey of 8 bit, mean of the frames' PSNR": lambda: mean_over_frames(
         lambda r, c: decibels(squared(grey_of_8_bit(r), grey_of_8_bit(c)))
     ),
+    "RGB, PSNR of each channel, then the mean (3DGS's log)": lambda: mean_over_frames(
+        lambda r, c: np.mean([decibels(squared(r[..., n], c[..., n])) for n in range(3)])
+    ),
+    "RGB, mean of the frames' PSNR, without the first frame": lambda: np.mean(
+        [decibels(squared(r, c)) for rendered, truth in FRAMES for r, c in zip(rendered[1:], truth[1:], strict=True)]
+    ),
+    "RGB, mean of the frames' PSNR, every second frame": lambda: np.mean(
+        [decibels(squared(r, c)) for rendered, truth in FRAMES for r, c in zip(rendered[::2], truth[::2], strict=True)]
+    ),
+    "RGB, without a border of 4 px, mean of the frames' PSNR": lambda: mean_over_frames(
+        lambda r, c: decibels(squared(r[4:-4, 4:-4], c[4:-4, 4:-4]))
+    ),
+    "YUV 4:2:0 of 8 bit (BT.709, 16..235), (6 Y + U + V) / 8": lambda: mean_over_frames(
+        lambda r, c: np.average(
+            [decibels(squared(*planes)) for planes in zip(yuv_420(r), yuv_420(c), strict=True)], weights=(6, 1, 1)
+        )
+    ),
 }
 
 
@@ -147,7 +174,11 @@ PSNR = {
 def test_conventions_of_psnr(name):
     """PSNR of frames, of the mean error, of luma, of summed errors, at half size and without the border are told apart."""
     # Where libraries round halves and fixed-point weights is their own.
-    assert explained("psnr", PSNR[name](), 2 if "8 bit" in name else 4 if "half" in name else 5) == {name}
+    names = explained("psnr", PSNR[name](), 2 if "grey" in name else 4 if "half" in name else 5)
+
+    assert name in names
+    # Of this photograph both matrices of YUV give the same within single precision.
+    assert {other for other in names if "BT.601, 16" not in other} == {name}
 
 
 def test_colour_corrected_psnr_is_ours():
@@ -187,12 +218,32 @@ def ssim_of(blur, margin, peak=1.0, factor=1.0, prepare=lambda image: image / 25
     return lambda: mean_over_frames(lambda r, c: ssim_map(prepare(r), prepare(c), blur, peak, factor)[cut, cut].mean())
 
 
-def kornia_ssim(rendered, truth) -> float:
+def kornia_ssim(rendered, truth, side=11) -> float:
     import torch
     from kornia.metrics import ssim
 
     first, second = (torch.from_numpy(image / 255).permute(2, 0, 1)[None] for image in (rendered, truth))
-    return float(ssim(first, second, window_size=11).mean())
+    return float(ssim(first, second, window_size=side).mean())
+
+
+def of_ffmpeg(name, key, rendered, truth, pixels="gbrp") -> float:
+    """Value that a filter of FFmpeg gives one frame."""
+    import av
+
+    graph, frames = av.filter.Graph(), []
+    for image in (rendered, truth):
+        frames.append(av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format=pixels))
+        frames[-1].pts, frames[-1].time_base = 0, Fraction(1, 25)
+    sources = [graph.add_buffer(width=SHAPE[1], height=SHAPE[0], format=pixels, time_base=Fraction(1, 25)) for _ in frames]
+    compare, sink = graph.add(name), graph.add("buffersink")
+    for place, source in enumerate(sources):
+        source.link_to(compare, 0, place)
+    compare.link_to(sink)
+    graph.configure()
+    for source, frame in zip(sources, frames, strict=True):
+        source.push(frame)
+        source.push(None)
+    return float(sink.pull().metadata[f"lavfi.{name}.{key}"])
 
 
 SAMPLE = 49 / 48
@@ -202,6 +253,11 @@ SSIM = {
     "Gaussian 11 x 11, sample covariance, range 1": ssim_of(gaussian, 5, factor=121 / 120),
     "Gaussian 11 x 11, zero-padded, range 1 (3DGS)": ssim_of(lambda image: gaussian(image, "constant"), 0),
     "Gaussian 11 x 11, reflect-padded, range 1 (kornia)": lambda: mean_over_frames(kornia_ssim),
+    "Gaussian 3 x 3, reflect-padded, range 1 (kornia)": lambda: mean_over_frames(lambda r, c: kornia_ssim(r, c, 3)),
+    "blocks of 8 x 8 in whole numbers (ffmpeg), RGB": lambda: mean_over_frames(lambda r, c: of_ffmpeg("ssim", "All", r, c)),
+    "blocks of 8 x 8 in whole numbers (ffmpeg), yuv420p of FFmpeg (BT.601)": lambda: mean_over_frames(
+        lambda r, c: of_ffmpeg("ssim", "All", r, c, "yuv420p")
+    ),
     "Gaussian 11 x 11, valid positions, range 1, luma": ssim_of(gaussian, 5, prepare=lambda image: grey(image) / 255),
     "uniform 7 x 7, range 1 (scikit-image on uint8)": ssim_of(box, 3, factor=SAMPLE),
     "uniform 7 x 7, range 2 (scikit-image on float, no range given; EasyVolcap)": ssim_of(box, 3, 2, SAMPLE),
@@ -253,6 +309,39 @@ def test_enerfs_and_mvsnerfs_ssim_is_that_of_float_pictures_without_a_range():
         known = structural_similarity(first, second, channel_axis=2, data_range=2.0)
         (found,) = [measure(rendered, truth) for key, measure in frame_measures().items() if f"({name})" in key]
         assert found == pytest.approx(known, abs=1e-5)
+
+
+def test_ssim_after_box_averages_is_that_of_matlab_and_piq():
+    """From 384 pixels on, frames are averaged over N x N pixels in floats first; smaller ones have no such convention."""
+    import torch
+    from skimage.metrics import structural_similarity
+
+    rendered, truth = large_pair((400, 420))
+    planes = [torch.from_numpy(image / 255).permute(2, 0, 1)[None] for image in (rendered, truth)]
+    halves = [torch.nn.functional.avg_pool2d(each, 2)[0].permute(1, 2, 0).numpy() for each in planes]
+    settings = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    value = structural_similarity(*halves, data_range=1, channel_axis=2, **settings)
+    view = {"cam00": ViewFrames(lambda t: rendered, lambda t: truth, range(1))}
+    (name,) = (one.name for one in explain("ssim", f"{value:.6f}", view) if one.matches)
+
+    assert name == "Gaussian 11 x 11, valid positions, range 1, after box averages (MATLAB's ssim.m, piq)"
+    assert not any("box averages" in one.name for one in explain("ssim", "0.9", views_of(VIEWS[:1])))
+
+
+@pytest.mark.parametrize("where", ["picture", "folder", "frames", "box"])
+def test_masks_are_read_from_pictures_folders_and_boxes(where, tmp_path):
+    """One picture for all, one per view or per frame, and a box give the same mask; another size is refused."""
+    view, mask = views_of(VIEWS[:1]), np.zeros((*SHAPE, 3), np.uint8)
+    mask[20:50, 30:70] = 255
+    for name in ("mask.png", "views/cam00.png", *(f"frames/cam00/{t:04d}.png" for t in range(N_FRAMES))):
+        write_image(tmp_path / name, mask)
+    place = {"picture": tmp_path / "mask.png", "folder": tmp_path / "views", "frames": tmp_path / "frames", "box": "30,20,70,50"}
+    read = read_masks(str(place[where]), view, Measurement())["cam00"]
+
+    assert all(np.array_equal(read(t), mask[..., 0] > 0) for t in range(N_FRAMES))
+    write_image(tmp_path / "small.png", mask[:40])
+    with pytest.raises(MetricError, match="wanted a mask of 96 x 72 with white where pixels count, got 96 x 40"):
+        read_masks(str(tmp_path / "small.png"), view, Measurement())
 
 
 @pytest.mark.parametrize(("divisor", "formula"), [(1, "1 - SSIM"), (2, "DSSIM = (1 - SSIM) / 2")])

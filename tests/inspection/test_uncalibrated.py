@@ -2,6 +2,7 @@
 
 import pytest
 
+from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.camera_frames import find_rig_frames
 from ggvs_eval.datasets.unread_files import file_marks
 from ggvs_eval.errors import CaptureError
@@ -67,6 +68,29 @@ MARKED = {
     "SN12345678.conf": "[LEFT_CAM_HD]\nfx=60",
     "mv_images/00000/cam01.jpg": "a picture",
     "rig.json": '{"intrinsics": [1]}',
+    "reconstruction.meshed.json": '[{"shots": {}}]',
+    "sfm_data.json": '{"sfm_data_version": "0.3"}',
+    "cameras.sfm": '{"views": []}',
+    "room_calibrated_camera_parameters.txt": "fileName imageWidth imageHeight",
+    "room_calibrated_external_camera_parameters.txt": "imageName X Y Z Omega Phi Kappa",
+    "room.psx": "<document/>",
+    "cams/00000000_cam.txt": "extrinsic\n1 0 0 0",
+    "temple_par.txt": "2\ntemple0001.png 1520.4 0 302.3",
+    "calib.txt": "cam0=[3979.911 0 1244.772; 0 3979.911 1019.507; 0 0 1]",
+    "room.log": "0 0 1\n1 0 0 0\n0 1 0 0\n",
+    "scan.r3d": "PK",
+    "metadata": '{"perFrameIntrinsicCoeffs": []}',
+    "system.cal": "?",
+    "system.mcal": "<Profile>",
+    "flight_dltCoefs.csv": "1,2,3",
+    "stereoParams.mat": "MATLAB 5.0 MAT-file",
+    "Calib_Results.m": "fc = [ 657.3 ; 657.7 ];",
+    "calibrated_cameras_data.yml": "camera_0: {}",
+    "0012_09_annots.smc": "?",
+    "annots.npy": "?",
+    "pose_intrinsic_imu.json": "{}",
+    "sensor.yaml": "T_BS:\n  cols: 4",
+    "stage.usda": "#usda 1.0",
 }
 
 
@@ -104,5 +128,7 @@ def test_chapters_of_one_recording_are_no_cameras(tmp_path):
     check = check_capture(tmp_path / "table")
     assert not check.is_usable
     assert "chapters of one recording: GX010001 and GX020001; GX010002 and GX020002" in check.of("opens")[0].measured
+    with refused(CaptureError, "chapters of one recording", "concat"):
+        open_capture(tmp_path / "table")
     with refused(CaptureError, "chapters of one recording", "concat"):
         find_rig_frames(tmp_path / "table")

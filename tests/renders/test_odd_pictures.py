@@ -61,6 +61,16 @@ CONVERTED: dict[str, tuple[str, Callable[[Path, np.ndarray], None], list[str]]] 
         ["1 frame (3) read in the colours of a palette", "1 frame (3) read without an alpha channel"],
     ),
     "colour with alpha": (".png", save("RGBA"), ["1 frame (3) read without an alpha channel"]),
+    "colour with a hole": (
+        ".png",
+        lambda path, image: Image.fromarray(
+            np.dstack([image, np.where(np.arange(64) < 9, 0, 255 + 0 * image[..., 0])]).astype("u1")
+        ).save(path),
+        [
+            "1 frame (3) read without an alpha channel",
+            "1 frame (3) read without the alpha of transparent pixels: the colour beneath",
+        ],
+    ),
     "grey JPEG": (".jpg", save("L"), ["1 frame (3) of JPEG", "1 frame (3) grey"]),
     "CMYK JPEG": (".jpg", save("CMYK"), ["1 frame (3) of JPEG", "1 frame (3) read converted from CMYK"]),
 }
@@ -249,7 +259,7 @@ LOOKALIKES: dict[str, tuple[Callable[[Path], Path], list[str], list[str]]] = {
     ".mkv": (lambda f: renamed(write_videos(f), ("cam00.mp4", "cam00.mkv")), ["cam00.mkv is there but not supported"], []),
     ".jpg beside .png": (
         lambda f: converted(write_folders(f), ".jpg", keep=True),
-        ["mine in cam00: 2-4 (several pictures of one frame: 0002.jpg and 0002.png; keep one)"],
+        ["mine in cam00: 2-4 (several pictures of one frame: 0002.jpg and 0002.png; give a folder with one of each)"],
         ["lacks", "belongs to nothing"],
     ),
 }

@@ -63,6 +63,24 @@ def write_one_npz(folder: Path) -> Path:
     return folder / "all.npz"
 
 
+def write_one_array(folder: Path) -> Path:
+    folder.mkdir()
+    np.save(folder / "renders.npy", np.stack([stack(view) for view in VIEWS]))
+    return folder
+
+
+def write_linked(folder: Path) -> Path:
+    """Renders next to the truth, whose folders of views are links to folders elsewhere."""
+    for kind in ("renders", "gt"):
+        (folder / kind).mkdir(parents=True)
+        for view, frame in view_major():
+            image = rendered(view, frame) if kind == "renders" else truth(view, frame)
+            write_image(folder.parent / "elsewhere" / kind / view / f"{frame:04d}.png", image)
+        for view in VIEWS:
+            (folder / kind / view).symlink_to(folder.parent / "elsewhere" / kind / view)
+    return folder
+
+
 def write_other_run(folder: Path) -> Path:
     write_folders(make_run(folder).root / "renders" / "theirs")
     return folder
@@ -90,6 +108,8 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "float arrays": (lambda f: write_arrays(f, "float32", ".npy"), "one array per view", "rounded to 8 bit"),
     "double arrays in npz": (lambda f: write_arrays(f, "float64", ".npz"), "one array per view", "rounded to 8 bit"),
     "one npz": (write_one_npz, "one array per view", "in order"),
+    "one array of all views": (write_one_array, "one array per view", "its 2 stacks are taken for cam02, cam00"),
+    "flat, whose views are links": (write_linked, BESIDE_TRUTH, "gt/ agrees with the captured frames"),
     "flat, view by view": (lambda f: write_flat(f, view_major()), BESIDE_TRUTH, "view after view"),
     "flat, instant by instant": (lambda f: write_flat(f, by_frame), BESIDE_TRUTH, "instant after instant"),
     "flat, by alphabet": (lambda f: write_flat(f, by_alphabet), BESIDE_TRUTH, "cam00, cam02 in frames 2-4"),

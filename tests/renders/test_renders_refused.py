@@ -58,7 +58,7 @@ def test_everything_wrong_is_in_one_list(truth_run, tmp_path):
     message = refusal(truth_run, folder)
 
     assert "frames are missing: mine in cam02 lacks 2-3; " in message
-    assert "mine in cam00: 2-3 (32 x 24 instead of 64 x 48)" in message
+    assert "mine in cam00: 2-3 (32 x 24 instead of 64 x 48: to score them at this size" in message
     assert "mine in cam00: 4 (no picture that can be read)" in message
     assert "belongs to nothing: cam01/ (1 pictures); cam02/0099.png" in message
     assert "--allow-partial" in message
@@ -85,7 +85,10 @@ def test_two_pictures_of_one_frame_are_told(truth_run, tmp_path):
 
     message = refusal(truth_run, folder)
 
-    assert "mine in cam00: 2-4 (several pictures of one frame: depth_0002.png and rgb_0002.png; keep one)" in message
+    assert (
+        "mine in cam00: 2-4 (several pictures of one frame: depth_0002.png and rgb_0002.png; give a folder with one of each)"
+        in message
+    )
     assert "lacks" not in message
 
 
@@ -125,6 +128,18 @@ def move_truth(folder: Path, change: Callable[[str, int], np.ndarray]) -> Path:
     return folder
 
 
+def with_nan() -> np.ndarray:
+    frames = np.zeros((3, 48, 64, 3), np.float16)
+    frames[1, 5, 7:9, 0] = np.nan
+    return frames
+
+
+def write_one(folder: Path, array: np.ndarray) -> Path:
+    folder.mkdir()
+    np.save(folder / "renders.npy", array)
+    return folder
+
+
 def mixed(folder: Path) -> Path:
     write_videos(write_folders(folder))
     return folder
@@ -159,8 +174,8 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     "nothing there": (lambda f: f, "theirs: wanted renders, got no such path"),
     "cameras that are not tested": (
         lambda f: write_videos(f, views=["cam01"]),
-        "theirs has cam01, cameras that are not test views of the protocol; write a protocol with them: "
-        "ggvs-eval protocol CAPTURE mine.toml --test cam01",
+        "theirs has cam01, which are sources under this protocol; its test views are cam02, cam00: render these; where the "
+        "method did not use cam01, hold them out: ggvs-eval protocol CAPTURE mine.toml --test cam01",
     ),
     "an empty folder": (nothing, "no renders of cam02, cam00 that can be read: a run folder: no protocol.toml; "),
     "every reason": (nothing, "<view>/<frame>.png: no folder cam02 or cam00 with PNG or JPEG pictures"),
@@ -176,13 +191,27 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     "one video too many": (lambda f: write_videos(f, views=["cam00", "cam02", "cam01"]), "belongs to nothing: cam01.mp4"),
     "channels first": (
         lambda f: write_array(f, stack("cam00").transpose(0, 3, 1, 2)),
-        "wanted an array (T, H, W, 3), got (3",
+        "wanted an array (T, H, W, 3), got (3, 3, 48, 64), which has its channels first: save frames.transpose(0, 2, 3, 1)",
     ),
     "integers of 16 bit": (lambda f: write_array(f, stack("cam00").astype(np.uint16)), "float in [0, 1], got uint16"),
-    "floats up to 255": (lambda f: write_array(f, stack("cam00").astype(float)), "wanted floats in [0, 1], frame 0 has"),
-    "floats from -1": (lambda f: write_array(f, stack("cam00", "float32") * 2 - 1), "wanted floats in [0, 1], frame 0 has -"),
-    "NaN": (lambda f: write_array(f, np.full((3, 48, 64, 3), np.nan)), "frame 0 has nan to nan"),
-    "half the size": (lambda f: write_array(f, stack("cam00")[:, ::2, ::2]), "2-4 (32 x 24 instead of 64 x 48)"),
+    "floats up to 255": (lambda f: write_array(f, stack("cam00").astype(float)), "; divide them by 255"),
+    "floats from -1": (lambda f: write_array(f, stack("cam00", "float32") * 2 - 1), "; map them by (x + 1) / 2"),
+    "NaN": (
+        lambda f: write_array(f, with_nan()),
+        "2 values of frame 1 are NaN, the first at row 5, column 7; find out where the renderer makes them, clipping keeps NaN",
+    ),
+    "half the size": (
+        lambda f: write_array(f, stack("cam00")[:, ::2, ::2]),
+        "2-4 (32 x 24 instead of 64 x 48: to score them at this size, set synthesis.width = 32, synthesis.height = 24 in",
+    ),
+    "an array nobody asked for": (
+        lambda f: write_one(f, np.zeros((3, 3, 48, 64, 3), np.uint8)),
+        "holds renders.npy, but no renders of cam02, cam00 that can be read",
+    ),
+    "the training views": (
+        lambda f: write_flat(f / "train" / "ours_30000", view_major()).parents[1],
+        "train/ours_30000/renders/ is there, which is no test set",
+    ),
     "truth of other frames": (
         lambda f: move_truth(f, lambda view, frame: truth(view, frame - 1)),
         "gt: wanted copies of the captured frames next to these renders, got others: copies of cam02 fit one frame earlier",
@@ -208,6 +237,13 @@ def test_what_cannot_be_scored_says_why(case, truth_run, tmp_path):
     write, message = WRONG[case]
 
     assert message in refusal(truth_run, write(tmp_path / "theirs"))
+
+
+def test_several_sets_are_the_only_reason(truth_run, tmp_path):
+    """Where one of several sets is to be chosen nothing else is listed; --allow-partial is not offered where nothing fits."""
+    assert "run folder" not in refusal(truth_run, two_sets(tmp_path / "theirs"))
+    half = write_array(tmp_path / "half", stack("cam00")[:, ::2, ::2])
+    assert "--allow-partial" not in refusal(truth_run, half)
 
 
 def test_predictions_against_another_capture_are_refused(truth_run, tmp_path):

@@ -1,5 +1,7 @@
 """``splats:PATH``: Gaussians that others have fitted are a method of a run, rendered by our splat."""
 
+import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +15,9 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.files.images import quantise, read_image
 from ggvs_eval.gaussians import GaussianCloud, render_gaussians, write_ply
+from ggvs_eval.gaussians.settings import moved_cloud
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
-from ggvs_eval.pipelines.methods.splats import named_splats, open_splats
+from ggvs_eval.pipelines.methods.splats import named_splats, open_splats, splats_files, splats_notes
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
@@ -123,7 +126,7 @@ def test_what_is_no_scene(tmp_path, plane_capture, sequence):
         "empty": "got none of them",
         "unnumbered": r"b\.ply: wanted a frame number in the name",
         "double": r"1\.ply and x01\.ply are both of frame 1",
-        "deformed": r"point_cloud\.ply: wanted a \.ply file|deformation\.pth: wanted a file of tensors only",
+        "deformed": r"point_cloud\.ply: wanted a \.ply file|deformation\.pth: wanted a file of tensors",
     }
     for name, files in (("unnumbered", ("a1", "b")), ("double", ("1", "x01")), ("deformed", ("point_cloud",)), ("empty", ())):
         (tmp_path / name).mkdir()
@@ -135,6 +138,74 @@ def test_what_is_no_scene(tmp_path, plane_capture, sequence):
             open_splats(tmp_path / name)
     with refused(RenderError, "frame 5", "2 of 0 to 1"):
         open_splats(sequence).render(5, plane_capture.cameras[0])
+
+
+def test_a_cloud_in_nerfstudios_world_is_moved_by_the_transform_next_to_it(plane_capture, tmp_path):
+    """What ns-export writes looks as in the capture's world once dataparser_transforms.json lies next to it; harmonics turn."""
+    camera = plane_capture.cameras[0]
+    cloud = replace(cloud_before(plane_capture, 0.5), sh=torch.randn(40, 4, 3, generator=torch.Generator().manual_seed(0)) * 0.2)
+    angle, scale = 0.7, 0.05
+    transform = np.array([[np.cos(angle), 0, np.sin(angle), 2], [0, 1, 0, 4], [-np.sin(angle), 0, np.cos(angle), -6]])
+    similarity = np.vstack([scale * transform, [0, 0, 0, 1]])
+    write_ply(tmp_path / "splat.ply", moved_cloud(cloud, similarity))
+    content = {"transform": transform.tolist(), "scale": scale}
+    (tmp_path / "dataparser_transforms.json").write_text(json.dumps(content))
+
+    picture = open_splats(tmp_path / "splat.ply").render(0, camera).image
+    np.testing.assert_allclose(picture, render_gaussians(cloud, camera).image.clamp(max=1).numpy(), atol=1e-4)
+    assert picture.std() > 0.02
+    (note,) = splats_notes(tmp_path / "splat.ply")
+    assert "dataparser_transforms.json" in note
+    (tmp_path / "dataparser_transforms.json").write_text('{"transform": [[1, 2]], "scale": 0}')
+    with refused(RenderError, "dataparser_transforms.json", "wanted nerfstudio's transform"):
+        open_splats(tmp_path / "splat.ply")
+
+
+@pytest.mark.parametrize(
+    ("file", "line"), [("cfg_args", "Namespace(white_background=True)"), ("config.yml", "    background_color: white")]
+)
+def test_settings_of_the_training_are_applied(file, line, plane_capture, tmp_path):
+    """A cloud that was trained over white is drawn over white, and it is noted; its renders are identified by the file too."""
+    folder, camera = tmp_path / "point_cloud" / "iteration_7000", plane_capture.cameras[0]
+    folder.mkdir(parents=True)
+    write_ply(folder / "point_cloud.ply", cloud_before(plane_capture, 0.2))
+    before = open_splats(tmp_path).render(0, camera).image
+    (tmp_path / file).write_text(line)
+
+    assert open_splats(tmp_path).render(0, camera).image.max() > before.max() + 0.1
+    assert open_splats(folder / "point_cloud.ply").render(0, camera).image.max() > before.max() + 0.1
+    assert any(file in note and "over white" in note for note in splats_notes(tmp_path))
+
+
+def test_a_normalised_world_without_its_transform_is_refused(plane_capture, tmp_path):
+    """The cfg.yml of gsplat says that the world was normalised; without the transform the cloud belongs to no camera."""
+    (tmp_path / "ply").mkdir()
+    write_ply(tmp_path / "ply" / "point_cloud_6999.ply", cloud_before(plane_capture, 0.2))
+    (tmp_path / "cfg.yml").write_text("antialiased: true\nnormalize_world_space: true\n")
+    with refused(RenderError, "cfg.yml", "normalize_world_space", "point_cloud_6999.ply"):
+        open_splats(tmp_path / "ply")
+
+
+def test_numbers_of_iterations_and_of_frames(plane_capture, tmp_path):
+    """Files numbered by iterations are one cloud, the last; numbers from 1 are the frames from 0; a gap shows before depth."""
+    for frame in (1, 2):
+        write_ply(tmp_path / "frames" / f"{frame:05d}.ply", cloud_before(plane_capture, 0.2 * frame))
+    for iteration in (6999, 29999):
+        write_ply(tmp_path / "ply" / f"point_cloud_{iteration}.ply", cloud_before(plane_capture, iteration / 30000))
+
+    assert splats_files(tmp_path / "ply") == [tmp_path / "ply" / "point_cloud_29999.ply"]
+    (note,) = splats_notes(tmp_path / "ply")
+    assert re.search("iterations.*point_cloud_29999.ply", note)
+    assert open_splats(tmp_path / "frames", range(2)).instants == [0, 1]
+    assert any("numbered from 1 to 2" in note for note in splats_notes(tmp_path / "frames"))
+    (tmp_path / "frames" / "00002.ply").rename(tmp_path / "frames" / "00003.ply")
+    labels, paths = named_splats([f"moving=splats:{tmp_path / 'frames'}"])
+    with refused(RenderError, "wanted a cloud of frame 0, there are 2 of 1 to 3"):
+        plan = plan_run(RunRequest(tmp_path / "run", plane_capture, PROTOCOL, labels, networks=NetworkOptions(splats=paths)))
+        any(job.is_done() for job in plan.jobs.render)
+    write_ply(tmp_path / "nothing.ply", random_cloud(0, dtype=torch.float32))
+    with refused(RenderError, "nothing.ply", "holds no Gaussians"):
+        open_splats(tmp_path / "nothing.ply")
 
 
 class Intruder:

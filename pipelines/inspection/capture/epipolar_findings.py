@@ -159,12 +159,12 @@ def _reflected_centre(*signs: float) -> Change:
     return change
 
 
-def _reflected_world(*signs: float) -> Change:
-    """Pose mirrored in a world plane; the camera's axes along the mirrored image axis follow, so that it stays a rotation."""
-    mirror = np.diag(signs)
+def _reflected_world(axis: int, own: int = 0) -> Change:
+    """Pose mirrored along a world axis; one of the camera's own axes is reversed too, so that it stays a rotation."""
+    mirror, reversed_ = (np.diag(np.where(np.arange(3) == each, -1.0, 1.0)) for each in (axis, own))
 
     def change(camera: Camera) -> Camera:
-        rotation = np.diag([-1.0, 1.0, 1.0]) @ camera.rotation @ mirror
+        rotation = reversed_ @ camera.rotation @ mirror
         world_to_camera = np.eye(4)
         world_to_camera[:3, :3] = rotation
         world_to_camera[:3, 3] = -rotation @ (mirror @ camera.centre)
@@ -192,9 +192,16 @@ POSE_CHANGES: dict[str, Change] = {
     "a centre mirrored in y": _reflected_centre(1.0, -1.0, 1.0),
     "a centre mirrored in z": _reflected_centre(1.0, 1.0, -1.0),
     "a centre mirrored in the origin (sign of the translation?)": _reflected_centre(-1.0, -1.0, -1.0),
-    "a pose mirrored in x": _reflected_world(-1.0, 1.0, 1.0),
-    "a pose mirrored in y": _reflected_world(1.0, -1.0, 1.0),
-    "a pose mirrored in z": _reflected_world(1.0, 1.0, -1.0),
+    "a pose mirrored in x": _reflected_world(0),
+    "a pose mirrored in y": _reflected_world(1),
+    "a pose mirrored in z": _reflected_world(2),
+    **{
+        f"a pose mirrored in {word}, its own {own} axis too (left-handed axes used as right-handed?)": _reflected_world(
+            axis, place
+        )
+        for own, place in (("y", 1), ("z", 2))
+        for axis, word in enumerate("xyz")
+    },
     "the inverse pose (camera-to-world used as world-to-camera?)": _inverted,
     "the transposed rotation": _transposed,
 }

@@ -8,17 +8,25 @@ import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ggvs_eval.built_in import CONVENTIONS, PATH_METRICS
 from ggvs_eval.errors import AbsentPartError, MetricError, did_you_mean
+from ggvs_eval.files.images import read_image
+from ggvs_eval.files.listing import list_images
+from ggvs_eval.files.names import numbers_in
+from ggvs_eval.measured_frames import measured_mask
 from ggvs_eval.metrics.image.psnr import PSNR_CEILING_DB, psnr
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import ALL_VIEWS, MaskReader, Recomputed
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, spread
 from ggvs_eval.pipelines.inspection.table import WIDTH, text_table
 from ggvs_eval.plugins import Registry
+from ggvs_eval.protocol import Measurement
+from ggvs_eval.run_folder import as_ranges
 
 # Single and double precision disagree by this share of a value; a quoted one may come from either.
 ROUNDING = 5e-6
@@ -27,6 +35,7 @@ ROUNDING = 5e-6
 NEIGHBOURHOOD, WEAK_CHANCE = 0.05, 0.25
 MOST_DIGITS = 100  # before or behind the point of a printed number
 PRINTED = re.compile(r"(?P<number>[+-]?\d+(?:[.,]\d+)?)\s*(?P<unit>dB|%)?")
+BOX = re.compile(r"\d+(,\d+){3}")
 OF_NO_VIEW = {"path": "a camera path", "depth": "depth videos"}
 Masks = Mapping[str, MaskReader]
 FAMILIES: Registry[Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = Registry("conventions", CONVENTIONS)
@@ -195,6 +204,47 @@ def _share_text(share: float) -> str:
 
 def _full_name(convention: Convention) -> str:
     return convention.name + ("" if convention.views == ALL_VIEWS else f", {convention.views} alone")
+
+
+def read_masks(where: str, views: Mapping[str, ViewFrames], measurement: Measurement) -> Masks:
+    """Read masks for conventions that leave pixels out, at the size at which a protocol measures.
+
+    Args:
+        where: a picture for all views, white where pixels count; a folder with ``<view>.png`` or ``<view>/<frame>.png``; or a box
+            as ``LEFT,TOP,RIGHT,BOTTOM`` in pixels, the last two excluded.
+
+    Raises:
+        MetricError: none of these, or a mask of another size than the frames.
+    """
+    path = Path(where)
+    box = [int(number) for number in where.split(",")] if BOX.fullmatch(where) else None
+
+    def read(file: Path, view: str) -> NDArray[np.bool_]:
+        shape = views[view].truth(views[view].frames[0]).shape[:2]
+        if box is None:
+            mask = measured_mask(read_image(file)[..., 0], measurement)
+        else:
+            mask = np.zeros(shape, np.bool_)
+            mask[box[1] : box[3], box[0] : box[2]] = True
+        if mask.shape != shape or not mask.any():
+            got = f"{mask.shape[1]} x {mask.shape[0]}, {'white somewhere' if mask.any() else 'black everywhere'}"
+            raise MetricError(f"{file}: wanted a mask of {shape[1]} x {shape[0]} with white where pixels count, got {got}")
+        return mask
+
+    def reader(view: str) -> MaskReader:
+        files = [path] if box is not None or path.is_file() else list_images(path / view)
+        files = files or [file for file in list_images(path) if file.stem == view]
+        if not files:
+            raise MetricError(f"{where}: wanted a mask of {view}, {view}.png or {view}/<frame>.png, a picture or a box; got none")
+        if len(files) == 1:
+            mask = read(files[0], view)
+            return lambda index: mask
+        by_number = dict(zip(numbers_in([file.stem for file in files]), files, strict=True))
+        if absent := [index for index in views[view].frames if index not in by_number]:
+            raise MetricError(f"{path / view}: wanted a mask of each frame, lacks {as_ranges(absent)}; number them as the frames")
+        return lambda index: read(by_number[index], view)
+
+    return {view: reader(view) for view in views}
 
 
 def forgiven_error(views: Mapping[str, ViewFrames]) -> str:

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,6 +22,19 @@ BT709 = np.array([0.2126, 0.7152, 0.0722])
 Planes = NDArray[np.float64]
 Preparation = Callable[[Image8, Image8], tuple[Planes, Planes]]
 CEILING_DB = 100.0
+# Parts of a clip that values are quoted of; those that a short clip cannot tell apart are measured once.
+PARTS = {
+    "without the first frame": slice(1, None),
+    "without the last frame": slice(-1),
+    "the first frame alone": slice(1),
+    "the last frame alone": slice(-1, None),
+    **{f"the first {n} frames": slice(n) for n in (10, 50, 60, 100, 150)},
+    **{
+        f"every {word} frame": slice(None, None, step)
+        for step, word in ((2, "second"), (5, "fifth"), (8, "eighth"), (10, "tenth"))
+    },
+    "every second frame, from the second": slice(1, None, 2),
+}
 
 
 @dataclass(frozen=True)
@@ -43,16 +58,38 @@ def view_pairs(view: ViewFrames) -> Iterator[tuple[Image8, Image8]]:
         yield pair
 
 
-def frame_means(views: Mapping[str, ViewFrames], measures: Mapping[str, FrameMeasure], ours: str) -> list[Recomputed]:
-    """Measures of single frames, mean over the frames of a view, then over the views."""
+def frame_means(
+    views: Mapping[str, ViewFrames], measures: Mapping[str, FrameMeasure], ours: str, in_parts: Iterable[str] | None = None
+) -> list[Recomputed]:
+    """Measures of single frames, mean over the frames of a view, then over the views.
+
+    Args:
+        in_parts: measures that are taken of parts of the clip too, see `PARTS`; this tool's own by default.
+    """
     names = list(measures)
-    tables = {view: [[measures[name](*pair) for name in names] for pair in view_pairs(frames)] for view, frames in views.items()}
-    return [
-        Recomputed(
-            name, mean_over_views({view: np.mean([row[i] for row in rows]) for view, rows in tables.items()}), name == ours
-        )
-        for i, name in enumerate(names)
-    ]
+    tables = {
+        view: np.array([[measures[name](*pair) for name in names] for pair in view_pairs(frames)])
+        for view, frames in views.items()
+    }
+    return mean_rows(names, tables, ours, [ours] if in_parts is None else in_parts)
+
+
+def mean_rows(
+    names: list[str], tables: Mapping[str, NDArray[np.float64]], ours: str, in_parts: Iterable[str]
+) -> list[Recomputed]:
+    """Mean values of tables (frames, names), one per view, of all frames and of parts of them."""
+
+    def means(name: str, part: slice) -> dict[str, float]:
+        return mean_over_views({view: np.mean(table[part, names.index(name)]) for view, table in tables.items()})
+
+    rows = [Recomputed(name, means(name, slice(None)), name == ours) for name in names]
+    seen = {tuple(range(len(table)) for table in tables.values())}
+    for title, part in PARTS.items():
+        frames = tuple(range(len(table))[part] for table in tables.values())
+        if all(frames) and frames not in seen:
+            seen.add(frames)
+            rows += [Recomputed(f"{name}, {title}", means(name, part)) for name in in_parts if name in names]
+    return rows
 
 
 def mean_over_views(by_view: Mapping[str, float | np.floating]) -> dict[str, float]:
@@ -85,6 +122,15 @@ def _video_luma(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
 def cropped(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
     """Return both frames without a tenth of their size at every side, rounded down as ENeRF and MVSNeRF do."""
     return cut_border(rendered), cut_border(truth)
+
+
+def _without_border(rendered: Image8, truth: Image8, *, border_px: int = 0, share: float = 0.0) -> tuple[Image8, Image8]:
+    """Return both frames without some pixels, or a share of their size rounded down, at every side."""
+    rows, columns = (int(share * size) or border_px for size in truth.shape[:2])
+    if 2 * max(rows, columns) >= min(truth.shape[:2]):
+        return rendered, truth
+    inner = slice(rows, truth.shape[0] - rows), slice(columns, truth.shape[1] - columns)
+    return rendered[inner], truth[inner]
 
 
 def grey(image: Image8) -> Image8:
@@ -122,6 +168,10 @@ def _half(image: Image8) -> Image8:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
+def _framed(prepare: Preparation, rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+    return _rgb(*prepare(rendered, truth))
+
+
 def _summed(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
     """Return the levels whose mean squared error over channels is the sum over the channels of the given ones."""
     return rendered * np.sqrt(3.0), truth * np.sqrt(3.0)
@@ -135,14 +185,24 @@ def _colour_corrected(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
     return np.clip(design @ fitted, 0, 255), target
 
 
+# Frames of another size or part, which PSNR, SSIM and L1 are taken of as well.
+FRAMINGS: Mapping[str, Preparation] = {
+    "both at half size": halved,
+    "truth of half size enlarged": half_truth,
+    "both at 960 x 640": at_llff_size,
+    "without a border of 5 %": partial(_without_border, share=0.05),
+    **{f"without a border of {n} px": partial(_without_border, border_px=n) for n in (4, 8, 16)},
+}
 PREPARATIONS: Mapping[str, Preparation] = {
     "RGB": _rgb,
     "luma (BT.601) in 0..255": _luma,
     "luma (BT.601) in 16..235, peak 255": _video_luma,
+    "luma (BT.601) in 16..235, peak 255, without a border of 4 px": lambda *pair: _video_luma(
+        *_without_border(*pair, border_px=4)
+    ),
     "grey of 8 bit": lambda rendered, truth: _rgb(grey(rendered), grey(truth)),
     "RGB, squared errors summed over channels": _summed,
-    "RGB, both at half size": lambda rendered, truth: _rgb(*halved(rendered, truth)),
-    "RGB, truth of half size enlarged": lambda rendered, truth: _rgb(*half_truth(rendered, truth)),
+    **{f"RGB, {name}": partial(_framed, prepare) for name, prepare in FRAMINGS.items()},
     "RGB without a border of 10 %": lambda rendered, truth: _rgb(*cropped(rendered, truth)),
     "RGB, both at 960 x 640, without a border of 10 % (MVSNeRF on LLFF)": as_mvsnerf,
     "RGB after the best affine colour map": _colour_corrected,
@@ -154,14 +214,76 @@ def psnr_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
     """PSNR over several kinds of pixels, averaged before or after the logarithm."""
     from skimage.metrics import mean_squared_error
 
-    errors: dict[str, dict[str, list[float]]] = {name: {} for name in PREPARATIONS}
+    errors: dict[str, dict[str, list[float]]] = {name: {} for name in (*PREPARATIONS, *VIDEO_SAMPLES)}
+    of_frames: dict[str, NDArray[np.float64]] = {}
     for view, frames in views.items():
-        table = [[mean_squared_error(*prepare(*pair)) for prepare in PREPARATIONS.values()] for pair in view_pairs(frames)]
-        for i, name in enumerate(PREPARATIONS):
-            errors[name][view] = [row[i] for row in table]
+        rows, weighted = [], []
+        for rendered, truth in view_pairs(frames):
+            planes = {form: _plane_errors(convert(rendered), convert(truth)) for form, convert in VIDEO_FORMS.items()}
+            rows.append([mean_squared_error(*prepare(rendered, truth)) for prepare in PREPARATIONS.values()])
+            rows[-1] += [np.average(planes[form], weights=weights) for form, weights in VIDEO_SAMPLES.values()]
+            channels = decibels(np.square(np.subtract(*_rgb(rendered, truth))).mean(axis=(0, 1)))
+            weighted.append(
+                [rows[-1][0], channels.mean(), *(np.average(decibels(each), weights=(6, 1, 1)) for each in planes.values())]
+            )
+        for name, values in zip(errors, zip(*rows, strict=True), strict=True):
+            errors[name][view] = list(values)
+        of_frames[view] = np.array(weighted)
+        of_frames[view][:, 0] = decibels(of_frames[view][:, 0])
     if masks:
         errors |= _masked_errors(views, masks)
-    return [row for name, by_view in errors.items() for row in _averaged(name, by_view)]
+    names = [
+        OUR_PSNR,
+        "RGB, PSNR of each channel, then the mean (3DGS's log)",
+        *(f"{form}, (6 Y + U + V) / 8" for form in VIDEO_FORMS),
+    ]
+    others = [row for row in mean_rows(names, of_frames, OUR_PSNR, [OUR_PSNR]) if row.name != OUR_PSNR]
+    return [row for name, by_view in errors.items() for row in _averaged(name, by_view)] + others
+
+
+def ycbcr(image: Image8, matrix: NDArray[np.float64], has_headroom: bool = True) -> Planes:
+    """YCbCr of a frame in levels that are not rounded, (H, W, 3); luma in 16..235 with headroom, else 0..255."""
+    y = image @ matrix
+    scale, offset, chroma = (219 / 255, 16, 224 / 255) if has_headroom else (1.0, 0, 1.0)
+    blue, red = (128 + chroma * (image[..., c] - y) / (2 * (1 - matrix[c])) for c in (2, 0))
+    return np.stack([offset + scale * y, blue, red], axis=-1)
+
+
+def _video_420(image: Image8, matrix: NDArray[np.float64], has_headroom: bool) -> list[Planes]:
+    """Planes of 8-bit 4:2:0: chroma averaged over 2 x 2 of its rounded values."""
+    y, *chroma = np.moveaxis(np.rint(ycbcr(image, matrix, has_headroom)).clip(0, 255), -1, 0)
+    return [y, *(np.rint(cv2.resize(c, (c.shape[1] // 2, c.shape[0] // 2), interpolation=cv2.INTER_AREA)) for c in chroma)]
+
+
+def _swscale_420(image: Image8) -> list[Planes]:
+    """Planes of yuv420p as FFmpeg converts pictures to it unless told otherwise: BT.601, 16..235, bicubic chroma."""
+    from av import VideoFrame
+
+    even = np.ascontiguousarray(image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2])
+    height, width = even.shape[:2]
+    samples = VideoFrame.from_ndarray(even, format="rgb24").reformat(format="yuv420p").to_ndarray().astype(np.float64)
+    return [samples[:height], *samples[height:].reshape(2, height // 2, width // 2)]
+
+
+def _plane_errors(rendered: list[Planes], truth: list[Planes]) -> list[float]:
+    return [float(np.square(first - second).mean()) for first, second in zip(rendered, truth, strict=True)]
+
+
+# 8-bit video of 4:2:0: Y, U and V, as (6 Y + U + V) / 8 of their PSNR or from the squared errors of all samples.
+VIDEO_FORMS: Mapping[str, Callable[[Image8], list[Planes]]] = {
+    **{
+        f"YUV 4:2:0 of 8 bit ({name}, {levels})": partial(_video_420, matrix=matrix, has_headroom=headroom)
+        for name, matrix in (("BT.709", BT709), ("BT.601", BT601))
+        for levels, headroom in (("16..235", True), ("0..255", False))
+    },
+    "yuv420p of FFmpeg (BT.601)": _swscale_420,
+}
+VIDEO_SAMPLES = {
+    f"{form}, {name}": (form, weights)
+    for form in VIDEO_FORMS
+    for name, weights in (("Y alone", (1, 0, 0)), ("all samples (ffmpeg's average)", (4, 1, 1)))
+    if name != "Y alone" or "0..255" not in form  # which is a grey of 8 bit
+}
 
 
 def _averaged(name: str, errors: Mapping[str, list[float]]) -> list[Recomputed]:
@@ -182,19 +304,59 @@ def decibels(squared_error_255: NDArray[np.float64] | np.floating | float) -> ND
 
 
 def _masked_errors(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> dict[str, dict[str, list[float]]]:
-    """Return the squared errors of the pixels inside the masks, and of whole frames that are black outside."""
-    inside: dict[str, list[float]] = {}
-    blackened: dict[str, list[float]] = {}
+    """Return the squared errors of the pixels inside the masks, and of frames that are changed by them."""
+    errors: dict[str, dict[str, list[float]]] = {name: {} for name in ("pixels inside the mask", *MASKINGS)}
     for view in (view for view in views if view in masks):
         rows = []
         for index in views[view].frames:
-            mask = masks[view](index)
-            squared = np.square(views[view].rendered(index).astype(np.float64) - views[view].truth(index))[mask]
-            rows.append((float(squared.mean()) if mask.any() else 0.0, float(squared.sum()) / (3 * mask.size)))
-        inside[view], blackened[view] = ([row[i] for row in rows] for i in (0, 1))
-    if not inside:
-        return {}
-    return {"pixels inside the mask": inside, "frames black outside the mask": blackened}
+            rendered, truth, mask = views[view].rendered(index), views[view].truth(index), masks[view](index)
+            pairs = [(rendered[mask], truth[mask]) if mask.any() else (truth, truth)]
+            pairs += [(change(rendered, mask), change(truth, mask)) for change in MASKINGS.values()]
+            rows.append([float(np.square(np.subtract(*_rgb(*pair))).mean()) for pair in pairs])
+        for name, values in zip(errors, zip(*rows, strict=True), strict=True):
+            errors[name][view] = list(values)
+    del errors["frames white outside the mask"]  # whose errors are those of black ones
+    if errors["pixels inside the mask"] == errors["the rectangle around the mask"]:
+        del errors["the rectangle around the mask"]
+    return errors if next(iter(errors.values())) else {}
+
+
+def masked_rows(
+    views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader], measures: Mapping[str, FrameMeasure]
+) -> list[Recomputed]:
+    """Measures of frames that are changed by masks; none unless every view has them."""
+    if not all(view in masks for view in views):
+        return []
+    tables = {
+        view: np.array(
+            [
+                [
+                    measure(change(frames.rendered(t), mask), change(frames.truth(t), mask))
+                    for change, measure in ((change, measure) for measure in measures.values() for change in MASKINGS.values())
+                ]
+                for t, mask in ((t, masks[view](t)) for t in frames.frames)
+            ]
+        )
+        for view, frames in views.items()
+    }
+    return mean_rows([f"{name}, {title}" for name in measures for title in MASKINGS], tables, "", ())
+
+
+def _filled(image: Image8, mask: NDArray[np.bool_], level: int) -> Image8:
+    return np.where(mask[..., None], image, np.uint8(level))
+
+
+def _rectangle(image: Image8, mask: NDArray[np.bool_]) -> Image8:
+    """Return the part of a frame around the white of its mask; the frame where there is none."""
+    x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    return image[y : y + height, x : x + width] if width else image
+
+
+MASKINGS: Mapping[str, Callable[[Image8, NDArray[np.bool_]], Image8]] = {
+    "frames black outside the mask": partial(_filled, level=0),
+    "frames white outside the mask": partial(_filled, level=255),
+    "the rectangle around the mask": _rectangle,
+}
 
 
 OUR_L1 = "mean over pixels and channels"
@@ -202,7 +364,8 @@ OUR_L1 = "mean over pixels and channels"
 
 def error_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
     """Return the mean absolute error and root mean squared error, in levels and in 0..1."""
-    return [row for one in [*_absolute_errors(views), *_root_squared_errors(views)] for row in _on_both_scales(one)]
+    rows = [*_absolute_errors(views), *_root_squared_errors(views), *masked_rows(views, masks, {OUR_L1: _absolute})]
+    return [row for one in rows for row in _on_both_scales(one)]
 
 
 def _on_both_scales(row: Recomputed) -> list[Recomputed]:
@@ -210,20 +373,23 @@ def _on_both_scales(row: Recomputed) -> list[Recomputed]:
     return [replace(row, name=f"{row.name}, 0..255"), Recomputed(f"{row.name}, 0..1", scaled)]
 
 
+def _absolute(rendered: NDArray[Any], truth: NDArray[Any]) -> float:
+    return float(np.abs(rendered.astype(np.float64) - truth).mean())
+
+
 def _absolute_errors(views: Mapping[str, ViewFrames]) -> list[Recomputed]:
-
-    def absolute(rendered: Image8, truth: Image8) -> float:
-        return float(np.abs(rendered.astype(np.float64) - truth).mean())
-
     measures: dict[str, FrameMeasure] = {
-        OUR_L1: absolute,
-        "sum over channels, mean over pixels": lambda *pair: 3 * absolute(*pair),
-        "without a border of 10 %": lambda *pair: absolute(*cropped(*pair)),
-        "grey of 8 bit": lambda rendered, truth: absolute(grey(rendered), grey(truth)),
-        "both at half size": lambda *pair: absolute(*halved(*pair)),
-        "truth of half size enlarged": lambda *pair: absolute(*half_truth(*pair)),
+        OUR_L1: _absolute,
+        "sum over channels, mean over pixels": lambda *pair: 3 * _absolute(*pair),
+        "without a border of 10 %": lambda *pair: _absolute(*cropped(*pair)),
+        "grey of 8 bit": lambda rendered, truth: _absolute(grey(rendered), grey(truth)),
+        **{name: partial(_prepared, _absolute, prepare) for name, prepare in FRAMINGS.items()},
     }
     return frame_means(views, measures, OUR_L1)
+
+
+def _prepared(measure: FrameMeasure, prepare: Preparation, rendered: Image8, truth: Image8) -> float:
+    return measure(*prepare(rendered, truth))
 
 
 def _root_squared_errors(views: Mapping[str, ViewFrames]) -> list[Recomputed]:
@@ -263,4 +429,6 @@ def lpips_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskR
         "VGG, inputs in [-1, 1], both at half size": lambda *pair: lpips(*halved(*pair), "vgg"),
         "AlexNet, inputs in [0, 1]": lambda rendered, truth: lpips(unscaled(rendered), unscaled(truth), "alex"),
     }
-    return frame_means(views, measures, OUR_LPIPS)
+    return frame_means(views, measures, OUR_LPIPS, list(measures)[:2]) + masked_rows(
+        views, masks, dict(list(measures.items())[:2])
+    )

@@ -5,6 +5,7 @@ Dissimilarities are one minus SSIM or half of it; TCC is an SSIM of changes; SDT
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from math import prod
 from typing import Any, get_args
 
 import cv2
@@ -21,17 +22,17 @@ from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
     ALL_VIEWS,
     BT601,
     BT709,
+    FRAMINGS,
+    VIDEO_FORMS,
     FrameMeasure,
     MaskReader,
     Recomputed,
     as_mvsnerf,
-    at_llff_size,
     changes,
     cropped,
     frame_means,
     grey,
-    half_truth,
-    halved,
+    masked_rows,
     mean_over_views,
     view_pairs,
 )
@@ -43,6 +44,7 @@ GAUSSIAN: dict[str, Any] = {"gaussian_weights": True, "sigma": 1.5, "use_sample_
 OUR_SSIM = "Gaussian 11 x 11, valid positions, range 1"
 UNIFORM_RANGE_1 = "uniform 7 x 7, range 1 (scikit-image on uint8)"
 UNIFORM_11 = "uniform 11 x 11, range 1 (scikit-image, win_size 11)"
+ZERO_PADDED = "Gaussian 11 x 11, zero-padded, range 1 (3DGS)"
 MULTI_SCALE = "MS-SSIM, five scales, Gaussian 11 x 11 (pytorch-msssim)"
 UNIFORM_RANGE_2 = "uniform 7 x 7, range 2 (scikit-image on float, no range given; EasyVolcap)"
 OUR_TCC = "Gaussian 11 x 11, valid positions, range 1, each channel cut off at 0"
@@ -56,13 +58,15 @@ Outputs = dict[tuple[str, str, str], dict[str, float]]
 
 def ssim_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
     """SSIM as scikit-image, kornia and the code bases of this field compute it."""
-    measures = frame_measures()
-    if all(min(view.truth(view.frames[0]).shape[:2]) >= SMALLEST_PX for view in views.values()):
+    shortest_px = min(min(view.truth(view.frames[0]).shape[:2]) for view in views.values())
+    is_boxed = _box_side(shortest_px) > 1
+    measures = {name: measure for name, measure in frame_measures().items() if is_boxed or BOXED not in name}
+    if shortest_px >= SMALLEST_PX:
         measures[MULTI_SCALE] = ms_ssim
-    rows = frame_means(views, measures, OUR_SSIM)
-    plain = [row for row in rows if row.name in (OUR_SSIM, UNIFORM_RANGE_1, UNIFORM_RANGE_2, UNIFORM_11, MULTI_SCALE)]
-    rows += [_dissimilarity(row, divisor) for divisor in (1, 2) for row in plain]
-    return rows + _blackened(views, masks) if all(view in masks for view in views) else rows
+    plain = (OUR_SSIM, UNIFORM_RANGE_1, UNIFORM_RANGE_2, UNIFORM_11, MULTI_SCALE)
+    rows = frame_means(views, measures, OUR_SSIM, (OUR_SSIM, ZERO_PADDED, UNIFORM_RANGE_1))
+    rows += [_dissimilarity(row, divisor) for divisor in (1, 2) for row in rows if row.name in plain]
+    return rows + masked_rows(views, masks, {name: measures[name] for name in (OUR_SSIM, UNIFORM_RANGE_1)})
 
 
 def frame_measures() -> dict[str, FrameMeasure]:
@@ -72,8 +76,7 @@ def frame_measures() -> dict[str, FrameMeasure]:
         "Gaussian 11 x 11, valid positions, range 2": partial(similarity, data_range=2.0, **GAUSSIAN),
         "Gaussian 11 x 11, valid positions, range of the true frame": partial(similarity, data_range=None, **GAUSSIAN),
         "Gaussian 11 x 11, sample covariance, range 1": partial(similarity, **{**GAUSSIAN, "use_sample_covariance": True}),
-        "Gaussian 11 x 11, zero-padded, range 1 (3DGS)": partial(ssim_variant, name="gaussian-zero"),
-        "Gaussian 11 x 11, reflect-padded, range 1 (kornia)": reflected,
+        ZERO_PADDED: partial(ssim_variant, name="gaussian-zero"),
         "Gaussian 11 x 11, valid positions, range 1, luma": partial(similarity, luma=True, **GAUSSIAN),
         UNIFORM_RANGE_1: similarity,
         UNIFORM_RANGE_2: partial(similarity, data_range=2.0),
@@ -82,6 +85,7 @@ def frame_measures() -> dict[str, FrameMeasure]:
         "uniform 7 x 7, population covariance, range 1": partial(similarity, use_sample_covariance=False),
         "uniform 7 x 7, range 1, luma": partial(similarity, luma=True),
         UNIFORM_11: partial(similarity, win_size=11),
+        "uniform 11 x 11, range 2": partial(similarity, win_size=11, data_range=2.0),
         "uniform 11 x 11, population covariance, range 1": partial(similarity, win_size=11, use_sample_covariance=False),
         "uniform 7 x 7, range 1, without a border of 10 % (ENeRF, later code)": lambda *pair: similarity(*cropped(*pair)),
         "uniform 7 x 7, range 2, without a border of 10 % (ENeRF as published)": partial(_prepared, cropped, data_range=2.0),
@@ -94,19 +98,49 @@ def frame_measures() -> dict[str, FrameMeasure]:
         for window, options in {OUR_SSIM: GAUSSIAN, "uniform 7 x 7, range 1": {}}.items()
         for size, prepare in PREPARATIONS.items()
     }
-    return measures | sized
+    windows: dict[str, FrameMeasure] = {
+        f"Gaussian {side} x {side}, {border}, range 1{of}": partial(gaussian_similarity, side=side, border=code)
+        for side in (3, 5, 7, 9, 11)
+        for (border, of), code in BORDERS.items()
+        if (border, side) not in (("zero-padded", 11), ("valid positions", 11))
+    }
+    blocks: dict[str, FrameMeasure] = {
+        f"blocks of 8 x 8 in whole numbers (ffmpeg), {form}": partial(_block_similarity, planes)
+        for form, planes in {"RGB": lambda image: list(np.moveaxis(image, -1, 0)), **VIDEO_FORMS}.items()
+    }
+    return measures | sized | windows | blocks
+
+
+BORDERS = {
+    ("reflect-padded", " (kornia)"): cv2.BORDER_REFLECT_101,
+    ("zero-padded", ""): cv2.BORDER_CONSTANT,
+    ("valid positions", ""): None,
+}
 
 
 def _prepared(prepare: Preparation, rendered: Image8, truth: Image8, **options: Any) -> float:
     return similarity(*prepare(rendered, truth), **options)
 
 
+BOXED = "after box averages"
 PREPARATIONS: Mapping[str, Preparation] = {
     "grey of 8 bit": lambda rendered, truth: (grey(rendered), grey(truth)),
-    "both at half size": halved,
-    "truth of half size enlarged": half_truth,
-    "both at 960 x 640": at_llff_size,
+    **FRAMINGS,
+    f"{BOXED} (MATLAB's ssim.m, piq)": lambda *pair: (_averaged_boxes(pair[0]), _averaged_boxes(pair[1])),
+    f"luma {BOXED} (MATLAB's ssim.m, piq)": lambda *pair: tuple(_averaged_boxes(image @ BT601) for image in pair),
 }
+
+
+def _box_side(shortest_px: int) -> int:
+    return max(round(shortest_px / 256), 1)
+
+
+def _averaged_boxes(image: Levels) -> Levels:
+    """Return the means of N x N pixels, unrounded: N is the shorter side over 256, rounded; the rest is cut off."""
+    side = _box_side(min(image.shape[:2]))
+    rows, columns = (size // side for size in image.shape[:2])
+    boxes = image[: rows * side, : columns * side].reshape(rows, side, columns, side, *image.shape[2:])
+    return boxes.mean(axis=(1, 3))
 
 
 def similarity(rendered: Levels, truth: Levels, data_range: float | None = 1.0, luma: bool = False, **options: Any) -> float:
@@ -124,31 +158,50 @@ def similarity(rendered: Levels, truth: Levels, data_range: float | None = 1.0, 
     return float(structural_similarity(first, second, data_range=levels or 1.0, channel_axis=axis, **options))
 
 
-def reflected(rendered: Image8, truth: Image8) -> float:
-    """Mean of kornia's SSIM map of two frames, (H, W, 3): a Gaussian window at every pixel, the image reflected at its border."""
-    import torch
-    from kornia.metrics import ssim
+def gaussian_similarity(rendered: Image8, truth: Image8, side: int, border: int | None) -> float:
+    """SSIM of two frames, (H, W, 3), by a Gaussian window of any side and sigma 1.5.
 
-    first, second = (torch.from_numpy(image / 255).permute(2, 0, 1)[None] for image in (rendered, truth))
-    return float(ssim(first, second, window_size=11, padding="same").mean())
+    Args:
+        border: of OpenCV, for windows at every pixel as kornia (reflected) and pytorch-ssim (zeros) have them; None for windows
+            inside the frame alone.
+    """
+    first, second = rendered / 255, truth / 255
+    taps = cv2.getGaussianKernel(side, 1.5)
+    blur = partial(cv2.sepFilter2D, ddepth=-1, kernelX=taps, kernelY=taps, borderType=border or cv2.BORDER_CONSTANT)
+    mean_x, mean_y = blur(first), blur(second)
+    covariance = blur(first * second) - mean_x * mean_y
+    variances = blur(first * first) - mean_x**2 + blur(second * second) - mean_y**2
+    scores = (2 * mean_x * mean_y + 1e-4) * (2 * covariance + 9e-4)
+    scores /= (mean_x**2 + mean_y**2 + 1e-4) * (variances + 9e-4)
+    inner = slice(side // 2, -(side // 2)) if border is None else slice(None)
+    return float(scores[inner, inner].mean())
+
+
+def _block_similarity(planes: Callable[[Image8], list[Levels]], rendered: Image8, truth: Image8) -> float:
+    """Return ffmpeg's ``All``: SSIM of 8 x 8 blocks at every fourth pixel, planes weighted by their size (vf_ssim.c)."""
+    small, large = int(0.01**2 * 255**2 * 64 + 0.5), int(0.03**2 * 255**2 * 64 * 63 + 0.5)
+    scores, sizes = [], []
+    for x, y in zip(planes(rendered), planes(truth), strict=True):
+        x, y = (np.asarray(plane, dtype=np.int64) for plane in (x, y))
+        sum_x, sum_y, squares, products = (_block_sums(each) for each in (x, y, x * x + y * y, x * y))
+        variance, covariance = squares * 64 - sum_x**2 - sum_y**2, products * 64 - sum_x * sum_y
+        above = (2 * sum_x * sum_y + small).astype(np.float64) * (2 * covariance + large)
+        scores.append(float((above / ((sum_x**2 + sum_y**2 + small).astype(np.float64) * (variance + large))).mean()))
+        sizes.append(prod(x.shape))
+    return float(np.average(scores, weights=sizes))
+
+
+def _block_sums(plane: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the sums over blocks of 8 x 8 at every fourth pixel."""
+    rows, columns = plane.shape[0] // 4, plane.shape[1] // 4
+    quarters = plane[: rows * 4, : columns * 4].reshape(rows, 4, columns, 4).sum(axis=(1, 3))
+    return quarters[:-1, :-1] + quarters[1:, :-1] + quarters[:-1, 1:] + quarters[1:, 1:]
 
 
 def _dissimilarity(row: Recomputed, divisor: int) -> Recomputed:
     formula = "1 - SSIM" if divisor == 1 else "DSSIM = (1 - SSIM) / 2"
     is_ours = divisor == 2 and row.name in (UNIFORM_RANGE_1, UNIFORM_RANGE_2)  # D-SSIM 1 and 2
     return Recomputed(f"{formula}, {row.name}", {over: (1 - value) / divisor for over, value in row.values.items()}, is_ours)
-
-
-def _blackened(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
-    """Return both frames black outside the mask; the windows there score 1."""
-    outside = {}
-    for view, frames in views.items():
-        values = []
-        for index in frames.frames:
-            mask = masks[view](index)[..., None]
-            values.append(similarity(frames.rendered(index) * mask, frames.truth(index) * mask, **GAUSSIAN))
-        outside[view] = np.mean(values)
-    return [Recomputed("Gaussian 11 x 11, valid positions, range 1, frames black outside the mask", mean_over_views(outside))]
 
 
 def tcc_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
