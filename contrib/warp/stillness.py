@@ -321,7 +321,7 @@ def compare_past(
     out: wp.array4d[wp.float32],
     known: wp.array2d[wp.float32],
 ):
-    """The new image at each cell, its change to the mean of the past and to the last, (2, 4, h, w), and where there is a past."""
+    """The new image at each cell, its change to the mean of the past and to the last, (2, 4, h, w), and if there is a past."""
     y, x = wp.tid()
     row = rows[0, y]
     column = columns[0, x]

@@ -89,7 +89,7 @@ def read_picture_header(path: Path) -> PictureHeader:
 
 
 def transparent_share(path: Path) -> float:
-    """Return the share of a picture's pixels that are not opaque; 0 where it cannot be decoded, which the reader reports."""
+    """Return the share of a picture's pixels that are not opaque; 0 if it cannot be decoded, which the reader reports."""
     import numpy as np
     from PIL import Image
 

@@ -173,7 +173,7 @@ class VideoFrames:
 
     @property
     def uneven(self) -> str:
-        """Distances between frames where their rate varies; empty where it does not."""
+        """Distances between frames where their rate varies; empty if it does not."""
         shortest, longest = self._header.steps
         if longest - shortest <= max(1, LARGEST_JITTER * longest):  # time stamps are rounded to ticks
             return ""

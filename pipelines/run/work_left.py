@@ -53,7 +53,7 @@ class Piece:
     Attributes:
         folder: where they will be; runs that share it have the piece in common.
         label: of the method that renders them.
-        core_seconds: of all of them at `pace` 1; None where they are not known.
+        core_seconds: of all of them at `pace` 1; None if they are not known.
         passing: they are removed before anything is rendered.
     """
 

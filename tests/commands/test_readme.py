@@ -57,7 +57,7 @@ def test_every_command_ends_as_the_page_says(walk):
 
 
 def test_what_is_printed_is_what_the_page_shows(walk):
-    """The planted fault in all three views, the digits of the table, and the page at its path; of half of the frames, its names."""
+    """The planted fault in all three views, the digits of the table, and the page; of half of the frames, its names."""
     folder, steps, _, is_whole = walk
     _, examined, scored, reported = (" ".join(each.output.split()) for each in steps)
     shown = re.findall(r"^```\n(frame .*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)[0]

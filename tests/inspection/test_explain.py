@@ -1,6 +1,7 @@
 """Every convention is recognised by a value computed independently of it; a wrong value is recognised by none."""
 
 from fractions import Fraction
+from functools import cache
 
 import cv2
 import numpy as np
@@ -28,6 +29,7 @@ from ggvs_eval.pipelines.inspection.renders.explain import (
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import ALL_VIEWS, Recomputed
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.pipelines.inspection.renders.ssim_conventions import frame_measures
+from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Measurement
 
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables_of_runs import tables_of_runs
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path
-from ggvs_eval.synthetic.shipped import LATE, MENDED, PROTOCOL, QUICK_ROOM, quick_protocol, write_quick
+from ggvs_eval.synthetic.shipped import FIXED, LATE, PROTOCOL, QUICK_ROOM, quick_protocol, write_quick
 
 pytestmark = pytest.mark.slow
 VIEW, FRAMES = "cam00", 4
@@ -31,7 +31,7 @@ def quick(tmp_path_factory) -> Path:
         measurement=replace(protocol.measurement, metrics=("PSNR", "SSIM", "TCC"), ceilings=False),
     )
     (folder / PROTOCOL).write_text(cheap.to_toml(), encoding="utf-8")
-    for name in (MENDED, LATE):
+    for name in (FIXED, LATE):
         for frame in cheap.frames.numbers:
             one = frame_path(folder / "one" / name / VIEW, frame)
             one.parent.mkdir(parents=True, exist_ok=True)

@@ -347,7 +347,7 @@ def _filled(image: Image8, mask: NDArray[np.bool_], level: int) -> Image8:
 
 
 def _rectangle(image: Image8, mask: NDArray[np.bool_]) -> Image8:
-    """Return the part of a frame around the white of its mask; the frame where there is none."""
+    """Return the part of a frame around the white of its mask; the frame if there is none."""
     x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
     return image[y : y + height, x : x + width] if width else image
 
