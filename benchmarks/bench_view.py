@@ -18,14 +18,14 @@ from scipy.spatial.transform import Rotation
 from viser._messages import ViewerCameraMessage
 from websockets.sync.client import ClientConnection, connect
 
+from ggvs_eval.contrib.view.scene import vertical_fov
+from ggvs_eval.contrib.view.session import ViewDefaults
+from ggvs_eval.contrib.view.viewer import Listener, Viewer
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import Playback, PlayOptions, camera_loop, playback_of_capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
-from ggvs_eval.pipelines.view.scene import vertical_fov
-from ggvs_eval.pipelines.view.session import ViewDefaults
-from ggvs_eval.pipelines.view.viewer import Listener, Viewer
 
 WINDOW = 640, 360
 DRAG_SECONDS, JUMPS = 10.0, 12

@@ -185,7 +185,7 @@ VERBS: dict[str, Verb] = {
         "ours mine --run out/mine",
     ),
     "view": Verb(
-        f"{VERBS_ROOM}.play:view",
+        "ggvs_eval.contrib.view.command:view",
         "View a scene in the browser: drag the camera, play or pause time.",
         LOOK,
         "my_capture",

@@ -262,6 +262,12 @@ def nearest_rotation(matrix: Array) -> tuple[Array, float]:
     return rotation, float(np.abs(rotation - matrix).max())
 
 
+def up_direction(cameras: Iterable[Camera]) -> Array:
+    """Return the direction that is up for most cameras of a rig, a unit vector in the world, (3,)."""
+    up = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
+    return np.asarray(up / np.linalg.norm(up))
+
+
 def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> list[Camera]:
     """Return the `count` cameras whose centres are nearest to the target's, nearest first, without the target.
 

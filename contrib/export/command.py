@@ -37,9 +37,9 @@ def export(
         degree: highest degree of spherical harmonics, for a smaller file; all by default.
         layout: layout of the capture; detected by default.
     """
+    from ggvs_eval.camera import up_direction
     from ggvs_eval.contrib.export.gltf import write_glb
     from ggvs_eval.pipelines.methods.sequence import open_sequence
-    from ggvs_eval.pipelines.view.scene import up_direction
 
     if out.suffix.lower() != ".glb":
         raise RenderError(f"{out}: wanted a .glb file name; use {out.with_suffix('.glb').name}")

@@ -1,6 +1,5 @@
-"""The verbs of the command line that synthesise live: play into a video, view in a browser."""
+"""The verb of the command line that synthesises live into a video: play."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +19,6 @@ from ggvs_eval.pipelines.commands.flags import (
     Label,
 )
 from ggvs_eval.pipelines.methods.network_options import checked_device
-from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, online_method
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 
@@ -62,72 +60,13 @@ def play(
     online_method(method, device)
     require_writable(out)
     cache, options = out.with_name(f"{out.stem}-cache"), PlayOptions(k, frames, width, sources)
-    playback = make_playback(_open(source, reading, jobs), options, depth.options(device), cache, jobs)
+    playback = make_playback(open_source(source, reading, jobs), options, depth.options(device), cache, jobs)
     timing = record(playback, out, method, device)
     size = "{} x {}".format(*playback.poses[0].size)
     print(f"{out}: {len(playback.poses)} frames of {size} by {method}, K = {playback.k}", timing.table(), sep="\n")
 
 
-def view(
-    source: Source,
-    method: Label = DEFAULT_METHOD,
-    k: int = 2,
-    frames: int | None = None,
-    sources: SourceChoice | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    out: Path = Path("view"),
-    export: Path | None = None,
-    device: Device = "cpu",
-    reading: CaptureFlags = CAPTURE_DEFAULTS,
-    depth: DepthFlags = LIVE_DEPTH,
-    jobs: Jobs = ONE_PER_CORE,
-) -> None:
-    """View a scene in the browser: drag the camera, play or pause time.
-
-    Needs the package viser: pip install 'ggvs-eval[view]'.
-
-    Args:
-        source: capture, with frames and depth cached in OUT/cache; or a run folder.
-        method: rendering method; can be changed in the page.
-        k: number of source views; can be changed in the page.
-        frames: number of instants, from the first; all by default.
-        sources: source views: nearest cameras, best coverage, or a triplet; the run's, or nearest, by default.
-        host: address; 0.0.0.0 accepts remote connections; they need the printed URL, which has a token.
-        port: port; the next free one if it is in use.
-        out: folder of recorded paths, and of a capture's frames and depth.
-        export: HTML file of cameras and points, which needs no server; then exit.
-        device: device of networks, for the method and a capture's depth (--matcher raft, itermvs).
-        reading: capture reading.
-        depth: depth estimation of a capture.
-        jobs: parallel processes that prepare a capture, at least 1.
-    """
-    from ggvs_eval.pipelines.view.viewer import Listener, require_viser
-
-    require_viser()
-    listener = Listener(host, port)
-    print(f"reading {source} ...", file=sys.stderr, flush=True)
-    from ggvs_eval.pipelines.play.playback import PlayOptions, make_playback
-    from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
-    from ggvs_eval.pipelines.view.session import ViewDefaults
-    from ggvs_eval.pipelines.view.viewer import Viewer, export_page
-
-    device = checked_device(device)
-    online_method(method, device)
-    shown, options = _open(source, reading, jobs), PlayOptions(k, frames, None, sources)
-    playback = make_playback(shown, options, depth.options(device), out / "cache", jobs, True)
-    protocol = suggest_protocol(shown) if isinstance(shown, Capture) else shown.protocol
-    if export is not None:
-        export_page(playback, sorted(set(playback.instants)), export, listener)
-        print(export)
-        return
-    online = tuple(label for label, spec in METHODS.built_in().items() if spec.online)
-    with Viewer(playback, ViewDefaults(method, online, k, protocol, out), listener, device) as viewer:
-        print(f"{listener.address} - open it in a browser; Ctrl-C stops the server", flush=True)
-        viewer.wait()
-
-
-def _open(source: Path, reading: CaptureOptions, jobs: int) -> RunPlan | Capture:
+def open_source(source: Path, reading: CaptureOptions, jobs: int) -> RunPlan | Capture:
     """Return the prepared run of a run folder, or a capture."""
     from ggvs_eval.pipelines.run.evaluate import reopen
 

@@ -15,6 +15,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from ggvs_eval.compute_device import rendering_on
+from ggvs_eval.contrib.view import viewer
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.files.images import quantise
@@ -30,7 +31,6 @@ from ggvs_eval.pipelines.play import playback
 from ggvs_eval.pipelines.run import work_left
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-from ggvs_eval.pipelines.view import viewer
 from helpers.captures import write_dynerf
 from helpers.command_line import refusal
 from helpers.refusals import refused

@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from ggvs_eval.baselines.fitted.hexplane import PUBLISHED, DeformationNetwork
+from ggvs_eval.camera import up_direction
 from ggvs_eval.capture import Capture
 from ggvs_eval.contrib.export.gltf_reading import glb_frames
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.gaussians import write_ply
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.splats import named_splats, open_splats, splats_notes
-from ggvs_eval.pipelines.view.scene import up_direction
 from helpers.gaussian_clouds import random_cloud
 from helpers.small_layouts import write_capture_toml
 

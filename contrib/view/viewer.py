@@ -25,18 +25,18 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from ggvs_eval.errors import CommandError
-from ggvs_eval.pipelines.play.playback import Playback
-from ggvs_eval.pipelines.view.live_view import FrameStock
-from ggvs_eval.pipelines.view.scene import (
+from ggvs_eval.camera import up_direction
+from ggvs_eval.contrib.view.live_view import FrameStock
+from ggvs_eval.contrib.view.scene import (
     Frusta,
     add_cloud,
     gazed_depth,
     middle_camera,
-    up_direction,
     vertical_fov,
 )
-from ggvs_eval.pipelines.view.session import Session, ViewDefaults
+from ggvs_eval.contrib.view.session import Session, ViewDefaults
+from ggvs_eval.errors import CommandError
+from ggvs_eval.pipelines.play.playback import Playback
 
 if TYPE_CHECKING:
     import viser

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.pipelines.view.live_view import FrameStock
+from ggvs_eval.contrib.view.live_view import FrameStock
 
 if TYPE_CHECKING:
     import viser
@@ -17,12 +17,6 @@ MOST_POINTS = 120_000
 FRUSTUM_SHARE = 0.2  # of the distance between neighbouring cameras
 POINT_SHARE = 0.0025  # of the depth that the rig looks at
 FRUSTUM_COLOUR = (230, 159, 0)
-
-
-def up_direction(cameras: Sequence[Camera]) -> Array:
-    """Return the direction that is up for most cameras of a rig, a unit vector in the world, (3,)."""
-    up = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
-    return np.asarray(up / np.linalg.norm(up))
 
 
 def middle_camera(cameras: Sequence[Camera]) -> Camera:

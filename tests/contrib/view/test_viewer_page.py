@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from ggvs_eval.contrib.view.live_view import LiveView
+from ggvs_eval.contrib.view.session import ViewDefaults
+from ggvs_eval.contrib.view.viewer import Listener, Viewer, export_page
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
-from ggvs_eval.pipelines.view.live_view import LiveView
-from ggvs_eval.pipelines.view.session import ViewDefaults
-from ggvs_eval.pipelines.view.viewer import Listener, Viewer, export_page
 from helpers.browser import DESKTOP
 from helpers.stereo_scenes import write_capture
 

@@ -12,11 +12,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.contrib.view.live_view import LAYERS, FrameStock, LiveView, Picture, ViewRequest
+from ggvs_eval.contrib.view.scene import Frusta, Leash, add_cloud, camera_orientation, gazed_depth, middle_camera
 from ggvs_eval.errors import GgvsError
 from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.play.synthesizer import SEEN_FROM_DEG
-from ggvs_eval.pipelines.view.live_view import LAYERS, FrameStock, LiveView, Picture, ViewRequest
-from ggvs_eval.pipelines.view.scene import Frusta, Leash, add_cloud, camera_orientation, gazed_depth, middle_camera
 from ggvs_eval.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 from dataclasses import field
 from itertools import count
 
+from ggvs_eval.contrib.view.live_view import recorded_pose
 from ggvs_eval.errors import ProtocolError, RenderError
 from ggvs_eval.files.atomic import write_text
 from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.pipelines.play.play import record
-from ggvs_eval.pipelines.view.live_view import recorded_pose
 from ggvs_eval.protocol import CameraPath, PathCamera
 
 

@@ -9,9 +9,9 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from ggvs_eval.contrib.view.viewer import Listener, start_guarded
 from ggvs_eval.errors import CommandError
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.view.viewer import Listener, start_guarded
 
 viser = pytest.importorskip("viser")
 EVIL = "evil.example"
@@ -20,7 +20,7 @@ EVIL = "evil.example"
 @pytest.fixture(scope="module")
 def served():
     """A server with one button; its listener, and how often the button was pressed."""
-    from ggvs_eval.pipelines.view.viewer import open_server
+    from ggvs_eval.contrib.view.viewer import open_server
 
     listener, clicks = Listener(port=0), []
     server = open_server(listener)

@@ -5,6 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ggvs_eval.camera import up_direction
+from ggvs_eval.contrib.view import viewer as listener_module
+from ggvs_eval.contrib.view.live_view import LAYERS, FrameStock, LiveView, ViewRequest, fitted
+from ggvs_eval.contrib.view.scene import cloud, gazed_depth, middle_camera
+from ggvs_eval.contrib.view.session import Recording, status_text
+from ggvs_eval.contrib.view.viewer import require_viser
 from ggvs_eval.errors import CommandError, RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import VideoFrames
@@ -13,11 +19,6 @@ from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-from ggvs_eval.pipelines.view import viewer as listener_module
-from ggvs_eval.pipelines.view.live_view import LAYERS, FrameStock, LiveView, ViewRequest, fitted
-from ggvs_eval.pipelines.view.scene import cloud, gazed_depth, middle_camera, up_direction
-from ggvs_eval.pipelines.view.session import Recording, status_text
-from ggvs_eval.pipelines.view.viewer import require_viser
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views, load_protocol
 from helpers.itermvs_weights import write_checkpoint
 from helpers.refusals import refused
