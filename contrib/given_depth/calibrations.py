@@ -15,6 +15,7 @@ from ggvs_eval.pipelines.commands.flags import (
     CAPTURE_DEFAULTS,
     DEPTH_DEFAULTS,
     HERE,
+    NONE,
     CaptureFlags,
     CaptureOptions,
     DepthFlags,
@@ -27,8 +28,10 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.table import format_value, signed
 from ggvs_eval.reports.tables.compare_runs import Difference, differences, differences_csv, run_sides
 
-Variants = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="NAME=CAPTURE ...")]
-Depths = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=DIR ...")]
+Variants = Annotated[
+    tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="NAME=CAPTURE ...", help_behavior_hint="(required)")
+]
+Depths = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=DIR ...", help_behavior_hint=NONE)]
 METHODS = ("ours-geometric",)
 
 

@@ -7,12 +7,13 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.pipelines.commands.flags import NONE
 
-Scored = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...")]
-Rows = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=METHOD ...")]
+Scored = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...", help_behavior_hint="(required)")]
+Rows = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=METHOD ...", help_behavior_hint=NONE)]
 
 
-def check_table(runs: Scored, table: Path, rows: Rows = (), metric: str = "", out: Path | None = None) -> None:
+def check_table(runs: Scored, table: Path, rows: Rows = (), metric: str | None = None, out: Path | None = None) -> None:
     """Check every cell of a published table against scored runs.
 
     Each cell is reproduced (to its printed digits), equal under another convention, undecided (within the interval of this clip)
@@ -34,7 +35,7 @@ def check_table(runs: Scored, table: Path, rows: Rows = (), metric: str = "", ou
     named = dict(pair.rpartition("=")[::2] for pair in rows)
     if "" in named:
         raise ResultsError(f"--rows: wanted NAME=METHOD, got {' '.join(rows)}; write the name as in the table")
-    quoted = read_quoted(table, metric)
+    quoted = read_quoted(table, metric or "")
     measured = [run for group in runs_by_protocol(runs, read_scores) for run in group]
     checked = check_cells(quoted.cells, Runs(measured, named))
     for head, why in quoted.left_out.items():
