@@ -60,7 +60,7 @@ def calibrations(
     depth: DepthFlags = DEPTH_DEFAULTS,
     engine: Running = HERE,
 ) -> None:
-    """Render one capture under several calibrations or depths and compare them.
+    """Render one capture under several calibrations or depths and compare.
 
     Frames and protocol are the same; each variant is a run folder OUT/NAME. The table gives the differences to the first
     one, paired over frames. A second call resumes.

@@ -6,14 +6,14 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from ggvs_eval.contrib.table_check.check import VERDICTS, CheckedCell, expected_by_chance
+from ggvs_eval.contrib.table_check.check import VERDICTS, CheckedCell, Verdict, expected_by_chance
 from ggvs_eval.files.atomic import write_text
 from ggvs_eval.pipelines.inspection.table import text_table
 from ggvs_eval.progress import counted
 from ggvs_eval.reports.model.measured import MeasuredRun
 
 TEMPLATES = Path(__file__).parent / "templates"
-MATCHED = ("reproduced", "other convention")
+MATCHED: tuple[Verdict, ...] = ("reproduced", "other convention")
 HEADS = ("method", "scene", "metric", "quoted", "verdict", "method_of_run", "measured", "reason", "by_chance", "neighbour")
 
 
