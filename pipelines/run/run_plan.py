@@ -3,6 +3,7 @@
 A plan is made once. What is left to do is counted on it, and prepare, render and score work through it.
 """
 
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -16,7 +17,7 @@ from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.llff import CameraPath, open_path
 from ggvs_eval.depth_store import DepthJob
-from ggvs_eval.errors import CameraError, CaptureError, DepthError, ProtocolError
+from ggvs_eval.errors import CameraError, CaptureError, DepthError, GgvsWarning, ProtocolError
 from ggvs_eval.geometry.sight import require_sight
 from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions, checked_device
@@ -24,12 +25,13 @@ from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit, SourcePlan
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DEVICE, DepthRunOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DEVICE, DepthRunOptions, default_matcher
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthPartners, plan_depth
 from ggvs_eval.pipelines.run.claim import require_owner
 from ggvs_eval.pipelines.run.derived_files import cached_capture
 from ggvs_eval.pipelines.run.folds import FitPlan, fill_folds, plan_fits, plan_folds, visible_cameras
 from ggvs_eval.pipelines.run.render import RunJobs, fit_job, render_job
+from ggvs_eval.progress import counted
 from ggvs_eval.protocol import PathCamera, Protocol
 from ggvs_eval.run_folder import RunFolder, read_json
 
@@ -265,6 +267,9 @@ def plan_run(request: RunRequest) -> RunPlan:
     partners = DepthPartners(visible, options)
     chosen = {target.name: partners.sources(target, k, choice) for target in targets}
     sensed = visible.sensed_cameras if options.sensor is not None else frozenset[str]()
+    if sensed and depth.matcher != default_matcher():
+        words = f"--matcher {depth.matcher} has no effect on {counted(len(sensed), 'camera')} whose depth is measured or given"
+        warnings.warn(f"{capture.path}: {words}; use it with --no-sensor", GgvsWarning, stacklevel=2)
     unseen: dict[str, CameraError] = {}
     for target in targets[: len(protocol.views.test)] if use_depth or not methods else []:
         try:

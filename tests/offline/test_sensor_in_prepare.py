@@ -1,5 +1,6 @@
 """Measured depth takes the place of stereo where a capture has it."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +8,14 @@ import pytest
 
 from ggvs_eval.capture import Extras
 from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.errors import GgvsWarning
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED
 from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
+from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
+from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views
 from helpers.stereo_scenes import PLANE, plane_depth, write_capture
 
 pytestmark = pytest.mark.slow
@@ -92,3 +97,17 @@ def test_holes_of_measured_depth_are_filled_by_colour(sensed_plane, tmp_path, mo
     assert np.median(np.abs(depth_map.depth / truth - 1)[HOLE]) < 0.02
     described = {name: job.spec["check"] for name, job in jobs.items()}
     assert ["fill" in described[name] for name in ("cam00", "cam03")] == [True, False]
+
+
+def test_a_matcher_without_effect_says_so(sensed_plane, tmp_path):
+    """Cameras with a sensor ignore --matcher, which is said with the way to use it; the default is silent."""
+    protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=2))
+    request = RunRequest(tmp_path / "run", sensed_plane, protocol, ("ours-geometric",), DepthRunOptions("live"), AS_SHIPPED)
+    with pytest.warns(
+        GgvsWarning, match="--matcher live has no effect on 2 cameras whose depth is measured or given; use it with --no-sensor"
+    ):
+        plan_run(request)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plan_run(replace(request, root=tmp_path / "usual", depth=DepthRunOptions()))
+        plan_run(replace(request, root=tmp_path / "stereo", depth=DepthRunOptions("live", sensor=False)))
