@@ -36,6 +36,7 @@ from ggvs_eval.pipelines.run.render import method_code
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.pipelines.run.score_code import metric_code
 from ggvs_eval.progress import counted, duration
+from ggvs_eval.protocol import COSTLIEST
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 
 # Bytes per pixel: depth as it is stored, PNG of frames with and without sensor noise as on the demo.
@@ -391,8 +392,8 @@ def _title(plans: Sequence[RunPlan]) -> str:
     many = f"{len(plans)} runs of " if len(plans) > 1 else ""
     ks = ", ".join(map(str, sorted({plan.protocol.synthesis.k for plan in plans})))
     measured = (plan.protocol.measurement for plan in plans)
-    every = {each.lpips_every for each in measured if each.lpips_every > 1 and any("LPIPS" in name for name in each.metrics)}
-    lpips = f", LPIPS of one frame in {' or '.join(map(str, sorted(every)))}" if every else ""
+    every = {each.lpips_every for each in measured if each.lpips_every > 1 and any(COSTLIEST in name for name in each.metrics)}
+    lpips = f", {COSTLIEST} of one frame in {' or '.join(map(str, sorted(every)))}" if every else ""
     return f"{many}{len(first.plans)} views x {len(first.frames)} frames{methods} at {width} x {height}, K = {ks}{lpips}"
 
 
