@@ -17,7 +17,7 @@ namespace {
 namespace py = pybind11;
 
 constexpr size_t kLeast = size_t(1) << 18;     // bytes: below, the allocator does as well
-constexpr size_t kMostIdle = size_t(1) << 29;  // bytes; more where more was in use at once: a large step wants all of it again
+constexpr size_t kMostIdle = size_t(1) << 29;  // bytes; more where more was in use: a large step wants all of it again
 constexpr uint64_t kMostTurns = 256;
 constexpr size_t kAlignment = 64, kHugePage = size_t(1) << 21;
 
@@ -50,7 +50,8 @@ public:
         blocks_.push_back(block);
         bytes_ += block.bytes;
         used_ -= block.bytes;
-        drop([this](const Block&) { return bytes_ > std::max({kMostIdle, most_used_, used_before_}); });
+        const size_t wanted = std::max(most_used_, used_before_) / 4 * 5;  // blocks of all sizes are more than were in use at once
+        drop([this, wanted](const Block&) { return bytes_ > std::max(kMostIdle, wanted); });
     }
 
     size_t bytes() const { return bytes_; }
