@@ -17,7 +17,7 @@ namespace {
 namespace py = pybind11;
 
 constexpr size_t kLeast = size_t(1) << 18;     // bytes: below, the allocator does as well
-constexpr size_t kMostIdle = size_t(1) << 29;  // bytes; more where more was in use at once: a large step wants all of it again
+constexpr size_t kMostIdle = size_t(1) << 29;  // bytes; more where more was in use: a large step wants all of it again
 constexpr uint64_t kMostTurns = 256;
 constexpr size_t kAlignment = 64, kHugePage = size_t(1) << 21;
 
@@ -31,7 +31,7 @@ struct Block {
 class Idle {
 public:
     Block take(size_t bytes) {
-        if (++turn_ % kMostTurns == 0) most_used_ = used_;
+        if (++turn_ % kMostTurns == 0) used_before_ = most_used_, most_used_ = used_;
         used_ += bytes;
         most_used_ = std::max(most_used_, used_);
         for (auto block = blocks_.rbegin(); block != blocks_.rend(); ++block) {  // the last in use is the likeliest in the cache
@@ -50,7 +50,8 @@ public:
         blocks_.push_back(block);
         bytes_ += block.bytes;
         used_ -= block.bytes;
-        drop([this](const Block&) { return bytes_ > std::max(kMostIdle, most_used_); });
+        const size_t wanted = std::max(most_used_, used_before_) / 4 * 5;  // blocks of all sizes are more than were in use at once
+        drop([this, wanted](const Block&) { return bytes_ > std::max(kMostIdle, wanted); });
     }
 
     size_t bytes() const { return bytes_; }
@@ -76,7 +77,8 @@ private:
     }
 
     std::deque<Block> blocks_;
-    size_t bytes_ = 0, used_ = 0, most_used_ = 0;  // kept; given out, now and at most since a while
+    // Kept; given out, now, at most in the present kMostTurns, which may have just begun, and in those before.
+    size_t bytes_ = 0, used_ = 0, most_used_ = 0, used_before_ = 0;
     uint64_t turn_ = 0;
 };
 

@@ -37,6 +37,7 @@ Features: TypeAlias = "list[NDArray[np.float32]] | list[torch.Tensor]"  # of the
 # Of truths whose features a process remembers from one run to the next; four of 480 x 360 pixels.
 REMEMBERED_BYTES = 400_000_000
 PIXEL_BYTES = 488  # of VGG's compared layers
+MOST_AT_ONCE = 8  # renders that are compared in bands together: at 1352 x 1014 each takes 80 MB
 
 
 def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
@@ -213,12 +214,14 @@ def note_renderings(truth: TruthFrame, renderings: Sequence[Image8]) -> None:
 
 
 def _bands_of(rendered: Image, truth: TruthFrame) -> list[NDArray[np.float32]]:
-    """`compare_in_bands` of a frame, with all that were noted where it is one of them."""
+    """`compare_in_bands` of a frame, together with others that were noted where it is one of them."""
     noted: tuple[Image, ...] = truth.once(note_renderings, tuple)
-    if all(each is not rendered for each in noted):
+    at = next((n for n, each in enumerate(noted) if each is rendered), None)
+    if at is None:
         return compare_in_bands(truth.image, [rendered])[0]
-    maps = truth.once(compare_in_bands, lambda: dict(zip(map(id, noted), compare_in_bands(truth.image, noted), strict=True)))
-    return maps[id(rendered)]
+    first = at - at % MOST_AT_ONCE
+    together = noted[first : first + MOST_AT_ONCE]
+    return truth.once((compare_in_bands, first), lambda: compare_in_bands(truth.image, together))[at - first]
 
 
 def is_looked_at(index: int, options: MetricOptions) -> bool:

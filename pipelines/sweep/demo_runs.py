@@ -140,10 +140,10 @@ def evaluate_demos(
         if not roots and left.count("depth", "checked depth") and each.protocol.frames.count > FIRST_FRAMES:
             show(show_first_frames(each, workers))
         measure(each, workers)
+        shutil.rmtree(first_root(each.run.root), ignore_errors=True)
         roots = [*dict.fromkeys([*roots, each.run.root])]
         if not left.is_nothing():
             show(report(roots, tables_of=tables, with_figures=False))
-            shutil.rmtree(first_root(each.run.root), ignore_errors=True)
     if not failures:
         drop_found_depth(plans)
     page = report(roots, tables_of=tables)

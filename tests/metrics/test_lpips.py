@@ -359,6 +359,9 @@ def test_large_frames_are_compared_in_bands_all_methods_at_once(monkeypatch):
     assert passes == [3, 3]
     score_views(frames, ["LPIPS", "LPIPS_cc"], MetricOptions(colour_scope="frame"))
     assert passes[2:] == [3, 2, 2] * 2  # of corrected colours one by one
+    monkeypatch.setattr(module, "MOST_AT_ONCE", 1)
+    assert [each.values for each in score_views(frames, names)] == [each.values for each in remembered]
+    assert passes[8:] == [2, 2, 2, 2]
 
 
 @needs_weights
