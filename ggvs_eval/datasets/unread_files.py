@@ -86,9 +86,8 @@ def unused_note(path: Path, used: Collection[str], notes: Sequence[str]) -> list
     named = set(re.split(r"[ ,;:/]+", " ".join(notes)))
     start = os.path.join(os.path.abspath(path), "")
     tops = {file.removeprefix(start).partition(os.sep)[0] for file in used if file.startswith(start)}
-    left = [
-        entry for entry in list_entries(path) if entry.name not in tops and not is_own(entry) and not TEXTS.search(entry.name)
-    ]
+    left = [entry for entry in list_entries(path) if named.isdisjoint({entry.name, entry.stem}) and not is_own(entry)]
+    left = [entry for entry in left if entry.name not in tops and not TEXTS.search(entry.name)]
     names = [f"{entry.name}/" if entry.is_dir() else entry.name for entry in left]
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return [f"not used: {', '.join(names[:LISTED])}{more}"] if names else []

@@ -110,6 +110,7 @@ OTHER_GAUSSIANS = {
 # Comments by which exporters say that a cloud was trained antialiased (gsplat, brush), and what is written as one.
 ANTIALIASED = re.compile(r"SplatRenderMode\W+mip|anti-?alias(ed|ing)?\W*(true|1|on|yes)?$", re.I)
 ANTIALIASED_COMMENT = "SplatRenderMode: mip"
+NORMALISED_NOTE = "written by nerfstudio, whose world is normalised: dataparser_transforms.json of the training, next to it, moves it to the capture's"
 PLAIN_COMMENT = re.compile(r"SplatRenderMode\W+default|://", re.I)
 HARMLESS = {"nx", "ny", "nz", "red", "green", "blue", "alpha", "label", "obj_dc_0", "obj_dc_1", "obj_dc_2"}
 OTHER_FORMATS = (".spz", ".splat", ".ksplat", ".sog")
@@ -159,7 +160,8 @@ def header_notes(path: Path) -> list[str]:
     names = next(each for each in elements if each.name == "vertex").row.names or ()
     known = {*MEANS, *COLOURS, "opacity", *SCALES, *TURNS, *HARMLESS, *PACKED}
     unknown = [name for name in names if name not in known and not name.startswith("f_rest_")]
-    notes = [f"{', '.join(unknown)} of its Gaussians are unknown and ignored"] if unknown else []
+    notes = [NORMALISED_NOTE] if any("nerfstudio" in comment.lower() for comment in comments) else []
+    notes += [f"{', '.join(unknown)} of its Gaussians are unknown and ignored"] if unknown else []
     for comment in comments:
         if ANTIALIASED.search(comment):
             notes.append(f"its Gaussians are drawn antialiased, as its header says: {comment}")
@@ -270,6 +272,11 @@ def _require_properties(names: list[str], path: Path) -> None:
                 f"{path}: {', '.join(foreign[:3])}{'...' * (len(foreign) > 3)} are of {kind}, which render differently; render "
                 "them by their own code and score the frames by 'ggvs-eval score --renders'"
             )
+    if "scale_1" in names and "scale_2" not in names:
+        raise RenderError(
+            f"{path}: Gaussians of two scales are of 2D Gaussian Splatting, which renders differently; render them by its own "
+            "code and score the frames by 'ggvs-eval score --renders'"
+        )
     absent = [name for name in (*MEANS, *COLOURS, "opacity", *SCALES, *TURNS) if name not in names]
     if absent:
         raise RenderError(

@@ -177,6 +177,12 @@ def _summed(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
     return rendered * np.sqrt(3.0), truth * np.sqrt(3.0)
 
 
+def _stretched(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+    """Return the levels whose range of 255 is that of the true frame's, as torchmetrics takes it without a range."""
+    factor = 255 / max(int(truth.max()) - int(truth.min()), 1)
+    return rendered * factor, truth * factor
+
+
 def _colour_corrected(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
     """Return the rendering after the affine colour map of this frame that fits best, clipped."""
     design = np.concatenate([rendered.reshape(-1, 3), np.full((truth.size // 3, 1), 255)], axis=1).astype(np.float64)
@@ -202,6 +208,8 @@ PREPARATIONS: Mapping[str, Preparation] = {
     ),
     "grey of 8 bit": lambda rendered, truth: _rgb(grey(rendered), grey(truth)),
     "RGB, squared errors summed over channels": _summed,
+    "RGB, range 2 of images in 0..1": lambda rendered, truth: (rendered / 2, truth / 2),
+    "RGB, range of the true frame": _stretched,
     **{f"RGB, {name}": partial(_framed, prepare) for name, prepare in FRAMINGS.items()},
     "RGB without a border of 10 %": lambda rendered, truth: _rgb(*cropped(rendered, truth)),
     "RGB, both at 960 x 640, without a border of 10 % (MVSNeRF on LLFF)": as_mvsnerf,
