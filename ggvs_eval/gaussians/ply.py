@@ -7,7 +7,6 @@ Gaussians are drawn otherwise are refused.
 
 import re
 from collections.abc import Iterable
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -20,7 +19,7 @@ from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.plain import check_plain, why_unread
-from ggvs_eval.gaussians.cloud import CONSTANT, HIGHEST_DEGREE, GaussianCloud
+from ggvs_eval.gaussians.cloud import CONSTANT, HIGHEST_DEGREE, AntialiasedCloud, GaussianCloud, antialiased
 
 COMPRESSED = ("chunk", "vertex", "sh")  # its elements, the last one where there is one
 CHUNK_SIZE = 256
@@ -110,7 +109,7 @@ OTHER_GAUSSIANS = {
 # Comments by which exporters say that a cloud was trained antialiased (gsplat, brush), and what is written as one.
 ANTIALIASED = re.compile(r"SplatRenderMode\W+mip|anti-?alias(ed|ing)?\W*(true|1|on|yes)?$", re.I)
 ANTIALIASED_COMMENT = "SplatRenderMode: mip"
-NORMALISED_NOTE = "written by nerfstudio, whose world is normalised: dataparser_transforms.json of the training, next to it, moves it to the capture's"
+NORMALISED_NOTE = "written by nerfstudio, whose world is normalised; its dataparser_transforms.json next to the cloud undoes that"
 PLAIN_COMMENT = re.compile(r"SplatRenderMode\W+default|://", re.I)
 HARMLESS = {"nx", "ny", "nz", "red", "green", "blue", "alpha", "label", "obj_dc_0", "obj_dc_1", "obj_dc_2"}
 OTHER_FORMATS = (".spz", ".splat", ".ksplat", ".sog")
@@ -150,7 +149,7 @@ def read_ply(path: Path) -> GaussianCloud:
     if any(len(table) < each.n_rows for table, each in zip(tables, wanted, strict=True)):
         raise RenderError(f"{path}: wanted {count} Gaussians, the file ended after {len(tables[-1])}; copy or save it again")
     cloud = _cloud(decompressed(*tables) if is_compressed else tables[0], path)
-    return replace(cloud, is_antialiased=any(map(ANTIALIASED.search, comments)))
+    return antialiased(cloud) if any(map(ANTIALIASED.search, comments)) else cloud
 
 
 def header_notes(path: Path) -> list[str]:
@@ -182,7 +181,7 @@ def write_ply(path: Path, cloud: GaussianCloud) -> None:
     names = [*MEANS, "nx", "ny", "nz", *COLOURS, *(f"f_rest_{n}" for n in range(rest.shape[1])), "opacity", *SCALES, *TURNS]
     table = np.concatenate([means, np.zeros_like(means), sh[:, 0], rest, logits[:, None], log_scales, quaternions], axis=1)
     properties = "".join(f"property float {name}\n" for name in names)
-    comment = f"comment {ANTIALIASED_COMMENT}\n" if cloud.is_antialiased else ""
+    comment = f"comment {ANTIALIASED_COMMENT}\n" if isinstance(cloud, AntialiasedCloud) else ""
     header = f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {len(cloud)}\n{properties}end_header\n"
     with atomic_file(path) as temporary, temporary.open("wb") as file:
         file.write(header.encode("ascii"))

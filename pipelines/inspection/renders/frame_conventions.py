@@ -20,7 +20,8 @@ FrameMeasure = Callable[[Image8, Image8], float]
 BT601 = np.array([0.299, 0.587, 0.114])
 BT709 = np.array([0.2126, 0.7152, 0.0722])
 Planes = NDArray[np.float64]
-Preparation = Callable[[Image8, Image8], tuple[Planes, Planes]]
+Levels = NDArray[Any]  # of 8 bit or not
+Preparation = Callable[[Image8, Image8], tuple[Levels, Levels]]
 CEILING_DB = 100.0
 # Parts of a clip that values are quoted of; those that a short clip cannot tell apart are measured once.
 PARTS = {
@@ -106,7 +107,7 @@ def changes(view: ViewFrames, between: Callable[[Image8, Image8], Image8]) -> It
         before = rendered, truth
 
 
-def _rgb(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+def _rgb(rendered: Levels, truth: Levels) -> tuple[Planes, Planes]:
     return rendered.astype(np.float64), truth.astype(np.float64)
 
 
@@ -180,7 +181,7 @@ def _summed(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
 def _stretched(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
     """Return the levels whose range of 255 is that of the true frame's, as torchmetrics takes it without a range."""
     factor = 255 / max(int(truth.max()) - int(truth.min()), 1)
-    return rendered * factor, truth * factor
+    return np.multiply(rendered, factor, dtype=np.float64), np.multiply(truth, factor, dtype=np.float64)
 
 
 def _colour_corrected(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
@@ -232,7 +233,11 @@ def psnr_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
             rows[-1] += [np.average(planes[form], weights=weights) for form, weights in VIDEO_SAMPLES.values()]
             channels = decibels(np.square(np.subtract(*_rgb(rendered, truth))).mean(axis=(0, 1)))
             weighted.append(
-                [rows[-1][0], channels.mean(), *(np.average(decibels(each), weights=(6, 1, 1)) for each in planes.values())]
+                [
+                    rows[-1][0],
+                    channels.mean(),
+                    *(np.average(decibels(np.array(each)), weights=(6, 1, 1)) for each in planes.values()),
+                ]
             )
         for name, values in zip(errors, zip(*rows, strict=True), strict=True):
             errors[name][view] = list(values)

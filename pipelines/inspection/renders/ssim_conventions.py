@@ -25,7 +25,9 @@ from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
     FRAMINGS,
     VIDEO_FORMS,
     FrameMeasure,
+    Levels,
     MaskReader,
+    Preparation,
     Recomputed,
     as_mvsnerf,
     changes,
@@ -38,8 +40,6 @@ from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
 )
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
-Levels = NDArray[Any]
-Preparation = Callable[[Image8, Image8], tuple[Levels, Levels]]
 GAUSSIAN: dict[str, Any] = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
 OUR_SSIM = "Gaussian 11 x 11, valid positions, range 1"
 UNIFORM_RANGE_1 = "uniform 7 x 7, range 1 (scikit-image on uint8)"
