@@ -205,7 +205,9 @@ def _numbered(files: Sequence[Path], path: Path, n_frames: int) -> Mapping[int, 
             raise RenderError(f"{file}: wanted a frame number in the name of each .ply of the sequence {path}; rename it")
         if number in numbers:
             other = numbers[number][0].name
-            raise RenderError(f"{path}: {other} and {file.name} are both of frame {number}; give a folder with one file per frame")
+            raise RenderError(
+                f"{path}: {other} and {file.name} are both of frame {number}; give a folder with one file per frame"
+            )
         numbers[number] = (file, 0)
     counts_from_1 = sorted(numbers) == [*range(1, n_frames + 1)]
     return {number - counts_from_1: place for number, place in numbers.items()}
