@@ -108,7 +108,7 @@ def open_capture(
         corrections = corrections_file(path)
         capture = apply_corrections(capture, read_corrections(corrections), corrections)
         used |= {os.path.abspath(file) for mark in spec.marks for file in path.glob(mark)}
-    capture = replace(capture, notes=(*capture.notes, *unused_note(path, used)))
+    capture = replace(capture, notes=(*capture.notes, *unused_note(path, used, capture.notes)))
     return settle_depth_ranges(apply_known_traps(capture, leave_out=drop_unsynced), measure_depth)
 
 

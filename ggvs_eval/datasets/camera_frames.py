@@ -164,7 +164,9 @@ def _one_each(path: Path, found: list[tuple[str, CameraFrames]]) -> dict[str, Ca
     if len(sources) < len(found):
         names = [name for name, _ in found]
         twice = listed(sorted({name for name in names if names.count(name) > 1}))
-        raise CaptureError(f"{path}: wanted one file per camera, got several called {twice}; remove or rename the others")
+        raise CaptureError(
+            f"{path}: wanted one file per camera, got several called {twice}; rename the others or move them elsewhere"
+        )
     return sources
 
 

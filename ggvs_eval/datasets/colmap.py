@@ -197,7 +197,9 @@ def _numbered(path: Path) -> dict[int, Path]:
     for folder in _folders(path):
         other = numbered.setdefault(int(folder.name.removeprefix("cam")), folder)
         if other != folder:
-            raise CaptureError(f"{path}: wanted one folder per camera, got {other.name} and {folder.name}; keep one of them")
+            raise CaptureError(
+                f"{path}: wanted one folder per camera, got {other.name} and {folder.name}; move the other out of the folder"
+            )
     return numbered
 
 

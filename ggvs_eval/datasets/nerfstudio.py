@@ -90,7 +90,11 @@ def load(path: Path, units: GivenUnits) -> Capture:
             "dynamic scene; give videos of several cameras"
         )
     names = sorted(frames)
-    if all(RECORDED in frames[name] for name in names):
+    counts = {name: len(frames[name].get(RECORDED, (name,))) for name in names}
+    if len(set(counts.values())) > 1:
+        shown = listed(f"{name} {count}" for name, count in counts.items())
+        raise CaptureError(f"{files[0]}: wanted as many instants of each camera, got {shown}; list each camera at every time")
+    if counts[names[0]] > 1:
         sources: list[SizedSource] = [ImageFrames.listed(_recorded(path, frames[name][RECORDED])) for name in names]
     else:
         found = require_frames(path, {name: _image(path, frames[name]["file_path"]) for name in names})

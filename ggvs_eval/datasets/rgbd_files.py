@@ -107,7 +107,7 @@ def _numbered(folder: Path, files: Sequence[Path]) -> dict[int, Path]:
     for file, number in zip(files, numbers, strict=True):
         if not isinstance(number, int) or number in files_by_number:
             problem = f"none in {file.name}" if not isinstance(number, int) else f"a second one in {file.name}"
-            raise CaptureError(f"{folder}: wanted one whole number per frame, got {problem}; remove or rename it")
+            raise CaptureError(f"{folder}: wanted one whole number per frame, got {problem}; rename it or move it elsewhere")
         files_by_number[number] = file
     return dict(sorted(files_by_number.items()))
 

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -76,17 +76,18 @@ def unread_note(path: Path) -> list[str]:
     return [f"{file.relative_to(path)} is there and is not read" for file in named if file.is_file() and not is_own(file)]
 
 
-def unused_note(path: Path, used: Collection[str]) -> list[str]:
+def unused_note(path: Path, used: Collection[str], notes: Sequence[str]) -> list[str]:
     """A note on what a folder holds beside a capture that was opened, and nothing of it was looked at.
 
     Args:
         used: absolute paths of files that were.
+        notes: of the capture, which may name some of it already.
     """
+    named = set(re.split(r"[ ,;:/]+", " ".join(notes)))
     start = os.path.join(os.path.abspath(path), "")
     tops = {file.removeprefix(start).partition(os.sep)[0] for file in used if file.startswith(start)}
-    left = [
-        entry for entry in list_entries(path) if entry.name not in tops and not is_own(entry) and not TEXTS.search(entry.name)
-    ]
+    left = [entry for entry in list_entries(path) if named.isdisjoint({entry.name, entry.stem}) and not is_own(entry)]
+    left = [entry for entry in left if entry.name not in tops and not TEXTS.search(entry.name)]
     names = [f"{entry.name}/" if entry.is_dir() else entry.name for entry in left]
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return [f"not used: {', '.join(names[:LISTED])}{more}"] if names else []

@@ -24,8 +24,6 @@ class GaussianCloud:
         quaternions: rotation from its own axes to the world, w first, of any length but 0, (N, 4).
         opacity_logits: opacity before the sigmoid, (N,).
         sh: coefficients of the colour's spherical harmonics, constant one first, (N, (degree + 1)^2, 3).
-        is_antialiased: whether opacities shrink as the low-pass filter of the image widens the Gaussians, for which they were
-            trained (Mip-Splatting's 2D filter, as gsplat, brush and 3D Gaussian splatting draw it).
 
     Raises:
         RenderError: the shapes do not fit each other, or the tensors differ in device or in kind of float.
@@ -41,7 +39,6 @@ class GaussianCloud:
     quaternions: torch.Tensor
     opacity_logits: torch.Tensor
     sh: torch.Tensor
-    is_antialiased: bool = False
 
     def __post_init__(self) -> None:
         """Refuse tensors that are no cloud together."""
@@ -102,6 +99,18 @@ class GaussianCloud:
         log_scales = scales.log() * means.new_ones(count, 3)
         logits = torch.logit(means.new_full((count,), opacity))
         return cls(means, log_scales, quaternions, logits, sh)
+
+
+class AntialiasedCloud(GaussianCloud):
+    """Gaussians whose opacities shrink as the low-pass filter of the image widens them, for which they were trained.
+
+    This is Mip-Splatting's 2D filter as gsplat, brush and 3D Gaussian splatting draw it.
+    """
+
+
+def antialiased(cloud: GaussianCloud) -> AntialiasedCloud:
+    """Return the cloud as one that was trained antialiased."""
+    return AntialiasedCloud(**cloud.parameters())
 
 
 def harmonic_basis(directions: torch.Tensor, degree: int) -> torch.Tensor:

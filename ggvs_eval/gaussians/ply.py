@@ -7,7 +7,6 @@ Gaussians are drawn otherwise are refused.
 
 import re
 from collections.abc import Iterable
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -20,7 +19,7 @@ from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.plain import check_plain, why_unread
-from ggvs_eval.gaussians.cloud import CONSTANT, HIGHEST_DEGREE, GaussianCloud
+from ggvs_eval.gaussians.cloud import CONSTANT, HIGHEST_DEGREE, AntialiasedCloud, GaussianCloud, antialiased
 
 COMPRESSED = ("chunk", "vertex", "sh")  # its elements, the last one if there is one
 CHUNK_SIZE = 256
@@ -110,6 +109,7 @@ OTHER_GAUSSIANS = {
 # Comments by which exporters say that a cloud was trained antialiased (gsplat, brush), and what is written as one.
 ANTIALIASED = re.compile(r"SplatRenderMode\W+mip|anti-?alias(ed|ing)?\W*(true|1|on|yes)?$", re.I)
 ANTIALIASED_COMMENT = "SplatRenderMode: mip"
+NORMALISED_NOTE = "written by nerfstudio, whose world is normalised; its dataparser_transforms.json next to the cloud undoes that"
 PLAIN_COMMENT = re.compile(r"SplatRenderMode\W+default|://", re.I)
 HARMLESS = {"nx", "ny", "nz", "red", "green", "blue", "alpha", "label", "obj_dc_0", "obj_dc_1", "obj_dc_2"}
 OTHER_FORMATS = (".spz", ".splat", ".ksplat", ".sog")
@@ -149,7 +149,7 @@ def read_ply(path: Path) -> GaussianCloud:
     if any(len(table) < each.n_rows for table, each in zip(tables, wanted, strict=True)):
         raise RenderError(f"{path}: wanted {count} Gaussians, the file ended after {len(tables[-1])}; copy or save it again")
     cloud = _cloud(decompressed(*tables) if is_compressed else tables[0], path)
-    return replace(cloud, is_antialiased=any(map(ANTIALIASED.search, comments)))
+    return antialiased(cloud) if any(map(ANTIALIASED.search, comments)) else cloud
 
 
 def header_notes(path: Path) -> list[str]:
@@ -159,7 +159,8 @@ def header_notes(path: Path) -> list[str]:
     names = next(each for each in elements if each.name == "vertex").row.names or ()
     known = {*MEANS, *COLOURS, "opacity", *SCALES, *TURNS, *HARMLESS, *PACKED}
     unknown = [name for name in names if name not in known and not name.startswith("f_rest_")]
-    notes = [f"{', '.join(unknown)} of its Gaussians are unknown and ignored"] if unknown else []
+    notes = [NORMALISED_NOTE] if any("nerfstudio" in comment.lower() for comment in comments) else []
+    notes += [f"{', '.join(unknown)} of its Gaussians are unknown and ignored"] if unknown else []
     for comment in comments:
         if ANTIALIASED.search(comment):
             notes.append(f"its Gaussians are drawn antialiased, as its header says: {comment}")
@@ -180,7 +181,7 @@ def write_ply(path: Path, cloud: GaussianCloud) -> None:
     names = [*MEANS, "nx", "ny", "nz", *COLOURS, *(f"f_rest_{n}" for n in range(rest.shape[1])), "opacity", *SCALES, *TURNS]
     table = np.concatenate([means, np.zeros_like(means), sh[:, 0], rest, logits[:, None], log_scales, quaternions], axis=1)
     properties = "".join(f"property float {name}\n" for name in names)
-    comment = f"comment {ANTIALIASED_COMMENT}\n" if cloud.is_antialiased else ""
+    comment = f"comment {ANTIALIASED_COMMENT}\n" if isinstance(cloud, AntialiasedCloud) else ""
     header = f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {len(cloud)}\n{properties}end_header\n"
     with atomic_file(path) as temporary, temporary.open("wb") as file:
         file.write(header.encode("ascii"))
@@ -270,6 +271,11 @@ def _require_properties(names: list[str], path: Path) -> None:
                 f"{path}: {', '.join(foreign[:3])}{'...' * (len(foreign) > 3)} are of {kind}, which render differently; render "
                 "them by their own code and score the frames by 'ggvs-eval score --renders'"
             )
+    if "scale_1" in names and "scale_2" not in names:
+        raise RenderError(
+            f"{path}: Gaussians of two scales are of 2D Gaussian Splatting, which renders differently; render them by its own "
+            "code and score the frames by 'ggvs-eval score --renders'"
+        )
     absent = [name for name in (*MEANS, *COLOURS, "opacity", *SCALES, *TURNS) if name not in names]
     if absent:
         raise RenderError(

@@ -12,7 +12,7 @@ import torch
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.gaussians.cloud import GaussianCloud
+from ggvs_eval.gaussians.cloud import AntialiasedCloud, GaussianCloud
 from ggvs_eval.gaussians.torch_splat import SLOPE_MARGIN
 from ggvs_eval.geometry.pinhole import pinhole
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
@@ -83,7 +83,7 @@ def render_gaussians(
         raise RenderError(f"Gaussian splat: wanted a background of three numbers, got {tuple(behind.shape)}")
     if not near > 0:
         raise RenderError(f"Gaussian splat: near must be positive, got {near:g}")
-    if cloud.is_antialiased:
+    if isinstance(cloud, AntialiasedCloud):
         cloud = torch_splat.compensated(cloud, camera, near)
     in_kernel = cloud.means.device.type == "cpu" and cloud.means.dtype == torch.float32
     splat = splat_compiled if in_kernel else torch_splat.splat

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.plain import check_plain
-from ggvs_eval.gaussians.cloud import GaussianCloud, turned_harmonics
+from ggvs_eval.gaussians.cloud import GaussianCloud, antialiased, turned_harmonics
 
 LARGEST_FILE = 4 << 20
 WORLD_FILE = "dataparser_transforms.json"  # of nerfstudio: its world is scale * (transform @ that of the capture)
@@ -62,7 +62,7 @@ class SplatSettings:
     def apply(self, cloud: GaussianCloud) -> GaussianCloud:
         """Return a cloud as it is drawn, in the capture's world."""
         if "antialiased" in (self.effects or {}):
-            cloud = replace(cloud, is_antialiased=True)
+            cloud = antialiased(cloud)
         return cloud if self.to_world is None else moved_cloud(cloud, np.array(self.to_world))
 
 

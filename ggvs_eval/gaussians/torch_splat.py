@@ -6,7 +6,7 @@ Autograd differentiates it. Any float, so that its gradients can be compared wit
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import log
 
 import torch
@@ -120,7 +120,7 @@ def compensated(cloud: GaussianCloud, camera: Camera, near: float) -> GaussianCl
     """
     _, _, _, (var_x, var_y, _, plain) = _shadows(cloud, camera, near)
     factor = (plain / _low_passed(var_x, var_y, plain)).clamp_min(LEAST_COMPENSATION**2).sqrt()
-    return replace(cloud, opacity_logits=torch.logit(cloud.opacity_logits.sigmoid() * factor), is_antialiased=False)
+    return GaussianCloud(**cloud.parameters() | {"opacity_logits": torch.logit(cloud.opacity_logits.sigmoid() * factor)})
 
 
 def rotations(quaternions: torch.Tensor) -> torch.Tensor:

@@ -45,7 +45,7 @@ KINDS = {
     "names": Kind("<view>_<frame>.png", view_folders.refuse_flat, view_folders.flat_files, view_folders.find_flat),
 }
 SEVERAL = "several"  # how reasons begin that ask to choose among renders which are there
-LISTED = 8
+LISTED, LEVELS = 8, 3
 WEAKEST = "names"  # pictures can be next to the renders
 
 
@@ -63,11 +63,26 @@ def detect(path: Path, request: FrameRequest) -> str:
     instead = instead_of_all(path, request)
     if instead:
         raise RenderError(f"{path}: no renders of {', '.join(request.views)} that can be read: {instead}")
+    if (inner := _fitting_folder(path, request)) is not None:
+        raise RenderError(
+            f"{path}: no renders of {', '.join(request.views)} here, but in {inner.relative_to(path)}/; give {inner}"
+        )
     near = {name: reason for name, reason in reasons.items() if reason and reason.startswith(SEVERAL)}
     listed = "; ".join(f"{KINDS[name].describe}: {reason}" for name, reason in (near or reasons).items())
     held = contents(path)
     there = f"holds {held}, but " if held and not near else ""
     raise RenderError(f"{path}: {there}no renders of {', '.join(request.views)} that can be read: {listed}")
+
+
+def _fitting_folder(path: Path, request: FrameRequest) -> Path | None:
+    """Return the only folder below, at most `LEVELS` deep, that holds renders of some kind."""
+    level, below = [path], []
+    for _ in range(LEVELS):
+        inner = [each for folder in level for each in list_entries(folder) if each.name not in beside_truth.OTHER_SPLITS]
+        level = [each for each in inner if each.is_dir()][: 4 * LISTED]
+        below += level
+    fitting = [folder for folder in below if any(kind.refuse(folder, request) is None for kind in KINDS.values())]
+    return fitting[0] if len(fitting) == 1 else None
 
 
 def contents(path: Path) -> str:

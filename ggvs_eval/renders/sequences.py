@@ -82,7 +82,9 @@ def _numbered(folder: Path, suffixes: tuple[str, ...], noun: str) -> list[Path]:
         raise RenderError(f"{folder}: wanted {noun} whose numbers can be read in one way, got {error}") from None
     if len(set(numbers)) < len(files):
         twice = next(file for file, number in zip(files, numbers, strict=True) if numbers.count(number) > 1)
-        raise RenderError(f"{folder}: wanted {noun} with a number each, {twice.name} repeats one; keep one kind of file")
+        raise RenderError(
+            f"{folder}: wanted {noun} with a number each, {twice.name} repeats one; give a folder with one kind of file"
+        )
     ordered = sorted(zip(numbers, files, strict=True), key=lambda each: (each[0] is not None, each[0] or 0))
     return [file for _, file in ordered]
 

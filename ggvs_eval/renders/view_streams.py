@@ -329,6 +329,7 @@ def find_arrays(path: Path, request: FrameRequest, is_temporary: bool) -> Render
     """
     del is_temporary  # written to PNG either way
     notes: tuple[str, ...] = ()
+    unexpected: list[str]
     if path.is_file() and {OWN_RENDERS, OWN_TRUTH} <= {*(members := npz_members(path))} and not {*members} & {*request.views}:
         spelled = {same_name(view): view for view in request.views}
         view = spelled.get(same_name(path.stem), request.views[0] if len(request.views) == 1 else "")

@@ -39,6 +39,8 @@ def run_command(arguments: list[str] | None = None) -> None:
     """Parse the command line and run the command."""
     warnings.showwarning = _show_warning
     codecs.register_error(PLAIN, _plain)
+    if sys.stdout is None:  # closed by who started this, `>&-`
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - as long as the process
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors=PLAIN)  # of cron and containers, which may know ASCII alone
     try:

@@ -142,8 +142,8 @@ def splats_files(path: Path) -> list[Path]:
         raise RenderError(f"{path}: wanted {KINDS}; got {'none of them' if path.is_dir() else 'no such path'}")
     if (place / DEFORMATION).is_file():
         return [*files, place / DEFORMATION]
-    numbers = _frame_numbers(files)
-    return [files[numbers.index(max(numbers))]] if _are_iterations(numbers) else files
+    counts = [*map(_whole, _frame_numbers(files))]
+    return [files[counts.index(max(counts))]] if _are_iterations(counts) else files
 
 
 def splats_settings(path: Path) -> "SplatSettings":
@@ -155,28 +155,28 @@ def splats_settings(path: Path) -> "SplatSettings":
 
 def splats_notes(path: Path) -> list[str]:
     """List what is passed over in the files of a scene, and what is assumed; arguments and errors as of `splats_files`."""
-    from ggvs_eval.gaussians.ply import header_notes
+    from ggvs_eval.gaussians.ply import NORMALISED_NOTE, header_notes
 
-    files = splats_files(path)
-    of_header = [] if _is_glb(files[0]) else [f"{files[0]}: {note}" for note in header_notes(files[0])]
+    files, settings = splats_files(path), splats_settings(path)
+    said = [] if _is_glb(files[0]) else header_notes(files[0])
+    of_header = [f"{files[0]}: {note}" for note in said if note != NORMALISED_NOTE or settings.to_world is None]
     n_others = len(list_files(files[0].parent, (".ply",))) - 1
     if path.is_dir() and len(files) == 1 < n_others + 1 and files[0].name != CLOUD:
         of_header.append(f"{path}: its {n_others + 1} files are numbered by iterations; the last one is used: {files[0].name}")
     if len(files) > 1 and sorted(map(_whole, _frame_numbers(files))) == [*range(1, len(files) + 1)]:
         n = len(files)
         of_header.append(f"{path}: numbered from 1 to {n}; used as the frames 0 to {n - 1} if the capture has {n}")
-    return of_header + splats_settings(path).notes
+    return of_header + settings.notes
 
 
 def _whole(number: Number | None) -> int:
     return number if isinstance(number, int) else -1
 
 
-def _are_iterations(numbers: Sequence[Number | None]) -> bool:
-    """Return whether some numbers count iterations: whole hundreds, or one less, each of which differs from the others."""
-    counts = sorted(map(_whole, numbers))
+def _are_iterations(counts: Sequence[int]) -> bool:
+    """Return whether some numbers are of iterations: whole hundreds, or one less, each of which differs from the others."""
     are_hundreds = all(count >= 0 and count % 100 in (0, 99) for count in counts)
-    return len(counts) > 1 and are_hundreds and min(later - earlier for earlier, later in pairwise(counts)) >= 99
+    return len(counts) > 1 and are_hundreds and min(later - earlier for earlier, later in pairwise(sorted(counts))) >= 99
 
 
 def require_instants(path: Path, frames: Sequence[int], n_frames: int) -> None:
@@ -205,7 +205,9 @@ def _numbered(files: Sequence[Path], path: Path, n_frames: int) -> Mapping[int, 
             raise RenderError(f"{file}: wanted a frame number in the name of each .ply of the sequence {path}; rename it")
         if number in numbers:
             other = numbers[number][0].name
-            raise RenderError(f"{path}: {other} and {file.name} are both of frame {number}; keep one of them")
+            raise RenderError(
+                f"{path}: {other} and {file.name} are both of frame {number}; give a folder with one file per frame"
+            )
         numbers[number] = (file, 0)
     counts_from_1 = sorted(numbers) == [*range(1, n_frames + 1)]
     return {number - counts_from_1: place for number, place in numbers.items()}

@@ -3,6 +3,7 @@
 import builtins
 import codecs
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -31,6 +32,15 @@ def test_tables_are_printed_in_ascii(verb, tmp_path):
     assert b"-----" in ended.stdout
     assert ended.stdout.isascii()
     assert ended.returncode == 0 or verb == "check"  # which may find fault with so small a room
+
+
+def test_a_closed_output_is_no_fault(tmp_path):
+    """Started with stdout closed, a verb writes its files and ends well."""
+    write_small_capture(tmp_path / "room", 2)
+    command = f"{shlex.quote(sys.executable)} -m ggvs_eval protocol room mine.toml >&-"
+    ended = subprocess.run(["/bin/sh", "-c", command], cwd=tmp_path, capture_output=True)
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "mine.toml").is_file()
 
 
 def test_signs_have_plain_forms():

@@ -211,9 +211,12 @@ def test_frames_that_the_model_does_not_register(tmp_path, arrangement):
 
 
 def test_nothing_is_noted_where_all_is_registered(colmap):
-    """Other folders beside the frames are no cameras."""
-    shutil.copytree(colmap / "images", colmap / "masks")
+    """Other folders beside the frames are no cameras; they are listed, once and without texts for people."""
     assert open_capture(colmap).notes == ()
+    shutil.copytree(colmap / "images", colmap / "masks")
+    for name in ("points.xyz", "README.md", "LICENSE"):
+        (colmap / name).write_text("?")
+    assert open_capture(colmap).notes == ("not used: masks/, points.xyz",)
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def test_a_model_without_frames_and_frames_without_a_model(scene_folder):
 def test_two_folders_of_one_number(scene_folder):
     """cam1/ beside cam01/ is refused: which of them is meant cannot be known."""
     shutil.copytree(scene_folder / "cam01", scene_folder / "cam1")
-    assert "wanted one folder per camera, got cam01 and cam1; keep one of them" in refusal(scene_folder)
+    assert "wanted one folder per camera, got cam01 and cam1; move the other out of the folder" in refusal(scene_folder)
 
 
 @pytest.mark.parametrize("names", [["image1.png", "image01.png"], ["left.png", "image1.png"], ["image1.png", "image2b.png"]])

@@ -84,6 +84,13 @@ def test_a_rig_over_time_lacks_nothing(tmp_path):
     content = json.loads((folder / "transforms.json").read_text())
     (folder / "transforms.json").write_text(json.dumps(content | {"frames": content["frames"][1:]}))
     assert f"{3 * len(NAMES) - 1} frames of {len(NAMES)} cameras" in refusal(folder)
+    folder = over_time(tmp_path / "split", lambda place, instant: f"images/{NAMES[place]}/{instant:04d}.png", timed=False)
+    whole = json.loads((folder / "transforms.json").read_text())
+    (folder / "transforms.json").unlink()
+    rest, first = [f for f in whole["frames"] if NAMES[0] not in f["file_path"]], whole["frames"][0]
+    for split, frames in (("train", rest), ("test", [first])):
+        (folder / f"transforms_{split}.json").write_text(json.dumps(whole | {"frames": frames}))
+    assert "wanted as many instants of each camera" in refusal(folder)
 
 
 def test_order_is_that_of_names(tmp_path):

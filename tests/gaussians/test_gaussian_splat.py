@@ -11,7 +11,7 @@ import torch
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians import GaussianCloud, render_gaussians
-from ggvs_eval.gaussians.cloud import harmonic_basis, harmonic_colours, turned_harmonics
+from ggvs_eval.gaussians.cloud import antialiased, harmonic_basis, harmonic_colours, turned_harmonics
 from ggvs_eval.gaussians.torch_splat import project
 from helpers.gaussian_clouds import random_cloud, view_of
 from helpers.places import DATA_FOLDER
@@ -55,7 +55,7 @@ def test_footprint_in_closed_form():
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_antialiased_gaussians_keep_their_light(dtype):
     """The opacity is multiplied by sqrt(det S / det(S + 0.3 I)), which is sigma^2 / (sigma^2 + 0.3) of a round Gaussian."""
-    thin = replace(point(4.0, scale=0.05, opacity=0.9, colour=WHITE.to(dtype)), is_antialiased=True)
+    thin = antialiased(point(4.0, scale=0.05, opacity=0.9, colour=WHITE.to(dtype)))
     variance = (FOCAL * 0.05 / 4.0) ** 2
 
     alpha = render_gaussians(thin, camera_of(cx=20.5, cy=14.5)).alpha

@@ -208,6 +208,10 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda f: write_one(f, np.zeros((3, 3, 48, 64, 3), np.uint8)),
         "holds renders.npy, but no renders of cam02, cam00 that can be read",
     ),
+    "a level too high": (
+        lambda f: write_folders(f / "out" / "mine" / "renders").parents[2],
+        "no renders of cam02, cam00 here, but in out/mine/renders/; give ",
+    ),
     "the training views": (
         lambda f: write_flat(f / "train" / "ours_30000", view_major()).parents[1],
         "train/ours_30000/renders/ is there, which is no test set",

@@ -95,7 +95,7 @@ def test_what_is_no_depth_is_told(tmp_path):
     with refused(RenderError, "0.png", "one channel", "colours"):
         list(read_depths(folder))
     np.save(folder / "0.npy", DEPTHS[0])
-    with refused(RenderError, "0.npy", "keep one"):
+    with refused(RenderError, "0.npy", "one kind of file"):
         list(read_depths(folder))
     (folder / "0.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
     (folder / "0.npy").unlink()

@@ -20,7 +20,8 @@ FrameMeasure = Callable[[Image8, Image8], float]
 BT601 = np.array([0.299, 0.587, 0.114])
 BT709 = np.array([0.2126, 0.7152, 0.0722])
 Planes = NDArray[np.float64]
-Preparation = Callable[[Image8, Image8], tuple[Planes, Planes]]
+Levels = NDArray[Any]  # of 8 bit or not
+Preparation = Callable[[Image8, Image8], tuple[Levels, Levels]]
 CEILING_DB = 100.0
 # Parts of a clip that values are quoted of; those that a short clip cannot tell apart are measured once.
 PARTS = {
@@ -106,7 +107,7 @@ def changes(view: ViewFrames, between: Callable[[Image8, Image8], Image8]) -> It
         before = rendered, truth
 
 
-def _rgb(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+def _rgb(rendered: Levels, truth: Levels) -> tuple[Planes, Planes]:
     return rendered.astype(np.float64), truth.astype(np.float64)
 
 
@@ -177,6 +178,12 @@ def _summed(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
     return rendered * np.sqrt(3.0), truth * np.sqrt(3.0)
 
 
+def _stretched(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+    """Return the levels whose range of 255 is that of the true frame's, as torchmetrics takes it without a range."""
+    factor = 255 / max(int(truth.max()) - int(truth.min()), 1)
+    return np.multiply(rendered, factor, dtype=np.float64), np.multiply(truth, factor, dtype=np.float64)
+
+
 def _colour_corrected(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
     """Return the rendering after the affine colour map of this frame that fits best, clipped."""
     design = np.concatenate([rendered.reshape(-1, 3), np.full((truth.size // 3, 1), 255)], axis=1).astype(np.float64)
@@ -202,6 +209,8 @@ PREPARATIONS: Mapping[str, Preparation] = {
     ),
     "grey of 8 bit": lambda rendered, truth: _rgb(grey(rendered), grey(truth)),
     "RGB, squared errors summed over channels": _summed,
+    "RGB, range 2 of images in 0..1": lambda rendered, truth: (rendered / 2, truth / 2),
+    "RGB, range of the true frame": _stretched,
     **{f"RGB, {name}": partial(_framed, prepare) for name, prepare in FRAMINGS.items()},
     "RGB without a border of 10 %": lambda rendered, truth: _rgb(*cropped(rendered, truth)),
     "RGB, both at 960 x 640, without a border of 10 % (MVSNeRF on LLFF)": as_mvsnerf,
@@ -224,7 +233,11 @@ def psnr_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
             rows[-1] += [np.average(planes[form], weights=weights) for form, weights in VIDEO_SAMPLES.values()]
             channels = decibels(np.square(np.subtract(*_rgb(rendered, truth))).mean(axis=(0, 1)))
             weighted.append(
-                [rows[-1][0], channels.mean(), *(np.average(decibels(each), weights=(6, 1, 1)) for each in planes.values())]
+                [
+                    rows[-1][0],
+                    channels.mean(),
+                    *(np.average(decibels(np.array(each)), weights=(6, 1, 1)) for each in planes.values()),
+                ]
             )
         for name, values in zip(errors, zip(*rows, strict=True), strict=True):
             errors[name][view] = list(values)

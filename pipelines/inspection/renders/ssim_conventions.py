@@ -16,7 +16,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metric_choices import StedPairing
 from ggvs_eval.metrics.image.ms_ssim import SMALLEST_PX, ms_ssim
-from ggvs_eval.metrics.image.ssim import ssim_variant
+from ggvs_eval.metrics.image.ssim import ssim_map, ssim_variant
 from ggvs_eval.metrics.time import strred
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
     ALL_VIEWS,
@@ -25,7 +25,9 @@ from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
     FRAMINGS,
     VIDEO_FORMS,
     FrameMeasure,
+    Levels,
     MaskReader,
+    Preparation,
     Recomputed,
     as_mvsnerf,
     changes,
@@ -38,8 +40,6 @@ from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
 )
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
-Levels = NDArray[Any]
-Preparation = Callable[[Image8, Image8], tuple[Levels, Levels]]
 GAUSSIAN: dict[str, Any] = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
 OUR_SSIM = "Gaussian 11 x 11, valid positions, range 1"
 UNIFORM_RANGE_1 = "uniform 7 x 7, range 1 (scikit-image on uint8)"
@@ -66,6 +66,7 @@ def ssim_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
     plain = (OUR_SSIM, UNIFORM_RANGE_1, UNIFORM_RANGE_2, UNIFORM_11, MULTI_SCALE)
     rows = frame_means(views, measures, OUR_SSIM, (OUR_SSIM, ZERO_PADDED, UNIFORM_RANGE_1))
     rows += [_dissimilarity(row, divisor) for divisor in (1, 2) for row in rows if row.name in plain]
+    rows += _inside(views, masks) if all(view in masks for view in views) else []
     return rows + masked_rows(views, masks, {name: measures[name] for name in (OUR_SSIM, UNIFORM_RANGE_1)})
 
 
@@ -202,6 +203,22 @@ def _dissimilarity(row: Recomputed, divisor: int) -> Recomputed:
     formula = "1 - SSIM" if divisor == 1 else "DSSIM = (1 - SSIM) / 2"
     is_ours = divisor == 2 and row.name in (UNIFORM_RANGE_1, UNIFORM_RANGE_2)  # D-SSIM 1 and 2
     return Recomputed(f"{formula}, {row.name}", {over: (1 - value) / divisor for over, value in row.values.items()}, is_ours)
+
+
+def _inside(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
+    """Return the mean over the windows whose middle is inside the masks."""
+    inside: dict[str, dict[str, float]] = {}
+    for variant in ("gaussian-valid", "gaussian-zero"):
+        for view, frames in views.items():
+            values = []
+            for index in frames.frames:
+                scores = ssim_map(frames.rendered(index), frames.truth(index), variant)
+                margin = (len(frames.truth(index)) - len(scores)) // 2
+                chosen = scores[masks[view](index)[margin : margin + scores.shape[0], margin : margin + scores.shape[1]]]
+                values.append(float(chosen.mean(dtype=np.float64)) if chosen.size else 1.0)
+            inside.setdefault(variant, {})[view] = float(np.mean(values))
+    names = {"gaussian-valid": OUR_SSIM, "gaussian-zero": ZERO_PADDED}
+    return [Recomputed(f"{names[each]}, windows inside the mask", mean_over_views(values)) for each, values in inside.items()]
 
 
 def tcc_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
