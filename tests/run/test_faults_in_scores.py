@@ -70,6 +70,7 @@ def test_each_certain_fault_is_kept_with_the_scores(run):
     assert all("t-1" in one.measured and "-1" in one.advice for one in results.faults if one.label == "late")
 
 
+@pytest.mark.takes(20)
 def test_a_spoilt_row_says_so_and_is_compared_with_no_other(run, monkeypatch):
     """In the name of its row, below the table and in the headline; nothing is bold, shaded or better because of it."""
     monkeypatch.setattr(run_groups, "budget_table", lambda _run: None)  # of the parts of errors, which takes half of the time
@@ -107,6 +108,7 @@ def test_the_faults_survive_a_merge_and_a_score_that_finds_nothing_new(run, monk
     assert merged.spoilt == SPOILT
 
 
+@pytest.mark.takes(12)
 def test_checks_of_other_code_measure_no_metric_again(run, monkeypatch):
     """When the checks' code changes they alone are done again; when a frame changes, all is."""
     checked: list[range] = []
@@ -132,6 +134,7 @@ def test_checks_of_other_code_measure_no_metric_again(run, monkeypatch):
         score(run)  # of the frame as it was, for the tests that come after
 
 
+@pytest.mark.takes(10)
 def test_a_mild_gamma_is_told_of_a_method_and_not_of_a_camera(run, monkeypatch):
     """What one of three views seems to have is its camera's; what two of them have was written so."""
 
@@ -157,6 +160,7 @@ def test_honest_renders_of_few_frames_hold_no_copy(run, count):
         assert find_copied(name, replace(view, frames=frames, truth_frames=frames)) == []
 
 
+@pytest.mark.takes(25)
 def test_renders_better_than_a_perfect_one_have_seen_the_view(quick, tmp_path):
     """Nine tenths captured, one tenth ours lies above the ceiling of every view: `score` says so, and `doctor` by itself."""
     protocol = quick_protocol()

@@ -41,6 +41,7 @@ def camera_names(options: DemoOptions) -> list[str]:
     return [name.removeprefix("cam") if options.layout == "enerf-outdoor" else name for name in options.camera_names]
 
 
+@pytest.mark.takes(12)
 def test_the_main_demo_is_as_it_always_was(tmp_path):
     """24 cameras of DyNeRF's layout, 24 frames, seed 0; demo.json of such a rig does not speak of other rigs."""
     assert DEMO_ROOMS[MAIN] == DemoOptions(depth_stride=0)
@@ -185,6 +186,7 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts} == before
 
 
+@pytest.mark.takes(12)
 def test_a_dry_run_leaves_nothing(tmp_path, capsys):
     """Without a capture the plan says for each room how much is to be done; nothing is written."""
     run_command(["run", str(tmp_path / "out"), "--dry-run"])
