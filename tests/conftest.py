@@ -9,6 +9,7 @@ half a minute, what others test in parts: ``make test`` leaves it to ``make vali
 `MOST_S` of a core fails by name, as do fixtures that take four times as long; ``pytest.mark.takes(12)`` allows a test more.
 """
 
+import gc
 import os
 import shutil
 import statistics
@@ -46,6 +47,17 @@ def pytest_configure(config: pytest.Config) -> None:
     for name, meaning in MARKERS.items():
         config.addinivalue_line("markers", f"{name}: {meaning}")
     config.addinivalue_line("markers", TAKES)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[object]:
+    """Let the garbage collector rest, and pass over what is collected ever after: walking through it took a third of the time."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)
