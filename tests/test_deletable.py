@@ -87,6 +87,7 @@ def without(request, installed):
     kept.rename(gone)
 
 
+@pytest.mark.takes(18)
 def test_the_rest_starts_and_scores(without):
     """Help, a score and a plan of the demo; a metric that is not there says so and the others are measured."""
     name, called = without

@@ -35,6 +35,7 @@ def test_fixture(slow_fixture): pass
 """
 
 
+@pytest.mark.takes(12)
 def test_a_long_test_fails_by_name(tmp_path):
     """Over the limit: the test and the fixture are named with their seconds; what is shorter, a proof or allowed more passes."""
     here = Path(__file__).parent

@@ -24,7 +24,7 @@ from helpers.captures import write_dynerf
 from helpers.command_line import refusal
 from helpers.small_runs import small_protocol
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_pixels")]
+pytestmark = [pytest.mark.slow, pytest.mark.takes(20), pytest.mark.usefixtures("no_pixels")]
 
 COMMAND = [sys.executable, "-m", "ggvs_eval"]
 GO_ON = "finished work is kept; run the same command to resume"

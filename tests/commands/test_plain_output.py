@@ -22,6 +22,7 @@ from helpers.small_runs import write_small_capture
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", ["check", "protocol"])
+@pytest.mark.takes(15)
 def test_tables_are_printed_in_ascii(verb, tmp_path):
     """Where stdout knows ASCII alone, as under cron, rules are hyphens and the verb ends well."""
     capture = write_small_capture(tmp_path / "room", 2)

@@ -65,6 +65,7 @@ def test_the_page_shows_the_live_rig():
     assert f"```python\n{code}```" in (ROOT / "docs" / "live_rig.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.takes(40)
 def test_folders_are_scored(folder):
     """Both folders have their numbers and intervals, the late one its fault, and the page is there."""
     out = ran(folder, SCORE_FOLDER)

@@ -3,6 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from ggvs_eval.capture import Capture
 from ggvs_eval.contrib.worlds.demo import write_demo
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
@@ -10,6 +12,13 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
 
 LABELS = ("no-blending", "distance-based")
+
+
+def leave_out_pixels(patch: pytest.MonkeyPatch) -> None:
+    """Let figures of reports be composed but not drawn, which takes longer than all else of a report."""
+    from matplotlib.figure import Figure
+
+    patch.setattr(Figure, "savefig", lambda _self, file, **_: Path(file).write_bytes(b"no pixels"))
 
 
 def small_options(n_frames: int) -> DemoOptions:

@@ -262,6 +262,7 @@ def test_what_is_said_about_code_does_not_count():
     assert identity.what_runs(text).strip() == 'value = """a\n\n# b\n"""\ncall(\n    "c"\n    "#e",\n)'
 
 
+@pytest.mark.takes(12)
 def test_all_that_runs_counts():
     """Each source of the package is the same program without what is said, by Python's own parser."""
     tree, compared = installed_code(), 0

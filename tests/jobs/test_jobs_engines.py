@@ -91,6 +91,7 @@ def test_a_killed_worker_costs_no_result(engine, dask_or_skip, tmp_path):
 
 
 @pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
+@pytest.mark.takes(20)
 def test_a_job_that_kills_every_worker_is_given_up(engine, hasty_dask, tmp_path):
     """It is named with a reason; those beside it, whose processes it took along, are done, and lost workers are replaced."""
     root = tmp_path / "root"

@@ -225,6 +225,7 @@ def room():
     return poses
 
 
+@pytest.mark.takes(15)
 def test_true_path_of_the_demo_scores_as_true_images_do(room):
     """Ray-cast pictures of the furnished room, aliasing, shadows and gloss included: slopes agree and nothing jumps."""
     values = measured(room)

@@ -31,7 +31,7 @@ from helpers.calibration_files import write_qualisys
 from helpers.captures import make_image, make_rig, write_colmap_model, write_folders, write_videos
 from helpers.refusals import refused
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.takes(12)]
 
 DEMO = DemoOptions(
     width=640, height=480, n_frames=1, cameras_per_row=4, supersampling=1, path_poses=0, depth_stride=0, noise_sigma_255=0

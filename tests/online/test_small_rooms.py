@@ -43,6 +43,7 @@ def score(method: str, number: int, blind: bool = False) -> float:
     return psnr_db(made.image, room[target][0])
 
 
+@pytest.mark.takes(12)
 def test_small_pictures_are_no_worse_than_geometric_weights():
     """At 160 x 120 the network is at most .2 dB behind geometric weights in the mean of two views."""
     ours, geometric = (np.mean([score(method, number) for number in (1, 4)]) for method in ("ours", "ours-geometric"))

@@ -307,6 +307,7 @@ def test_too_few_cameras_beside_the_target():
 
 
 @pytest.mark.skipif(not DOCUMENT.is_file(), reason="reads the checkout")
+@pytest.mark.takes(12)
 def test_the_example_of_the_page_works(tmp_path, monkeypatch):
     """The code of docs/online.md, run as it stands on a small demo capture, writes views that resemble what is rendered there."""
     from ggvs_eval.contrib.worlds.demo import write_demo

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import pytest
-from matplotlib.figure import Figure
 
 from ggvs_eval.contrib.export.tracking import track_results
 from ggvs_eval.errors import GgvsError
@@ -19,8 +18,9 @@ from ggvs_eval.reports.page.leaderboard import write_leaderboard
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.results import Results
 from helpers.run_folders import RunShape, write_run
+from helpers.small_runs import leave_out_pixels
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.takes(12)]
 
 LABELS = ("late", "ours-geometric")
 NAMES = (("late", "late"), ("ours-geometric", "GGVS (online), geometric weights"))
@@ -90,12 +90,8 @@ def test_every_output_is_written_and_says_what_happened(tmp_path, monkeypatch, d
     Each case alone, a still of one view by one method, and each two that can meet: figures of the latter are made whole but for
     their pixels, as are those that the report has drawn already; the proof draws all.
     """
-
-    def draw_no_pixels() -> None:
-        monkeypatch.setattr(Figure, "savefig", lambda _self, file, **_: file.write_bytes(b"pixels"))
-
     if drawn == "nothing":
-        draw_no_pixels()
+        leave_out_pixels(monkeypatch)
     shape = WHOLE
     for name in names:
         shape = replace(shape, **CASES[name].shape)
@@ -123,7 +119,7 @@ def test_every_output_is_written_and_says_what_happened(tmp_path, monkeypatch, d
     if importlib.util.find_spec("tensorboardX"):
         track_results([root], "tensorboard", tmp_path / "tracked")
     if drawn == "report":
-        draw_no_pixels()
+        leave_out_pixels(monkeypatch)
     for kind in ("crops", "failures", "epi", "time"):
         with refused_in_one_line():
             assert write_figure(root, kind, tmp_path / f"{kind}.png", rule="worst")[0].is_file()

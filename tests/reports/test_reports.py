@@ -145,6 +145,7 @@ def test_run_without_path_says_so(tmp_path):
     assert not (report / "figures" / "epi.png").exists()
 
 
+@pytest.mark.takes(10)
 def test_equal_inputs_give_equal_bytes(whole_run, report, tmp_path):
     """A second report of the same run is the same to the bit, wherever it is written."""
     again = write_report([whole_run], tmp_path / "again").parent

@@ -148,6 +148,7 @@ def test_a_lost_view_is_rendered_again_with_the_same_bits(finished_copy, demo_ca
         np.testing.assert_array_equal(read_image(frame_path(folder, t)), wanted[t])
 
 
+@pytest.mark.takes(15)
 def test_what_an_earlier_call_left_unfinished_is_named_and_left_out(finished_copy, demo_capture, protocol, capsys):
     """A call for other methods scores them; the one that was stopped comes back when it is asked for."""
     frame_path(finished_copy.renders("ours-geometric", "cam01"), 2).unlink()

@@ -42,6 +42,7 @@ def make_old(run: RunFolder) -> None:
         file.parent.rename(file.parent.with_name(f"old-{file.parent.name}"))
 
 
+@pytest.mark.takes(10)
 def test_an_old_run_says_that_its_results_are_outdated_once(words, tmp_path, capsys):
     """`status`, `report` and `run` name what other code has made; `run` makes it again, with equal numbers; then none does."""
     run = RunFolder(tmp_path / "run")

@@ -61,6 +61,7 @@ def write_archive(quick: Path, file: Path, **changed: np.ndarray) -> Path:
     return file
 
 
+@pytest.mark.takes(10)
 def test_the_same_scores_with_and_without_the_capture(quick, tmp_path, capsys):
     """A compressed archive whose truth is the captured frames has the scores of its renders with the capture, to the last bit."""
     archive = write_archive(quick, tmp_path / f"{VIEW}.npz")
@@ -75,6 +76,7 @@ def test_the_same_scores_with_and_without_the_capture(quick, tmp_path, capsys):
     assert Results.read(tmp_path / "with").table["value"].tolist() == with_capture["value"].tolist()
 
 
+@pytest.mark.takes(10)
 def test_own_truth_is_said_everywhere(quick, tmp_path, capsys):
     """Results, rows, tables for papers and the page say that the truth came with the renders; nothing is rendered there."""
     archive = write_archive(quick, tmp_path / f"{VIEW}.npz")
@@ -155,6 +157,7 @@ def test_a_failed_call_leaves_no_folder(quick, tmp_path, monkeypatch, verb, rend
     assert sorted((quick / "run").rglob("*")) == before
 
 
+@pytest.mark.takes(15)
 def test_doctor_leaves_nothing_where_scores_are_kept(quick, tmp_path, monkeypatch, capsys):
     """Without --run neither `scores/` nor anything else is written, where there are scores too."""
     monkeypatch.chdir(tmp_path)

@@ -75,6 +75,7 @@ def note_who(diary: Path, number: int) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
+@pytest.mark.takes(12)
 def test_the_work_is_done_elsewhere_and_survives_a_kill(engine, tmp_path):
     """Every item is done by a worker and none by this process, though one of the workers is killed."""
     if engine.engine == "dask":
@@ -93,6 +94,7 @@ def refuse(number: int) -> None:
 
 
 @pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.takes(8)
 def test_what_the_work_raises_comes_through(workers):
     """The error of the first item that fails is raised as it is; no items are no work."""
     with pytest.raises(RenderError, match=r"item [0-2] cannot be done"):

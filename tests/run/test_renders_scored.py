@@ -217,6 +217,7 @@ def test_one_command_scores_renders_of_a_capture(coffee_folder, protocol_path, t
     assert Results.read(run.root).summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
 
 
+@pytest.mark.takes(10)
 def test_a_run_goes_on_with_its_own_protocol(coffee_folder, protocol_path, theirs, tmp_path, capsys):
     """Further renders need neither capture nor protocol, and can be given without a name; what is there stays."""
     command(

@@ -39,6 +39,7 @@ def methods(run: RunFolder, view: str) -> set[str]:
     return set(read_json(file)["methods"]) if file.is_file() else set()
 
 
+@pytest.mark.takes(10)
 def test_no_update_is_lost(run, tmp_path, monkeypatch):
     """The second process adds a method while the first measures its last view: both methods have values in both views."""
     original, begun = stream.score_views, []

@@ -46,6 +46,7 @@ def camera_names(options: DemoOptions) -> list[str]:
     return [name.removeprefix("cam") if options.layout == "enerf-outdoor" else name for name in options.camera_names]
 
 
+@pytest.mark.takes(12)
 def test_the_main_demo_is_as_it_always_was(tmp_path):
     """24 cameras of DyNeRF's layout, 24 frames, seed 0; demo.json of such a rig does not speak of other rigs."""
     assert DEMO_ROOMS[MAIN] == DemoOptions(depth_stride=0)
@@ -238,6 +239,7 @@ def test_methods_are_shown_in_the_order_of_the_call_that_names_all(tmp_path):
     assert orders == ["ac", "abc", "abc", "abcd"]
 
 
+@pytest.mark.takes(12)
 def test_a_dry_run_leaves_nothing(tmp_path, capsys):
     """Without a capture the plan says for each room how much is to be done; nothing is written."""
     run_command(["run", str(tmp_path / "out"), "--dry-run"])

@@ -137,6 +137,7 @@ def test_what_cannot_be_used_is_refused(room, exact, tmp_path):
         notes_of(room, text)
 
 
+@pytest.mark.takes(10)
 def test_a_run_renders_from_it_and_is_resumed(room, exact, tmp_path, capsys):
     """With exact depth a run is better than by stereo, its folder knows where the depth is, and a later verb uses it again."""
     folder = written(tmp_path / "d", exact, 2.0)

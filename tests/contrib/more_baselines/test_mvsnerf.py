@@ -103,6 +103,7 @@ def test_features_and_volume_are_the_authors(networks, golden):
     np.testing.assert_allclose(networks.network_mvs.feature(normalised)[0, ::2, ::2, ::2], golden["features"], atol=1e-4)
 
 
+@pytest.mark.takes(15)
 def test_rendered_pixels_are_the_authors(networks, golden):
     """Every 7th pixel of a turned rig, 128 samples a ray, agrees with the authors': 99 % to 1e-4 in colour, all to 2e-3."""
     instant = turned_rig(3)
@@ -160,6 +161,7 @@ def odd_rig(views):
     return replace(instant, target=instant.target.resized(38, 50), sources=(first, *others[:1], larger, *others[2:]))
 
 
+@pytest.mark.takes(12)
 def test_a_step_gives_a_picture(weights):
     """Finite, of the target's size, not flat, in [0, 1]; the depth lies before the last plane; a fourth view changes nothing."""
     rendering = MvsNerf(weights).step(odd_rig(3))

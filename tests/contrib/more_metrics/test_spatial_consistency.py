@@ -77,6 +77,7 @@ def scores(poses, names=METRICS):
     return score_path([PathPose(*pose) for pose in poses], metrics=names)
 
 
+@pytest.mark.takes(10)
 def test_regions_of_a_true_path_agree():
     """The room rendered exactly: within 0.15 degrees and 0.15 of a step, a tenth of a pixel on the map."""
     assert 0 < exact().rotation < 0.15**2

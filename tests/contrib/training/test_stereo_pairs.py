@@ -87,6 +87,7 @@ def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
 
 
 @pytest.mark.slow
+@pytest.mark.takes(20)
 def test_seeds_give_different_pairs():
     """Another seed is another picture, of the same scene and of another one."""
     pictures = [stereo_sample(seed, 96, 64).left for seed in SEEDS[:4]]

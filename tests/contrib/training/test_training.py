@@ -263,6 +263,7 @@ def test_weights_that_have_learned_are_moved_more_gently(tmp_path):
     assert fresh.batch_size == tuned.batch_size
 
 
+@pytest.mark.takes(15)
 def test_a_stereo_step_moves_the_weights(tmp_path):
     """Two steps of the real task run through: finite loss, gradients in features, recurrent unit and heads."""
     network = SMALL.network()

@@ -321,6 +321,7 @@ def test_the_demo_room_is_rendered_alike(on_device, compiled):
     assert not np.array_equal(on_device[0].image, on_device[1].image)
 
 
+@pytest.mark.takes(10)
 def test_half_precision_is_within_a_tenth_of_a_level(on_device):
     """What a GPU computes by default, in the network alone; depth is not touched."""
     for half, single in zip(rendered(DeviceGuided(precision="half"), room_instants()), on_device, strict=True):

@@ -29,8 +29,9 @@ Renders = dict[str, np.ndarray]
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory) -> Renders:
-    """What four cameras see without noise, each (T, H, W, 3)."""
-    return film_without_noise(tmp_path_factory.mktemp("what_if") / "demo", N_FRAMES)
+    """What two of four cameras see without noise, each (T, H, W, 3)."""
+    filmed = film_without_noise(tmp_path_factory.mktemp("what_if") / "demo", N_FRAMES)
+    return {name: filmed[name] for name in list(filmed)[:2]}
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +119,7 @@ def test_a_fault_undone_gives_back_the_score(planted, soft, truth):
         assert gain.low > 0
 
 
+@pytest.mark.takes(10)
 def test_what_is_interpolated_is_also_undone_on_the_side_of_the_truth(soft, truth):
     """A shift by part of a pixel has a row in which the truth moves the other way, a whole pixel has none."""
     part, whole = (examined(views_of(soft, truth, moved(x, 0))) for x in (0.3, 1))
@@ -174,7 +176,7 @@ def test_honest_renders_have_no_row(render, soft, truth):
     found = examined(views_of({name: render(frames, rng) for name, frames in soft.items()}, truth))
 
     assert found.rows == ()
-    assert what_if_text("mine", found) == "mine: no fault found that can be undone, in frames 3-8 of 4 views"
+    assert what_if_text("mine", found) == "mine: no fault found that can be undone, in frames 3-8 of 2 views"
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -43,7 +43,7 @@ from helpers.lit_rooms import light_by_few_rays
 from helpers.refusals import refused
 from helpers.scenes import render_view
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.takes(10)]
 
 SMALL = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=2, path_poses=0, supersampling=1, depth_stride=0)
 # At 3326e7f, before there were domains.
