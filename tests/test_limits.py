@@ -22,15 +22,15 @@ def work(seconds):
 
 @pytest.fixture(scope="module")
 def slow_fixture():
-    work(1.2)
+    work(2.4)
 
 
-def test_long(): work(0.4)
+def test_long(): work(0.7)
 def test_short(): pass
 @pytest.mark.takes(20)
-def test_allowed(): work(0.4)
+def test_allowed(): work(0.7)
 @pytest.mark.proof
-def test_proof(): work(0.4)
+def test_proof(): work(0.7)
 def test_fixture(slow_fixture): pass
 """
 
