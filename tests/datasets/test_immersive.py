@@ -138,7 +138,7 @@ def test_cameras_without_frames_are_left_out(scene):
         (lambda models: models[0].update(width=50.0), "camera_0001"),
         (lambda models: models.append("camera"), "camera 2, got 'camera' for the camera"),
         (lambda models: models.append(models[0]), "cameras of different names, got several called camera_0001"),
-        (lambda models: models.clear(), "wanted a list of cameras, got something else"),
+        (lambda models: models.clear(), "wanted a list of cameras, got another structure"),
     ],
 )
 def test_models_that_make_no_sense(scene, change: Callable[[list], object], message):
