@@ -88,10 +88,10 @@ def open_capture(
         >>> from ggvs_eval.files.images import write_image
         >>> transforms = {"fl_x": 8, "fl_y": 8, "cx": 4, "cy": 3, "w": 8, "h": 6, "frames": []}
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     for index in range(2):
-        ...         pose = {"file_path": f"images/cam{index}.png", "transform_matrix": np.eye(4).tolist()}
+        ...     for i in range(2):
+        ...         pose = {"file_path": f"images/cam{i}.png", "transform_matrix": (np.eye(4) + i * np.eye(4, k=3)).tolist()}
         ...         transforms["frames"].append(pose)
-        ...         write_image(Path(folder) / pose["file_path"], np.full((6, 8, 3), index, np.uint8))
+        ...         write_image(Path(folder) / pose["file_path"], np.full((6, 8, 3), i, np.uint8))
         ...     _ = (Path(folder) / "transforms.json").write_text(json.dumps(transforms))
         ...     capture = open_capture(folder)
         ...     capture.layout, capture.camera_names, capture.frame("cam1", 0).shape

@@ -108,7 +108,7 @@ def test_a_wrong_number_of_the_authors_is_told(quick, tmp_path, capsys):
     ("change", "words"),
     [
         (lambda arrays: arrays | {"gts": arrays["gts"][:-1]}, "of one shape"),
-        (lambda arrays: arrays | {"gts": arrays["gts"].transpose(0, 3, 1, 2)}, "transpose or split it"),
+        (lambda arrays: arrays | {"gts": arrays["gts"].transpose(0, 3, 1, 2)}, "save frames.transpose(0, 2, 3, 1)"),
         (lambda arrays: arrays | {"gts": 255 * arrays["gts"]}, "wanted floats in [0, 1]"),
         (lambda arrays: {name: array for name, array in arrays.items() if name != "gts"}, "wanted arrays renders and gts"),
     ],
