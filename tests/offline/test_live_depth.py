@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ggvs_eval.contrib.view.command import view
 from ggvs_eval.depth_store import DepthMap, DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import exchange_roles, rectify
-from ggvs_eval.pipelines.commands.play import play, view
+from ggvs_eval.pipelines.commands.play import play
 from ggvs_eval.pipelines.commands.runs import run
 from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
