@@ -23,7 +23,7 @@ results: $(READY)
 # The order is shuffled, by the same seed for everybody: `make test SEED=$RANDOM` looks for tests that depend on their order.
 SEED ?= 1
 # Tests start dozens of processes, each of which would compile the package again.
-test test-quick validate: export PYTHONDONTWRITEBYTECODE :=
+test test-quick validate wheel-test: export PYTHONDONTWRITEBYTECODE :=
 PYTEST := -m pytest -n auto --dist worksteal --randomly-seed=$(SEED)
 
 # All tests but those that take half a minute to do whole what others show in parts; these are of `make validate`.
