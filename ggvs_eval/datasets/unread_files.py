@@ -18,6 +18,8 @@ FILE = "file_marks.toml"
 FIRST_BYTES = 1 << 20
 # Our own, which are no calibration; calibration.json is a common name, and ours by its keys alone.
 OWN = ("units.toml", CROP_FILE, "corrections.toml", "depth_range.toml", "intrinsics.toml", "demo.json")
+# Folder -> file that shows what it is: a true path, which is opened later, and the exact depth of a filmed room.
+OWN_FOLDERS = {"path": "path/poses_bounds.npy", "depth": "demo.json"}
 OWN_REPORT, OWN_KEYS = "calibration.json", (b'"registered"', b'"mean_reprojection_error_px"')
 TEXTS = re.compile(r"readme|licen[cs]e|\.(md|pdf|html?)$", re.I)  # for people
 LISTED = 8
@@ -87,7 +89,8 @@ def unused_note(path: Path, used: Collection[str], notes: Sequence[str]) -> list
     start = os.path.join(os.path.abspath(path), "")
     tops = {file.removeprefix(start).partition(os.sep)[0] for file in used if file.startswith(start)}
     left = [entry for entry in list_entries(path) if named.isdisjoint({entry.name, entry.stem}) and not is_own(entry)]
-    left = [entry for entry in left if entry.name not in tops and not TEXTS.search(entry.name)]
+    own = {folder for folder, file in OWN_FOLDERS.items() if (path / file).is_file()}
+    left = [entry for entry in left if entry.name not in tops | own and not TEXTS.search(entry.name)]
     names = [f"{entry.name}/" if entry.is_dir() else entry.name for entry in left]
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return [f"not used: {', '.join(names[:LISTED])}{more}"] if names else []

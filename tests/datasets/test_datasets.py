@@ -128,6 +128,9 @@ def test_path_with_and_without_images(dynerf):
     rig = make_rig()
     write_poses(dynerf / "path", rig)
     alone = open_path(dynerf)
+    (dynerf / "other").mkdir()
+    (dynerf / "other" / "a.txt").touch()
+    assert open_capture(dynerf).notes == ("not used: other/",)  # and the path is, later
     assert alone is not None
     assert (alone.images, alone.time_s) == (None, 0.0)
     assert [camera.name for camera in alone.cameras] == ["path0000", "path0001", "path0002", "path0003"]
