@@ -17,7 +17,7 @@ def check_table(runs: Scored, table: Path, rows: Rows = (), metric: str | None =
     """Check every cell of a published table against scored runs.
 
     Each cell is reproduced (to its printed digits), equal under another convention, undecided (within the interval of this clip)
-    or not reproduced. Ends with 1 if a cell is not reproduced. `explain --table FILE RUN ...` is the same.
+    or not reproduced. Ends with 1 if a cell is not reproduced, or none was checked. `explain --table FILE RUN ...` is the same.
 
     Args:
         runs: scored run folders, one per scene.
@@ -44,5 +44,5 @@ def check_table(runs: Scored, table: Path, rows: Rows = (), metric: str | None =
     if out is not None:
         write_check(out, table, checked, measured)
         print(out / "index.html")
-    if any(one.verdict == "not reproduced" for one in checked):
+    if any(one.verdict == "not reproduced" for one in checked) or all(one.verdict == "not checked" for one in checked):
         sys.exit(1)

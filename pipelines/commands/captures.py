@@ -156,6 +156,7 @@ def protocol(
     checked: Annotated[Path | None, tyro.conf.arg(name="check")] = None,
     test: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CAMERA ...")] = (),
     metrics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...")] = (),
+    start: int = 0,
     frames: int | None = None,
     path_poses: int | None = None,
     stream: Annotated[float | None, tyro.conf.arg(metavar="FPS")] = None,
@@ -171,6 +172,7 @@ def protocol(
         checked: JSON file of `check`; faulty cameras are not held out.
         test: cameras to hold out as test views; chosen by rule by default.
         metrics: metrics to measure; those of the layout's protocol by default.
+        start: first instant to evaluate, from 0.
         frames: number of instants to evaluate, from the first; at most 100 by default.
         path_poses: poses of the camera path for view consistency.
         stream: frame rate of the cameras, fps, at which the displayed frames are also scored.
@@ -189,6 +191,9 @@ def protocol(
     if test:
         proposal = hold_out(proposal, opened, tuple(dict.fromkeys(test)), doubts)
     chosen = proposal.protocol.shortened(frames, path_poses)
+    if not 0 <= start < opened.n_frames:
+        raise ProtocolError(f"--start {start}: wanted an instant of {capture}, 0 to {opened.n_frames - 1}")
+    chosen = replace(chosen, frames=replace(chosen.frames, start=start, count=min(chosen.frames.count, opened.n_frames - start)))
     if metrics:
         select_metrics(metrics)
         chosen = replace(chosen, measurement=replace(chosen.measurement, metrics=metrics))

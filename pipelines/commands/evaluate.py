@@ -63,9 +63,12 @@ def evaluate(
         raise CaptureError(f"{videos}: wanted videos, or folders of images, of several cameras, got no such path; check it")
     shown = _Steps()
     capture = out / "capture" if _needs_poses(videos, reading.layout) else videos
+    lenses = changed_flags(calibration, CalibrationOptions())
     if capture != videos and not (capture / CALIBRATED).is_file():
-        shown.begin("calibrate", videos, capture, *changed_flags(calibration, CalibrationOptions()))
+        shown.begin("calibrate", videos, capture, *lenses)
         captures.calibrate(videos, capture, calibration)
+    elif capture != videos and lenses:
+        print(f"{capture} is kept, {' '.join(lenses)} are ignored; choose another OUT for others", file=sys.stderr)
     flags = changed_flags(reading, CAPTURE_DEFAULTS)
     opened = [*_flag("--layout", reading.layout), *_flag("--units", reading.units)]  # what `check` takes of them
     verdicts, terms = out / VERDICTS, out / "protocol.toml"
@@ -76,7 +79,8 @@ def evaluate(
     except SystemExit:
         raise CommandError(
             f"{capture}: stopped: check found faults, see above and {verdicts}; fix them and run this again "
-            f"(--repair corrects delays and brightness), or continue with `ggvs-eval run {out / 'run'} --capture {capture}`"
+            "(--repair corrects delays and brightness, another OUT with --shared-intrinsics or --camera-model often lenses), "
+            f"or continue with `ggvs-eval run {out / 'run'} --capture {capture}`"
         ) from None
     if not terms.exists():
         count = [] if frames is None else ["--frames", frames]

@@ -80,6 +80,8 @@ def explain(
 ) -> None:
     """Find the metric conventions that give a quoted number.
 
+    `explain --table FILE RUN ...` checks a whole published table; see `check-table --help`.
+
     Args:
         renders: frames in any form that `score` accepts, with --capture; or a run folder.
         metric: metric family.

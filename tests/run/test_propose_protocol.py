@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, read_doubts
@@ -150,6 +151,11 @@ def test_the_command_writes_a_file_that_run_takes(dynerf, tmp_path, capsys):
     assert written.views == suggest_protocol(rig_of(["cam00", "cam01", "cam02", "cam03"])).views
     assert "held out: " in capsys.readouterr().out
     assert "got an existing one" in refusal("protocol", dynerf, file)
+    run_command(["protocol", str(dynerf), str(tmp_path / "late.toml"), "--start", "1"])
+    late, n_frames = load_protocol(tmp_path / "late.toml").frames, open_capture(dynerf).n_frames
+    assert (late.start, late.count) == (1, n_frames - 1)
+    message = refusal("protocol", dynerf, tmp_path / "c.toml", "--start", str(n_frames))
+    assert f"--start {n_frames}: wanted an instant of {dynerf}, 0 to {n_frames - 1}" in message
     assert "wanted a file of 'ggvs-eval check'" in refusal("protocol", dynerf, tmp_path / "b.toml", "--check", file)
     assert json.dumps(str(tmp_path)) not in file.read_text()
     with pytest.raises(ProtocolError, match="one frame or more"):
