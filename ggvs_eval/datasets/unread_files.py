@@ -17,7 +17,7 @@ from ggvs_eval.files.toml_tables import build_table, parse_toml
 FILE = "file_marks.toml"
 FIRST_BYTES = 1 << 20
 # Our own, which are no calibration; calibration.json is a common name, and ours by its keys alone.
-OWN = ("units.toml", CROP_FILE, "corrections.toml", "depth_range.toml", "intrinsics.toml", "demo.json")
+OWN = ("units.toml", CROP_FILE, "corrections.toml", "depth_range.toml", "intrinsics.toml", "demo.json", "calibration.log")
 # Folder -> file that shows what it is: a true path, which is opened later, and the exact depth of a filmed room.
 OWN_FOLDERS = {"path": "path/poses_bounds.npy", "depth": "demo.json"}
 OWN_REPORT, OWN_KEYS = "calibration.json", (b'"registered"', b'"mean_reprojection_error_px"')

@@ -114,7 +114,7 @@ def test_held_out_cameras_are_proposed_with_reasons(walk):
     held_out = tuple(name for name, role in reasons.items() if role == "held out")
     assert protocol.views.test == held_out
     assert "cam01" in held_out
-    assert re.search(r"cam01 +held out: .* can show \d+ % of its view", told)
+    assert re.search(r"cam01 +held out: .* cover \d+ % of its view", told)
     assert protocol.views.chosen_by.startswith("by rule")
     assert protocol.frames.count == 2
     assert RunFolder(walk[0] / "runs" / "rig").protocol() == protocol
