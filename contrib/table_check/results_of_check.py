@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ggvs_eval.contrib.table_check.check import VERDICTS, CheckedCell, Verdict, expected_by_chance
 from ggvs_eval.files.atomic import write_text
+from ggvs_eval.files.templates import open_templates
 from ggvs_eval.pipelines.inspection.table import text_table
 from ggvs_eval.progress import counted
 from ggvs_eval.reports.model.measured import MeasuredRun
@@ -57,11 +58,7 @@ def write_check(folder: Path, file: Path, checked: Sequence[CheckedCell], runs: 
     Args:
         file: the published table, named on the page.
     """
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    made = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+    made = open_templates(TEMPLATES)
     counts = Counter(one.verdict for one in checked)
     tested = len(checked) - counts["not checked"]
     matched = sum(counts[name] for name in MATCHED)

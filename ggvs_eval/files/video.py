@@ -300,7 +300,7 @@ class VideoFrames:
 
     @cached_property
     def _header(self) -> VideoHeader:
-        """All that opening a video tells and its first frame: a file is opened once for it, as that takes longer than reading."""
+        """Header and first frame, read in one opening of the file, which takes longer than reading them."""
         import av
 
         n_bytes = self.path.stat().st_size if self.path.is_file() else 0

@@ -159,9 +159,9 @@ def show_first_frames(plan: RunPlan, workers: Workers) -> Path:
     sequence is never put together from parts of it.
     """
     protocol, count = plan.protocol, plan.protocol.frames.count
-    told = f"{protocol.dataset}: first {FIRST_FRAMES} of {count} frames, the others are being evaluated"
+    title = f"{protocol.dataset}: first {FIRST_FRAMES} of {count} frames, the others are being evaluated"
     frames = replace(protocol.frames, count=FIRST_FRAMES)
-    first = replace(protocol, dataset=told, frames=frames, path=replace(protocol.path, poses=0, cameras=()))
+    first = replace(protocol, dataset=title, frames=frames, path=replace(protocol.path, poses=0, cameras=()))
     root = first_root(plan.run.root)
     measure(plan_run(replace(plan.request, root=root, protocol=first, shared=plan.shared_root)), workers)
     return report([root], plan.run.report, with_figures=False)

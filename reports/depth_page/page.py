@@ -25,6 +25,7 @@ from ggvs_eval.colour_maps import confidence_scale, depth_scale, difference_scal
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, ResultsError
 from ggvs_eval.files.atomic import write_text
+from ggvs_eval.files.templates import open_templates
 from ggvs_eval.geometry.epipolar import Features, find_features
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.reports.depth_page.pairs import PairErrors, measure_pair
@@ -83,19 +84,18 @@ def write_depth_page(
 
 def render_depth_page(record: DepthRecord) -> str:
     """Return the HTML of a record; equal records give equal text."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.get_template("depth_page.html.j2").render(
-        record=record,
-        css=(TEMPLATES / "depth_page.css").read_text(encoding="utf-8"),
-        warnings=find_warnings(record),
-        notes=find_notes(record),
-        depth_scales={camera.name: depth_scale(*camera.pictures.depth_range) for camera in record.cameras},
-        confidence_scale=confidence_scale(),
-        difference_scale=difference_scale(),
+    return (
+        open_templates(TEMPLATES)
+        .get_template("depth_page.html.j2")
+        .render(
+            record=record,
+            css=(TEMPLATES / "depth_page.css").read_text(encoding="utf-8"),
+            warnings=find_warnings(record),
+            notes=find_notes(record),
+            depth_scales={camera.name: depth_scale(*camera.pictures.depth_range) for camera in record.cameras},
+            confidence_scale=confidence_scale(),
+            difference_scale=difference_scale(),
+        )
     )
 
 

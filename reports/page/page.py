@@ -15,6 +15,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import read_image
+from ggvs_eval.files.templates import open_templates
 from ggvs_eval.geometry.source_views import CHOSEN_AS
 from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE, method_numbers, round_ticks
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, find_regions
@@ -184,11 +185,8 @@ def page_numbers(groups: Sequence[RunGroup], sweeps: Sequence[SweepSection]) -> 
 
 
 def template_environment() -> "Environment":
-    """Return the templates' environment: everything is escaped, and what is not given is an error."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    loader = FileSystemLoader(TEMPLATES)
-    made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    """Return the page's templates, with its filters."""
+    made = open_templates(TEMPLATES)
     made.filters |= {"coded": _coded, "copyable": copyable}
     return made
 

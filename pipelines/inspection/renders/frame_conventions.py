@@ -269,7 +269,7 @@ def _video_420(image: Image8, matrix: NDArray[np.float64], has_headroom: bool) -
 
 
 def _swscale_420(image: Image8) -> list[Planes]:
-    """Planes of yuv420p as FFmpeg converts pictures to it unless told otherwise: BT.601, 16..235, bicubic chroma."""
+    """Planes of yuv420p as FFmpeg converts pictures to it by default: BT.601, 16..235, bicubic chroma."""
     from av import VideoFrame
 
     even = np.ascontiguousarray(image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2])
