@@ -6,8 +6,9 @@ installed wheel.
 Files or tests that take long say ``pytestmark = pytest.mark.slow``, those that throw damaged files ``pytest.mark.fuzz``; what
 opens a browser is `page` by itself, and all others are `quick`, for ``make test-quick``. ``pytest.mark.proof`` does whole, in
 half a minute, what others test in parts: ``make test`` leaves it to ``make validate``. Any other test that takes more than
-`MOST_S` of a core is named in a warning, and fails at twice that, as do fixtures at four times as long; ``pytest.mark.takes(12)``
-allows a test more.
+`MOST_S` of a core, and fixtures four times as much, is named in a warning; ``pytest.mark.takes(12)`` allows a test more. With
+``GGVS_LONG_TESTS=fail`` such a test fails. It is not the default: on a machine that others share, a sound test was counted three
+times its time, and proofs of the code must not hang on that.
 """
 
 import gc
@@ -41,7 +42,6 @@ MARKERS = {
 TAKES = "takes(seconds): may take so many seconds of a core"
 # Of processor time, which a busy machine prolongs less, on a machine that does the work of `_slowness` in so many seconds.
 MOST_S, REFERENCE_S = 5.0, 0.035
-CLEARLY = 2.0  # beyond the limit a test fails; up to there it is named in a warning, as a busy machine takes half as long again
 IMPORT_S = 0.003  # of a module that a test is the first to need
 
 
@@ -82,19 +82,19 @@ def pytest_slow_files_first(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
-    """Fail where fixtures take long, which others may share."""
+    """Name fixtures that take long, which others may share."""
     began = _used_s(), len(sys.modules)
     result = yield
-    _refuse_long(item, "its fixtures", began, 4 * _most_s(item))
+    _name_long(item, "its fixtures", began, 4 * _most_s(item))
     return result
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """Fail where a test takes long."""
+    """Name a test that takes long."""
     began = _used_s(), len(sys.modules)
     result = yield
-    _refuse_long(item, "it", began, _most_s(item))
+    _name_long(item, "it", began, _most_s(item))
     return result
 
 
@@ -103,11 +103,11 @@ def _most_s(item: pytest.Item) -> float:
     return float(takes.args[0]) if takes else MOST_S
 
 
-def _refuse_long(item: pytest.Item, what: str, began: tuple[float, int], most_s: float) -> None:
+def _name_long(item: pytest.Item, what: str, began: tuple[float, int], most_s: float) -> None:
     used_s = _used_s() - began[0] - IMPORT_S * (len(sys.modules) - began[1])
-    if used_s > most_s and not item.get_closest_marker("proof") and used_s > (limit_s := most_s * _slowness()):
+    if used_s > most_s and not item.get_closest_marker("proof") and used_s > most_s * _slowness():
         words = f"{item.nodeid}: {what} took {used_s:.1f} s of a core, wanted {most_s:g} at most; do less"
-        if used_s > CLEARLY * limit_s:
+        if os.environ.get("GGVS_LONG_TESTS") == "fail":
             pytest.fail(words, pytrace=False)
         warnings.warn_explicit(words, pytest.PytestWarning, str(item.path), 1)
 
