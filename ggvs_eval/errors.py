@@ -5,6 +5,7 @@ The command line prints these in one line and exits with 1. Anything else is a b
 
 import errno
 import os
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 
@@ -132,6 +133,8 @@ def mendable(error: BaseException) -> str | None:
 def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6, prefix: str = "") -> str:
     """Suggest the known name that a mistyped one was meant to be, as the tail of a message.
 
+    A name with the same number, written with fewer or more zeros, comes before all others.
+
     Args:
         cutoff: likeness from 0 to 1 below which nothing is suggested.
         prefix: of the suggestion, such as the section of a file that the names belong to.
@@ -144,6 +147,16 @@ def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6, prefix: s
         '; did you mean dynerf?'
         >>> did_you_mean("x", ["dynerf", "d3dmv"])
         ''
+        >>> did_you_mean("cam3", ["cam03", "cam23"]), did_you_mean("cam03,cam23", ["cam03", "cam23"])
+        ('; did you mean cam03?', '; separate names by spaces: cam03 cam23')
     """
-    nearest = get_close_matches(name, names, n=1, cutoff=cutoff) if len(name) <= LONGEST_NAME else []
+    known = list(names)
+    if "," in name and set(parts := re.split(r"[,\s]+", name.strip(", "))) <= {*known}:
+        return f"; separate names by spaces: {' '.join(parts)}"
+    alike = [one for one in known if _plain_numbers(one) == _plain_numbers(name)]
+    nearest = alike or (get_close_matches(name, known, n=1, cutoff=cutoff) if len(name) <= LONGEST_NAME else [])
     return f"; did you mean {prefix}{nearest[0]}?" if nearest else ""
+
+
+def _plain_numbers(name: str) -> str:
+    return re.sub(r"\d+", lambda number: number[0].lstrip("0") or "0", name).casefold()

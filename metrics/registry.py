@@ -85,6 +85,14 @@ METRICS: Registry[Metric] = Registry(
 DEPTH_METRICS: Registry[DepthMetric] = Registry("metrics of depth", built_in.DEPTH_METRICS)
 
 
+def _all_metrics() -> str:
+    """Return the end of a message: the names of all metrics, variants by their endings alone."""
+    names = [(name, *name.rpartition("_")) for name in METRICS]
+    endings = dict.fromkeys(f"_{ending}" for _, base, _, ending in names if base in METRICS)
+    plain = ", ".join(name for name, base, _, _ in names if base not in METRICS)
+    return f"; all are {plain}, and some of these with {', '.join(endings)}; --plugin FILE.py adds your own"
+
+
 def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
     """Return the metrics of these names, in this order, and next to each the one that it is not to be read without.
 
@@ -104,7 +112,7 @@ def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
         if name in DEPTH_METRICS:
             raise MetricError(f"{name} is of depth videos, a protocol is of frames; measure it by `ggvs-eval steadiness --depth`")
         if name not in METRICS and not METRICS.why_absent(name):
-            raise MetricError(f"no metric {name!r}{did_you_mean(name, METRICS) or '; all are ' + ', '.join(METRICS)}")
+            raise MetricError(f"no metric {name!r}{did_you_mean(name, METRICS) or _all_metrics()}")
         selected[name] = METRICS[name]
         if (beside := METRICS[name].beside) and beside not in asked:
             selected[beside] = METRICS[beside]

@@ -18,7 +18,7 @@ from typing import Generic, NamedTuple, TypeVar
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.listing import same_name
 from ggvs_eval.files.names import numbers_in
-from ggvs_eval.renders.request import FrameRequest
+from ggvs_eval.renders.request import FrameRequest, as_word
 from ggvs_eval.run_folder import as_ranges
 
 Item = TypeVar("Item")
@@ -54,7 +54,7 @@ class Place(NamedTuple):
 
 def frame_numbers(folder: Path, stems: Sequence[str], view: str = "") -> list[int | None]:
     """The last whole number in each name, e.g. 12 of ``frame_0012``; one that is part of the view's name (``cam00``) is none."""
-    rest = stems if view.isdigit() or not view else [re.sub(name_as_word(view), "", stem) for stem in stems]
+    rest = stems if view.isdigit() or not view else [re.sub(as_word(view), "", stem) for stem in stems]
     try:
         numbers = numbers_in(rest, are_of_one=False)
     except ValueError as error:
@@ -66,16 +66,11 @@ def places_of(folder: Path, names: Iterable[str], views: Sequence[str]) -> list[
     """Return view and frame of relative names, without suffix; None unless exactly one view's name is in it once as a word."""
     found: list[tuple[str, str] | None] = []
     for name in map(same_name, names):
-        matches = [(view, match) for view in views for match in re.finditer(name_as_word(same_name(view)), name)]
+        matches = [(view, match) for view in views for match in re.finditer(as_word(same_name(view)), name)]
         view, match = matches[0] if len(matches) == 1 else ("", None)
         found.append((view, f"{name[: match.start()]}|{name[match.end() :]}") if match else None)
     numbers = iter(frame_numbers(folder, [rest for _, rest in filter(None, found)]))
     return [Place(place[0], next(numbers), len(re.findall(r"\d+", place[1]))) if place else None for place in found]
-
-
-def name_as_word(view: str) -> str:
-    """Return a regular expression of a view's name as a separate word."""
-    return rf"(?<![A-Za-z0-9]){re.escape(view)}(?![A-Za-z0-9])"
 
 
 def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item]]], request: FrameRequest) -> Numbered[Item]:

@@ -4,6 +4,7 @@ Rendered frames that are pictures on disk are RGB in PNG, linked as it is; every
 """
 
 import os
+import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -114,12 +115,14 @@ class Fit:
         missing: what is not there, by view.
         faulty: what is there and cannot be used, by view and reason.
         extras: what belongs to no view or frame.
+        untested: other cameras of the capture that were rendered too, which is no fault.
     """
 
     usable: Mapping[str, tuple[int, ...]]
     missing: tuple[str, ...]
     faulty: tuple[str, ...]
     extras: tuple[str, ...]
+    untested: tuple[str, ...] = ()
 
 
 def fit(renders: RenderSet, request: FrameRequest) -> Fit:
@@ -143,7 +146,15 @@ def fit(renders: RenderSet, request: FrameRequest) -> Fit:
         good = tuple(frame for frame in there if frame not in faults)
         if good:
             usable[view] = good
-    return Fit(usable, tuple(missing), tuple(faulty), renders.extras)
+    owners = {extra: [name for name in request.cameras if re.search(as_word(name), extra)] for extra in renders.extras}
+    others = {extra: names[0] for extra, names in owners.items() if len(names) == 1 and names[0] not in request.views}
+    extras = tuple(extra for extra in renders.extras if extra not in others)
+    return Fit(usable, tuple(missing), tuple(faulty), extras, tuple(name for name in request.cameras if name in others.values()))
+
+
+def as_word(name: str) -> str:
+    """Return a regular expression of a view's name as a separate word."""
+    return rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])"
 
 
 def _absent(frames: list[int], view: str, renders: RenderSet, request: FrameRequest) -> str:

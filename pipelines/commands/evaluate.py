@@ -26,6 +26,8 @@ from ggvs_eval.pipelines.commands.flags import (
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
 
 Videos = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="VIDEOS|CAPTURE")]
+# Of raw videos of one make. `calibrate` assumes less; with own pinhole lenses the rig of docs/your_rig.md fails its check.
+RAW_VIDEOS = CalibrationOptions(camera_model="SIMPLE_RADIAL", shared_intrinsics=True)
 CALIBRATED = "calibration.json"  # in a capture that `calibrate` has written whole
 VERDICTS = "check.json"
 
@@ -37,7 +39,7 @@ def evaluate(
     repair: bool = False,
     methods: Labels = USUAL_METHODS,
     device: Device = "cpu",
-    calibration: Calibrating = CalibrationOptions(),  # noqa: B008 - frozen
+    calibration: Calibrating = RAW_VIDEOS,
     reading: CaptureFlags = CAPTURE_DEFAULTS,
     depth: DepthFlags = DEPTH_DEFAULTS,
     engine: Running = HERE,
@@ -54,7 +56,7 @@ def evaluate(
         repair: correct whole-frame delays and brightness by `check`, then check again.
         methods: methods to evaluate.
         device: device of networks: cpu, cuda or auto.
-        calibration: known and assumed parameters.
+        calibration: known and assumed parameters; by default one lens for all cameras, with one distortion coefficient.
         reading: capture reading.
         depth: depth estimation.
         engine: job execution.
@@ -63,11 +65,10 @@ def evaluate(
         raise CaptureError(f"{videos}: wanted videos, or folders of images, of several cameras, got no such path; check it")
     shown = _Steps()
     capture = out / "capture" if _needs_poses(videos, reading.layout) else videos
-    lenses = changed_flags(calibration, CalibrationOptions())
     if capture != videos and not (capture / CALIBRATED).is_file():
-        shown.begin("calibrate", videos, capture, *lenses)
+        shown.begin("calibrate", videos, capture, *changed_flags(calibration, CalibrationOptions()))
         captures.calibrate(videos, capture, calibration)
-    elif capture != videos and lenses:
+    elif capture != videos and (lenses := changed_flags(calibration, RAW_VIDEOS)):
         print(f"{capture} is kept, {' '.join(lenses)} are ignored; choose another OUT for others", file=sys.stderr)
     flags = changed_flags(reading, CAPTURE_DEFAULTS)
     opened = [*_flag("--layout", reading.layout), *_flag("--units", reading.units)]  # what `check` takes of them
@@ -79,7 +80,7 @@ def evaluate(
     except SystemExit:
         raise CommandError(
             f"{capture}: stopped: check found faults, see above and {verdicts}; fix them and run this again "
-            "(--repair corrects delays and brightness, another OUT with --shared-intrinsics or --camera-model often lenses), "
+            "(--repair corrects delays and brightness; cameras of different lenses: another OUT with --no-shared-intrinsics), "
             f"or continue with `ggvs-eval run {out / 'run'} --capture {capture}`"
         ) from None
     if not terms.exists():

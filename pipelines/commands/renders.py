@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.built_in import CONVENTIONS
+from ggvs_eval.coverage import read_import
 from ggvs_eval.errors import MetricError, RenderError
 from ggvs_eval.pipelines.commands.flags import CAPTURE_DEFAULTS, ONE_PER_CORE, CaptureFlags, CaptureOptions, Jobs
 from ggvs_eval.run_folder import RunFolder
@@ -49,6 +50,7 @@ def doctor(
     from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
     from ggvs_eval.pipelines.inspection.renders.explain import forgiven_error
     from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, views_of_run
+    from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering
     from ggvs_eval.pipelines.inspection.renders.steadiness import steadiness_line
     from ggvs_eval.pipelines.run.references import find_seen_views
 
@@ -56,7 +58,9 @@ def doctor(
     with open_renders(renders, capture, protocol, run, first_frame, reading, jobs) as (folder, labels):
         for label in labels:
             views = views_of_run(folder, label)
-            findings = [*examine(views, cameras_of_run(folder)), *find_seen_views(folder, label)]
+            counted_from, start = (read_import(folder, label) or {}).get("counted_from", 0), folder.protocol().frames.start
+            checked = [doubt_numbering(one, counted_from, start) for one in examine(views, cameras_of_run(folder))]
+            findings = [*checked, *find_seen_views(folder, label)]
             certain |= any(finding.verdict == "certain" for finding in findings)
             print(f"{label}\n{faults_table(findings)}")
             for line in filter(None, (forgiven_error(views), steadiness_line(views))):

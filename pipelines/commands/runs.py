@@ -173,6 +173,7 @@ def score(
     lacking = dict.fromkeys((one.metric, one.view or "all views of some methods", one.reason) for one in results.absences)
     for metric, where, reason in lacking:
         print(f"{metric} not computed in {where}: {reason}")
+    print(f"scores are in {target.root}; the page: ggvs-eval report {target.root}", file=sys.stderr)
 
 
 def merge(

@@ -119,6 +119,7 @@ def _import(
         "partial": partial_text(fitted, request),
         "notes": [*filter(None, [renders.numbering]), *renders.notes, *_left_out(fitted), *_black_truth(request)],
         "frames": {view: list(frames) for view, frames in fitted.usable.items()},
+        "counted_from": 0 if request.first_frame is not None else renders.first,  # a guess; what the user says is none
         "identity": identity,
     }
     return _put(run.root / "renders" / request.label, renders, fitted, record, workers, link)
@@ -219,9 +220,10 @@ def _limits(request: FrameRequest) -> Limits:
 
 
 def _left_out(fitted: Fit) -> list[str]:
-    """List what partial renders lack, for the record; nothing is cut short here."""
+    """List what partial renders lack and what the protocol does not want, for the record; nothing is cut short here."""
     groups = {"missing": fitted.missing, "not usable": fitted.faulty, "not used": fitted.extras}
-    return [f"{title}: {item}" for title, items in groups.items() for item in items]
+    untested = [f"{', '.join(fitted.untested)}: not used, as the protocol does not test these cameras"] if fitted.untested else []
+    return [f"{title}: {item}" for title, items in groups.items() for item in items] + untested
 
 
 @contextmanager

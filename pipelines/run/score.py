@@ -6,10 +6,10 @@ Each view is one job for all methods, because what the truth alone decides is th
 
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
-from ggvs_eval.coverage import Coverage, read_coverage
+from ggvs_eval.coverage import Coverage, read_coverage, read_import
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
@@ -17,7 +17,9 @@ from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.machine import pace
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
+from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.examine import COMPARED
+from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import LEARNED, MethodSpec, OnlineMethod, digest_weights
@@ -216,6 +218,7 @@ def _collect(
         own: list[tuple[Any, ...]] = []
         reasons: dict[str, str] = {}  # of what belongs to no single view
         found: list[Fault] = []
+        counted_from = (read_import(run, label) or {}).get("counted_from", 0)
         for view, methods in records.items():
             if why := coverage.refused.get(label, {}).get(view):
                 absences += [Absence(metric, label, capture["scene"], view, why) for metric in protocol.measurement.metrics]
@@ -227,7 +230,9 @@ def _collect(
                 own.append((view, frame, name, value))
                 values.setdefault(name, {}).setdefault(view, {})[frame] = value
             seen = find_seen_view(view, values.get(COMPARED, {}).get(view, {}).values(), perfect.get(view))
-            found += [_fault(label, capture["scene"], one) for one in (*methods[label].get("faults", ()), *map(asdict, seen))]
+            checked = (Finding(**one) for one in methods[label].get("faults", ()))
+            doubted = (doubt_numbering(one, counted_from, protocol.frames.start) for one in checked)
+            found += [_fault(label, capture["scene"], one) for one in (*doubted, *seen)]
             lacking = methods[label]["not_computed"]
             absences += [Absence(name, label, capture["scene"], view, reason) for name, reason in lacking.items()]
         faults += of_all_views(found, sum(label in methods for methods in records.values()))
@@ -254,12 +259,11 @@ def _collect(
     return Results(make_table(rows), provenance, dict(reversed(not_computed.items())))
 
 
-def _fault(label: str, scene: str, found: Mapping[str, Any]) -> Fault:
+def _fault(label: str, scene: str, found: Finding) -> Fault:
     """Return a finding of the quick checks as the results keep it; an offset is called by its direction."""
-    lag = found["values"].get("offset_frames", 0.0) if found["question"] == "frame offset" else 0.0
+    lag = found.values.get("offset_frames", 0.0) if found.question == "frame offset" else 0.0
     called = "late" if lag < 0 else "early" if lag > 0 else ""
-    told = {part: str(found[part]) for part in ("question", "verdict", "measured", "advice")}
-    return Fault(label, scene, str(found["subject"]), **told, called=called)
+    return Fault(label, scene, found.subject, found.question, found.verdict, found.measured, found.advice, called)
 
 
 def _derived(

@@ -116,7 +116,7 @@ def hold_out(proposal: Proposal, capture: Capture, names: Sequence[str], doubts:
     """
     if absent := [name for name in names if name not in capture.camera_names]:
         raise CaptureError(
-            f"--test: {capture.path} has no camera {', '.join(absent)}; it has {', '.join(capture.camera_names)}"
+            f"--test: {capture.path} has no camera {' '.join(absent)}; it has {', '.join(capture.camera_names)}"
             f"{did_you_mean(absent[0], capture.camera_names)}"
         )
     synthesis = proposal.protocol.synthesis

@@ -192,6 +192,21 @@ def _finding(name: str, timing: _Timing) -> Finding:
     return Finding(name, question, verdict_of(timing.ratio < CERTAIN_RATIO), measured, values, advice)
 
 
+def doubt_numbering(finding: Finding, counted_from: int, start: int) -> Finding:
+    """Return an offset with another remedy, where not the frames are off but the guess how their names are counted.
+
+    Args:
+        finding: of one view.
+        counted_from: the number in the names that was taken for the capture's first instant.
+        start: first instant of the protocol.
+    """
+    if finding.question != "frame offset" or not counted_from or finding.values["offset_frames"] != counted_from:
+        return finding
+    command = f"ggvs-eval protocol CAPTURE mine.toml --start {start + counted_from}"
+    advice = f"make a protocol of the instants in the file names, which seem to be counted from 0, not {counted_from} ({command})"
+    return replace(finding, advice=advice)
+
+
 def _grey(frames: Array32) -> Array32:
     """Return the mean of the channels of each frame, noise smoothed a little, (n, h, w)."""
     return np.stack([cv2.GaussianBlur(frame.mean(axis=-1, dtype=np.float32), (0, 0), 1.0) for frame in frames])
