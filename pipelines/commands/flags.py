@@ -111,7 +111,7 @@ def changed_flags(options: Any, default: Any) -> list[str]:
     """A frozen dataclass of options as words of the command line; only what differs from its defaults.
 
     Args:
-        options: values that are truth values, numbers, texts, paths or None.
+        options: values that are truth values, numbers, texts, paths, tuples of texts, or None.
     """
     words: list[str] = []
     for field in fields(options):
@@ -119,5 +119,8 @@ def changed_flags(options: Any, default: Any) -> list[str]:
         name = field.name.replace("_", "-")
         if value == usual:
             continue
-        words += ["--" + ("" if value else "no-") + name] if isinstance(usual, bool) else [f"--{name}", str(value)]
+        if isinstance(usual, bool):
+            words.append("--" + ("" if value else "no-") + name)
+        else:
+            words += [f"--{name}", *(value if isinstance(usual, tuple) else [str(value)])]
     return words

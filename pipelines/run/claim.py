@@ -48,7 +48,7 @@ def claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
 
 
 def _refuse(run: RunFolder, difference: str) -> None:
-    raise ProtocolError(f"{run.root}: holds a run of {difference}; choose a new folder")
+    raise ProtocolError(f"{run.root}: holds a run of {difference}; choose a new folder (score: --run FOLDER)")
 
 
 def _digests(capture: Capture) -> dict[str, str]:

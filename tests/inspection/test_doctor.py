@@ -12,6 +12,7 @@ from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, views_of_run
+from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.planted_renders import PLANTED as PLANTED_IN_VIEWS
@@ -218,6 +219,8 @@ def test_a_frame_offset_is_found_with_its_sign(offset, kind, honest, truth):
 
     assert finding.question == "frame offset"
     assert finding.values["offset_frames"] == offset
+    assert doubt_numbering(finding, 0, 3) == finding == doubt_numbering(finding, -offset, 3)
+    assert f"protocol CAPTURE mine.toml --start {3 + offset}" in doubt_numbering(finding, offset, 3).advice
 
 
 @pytest.mark.parametrize("kind", HONEST)

@@ -24,6 +24,7 @@ from helpers.render_folders import (
     write_flat,
     write_folders,
     write_nerfbaselines,
+    write_picture,
     write_videos,
 )
 
@@ -50,7 +51,7 @@ def test_everything_wrong_is_in_one_list(truth_run, tmp_path):
     for frame in (2, 3):
         (folder / "cam02" / f"000{frame}.png").unlink()
     write_image(folder / "cam02" / "0099.png", rendered("cam02", 2))
-    write_image(folder / "cam01" / "0002.png", rendered("cam01", 2))
+    write_image(folder / "depth" / "0002.png", rendered("cam01", 2))
     write_image(folder / "cam00" / "0002.png", np.zeros((24, 32, 3), np.uint8))
     write_image(folder / "cam00" / "0003.png", np.zeros((24, 32, 3), np.uint8))
     (folder / "cam00" / "0004.png").write_bytes(b"nothing")
@@ -60,8 +61,22 @@ def test_everything_wrong_is_in_one_list(truth_run, tmp_path):
     assert "frames are missing: mine in cam02 lacks 2-3; " in message
     assert "mine in cam00: 2-3 (32 x 24 instead of 64 x 48: to score them at this size" in message
     assert "mine in cam00: 4 (no picture that can be read)" in message
-    assert "belongs to nothing: cam01/ (1 pictures); cam02/0099.png" in message
+    assert "belongs to nothing: depth/ (1 pictures); cam02/0099.png" in message
     assert "--allow-partial" in message
+
+
+@pytest.mark.parametrize("pattern", ["{view}/{number:04d}.png", "{view}_{number:04d}.png", "{view}.mp4"])
+def test_a_camera_that_is_not_tested_is_a_note(pattern, truth_run, tmp_path):
+    """Who renders every camera of the capture has done nothing wrong; the note names those that are left out."""
+    folder = tmp_path / "theirs"
+    if pattern.endswith(".mp4"):
+        write_videos(folder, views=["cam00", "cam02", "cam01"])
+    else:
+        write_folders(folder, pattern=pattern)
+        write_picture(folder / pattern.format(view="cam01", number=2), rendered("cam01", 2))
+    record = import_renders(truth_run, "mine", folder)
+    assert "cam01: not used, as the protocol does not test these cameras" in record["notes"]
+    assert (set(record["frames"]), record["partial"]) == (set(VIEWS), "")
 
 
 def test_a_long_list_is_counted(truth_run, tmp_path):
@@ -170,6 +185,11 @@ def without_truth_and_names(folder: Path) -> Path:
     return folder
 
 
+def with_another_video(folder: Path) -> Path:
+    shutil.copy(write_videos(folder) / "cam00.mp4", folder / "depth.mp4")
+    return folder
+
+
 WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     "nothing there": (lambda f: f, "theirs: wanted renders, got no such path"),
     "cameras that are not tested": (
@@ -188,7 +208,7 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     ),
     "a damaged video": (damaged_video, "the file is truncated or no video"),
     "one video too few": (lambda f: write_videos(f, views=["cam00"]), "mine in cam02 lacks all 3 frames"),
-    "one video too many": (lambda f: write_videos(f, views=["cam00", "cam02", "cam01"]), "belongs to nothing: cam01.mp4"),
+    "one video too many": (with_another_video, "belongs to nothing: depth.mp4"),
     "channels first": (
         lambda f: write_array(f, stack("cam00").transpose(0, 3, 1, 2)),
         "wanted an array (T, H, W, 3), got (3, 3, 48, 64), which has its channels first: save frames.transpose(0, 2, 3, 1)",
