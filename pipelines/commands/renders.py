@@ -170,15 +170,16 @@ def open_renders(
         folder = RunFolder(renders)
         yield folder, folder.labels()
         return
-    from ggvs_eval.pipelines.run.import_renders import SCORES_ROOT, import_renders, named_renders, run_for
+    from ggvs_eval.pipelines.run.import_renders import SCORES_ROOT, import_renders, named_renders, require_there, run_for
 
+    require_there(named := named_renders((str(renders),)))
     scored = RunFolder(SCORES_ROOT / capture.resolve().name).protocol_file if capture else Path()
     if run is None and protocol is None and scored.is_file():
         protocol = str(scored)
     with TemporaryDirectory(prefix="ggvs-eval-") as scratch:
         root = Path(scratch) / "run" if run is None and capture else run
         with run_for(root, partial(reading.open, capture) if capture else None, protocol, jobs) as folder:
-            ((label, path),) = named_renders((str(renders),)).items()
+            ((label, path),) = named.items()
             for note in import_renders(folder, label, path, workers=jobs, first_frame=first_frame, link=run is None)["notes"]:
                 print(f"{label}: {note}", file=sys.stderr)
         yield folder, [label]

@@ -142,14 +142,14 @@ def score(
         reading: capture reading.
         jobs: parallel processes, at least 1.
     """
-    from ggvs_eval.pipelines.run.import_renders import import_renders, named_renders, run_for
+    from ggvs_eval.pipelines.run.import_renders import import_renders, named_renders, require_there, run_for
     from ggvs_eval.pipelines.run.own_truth import compare_published, run_with_truth
     from ggvs_eval.pipelines.run.score import require_labels
     from ggvs_eval.pipelines.run.score import score as measure
 
     if folder and run:
         raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")
-    named = named_renders(renders)
+    require_there(named := named_renders(renders))
     if with_truth and capture:
         raise ProtocolError(f"wanted --capture or --with-truth, got both; omit --with-truth to use {capture} as the reference")
     opened = partial(reading.open, capture) if capture else None

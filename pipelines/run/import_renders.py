@@ -72,11 +72,9 @@ def import_renders(
         RenderError: a label that is taken, or renders that are unreadable or do not fit the protocol; everything missing,
             extra or of wrong size is listed.
     """
-    _check_label(label)
+    require_there({label: path})
     request = request_of(run, label, first_frame)
     target = run.root / "renders" / label
-    if not path.exists():
-        raise RenderError(f"{path}: wanted renders, got no such path; check it")
     if target.exists() and path.resolve() in (run.root.resolve(), target.resolve()):
         raise RenderError(f"{path}: these renders are already in the run {run.root}; score it without --renders")
     if target.exists() and not target.is_symlink() and read_import(run, label) is None:
@@ -84,6 +82,14 @@ def import_renders(
     remove_leftovers(target)
     with scratch_folder(target.with_name(f"{label}.unpacked")) as unpacked, _named_as_given(unpacked, path):
         return _import(run, request, path, unpacked, allow_partial, workers, link)
+
+
+def require_there(renders: Mapping[str, Path]) -> None:
+    """Refuse names that renders cannot have, and paths that there are not, before anything is done about the others."""
+    for label, path in renders.items():
+        _check_label(label)
+        if not path.exists():
+            raise RenderError(f"{path}: wanted renders, got no such path; check it")
 
 
 @contextmanager
