@@ -246,9 +246,9 @@ class MeasuredRun:
 
     @property
     def ours_first(self) -> tuple[str, ...]:
-        """The same, ordered for displays of a single method: the paper's first, then its variants."""
-        ours = sorted((label for label in self.pictured if label in self.ours), key=lambda label: "+" in label)  # stable
-        return (*ours, *(label for label in self.pictured if label not in self.ours))
+        """The same, as one method is shown: the paper's first, then its variants; last what is at fault."""
+        ours, bad = self.ours, self.results.spoilt
+        return tuple(sorted(self.pictured, key=lambda label: (label in bad, label not in ours, label in ours and "+" in label)))
 
     def called(self, scene: str) -> "MeasuredRun":
         """Return the same run with another name of its scene."""
