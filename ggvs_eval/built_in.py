@@ -376,6 +376,9 @@ SWEEP_PLANS = {"commands": "ggvs_eval.contrib.cluster.plan:write_commands"}
 SPLAT_FILES = {".glb": "ggvs_eval.contrib.export.gltf_reading:GLB"}
 TRACKERS = {name: "ggvs_eval.contrib.export.tracking:track_results" for name in ("tensorboard", "mlflow", "wandb")}
 
+# Renders of a run with their faults undone, which its page shows.
+UNDONE_FAULTS = {"what-if": "ggvs_eval.contrib.what_if.page:undo_faults"}
+
 # Functions of metrics that `ggvs_eval.metrics` offers besides those of its own modules.
 METRIC_FUNCTIONS = {
     "colmap_consistency": f"{_MORE}.colmap_consistency:colmap_consistency",

@@ -25,7 +25,7 @@ def what_if(
     """Score rendered frames again with each fault that doctor finds undone.
 
     Shift, scale, frame offset, reversed time, gain, tone curve, value range, channel order and flips are estimated on half of the
-    frames and undone in the other half. Nothing of it enters results, tables or rankings.
+    frames and undone in the other half. Nothing of it enters results, tables or rankings; the page of RUN shows the frames so.
 
     Args:
         renders: frames in any form that `score` takes, with --capture; or a run folder, whose methods are all examined.
@@ -38,6 +38,7 @@ def what_if(
         reading: how the capture is read.
         jobs: processes.
     """
+    from ggvs_eval.contrib.what_if.page import keep_for_page
     from ggvs_eval.contrib.what_if.what_if import what_if as undo_and_score
     from ggvs_eval.contrib.what_if.what_if import what_if_text
     from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, views_of_run
@@ -50,5 +51,6 @@ def what_if(
             found = undo_and_score(views_of_run(folder, label), cameras_of_run(folder), measurement, metrics)
             records[label] = found.record()
             print(what_if_text(label, found))
+        keep_for_page(folder, {label: bool(record["rows"]) for label, record in records.items()})
     if out is not None:
         write_json(out, records)

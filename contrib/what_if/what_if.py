@@ -23,7 +23,7 @@ from ggvs_eval.run_folder import as_ranges
 from ggvs_eval.statistics.paired import Comparison, compare
 
 FEWEST_FRAMES = 8  # four to estimate on, fewer do not distinguish neighbouring instants
-HONEST = "as handed in"
+HONEST, ALL = "as handed in", "all of these"
 PLACE = "what-if"
 
 
@@ -55,6 +55,34 @@ class Row:
     faults: tuple[str, ...]
     exact: bool
     scores: Mapping[str, Score]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Faults of rendered frames.
+
+    Attributes:
+        undos: what undoes them, in the order in which it is applied.
+        stays: faults that cannot be undone.
+        estimated_on: frames that the faults were looked for and measured on.
+    """
+
+    undos: Sequence[Undo]
+    stays: Sequence[Finding]
+    estimated_on: range
+
+
+def estimate(views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader]) -> Estimate:
+    """Look for faults in the middle half of the frames; see `what_if`."""
+    frames = next(iter(views.values())).frames
+    if len(frames) < FEWEST_FRAMES:
+        raise RenderError(
+            f"wanted {FEWEST_FRAMES} frames or more, half to estimate on, half to score; got {len(frames)}; render more"
+        )
+    quarter = len(frames) // 4
+    middle = range(frames.start + quarter, frames.stop - quarter)
+    halves = {name: ViewFrames(view.rendered, view.truth, middle, view.truth_range) for name, view in views.items()}
+    return Estimate(*list_undos(examine(halves, cameras), halves), middle)
 
 
 @dataclass(frozen=True)
@@ -100,15 +128,12 @@ def what_if(
         share most of their picture, but a shift that fits noise of the middle does not fit theirs.
     """
     metrics = _frame_metrics(metrics)
-    frames = next(iter(views.values())).frames
-    if len(frames) < FEWEST_FRAMES:
-        raise RenderError(
-            f"wanted {FEWEST_FRAMES} frames or more, half to estimate on, half to score; got {len(frames)}; render more"
-        )
-    quarter = len(frames) // 4
-    middle = range(frames.start + quarter, frames.stop - quarter)
-    halves = {name: ViewFrames(view.rendered, view.truth, middle, view.truth_range) for name, view in views.items()}
-    undos, stays = list_undos(examine(halves, cameras), halves)
+    return score_undone(views, estimate(views, cameras), measurement, metrics)
+
+
+def score_undone(views: Mapping[str, ViewFrames], found: Estimate, measurement: Measurement, metrics: Sequence[str]) -> WhatIf:
+    """Score frames as they came and with each fault undone, on other frames than the faults were estimated on."""
+    frames, (undos, stays, middle) = next(iter(views.values())).frames, (found.undos, found.stays, found.estimated_on)
     if not undos:
         return WhatIf((), tuple(middle), (), len(views), 0, tuple(stays), {})
     treatments = _treatments(undos)
@@ -150,9 +175,9 @@ def _treatments(undos: Sequence[Undo]) -> list[_Treatment]:
         if undo.of_truth:
             listed.append(_Treatment(f"{undo.words_of_truth} ({undo.verdict})", (undo,), on_truth=True))
     if len(undos) > 1:
-        listed.append(_Treatment("all of these", tuple(undos)))
+        listed.append(_Treatment(ALL, tuple(undos)))
         if any(undo.of_truth for undo in undos):
-            listed.append(_Treatment("all of these, the truth resampled instead", tuple(undos), on_truth=True))
+            listed.append(_Treatment(f"{ALL}, the truth resampled instead", tuple(undos), on_truth=True))
     return listed
 
 
@@ -202,7 +227,7 @@ def what_if_text(label: str, found: WhatIf) -> str:
     if not found.rows:
         return f"{label}: no fault found that can be undone, in {where} of {found.views} views{stays}"
     metrics = list(found.rows[0].scores)
-    lines = [[row.words, *(_cell(metric, row.scores[metric]) for metric in metrics)] for row in found.rows]
+    lines = [[row.words, *(cell_text(metric, row.scores[metric]) for metric in metrics)] for row in found.rows]
     notes = [one.gain.note for row in found.rows for one in row.scores.values() if one.gain and one.gain.note]
     rounding = "; resampled or rounded to 8 bit: " + ", ".join(
         dict.fromkeys(fault for row in found.rows if len(row.faults) == 1 and not row.exact for fault in row.faults)
@@ -219,7 +244,8 @@ def what_if_text(label: str, found: WhatIf) -> str:
     )
 
 
-def _cell(metric: str, score: Score) -> str:
+def cell_text(metric: str, score: Score) -> str:
+    """Write a number, and in brackets its difference to the first row with the interval."""
     digits = METRICS[metric].decimals if METRICS[metric].decimals is not None else 3
     text, gain = f"{score.value:.{digits}f}", score.gain
     if gain is None:

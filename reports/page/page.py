@@ -35,6 +35,7 @@ from ggvs_eval.reports.page.pictures import (
     png_uri,
     share_room,
     shrink,
+    undone_renders,
     webp_uri,
 )
 from ggvs_eval.reports.page.quality_over_time import QualityOverTime, quality_over_time
@@ -322,7 +323,8 @@ def _section(
 ) -> dict[str, Any]:
     """Build the template context of one run, pictures as data URIs."""
     run, maps = section.run, heat_maps(section.run)
-    comparison = compare_frames(run, room.frames)
+    undone = undone_renders(run)
+    comparison = compare_frames(run, room.frames, undone)
     path = path_pictures(run, room.path)
     capture = run.folder.capture_record()
     fps = float(capture.get("fps") or 0)
@@ -343,6 +345,7 @@ def _section(
         "rate_panels": section.rate_panels,
         "comparison": comparison,
         "diagnostics": diagnostics_legend(comparison.keys),
+        "undone": {run.name(label): one.scores for label, one in undone.items()},
         "first_left": (*run.ours_first, "truth")[0],
         "data": viewer_data(run, comparison, path, maps, row, fps, run_address(run.folder.root, folder)),
         "heat_maps": maps,

@@ -6,7 +6,7 @@ All are text that the page carries in itself, compressed until they fit into eac
 import base64
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -18,14 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.built_in import UNDONE_FAULTS
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.files.video import write_video
+from ggvs_eval.plugins import Registry
 from ggvs_eval.progress import track
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
 from ggvs_eval.reports.figures.slices import path_folders
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.run_folder import DIAGNOSTICS, frame_path, missing_frames
+from ggvs_eval.run_folder import DIAGNOSTICS, RunFolder, frame_path, missing_frames
 
 WEBP_QUALITY = 80
 WEBP_WIDTHS = (960, 800, 720, 640, 560, 480, 400, 320, 256, 192)
@@ -46,7 +48,34 @@ VIDEO_WIDTHS = (480, 320, 240, 160)
 CRF = 26.0  # for looking at; x264's own default is 23
 DEFAULT_FPS = 10.0
 PATH_BYTES = 3_000_000
+UNDONE = "undone"  # behind the label of a method, in the key of its frames with their faults undone
+NOTHING_255 = 128  # grey of a picture that an undone offset leaves without a frame
 POSES_AT_MOST = 480  # over all methods; the browser decodes each of them for one row
+
+
+@dataclass(frozen=True)
+class UndoneRenders:
+    """Frames of a method with the faults of their handling undone; they are in no table and no ranking.
+
+    Attributes:
+        words: what is undone, e.g. ``frames renumbered by -1``.
+        scores: as handed in and undone, one sentence.
+        read: view and frame number -> the frame, (H, W, 3) uint8; None of an instant that has none.
+    """
+
+    words: str
+    scores: str
+    read: Callable[[str, int], Image8 | None]
+
+
+UNDOING: Registry[Callable[[RunFolder, Collection[str]], Mapping[str, UndoneRenders]]] = Registry("undone faults", UNDONE_FAULTS)
+
+
+def undone_renders(run: MeasuredRun) -> dict[str, UndoneRenders]:
+    """Return label -> its frames with their faults undone, of the methods that have some; empty without the part that undoes."""
+    faulty = {one.label for one in run.results.faults}
+    undone = {label: one for undo in UNDOING.built_in().values() for label, one in undo(run.folder, faulty).items()}
+    return {label: undone[label] for label in run.pictured if label in undone}
 
 
 def diagnostics_label(run: MeasuredRun) -> str | None:
@@ -63,15 +92,9 @@ def diagnostics_folders(frames: Path, label: str, indices: range) -> Iterator[tu
             yield f"{label}/{name}", folder
 
 
-def diagnostics_name(run: MeasuredRun, key: str) -> str:
-    """Return the name a picture: of a method, of the truth, or of a method's diagnostics."""
-    label, _, name = key.partition("/")
-    return f"{run.name(label)}: {MEANINGS[name][0]}" if name else run.name(label)
-
-
 def diagnostics_legend(keys: Sequence[str]) -> list[tuple[str, str]]:
     """Return name and meaning of each diagnostic picture among the keys."""
-    return [MEANINGS[key.partition("/")[2]] for key in keys if "/" in key]
+    return [MEANINGS[name] for key in keys if (name := key.partition("/")[2]) in MEANINGS]
 
 
 @dataclass(frozen=True)
@@ -100,36 +123,42 @@ class Comparison:
     errors: dict[str, dict[str, list[str]]]
 
 
-def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparison:
+def compare_frames(
+    run: MeasuredRun, byte_budget: int = FRAME_BYTES, undone: Mapping[str, UndoneRenders] | None = None
+) -> Comparison:
     """Compress the frames of every method and the truth, and the errors against the truth, for the page.
 
     Args:
         byte_budget: what the frames may take, before base64; it decides their width. Error maps and what a method decided inside
             take about a quarter more each.
+        undone: label -> its frames with their faults undone, which are shown too.
     """
     views, diagnostics = run.protocol.views.test, _diagnostics(run)
-    keys = ("truth", *run.pictured, *next(iter(diagnostics.values())))
+    names = {key: run.name(key) for key in ("truth", *run.pictured)}
+    names |= {f"{label}/{UNDONE}": f"{run.name(label)}: {one.words}" for label, one in (undone or {}).items()}
+    inside = {key: key.split("/") for key in next(iter(diagnostics.values()))}
+    names |= {key: f"{run.name(label)}: {MEANINGS[kind][0]}" for key, (label, kind) in inside.items()}
+    keys = tuple(names)
     samples = _middle_frames(run)
-    stride, width = _fit(run, samples, byte_budget)
+    stride, width = _fit(run, samples, byte_budget, len(undone or ()))
     frames = run.frames[::stride]
     height, full_size = shrink(samples[0], width).shape[0], (samples[0].shape[1], samples[0].shape[0])
     images: dict[str, dict[str, list[str]]] = {view: {key: [] for key in keys} for view in views}
     errors: dict[str, dict[str, list[str]]] = {view: {label: [] for label in run.pictured} for view in views}
     instants = [(view, frame) for view in views for frame in frames]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV's codecs release the GIL
-        compressed = pool.map(partial(_compress_frames, run, diagnostics, width), instants)
+        compressed = pool.map(partial(_compress_frames, run, diagnostics, undone or {}, width), instants)
         for (view, _), pictures in zip(instants, track(compressed, "compressing frames", len(instants)), strict=True):
             for key, (picture, error) in pictures.items():
                 images[view][key].append(picture)
                 if error:
                     errors[view][key].append(error)
-    names = tuple(diagnostics_name(run, key) for key in keys)
-    return Comparison(views, tuple(frames), stride, width, height, full_size, keys, names, images, errors)
+    return Comparison(views, tuple(frames), stride, width, height, full_size, keys, tuple(names.values()), images, errors)
 
 
-def _fit(run: MeasuredRun, samples: list[Image8], byte_budget: int) -> tuple[int, int]:
+def _fit(run: MeasuredRun, samples: list[Image8], byte_budget: int, n_undone: int) -> tuple[int, int]:
     """Return the frames that are shown, every Nth, and their width in pixels: all of them, unless fewer are clearer."""
-    n_pictures = len(run.protocol.views.test) * (1 + len(run.pictured))
+    n_pictures = len(run.protocol.views.test) * (1 + len(run.pictured) + n_undone)
     stride = math.ceil(len(run.frames) * n_pictures / FRAMES_AT_MOST)
     while True:
         width = fitting_width(samples, byte_budget / (len(run.frames[::stride]) * n_pictures))
@@ -150,7 +179,11 @@ def _diagnostics(run: MeasuredRun) -> dict[str, dict[str, Path]]:
 
 
 def _compress_frames(
-    run: MeasuredRun, diagnostics: dict[str, dict[str, Path]], width: int, instant: tuple[str, int]
+    run: MeasuredRun,
+    diagnostics: dict[str, dict[str, Path]],
+    undone: Mapping[str, UndoneRenders],
+    width: int,
+    instant: tuple[str, int],
 ) -> dict[str, tuple[str, str]]:
     """Return key -> compressed picture and error map of one view and frame; only methods have errors."""
     view, frame = instant
@@ -161,6 +194,10 @@ def _compress_frames(
         rendered = read_image(files[label])
         error = error_map(rendered, truth, files[label])
         pictures[label] = webp_uri(shrink(rendered, width)), webp_uri(shrink(error, round(width * ERROR_SHARE)))
+    for label, one in undone.items():
+        frame_undone = one.read(view, frame)
+        shown = np.full_like(truth, NOTHING_255) if frame_undone is None else frame_undone
+        pictures[f"{label}/{UNDONE}"] = webp_uri(shrink(shown, width)), ""
     for key, folder in diagnostics[view].items():
         pictures[key] = webp_uri(shrink(read_image(frame_path(folder, frame)), width)), ""
     return pictures

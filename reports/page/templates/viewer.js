@@ -2,6 +2,8 @@ const BLINK_MS = 600;
 const MODES = ["wipe", "blink", "two", "all"];
 const NEAR_DIVIDER_PX = 24;
 const ZOOM_STEP = 1.5;
+const UNDONE = "/undone"; // ends the key of a method's frames with their faults undone
+const isUndone = (key) => key.endsWith(UNDONE);
 
 /**
  * One comparison: state in one object, `show` draws it, every event changes it.
@@ -30,6 +32,7 @@ function makeViewer(root, data, alongside) {
     const left = part("left").value;
     const right = part("right").value;
     const isGrid = state.mode === "two" || state.mode === "all";
+    if (part("undone")) part("undone").checked = [left, right].some(isUndone);
     part("left-name").textContent = data.names[left];
     part("right-name").textContent = data.names[right];
     stage.hidden = isGrid;
@@ -175,6 +178,15 @@ function makeViewer(root, data, alongside) {
     };
   }
 
+  /** Show a method with its fault undone on the side that shows it as handed in, or the other way round; the first one if neither does. */
+  function undo(isOn) {
+    const other = (key) => (isOn ? `${key}${UNDONE}` : key.replace(UNDONE, ""));
+    const sides = ["left", "right"].filter((role) => data.keys.includes(other(part(role).value)));
+    for (const role of sides) part(role).value = other(part(role).value);
+    if (!sides.length) part("left").value = data.keys.find((key) => isUndone(key) && shownMethods.isShown(key)) ?? part("left").value;
+    show();
+  }
+
   /** Offer the methods that are shown alone; a side that shows another one takes the first that is left. */
   function offer() {
     for (const role of ["left", "right"]) {
@@ -234,6 +246,7 @@ function makeViewer(root, data, alongside) {
   for (const role of ["view", "left", "right"]) part(role).addEventListener("change", show);
   for (const radio of root.querySelectorAll("input[type=radio]")) radio.addEventListener("change", () => setMode(radio.value));
   part("frame").addEventListener("input", (event) => { state.frame = Number(event.target.value); show(); });
+  part("undone")?.addEventListener("change", (event) => undo(event.target.checked));
   part("play").addEventListener("click", settle);
   part("play").hidden = data.frames.length === 1;
   part("closer").addEventListener("click", () => zoomAtPixel(ZOOM_STEP));

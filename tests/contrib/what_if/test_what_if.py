@@ -212,7 +212,7 @@ def test_too_few_frames_and_metrics_of_whole_clips_are_refused(soft, truth):
 
 
 def test_the_command_prints_rows_and_writes_them(tmp_path, soft, truth, capsys):
-    """`ggvs-eval what-if RUN` prints each method's rows; the run folder stays as it is and the JSON file has the numbers."""
+    """`ggvs-eval what-if RUN` prints each method's rows; the JSON file has the numbers, the run folder the label for its page."""
     spoil = each_picture(lambda image: image[..., ::-1])
     views = tuple(truth)
     shape = RunShape(
@@ -235,4 +235,5 @@ def test_the_command_prints_rows_and_writes_them(tmp_path, soft, truth, capsys):
     assert "as handed in" in printed
     assert [row["faults"] for row in rows] == [[], ["channel order"]]
     assert f"{rows[1]['scores']['PSNR']['value']:.2f} (+" in printed
-    assert {file: file.read_bytes() for file in run.rglob("*") if file.is_file()} == before
+    assert json.loads((run / "what_if.json").read_text(encoding="utf-8")) == ["mine"]
+    assert {file: file.read_bytes() for file in run.rglob("*") if file.is_file() and file.name != "what_if.json"} == before

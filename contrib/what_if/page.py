@@ -1,0 +1,73 @@
+"""Frames with their faults undone for the page of a run: those that its scores report, and those that `what-if` found there."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Final
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.contrib.what_if.undo import apply
+from ggvs_eval.contrib.what_if.what_if import ALL, FEWEST_FRAMES, HONEST, WhatIf, cell_text, estimate, score_undone
+from ggvs_eval.errors import RenderError
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, middle_of, views_of_run
+from ggvs_eval.reports.page.pictures import UndoneRenders
+from ggvs_eval.run_folder import RunFolder, as_ranges, read_json, write_json
+
+FOUND_FILE: Final = "what_if.json"  # of a run folder: labels of the methods in which `what-if` found faults to undo
+# Read to estimate and to score; a page waits for no more. The way back is the same for all frames.
+MOST_FRAMES = 24
+METRIC = "PSNR"
+
+
+def keep_for_page(run: RunFolder, found: Mapping[str, bool]) -> None:
+    """Remember in which methods of a run faults were found that can be undone, and in which none."""
+    write_json(run.root / FOUND_FILE, sorted({label for label in _kept(run) if label not in found} | {*filter(found.get, found)}))
+
+
+def _kept(run: RunFolder) -> list[str]:
+    file = run.root / FOUND_FILE
+    return list(read_json(file)) if file.is_file() else []
+
+
+def undo_faults(run: RunFolder, faulty: Collection[str]) -> Mapping[str, UndoneRenders]:
+    """Undo the faults of a run's renders.
+
+    Args:
+        faulty: labels of methods whose scores report a fault.
+
+    Returns:
+        Label -> its frames with every fault undone; without methods whose faults cannot be undone, or that have too few frames.
+    """
+    labels = [label for label in run.labels() if label in {*faulty, *_kept(run)}]
+    found = {label: _undone(run, label) for label in labels if len(run.protocol().frames.numbers) >= FEWEST_FRAMES}
+    return {label: one for label, one in found.items() if one}
+
+
+def _undone(run: RunFolder, label: str) -> UndoneRenders | None:
+    views = views_of_run(run, label)
+    sampled = {
+        name: replace(one, frames=middle_of(one.frames, MOST_FRAMES), truth_frames=one.frames) for name, one in views.items()
+    }
+    try:
+        faults = estimate(sampled, cameras_of_run(run))
+        scored = score_undone(sampled, faults, run.protocol().measurement, (METRIC,))
+    except RenderError:
+        return None  # frames that nothing can be estimated on or scored on; the fault itself is reported elsewhere
+    if not scored.rows or METRIC in scored.not_computed:
+        return None
+    treated = {name: apply(faults.undos, name, view) for name, view in views.items()}
+    words = ", ".join(undo.words for undo in faults.undos)
+    return UndoneRenders(words, _sentence(scored).replace(ALL, words), partial(_frame, treated))
+
+
+def _frame(treated: Mapping[str, ViewFrames], view: str, frame: int) -> Image8 | None:
+    return treated[view].rendered(frame) if frame in treated[view].frames else None
+
+
+def _sentence(found: WhatIf) -> str:
+    """The score as handed in, and with every fault undone."""
+    most = max(len(row.faults) for row in found.rows)
+    rows = [row for row in found.rows if row.words == HONEST or len(row.faults) == most]
+    scores = "; ".join(f"{row.words} {cell_text(METRIC, row.scores[METRIC])} dB" for row in rows)
+    where = f"estimated on frames {as_ranges(list(found.estimated_on))}, scored on {as_ranges(list(found.scored_on))}"
+    return f"{METRIC} {scores}; not ranked, {where}"
