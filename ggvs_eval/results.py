@@ -242,6 +242,12 @@ class Results:
         per_dataset = per_scene.groupby(keys[:4], sort=False).mean()
         return per_dataset.unstack("metric", sort=False)
 
+    def text(self) -> str:
+        """Write `summary` with four digits, by method alone where no method has a variant."""
+        means = self.summary().droplevel("dataset").round(4)
+        has_variants = any(means.index.get_level_values("variant"))
+        return (means if has_variants else means.droplevel("variant").rename_axis(index=None, columns=None)).to_string()
+
     def per_view(self, metric: str) -> "pd.DataFrame":
         """Return the mean over frames of one metric: rows (method, variant), one column per view."""
         rows = self.table[(self.table["metric"] == metric) & self.table["view"].notna()]

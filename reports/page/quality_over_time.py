@@ -10,6 +10,7 @@ from ggvs_eval.reports.tables.timing import TOTAL
 
 LINE_PX = 11  # between two names
 NAME_PX = 5.2  # of a sign of a name
+GAP_PX, DOT_PX = 7, 4  # from the middle of a dot to its name and to its rim
 
 
 @dataclass(frozen=True)
@@ -71,14 +72,40 @@ def quality_over_time(column: Column, values: Sequence[tuple[str, float]], timin
     bounds = (min(logarithms) - 0.12, max(logarithms) + 0.12, *with_margin(min(heights), max(heights)))
     better = "higher is better" if column.higher_is_better else "lower is better"
     axes = Panel(column.name, column.unit, better, "", (), bounds)
-    dots, taken = [], {True: -math.inf, False: -math.inf}  # line of the last name on either side
-    for name, value, time in sorted(placed, key=lambda one: axes.y(one[1])):
-        x, y = axes.x(math.log10(time)), axes.y(value)
-        is_left = x + 7 + NAME_PX * len(name) > SIZE[0] - MARGIN[1]
-        taken[is_left] = min(max(y + 3.5, taken[is_left] + LINE_PX), SIZE[1] - MARGIN[3])
-        told = f"{name}: {value:.4g}{f' {column.unit}' if column.unit else ''} in {time:.4g} ms"
-        dots.append(Dot(name, x, y, x - 7 if is_left else x + 7, round(taken[is_left], 1), is_left, told))
+    dots: list[Dot] = []
+    ordered = sorted(((axes.x(math.log10(time)), axes.y(value), name) for name, value, time in placed), key=lambda one: one[1])
+    boxes = [(x - DOT_PX, y - DOT_PX, x + DOT_PX, y + DOT_PX) for x, y, _ in ordered]
+    told = {name: f"{value:.4g}{f' {column.unit}' if column.unit else ''} in {time:.4g} ms" for name, value, time in placed}
+    for x, y, name in ordered:
+        left, line, right = box = _free_box(x, y, name, boxes)
+        boxes.append(_outline(*box))
+        is_left = left < x
+        dots.append(Dot(name, x, y, right if is_left else left, round(line, 1), is_left, f"{name}: {told[name]}"))
     return QualityOverTime(axes, tuple(dots), tuple(name for name, _ in values if not times_ms[name]))
+
+
+def _free_box(x: float, y: float, name: str, boxes: Sequence[tuple[float, float, float, float]]) -> tuple[float, float, float]:
+    """Return left end, line and right end of a name: the nearest place to its dot that is clear of names and dots, if any is."""
+    width, middle = NAME_PX * len(name), y + 3.5
+    lines = [middle + side * step * LINE_PX / 2 for step in range(2 * SIZE[1] // LINE_PX) for side in (1, -1)]
+    places = [
+        (left, line, left + width)
+        for line in lines
+        if MARGIN[2] <= line <= SIZE[1] - MARGIN[3]
+        for left in (x + GAP_PX, x - GAP_PX - width)
+        if MARGIN[0] <= left and left + width <= SIZE[0] - MARGIN[1]
+    ]
+    free = (place for place in places if not any(_meet(_outline(*place), box) for box in boxes))
+    return next(free, places[0] if places else (x + GAP_PX, middle, x + GAP_PX + width))
+
+
+def _outline(left: float, line: float, right: float) -> tuple[float, float, float, float]:
+    return left, line - LINE_PX + 2, right, line + 2
+
+
+def _meet(one: Sequence[float], other: Sequence[float]) -> bool:
+    """True if two boxes (left, top, right, bottom) overlap."""
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
 
 
 def _mean_time(name: str, timings: Sequence[Table]) -> float | None:

@@ -208,11 +208,11 @@ def _set_aside(runs: Sequence[MeasuredRun], results: Results) -> tuple[list[str]
     names = {label: run.names.get(label, label) for run in runs for label in run.labels}
     here = {label: results.set_aside[label] for label in names if label in results.set_aside}
     faults = {one.label: one for one in reversed(results.faults) if one.is_certain}
-    remedies = [
-        faults[label].remedy if label in faults else f"Render the missing frames of {names[label]} and score again."
-        for label in here
-    ]
-    return [f"{names[label]} {why}" for label, why in here.items()], list(dict.fromkeys(filter(None, remedies)))
+    remedies: dict[str, list[str]] = {}  # what to do -> with which methods
+    for label in here:
+        if todo := faults[label].remedy if label in faults else "Render the missing frames and score again.":
+            remedies.setdefault(f"{todo[0].lower()}{todo[1:]}", []).append(names[label])
+    return [f"{names[label]} {why}" for label, why in here.items()], [f"{', '.join(of)}: {todo}" for todo, of in remedies.items()]
 
 
 def _nothing(results: Results) -> str:
@@ -238,7 +238,7 @@ def _words(
         if not judgement.unranked:
             return f"{best.name} was measured alone", number
         if judgement.unranked.keys() <= results.set_aside.keys():
-            return f"Only {best.name} is ranked", number
+            return f"Only {best.name} is ranked", f"{best.name} has {number}"
         return "No winner can be named", f"{best.name} has {number}; the others were measured on other scenes, views or frames"
     rival = next((one for one in contenders[1:] if one.name in (*leader.ties, *leader.short)), contenders[1])
     comparison = judgement.comparisons[rival.label]

@@ -174,7 +174,7 @@ def test_a_certain_fault_and_a_partial_method_win_nowhere(tmp_path):
     verdict = evaluate_verdict([run], results, [main])
     assert verdict.headline.startswith("GGVS (online) is best; ")
     assert f"{FITS[2]} was trained on the test view" in verdict.headline
-    assert "Take it out of the inputs." in verdict.margin
+    assert ": take it out of the inputs." in verdict.margin
     assert [row.label for row in main.rows if row.cells[0].best] == ["ours"]
     budgets = {each.key: each for each in budget_tables(run)}
     assert [row.label for row in budgets["budget"].rows] == ["ours"]

@@ -257,7 +257,10 @@ def test_where_nothing_is_ranked_the_verdict_says_what_happened_and_what_to_do(m
     assert verdict.headline == (
         f"Nothing is ranked: {NAMES[WORST]} shows every frame one instant late; {NAMES[MIDDLE]} is partial in room: 1 of 2 views"
     )
-    assert verdict.margin == f"Renumber the frames by -1. Render the missing frames of {NAMES[MIDDLE]} and score again."
+    assert (
+        verdict.margin
+        == f"{NAMES[WORST]}: renumber the frames by -1. {NAMES[MIDDLE]}: render the missing frames and score again."
+    )
 
 
 def write_references(root: Path, *values: dict[str, float | str]) -> MeasuredRun:

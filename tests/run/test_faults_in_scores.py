@@ -87,7 +87,9 @@ def test_a_spoilt_row_says_so_and_is_compared_with_no_other(run, monkeypatch):
 
     headline = page.split('<p class="headline">')[1].split("</p>")[0]
     assert headline.startswith("Only mine is ranked; ")
-    assert "Renumber the frames by -1." in page.split('<p class="margin">')[1].split("</p>")[0]
+    margin = page.split('<p class="margin">')[1].split("</p>")[0]
+    assert margin.startswith("mine has ")
+    assert "late: renumber the frames by -1." in margin
     for label, words in SPOILT.items():
         rows = [line for line in lines if line.startswith(f"| {label} (faulty) |")]
         assert len(rows) >= 3
