@@ -19,9 +19,9 @@ LIMITS = Limits(n_files=500_000, n_bytes=200 << 30)  # of an archive; the disk's
 
 @dataclass(frozen=True)
 class ByHand:
-    """A scene without a single address, with instructions to get it."""
+    """Scenes without a single address, with instructions to get one; its place follows them."""
 
-    scene: str
+    scenes: tuple[str, ...]
     remedy: str
 
 
@@ -43,15 +43,15 @@ class PublicDataset:
     title: str
     licence: str
     page: str
-    url: str
-    archives: tuple[str, ...]
+    url: str = ""
+    archives: tuple[str, ...] = ()
     folders: tuple[str, ...] = ()
     by_hand: tuple[ByHand, ...] = ()
 
     @property
     def scenes(self) -> tuple[str, ...]:
         """Names of all scenes."""
-        return (*(self.folders or self.archives), *(each.scene for each in self.by_hand))
+        return (*(self.folders or self.archives), *(scene for each in self.by_hand for scene in each.scenes))
 
     def folder(self) -> Path:
         """Return the folder of its captures."""
@@ -60,6 +60,10 @@ class PublicDataset:
     def place(self, scene: str) -> Path:
         """Return the folder of a scene, present or not."""
         return self.folder() / self.archives[0] / scene if scene in self.folders else self.folder() / scene
+
+    def way(self, by_hand: ByHand, scene: str) -> str:
+        """Return what to fetch by hand, where to put it, and the page that says more."""
+        return f"{by_hand.remedy} to {self.place(scene)} ({self.page})"
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,9 @@ def find_scene(name: str) -> tuple[PublicDataset, str]:
         )
     dataset = datasets[dataset_name]
     if scene not in dataset.scenes:
-        raise CaptureError(f"{name}: {dataset.title} has {', '.join(dataset.scenes)}{did_you_mean(scene, dataset.scenes)}")
+        where = "" if scene or dataset.archives else f"; {dataset.way(dataset.by_hand[0], 'SCENE')}; licence: {dataset.licence}"
+        known = f"{', '.join(dataset.scenes)}{did_you_mean(scene, dataset.scenes)}"
+        raise CaptureError(f"{name}: {dataset.title} has {known}{where}")
     return dataset, scene
 
 
@@ -121,8 +127,8 @@ def get_capture(name: str) -> Path:
     if place.is_dir():
         return place
     for each in dataset.by_hand:
-        if each.scene == scene:
-            raise DownloadError(f"{name}: {each.remedy} to {place} ({dataset.page})")
+        if scene in each.scenes:
+            raise DownloadError(f"{name}: {dataset.way(each, scene)}")
     archive = dataset.archives[0] if dataset.folders else scene
     file = dataset.folder() / f"{archive}.zip"
     download(dataset.url.format(archive=archive), file, file.with_suffix(".json"))

@@ -55,7 +55,7 @@ def get(scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATAS
     download are stored; a later one must match.
 
     Args:
-        scene: data set and scene; `n3v:` lists the scenes of a data set.
+        scene: data set and scene; `n3v:` lists the scenes of a data set, `llff` names what to fetch by hand.
     """
     dataset, _ = find_scene(scene)
     print(f"{dataset.title}; licence: {dataset.licence}; {dataset.page}", file=sys.stderr)

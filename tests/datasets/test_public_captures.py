@@ -9,10 +9,13 @@ import pytest
 
 from ggvs_eval.datasets import open_capture, public_captures
 from ggvs_eval.datasets.public_captures import PublicDataset, find_scene, get_capture, public_datasets
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.files import download as downloads
 from ggvs_eval.files.download import DownloadError
+from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.protocol import load_protocol
+from helpers.captures import make_image, make_rig, write_poses
 from helpers.refusals import refused
 from helpers.small_layouts import write_capture_toml
 
@@ -132,6 +135,27 @@ def test_without_a_network_one_line_says_what_to_fetch_and_where_to_put_it(datas
     assert "\n" not in message
 
 
+def test_what_is_fetched_by_hand_opens_by_its_name_where_it_was_put(tmp_path, monkeypatch, capsys):
+    """`get llff` and `get llff:fern` name archive, files and place; a scene put there is a capture with the protocol's views."""
+    monkeypatch.setenv("GGVS_EVAL_CACHE", str(tmp_path))
+    place = tmp_path / "captures" / "llff" / "fern"
+    for asked, where in (("llff", place.with_name("SCENE")), ("llff:fern", place)):
+        with pytest.raises(GgvsError, match=r"nerf_llff_data\.zip") as caught:
+            get_capture(asked)
+        assert all(
+            word in str(caught.value) for word in ("poses_bounds.npy and images_4", f"to {where} (http", "llff_3view_SCENE")
+        )
+    names = [f"image{number:03d}" for number in range(20)]
+    write_poses(place, make_rig(names))
+    for name in names:
+        write_image(place / "images_4" / f"{name}.png", make_image(0, 0))
+    run_command(["get", "llff:fern"])
+    printed = capsys.readouterr()
+    assert "none stated" in printed.err
+    assert printed.out.strip() == str(place)
+    assert set(load_protocol("llff_3view_fern").views.test) < set(open_capture("llff:fern").camera_names)
+
+
 def test_an_archive_that_leads_outside_leaves_nothing(dataset, server, tmp_path):
     """Unpacked as renders are."""
     with zipfile.ZipFile(tmp_path / "evil.zip", "w") as packed:
@@ -161,6 +185,11 @@ def test_names_that_there_are_not_are_met_by_those_that_there_are():
         find_scene("n3v:flame_stake")
     with pytest.raises(DownloadError, match="four parts"):
         get_capture("n3v:flame_salmon_1")
-    assert {name: len(each.scenes) for name, each in public_datasets().items()} == {"n3v": 6, "immersive": 15, "panoptic": 6}
+    assert {name: len(each.scenes) for name, each in public_datasets().items()} == {
+        "n3v": 6,
+        "immersive": 15,
+        "panoptic": 6,
+        "llff": 8,
+    }
     with pytest.raises(CaptureError, match="got no such path"):
         open_capture("C:captures")
