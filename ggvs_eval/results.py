@@ -242,11 +242,15 @@ class Results:
         per_dataset = per_scene.groupby(keys[:4], sort=False).mean()
         return per_dataset.unstack("metric", sort=False)
 
-    def text(self) -> str:
-        """Write `summary` with four digits, by method alone where no method has a variant."""
-        means = self.summary().droplevel("dataset").round(4)
-        has_variants = any(means.index.get_level_values("variant"))
-        return (means if has_variants else means.droplevel("variant").rename_axis(index=None, columns=None)).to_string()
+    def text(self, names: Mapping[str, str]) -> str:
+        """Write `summary` with four digits by label; reduced models say so.
+
+        Args:
+            names: label -> name to show.
+        """
+        means = self.summary().droplevel("dataset").round(4).rename_axis(columns=None)
+        labels = [label_of(*each) for each in means.index]
+        return means.set_axis([f"{label}{reduced_mark(names.get(label, ''))}" for label in labels]).to_string()
 
     def per_view(self, metric: str) -> "pd.DataFrame":
         """Return the mean over frames of one metric: rows (method, variant), one column per view."""
@@ -262,6 +266,15 @@ class Results:
 def label_of(method: str, variant: str) -> str:
     """Return one name for a method and its variant, as run folders write it."""
     return f"{method}+{variant}" if variant else method
+
+
+RETRAINED = " (retrained, {})"  # behind the title of a method with weights that ship, in place of its authors'; of which network
+
+
+def reduced_mark(title: str) -> str:
+    """Return what a title says of a reduced model, e.g. `` (retrained, compact)``; empty of other methods."""
+    found = re.search(r" \(retrained, [^)]*\)", title)
+    return found[0] if found else ""
 
 
 def split_label(label: str) -> tuple[str, str]:

@@ -152,6 +152,11 @@ class RunFolder:
         order = read_json(order_file)["labels"] if order_file.is_file() else []
         return [label for label in order if label in content] + [label for label in content if label not in order]
 
+    @property
+    def shown_names(self) -> dict[str, str]:
+        """Label -> name to show, as the score step wrote them."""
+        return dict(read_json(self.root / "methods.json")["names"])
+
 
 def frame_path(folder: Path, index: int) -> Path:
     """Return the path of one frame in a folder of frames.

@@ -160,7 +160,7 @@ def score(
                 print(f"{name}: {note}", file=sys.stderr)
         require_labels(target)
     results = measure(target, jobs, device=checked_device(device))
-    print(results.text())
+    print(results.text(target.shown_names))
     if with_truth:
         print("own truth: measured against the images included with the renders, not against a capture")
         print(*compare_published(named, results), sep="\n", end="\n" if named else "")
@@ -205,7 +205,7 @@ def merge(
         if missing:
             print(f"{out}: no table yet, {missing}; merge the runs with these, or render them here", file=sys.stderr)
         else:
-            print(score(merged, jobs).text())
+            print(score(merged, jobs).text(merged.shown_names))
 
     print(merge_runs(out, runs, copy, finish).root)
 

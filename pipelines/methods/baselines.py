@@ -8,6 +8,7 @@ from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
+from ggvs_eval.results import RETRAINED
 
 FIXED = ("ggvs_eval.baselines.fixed_blending",)
 
@@ -55,7 +56,7 @@ def learned_method(baseline: LearnedBaseline, rendition: Rendition) -> OnlineMet
     """Return a network that renders with the weights that ship, if any do, or with a checkpoint of its authors."""
     retrained = rendition.retrained
     return OnlineMethod(
-        f"{rendition.title} (retrained, {retrained})" if retrained else rendition.title,
+        f"{rendition.title}{RETRAINED.format(retrained)}" if retrained else rendition.title,
         rendition.describe,
         (baseline.method.partition(":")[0],),
         partial(_with_weights, baseline, rendition),

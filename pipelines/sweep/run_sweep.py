@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.run.prepare import drop_found_depth
 from ggvs_eval.pipelines.run.run_plan import RunPlan, plan_run
 from ggvs_eval.pipelines.run.score import Scores
 from ggvs_eval.pipelines.sweep.cells import Captures, Cell, shard_cells, sweep_cells
-from ggvs_eval.results import split_label
+from ggvs_eval.results import reduced_mark, split_label
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.sweep import Sweep
 
@@ -152,7 +152,10 @@ def _with_lines(before: pd.DataFrame, lines: pd.DataFrame) -> pd.DataFrame:
 def _lines(cell: Cell, scores: Scores) -> pd.DataFrame:
     """Return the rows of one run by their titles, with the time of a frame; what was measured becomes its results."""
     summary, rows = scores.collect().summary().droplevel("dataset"), [row for row in cell.rows if row.label in scores.labels]
-    lines = pd.DataFrame([summary.loc[split_label(row.label)] for row in rows], index=[row.title for row in rows])
+    names = cell.run.shown_names
+    marks = [(row.title, reduced_mark(names.get(row.label, ""))) for row in rows]
+    titles = [title if mark in title else f"{title}{mark}" for title, mark in marks]
+    lines = pd.DataFrame([summary.loc[split_label(row.label)] for row in rows], index=titles)
     lines["s/frame"] = [_seconds_per_frame(cell.run, row.label) for row in rows]
     lines.index = pd.MultiIndex.from_product([[cell.folder], [cell.variant], lines.index], names=LINE_NAMES)
     return lines

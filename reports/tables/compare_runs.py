@@ -85,7 +85,7 @@ class Difference:
 def method_sides(run: Path, first: str, second: str) -> tuple[Side, Side]:
     """Return two methods of one run."""
     results = Results.read(run)
-    names = read_json(run / METHODS_FILE)["names"]
+    names = RunFolder(run).shown_names
     for label in (first, second):
         if label not in _labels(results):
             raise ResultsError(f"{run}: no values of method {label!r}; it has {', '.join(_labels(results))}")
@@ -105,7 +105,7 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
     told = tell_scenes_apart(results)
     results = told if told[0].scenes == told[1].scenes else results  # one scene may be in folders of two names
     _require_alike(first, second, *results)
-    names = read_json(first / METHODS_FILE)["names"]
+    names = RunFolder(first).shown_names
     labels = _labels(results[0]), _labels(results[1])
     shared = [label for label in labels[0] if label in labels[1]]
     if not shared:

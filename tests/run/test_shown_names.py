@@ -6,6 +6,7 @@ from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import digest_weights
 from ggvs_eval.pipelines.run.score import write_shown_names
+from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 from helpers.run_folders import RunShape, make_protocol, write_run
 
@@ -67,3 +68,15 @@ def test_every_method_declares_the_same_columns(label):
     """A table of them has no blank."""
     assert list(find_method(label).declared) == ["depth", "learned from", "not as published"]
     assert all(find_method(label).declared.values())
+
+
+def test_a_reduced_model_says_so_in_printed_tables(run):
+    """`score` prints the label with the mark; with weights that were given there is none."""
+    folder, protocol = run
+    for digests, shown in (([digest_weights(file) for file in find_method("enerf").weights], True), (["0" * 64], False)):
+        write_identity(folder, protocol, digests)
+        write_shown_names(folder, protocol, LABELS)
+        lines = Results.read(folder.root).text(folder.shown_names).splitlines()
+        assert lines[0].split() == ["PSNR"]
+        assert any(line.startswith("enerf (retrained, compact) ") for line in lines) == shown
+        assert any(line.startswith("4dgs ") for line in lines)
