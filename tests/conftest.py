@@ -153,12 +153,12 @@ def _rooms_lit_once(shared_folder) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def no_pixels() -> Iterator[None]:
-    """Figures of a module's reports are composed but not drawn: that takes longer than all else of a report."""
-    from helpers.small_runs import leave_out_pixels
+def no_figures() -> Iterator[None]:
+    """A module's reports are written without what takes longer than all else of them."""
+    from helpers.small_runs import leave_out_figures
 
     with pytest.MonkeyPatch.context() as patch:
-        leave_out_pixels(patch)
+        leave_out_figures(patch)
         yield
 
 

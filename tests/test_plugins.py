@@ -145,7 +145,7 @@ def test_a_method_is_named_by_its_module(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("no_pixels")
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.takes(25)
 def test_a_metric_of_a_file_is_scored_in_other_processes(tmp_path):
     """It gets its values, the right ones, and its file stands in the record of the results."""

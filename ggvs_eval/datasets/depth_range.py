@@ -149,9 +149,9 @@ def neighbour_distances(centres: Array) -> Array:
     Args:
         centres: (N, 3).
     """
-    from scipy.spatial import KDTree
-
-    return np.asarray(KDTree(centres).query(centres, k=2)[0][:, 1])
+    apart = np.sqrt(((centres[:, None] - centres) ** 2).sum(axis=2))
+    np.fill_diagonal(apart, np.inf)
+    return np.asarray(apart.min(axis=1))
 
 
 def _convergence_rad(axes: Array) -> float:

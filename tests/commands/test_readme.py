@@ -12,7 +12,7 @@ import pytest
 from ggvs_eval.protocol import Protocol, load_protocol
 from ggvs_eval.synthetic import shipped
 from helpers.places import ROOT
-from helpers.small_runs import leave_out_pixels
+from helpers.small_runs import leave_out_figures
 from helpers.walks import commands_of, follow
 
 FRAMES = 4  # of the eight that the pages take
@@ -47,7 +47,7 @@ def walk(request, tmp_path_factory):
         patch.chdir(folder)
         if request.param == "short":
             patch.setattr(shipped, "quick_protocol", short_protocol)
-            leave_out_pixels(patch)
+            leave_out_figures(patch)
         steps = [follow(line) for line in commands_of(PAGE)]
         with contextlib.redirect_stdout(printed):
             exec(compile(blocks("python")[0], "README.md", "exec"), {})
@@ -100,22 +100,23 @@ def test_the_metric_is_a_plug_in():
 
 @pytest.fixture(scope="module")
 def first_evaluation(walk):
-    """The guide's first evaluation, on a few frames and sources of what README's block made and by three metrics; its steps."""
+    """The guide's first evaluation, on few views, frames and sources of what README's block made, by three metrics; its steps."""
     folder, *_, is_whole = walk
     quick = folder / "quick"
     protocol = load_protocol(str(quick / "quick.toml"))
     cheap = replace(protocol.measurement, metrics=("PSNR", "SSIM", "TCC"), ceilings=False)
     few = {"frames": replace(protocol.frames, count=FRAMES), "synthesis": replace(protocol.synthesis, k=2)}
+    few["views"] = replace(protocol.views, test=protocol.views.test[:2])
     short = replace(protocol, measurement=cheap, **few)
     (quick / "quick.toml").write_text(short.to_toml(), encoding="utf-8")
     for file in (quick / "fixed").glob("*/*.png"):
-        if int(file.stem) not in short.frames.numbers:
+        if int(file.stem) not in short.frames.numbers or file.parent.name not in short.views.test:
             file.unlink()
     steps = []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         if not is_whole:
-            leave_out_pixels(patch)
+            leave_out_figures(patch)
         for line in commands_of(GUIDE)[1:]:
             steps.append(follow(line.replace(QUOTED, f"{psnr_db(steps[-1].output):.2f}") if QUOTED in line else line))
     return folder, steps

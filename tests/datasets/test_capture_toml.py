@@ -211,10 +211,10 @@ def test_another_file_is_no_capture(toml_rig):
     assert "not capture.toml: no capture.toml" in refusal(toml_rig / "rig.toml")
 
 
-def qualisys_rig(folder: Path, *, transposed: bool = False, mirrored: bool = False, scale: float = 64.0) -> Path:
+def qualisys_rig(folder: Path, *, transposed: bool = False, mirrored: bool = False, scale: float = 64.0, more: str = "") -> Path:
     """The real rig as capture.toml: rotations are rows of axes right, up, backwards, positions mm, intrinsics 1/64 px.
 
-    The keyword arguments are ways of reading the calibration wrongly.
+    `more` is written of each camera; the other keyword arguments are ways of reading the calibration wrongly.
     """
     text = 'pixel_centre = "whole"\nunits_per_metre = 1.0\n'
     for entry in ElementTree.parse(POSE2SIM / "Calib.qca.txt").getroot().iter("camera"):
@@ -231,8 +231,8 @@ def qualisys_rig(folder: Path, *, transposed: bool = False, mirrored: bool = Fal
         width = 1080 if name in ("cam01", "cam02") else 1088
         camera = Camera(name, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), world_to_camera, width, 1920, 1.0, 9.0)
         bent = [inner[f"{kind}Distortion{index}"] for kind in ("radial", "tangental") for index in (1, 2)]
-        more = f'distortion = {{ model = "opencv", coefficients = {bent} }}'
-        text += camera_toml(camera, str(POSE2SIM / "videos" / f"{name}.mp4"), more)
+        lens = f'distortion = {{ model = "opencv", coefficients = {bent} }}'
+        text += camera_toml(camera, str(POSE2SIM / "videos" / f"{name}.mp4"), f"{lens}\n{more}")
     folder.mkdir()
     (folder / "capture.toml").write_text(text)
     return folder
@@ -257,11 +257,9 @@ def test_a_real_rig(tmp_path):
     read = open_capture(qualisys_rig(tmp_path / "rig"))
     assert (read.camera_names, read.n_frames, read.fps) == (("cam01", "cam02", "cam03", "cam04"), 100, 60.0)
     assert [camera.size for camera in read.cameras] == [(1080, 1920)] * 2 + [(1088, 1920)] * 2
-    wrong = {
-        "transposed": open_capture(qualisys_rig(tmp_path / "transposed", transposed=True)),
-        "mirrored": open_capture(qualisys_rig(tmp_path / "mirrored", mirrored=True)),
-        "scale": open_capture(qualisys_rig(tmp_path / "scale", scale=60.0)),
-    }
+    readings = {"transposed": {"transposed": True}, "mirrored": {"mirrored": True}, "scale": {"scale": 60.0}}
+    given = "near = 1.0\nfar = 9.0"  # which is not guessed again from the points that pictures share
+    wrong = {key: open_capture(qualisys_rig(tmp_path / key, more=given, **reading)) for key, reading in readings.items()}
     for instant in (0, 20):
         uv = np.stack([cap_centre(read.frame(name, instant)) for name in read.camera_names])
         head, missed = triangulate(read.cameras, uv)

@@ -1,6 +1,7 @@
 """The examples: each is run by the command in its header, on the quick demo capture and little of it."""
 
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -16,6 +17,7 @@ from ggvs_eval.protocol import Frames, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.synthetic.shipped import write_quick
 from helpers.places import ROOT
+from helpers.small_runs import leave_out_figures
 
 EXAMPLES = ROOT / "examples"
 LIVE_RIG, SCORE_FOLDER, SWEEP = EXAMPLES / "live_rig.py", EXAMPLES / "score_folder.py", EXAMPLES / "sweep.toml"
@@ -65,10 +67,14 @@ def test_the_page_shows_the_live_rig():
     assert f"```python\n{code}```" in (ROOT / "docs" / "live_rig.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.takes(40)
-def test_folders_are_scored(folder):
+@pytest.mark.takes(15)
+def test_folders_are_scored(folder, monkeypatch, capsys):
     """Both folders have their numbers and intervals, the late one its fault, and the page is there."""
-    out = ran(folder, SCORE_FOLDER)
+    leave_out_figures(monkeypatch)
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", command_of(SCORE_FOLDER, "python"))
+    runpy.run_path(str(SCORE_FOLDER), run_name="__main__")
+    out = capsys.readouterr().out
     values = {line.split()[1]: float(line.split()[2]) for line in out.splitlines() if line.startswith("PSNR")}
     summary = Results.read(folder / "out" / "scores").summary().droplevel(["dataset", "variant"])["PSNR"]
     assert values == pytest.approx(summary.round(4).to_dict(), abs=1e-9)

@@ -21,6 +21,15 @@ def leave_out_pixels(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Figure, "savefig", lambda _self, file, **_: Path(file).write_bytes(b"no pixels"))
 
 
+def leave_out_figures(patch: pytest.MonkeyPatch) -> None:
+    """Let reports be written without figures of runs and parts of errors, most of their time; `tests/reports` shows both."""
+    from ggvs_eval.reports import report, run_groups
+
+    leave_out_pixels(patch)  # of sweeps
+    patch.setattr(report, "_draw_figures", lambda *_: None)
+    patch.setattr(run_groups, "budget_table", lambda _run: None)
+
+
 def small_options(n_frames: int) -> DemoOptions:
     """Six cameras of 64 x 48 in two rows."""
     return DemoOptions(width=64, height=48, n_frames=n_frames, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0)

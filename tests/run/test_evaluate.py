@@ -25,7 +25,7 @@ from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 from helpers.refusals import refused
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_pixels")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
 
 LABELS = ("no-blending", "ours-geometric")
 REGIONAL = ("PSNR_static", "PSNR_disoccluded")

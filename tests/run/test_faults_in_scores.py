@@ -20,13 +20,13 @@ from ggvs_eval.pipelines.run import score_view
 from ggvs_eval.pipelines.run.import_renders import import_renders, run_for
 from ggvs_eval.pipelines.run.references import find_seen_views
 from ggvs_eval.pipelines.run.score import score
-from ggvs_eval.reports import run_groups
 from ggvs_eval.reports.page import page as page_module
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.compare_runs import differences, method_sides
 from ggvs_eval.results import Fault, Results
 from ggvs_eval.run_folder import RunFolder, frame_path
 from ggvs_eval.synthetic.shipped import FIXED, LATE, PROTOCOL, QUICK_ROOM, quick_protocol, write_quick
+from helpers.small_runs import leave_out_figures
 
 pytestmark = pytest.mark.slow
 
@@ -80,7 +80,7 @@ def test_each_certain_fault_is_kept_with_the_scores(run):
 @pytest.mark.takes(20)
 def test_a_spoilt_row_says_so_and_is_compared_with_no_other(run, monkeypatch):
     """In the name of its row, below the table and in the headline; nothing is bold, shaded or better because of it."""
-    monkeypatch.setattr(run_groups, "budget_table", lambda _run: None)  # of the parts of errors, which takes half of the time
+    leave_out_figures(monkeypatch)
     monkeypatch.setattr(page_module, "undone_renders", lambda _run: {})
     page = write_report([run.root], with_figures=False).read_text(encoding="utf-8")
     lines = (run.report / "tables.md").read_text(encoding="utf-8").splitlines()

@@ -10,7 +10,7 @@ from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_pixels")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
 
 OTHER_CODE = "0" * 64
 

@@ -27,7 +27,7 @@ from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_folders
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_pixels")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
 
 METRICS = ("PSNR", "L1", "TCC", "SDT", "SDV")
 

@@ -35,7 +35,7 @@ from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_pixels")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
 
 Usage = namedtuple("Usage", "total used free")
 

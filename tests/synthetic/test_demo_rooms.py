@@ -35,7 +35,7 @@ from ggvs_eval.run_folder import RunFolder, read_json
 from helpers.captures import make_rig
 from helpers.refusals import refused
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_pixels")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
 
 SMALL_ROOMS = [name for name in DEMO_ROOMS if name != MAIN]
 TINY = DemoOptions(width=64, height=48, n_frames=2, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0)

@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-from scipy.linalg import solve_banded
 
 from ggvs_eval.arrays import Image8, Map, Mask
 from ggvs_eval.depth_store import DepthMap
@@ -91,6 +90,8 @@ def _likeness(guide: Map, levels: float) -> Map:
 
 def _smooth_lines(maps: Map, links: Map) -> Map:
     """Solve all lines (N, M, C) as one tridiagonal system: what links the last pixel of a line to the next line is 0."""
+    from scipy.linalg import solve_banded  # late: every run imports this module, few fill depth
+
     above = links.ravel()
     below = np.concatenate([np.zeros(1, np.float32), above[:-1]])
     bands = np.stack([-below, 1 + above + below, -above])  # LAPACK's form: the entry above the diagonal is in the next column

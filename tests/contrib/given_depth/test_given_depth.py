@@ -19,7 +19,7 @@ from ggvs_eval.pipelines.offline.export.dense_workspace import write_array
 from ggvs_eval.results import Results
 from helpers.refusals import refused
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_pixels")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
 SIZE, FRAMES = (160, 120), 2
 
 
