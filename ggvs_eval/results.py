@@ -308,7 +308,7 @@ def installed_versions() -> dict[str, str]:
 def describe_machine() -> dict[str, str]:
     """The processor, and the instruction sets by which libraries choose their code; results may depend on them in places.
 
-    torch chooses by the same features as NumPy and is not asked: its import takes a second and 250 MB that most runs do without.
+    torch chooses by the same features as NumPy and is not asked: its import takes a second and 190 MB that most runs do without.
     """
     import cv2
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Mask
 from ggvs_eval.metrics.inputs import Image, check_pair, mean_inside, require_finite, same_kind, white_level
-from ggvs_eval.metrics.metric import QUALITY, ViewMetric
+from ggvs_eval.metrics.metric import QUALITY, FramePair, ViewMetric
 
 PSNR_CEILING_DB = 100.0
 
@@ -70,6 +70,10 @@ def _mean_squared_error(rendered: Image, truth: Image) -> float:
     return float(cv2.norm(*same_kind(rendered, truth), cv2.NORM_L2SQR)) / truth.size
 
 
+def _inside(pair: FramePair, mask: Mask) -> float:
+    return masked_psnr(pair.rendered, pair.truth.image, mask)
+
+
 PSNR = ViewMetric(
     name="PSNR",
     kind="frame",
@@ -81,5 +85,5 @@ PSNR = ViewMetric(
     describe="peak signal-to-noise ratio of the 8-bit frame",
     reference="Ha et al. 2025, section 4",
     has_ceiling=True,
-    inside=lambda pair, mask: masked_psnr(pair.rendered, pair.truth.image, mask),
+    inside=_inside,
 )

@@ -4,7 +4,7 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen
 from ggvs_eval.metrics.time.on_screen import Screen, ScreenMetric
 from ggvs_eval.pipelines.inspection.renders.identity import frame_reader
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
+from ggvs_eval.pipelines.run.kept_states import find_state, keep_state
 from ggvs_eval.pipelines.run.score_code import checks_code, metric_code
 from ggvs_eval.protocol import ON_SCREEN, Measurement, Protocol
 from ggvs_eval.results import installed_versions
@@ -39,12 +40,14 @@ def view_job(
     view: str,
     device: str = "cpu",
     screens: Mapping[str, Screen | str] = NO_SCREENS,
+    states: Path | None = None,
 ) -> Job:
     """Return the job of one view; in it all values of a method are stale when a frame changes, and one metric when its code does.
 
     Args:
         screens: label -> what is on the screen, or why nothing is, see `read_screens`; a value is stale when that changes, not
             when a time does.
+        states: see `RunRequest.states`.
     """
     options = metric_options(protocol.measurement, device)
     measurement = protocol.measurement
@@ -64,7 +67,7 @@ def view_job(
         | {"metrics": common["metrics"] | _on_screen_identity(measurement, options, screens.get(label, ""))}
         for label in stretches
     }
-    work = partial(_score_view, run, view, tuple(labels), identities, stretches, screens, protocol, options)
+    work = partial(_score_view, run, view, tuple(labels), identities, stretches, screens, protocol, options, states)
     return Job(f"scores of {view}", run.scores(view), identities, work, renews=True)
 
 
@@ -102,6 +105,7 @@ def _score_view(
     screens: Mapping[str, Screen | str],
     protocol: Protocol,
     options: MetricOptions,
+    states: Path | None,
     _folder: Path,
 ) -> dict[str, Any]:
     """Measure stale metrics, methods with the same frames and stale metrics side by side; all other values stay."""
@@ -121,21 +125,25 @@ def _score_view(
         unchecked += [] if is_checked else [label]
         stale = [name for name in identity["metrics"] if name not in fresh]
         if waited_for := tuple(name for name in stale if not isinstance(METRICS[name], ScreenMetric)):
-            alike[stretches[label], waited_for].append(label)
+            for part in _parts(waited_for, options) if states else [waited_for]:
+                alike[stretches[label], part].append(label)
         if streamed := [name for name in stale if isinstance(METRICS[name], ScreenMetric)]:
             with _computing(options.device):
                 seen = _score_screen(run, view, label, screens[label], streamed, protocol, options)
             methods[label] |= _replaced(methods[label], seen)
     for (there, metrics), labels in alike.items():
         shown = [partial(frame_path, run.renders(label, view)) for label in labels]
+        kept = Kept(states, run, view, labels, {name: identities[labels[0]]["metrics"][name] for name in metrics}, str(options))
         with _computing(options.device):
-            scores = _score_methods(run, view, shown, there, metrics, protocol, options)
+            scores = _score_methods(run, view, shown, there, metrics, protocol, options, kept)
         for label, measured in zip(labels, scores, strict=True):
             methods[label] |= _replaced(methods[label], measured)
     checks = QuickChecks(view, frame_reader(run.truth(view)), protocol.frames.numbers)
     for label in unchecked:  # behind the metrics, which refuse frames of another size
         found = checks.check(frame_reader(run.renders(label, view)), max(stretches[label], key=len))
         methods[label]["faults"] = [asdict(finding) for finding in found]
+    for record in methods.values():  # whatever was measured together
+        record["values"].sort(key=lambda value: (value[1], value[0]))
     stands = all(methods.get(label, {}).get("identity") == record["identity"] for label, record in records.items())
     also = [before["sha256"], *before.get("also", ())] if records and stands else []
     return {"methods": methods, "also": also}
@@ -176,6 +184,48 @@ def _values_of(metrics: Collection[str], record: Mapping[str, Any], options: Met
     return {"values": values, "not_computed": {name: reason for name, reason in reasons.items() if name in metrics}}
 
 
+def _parts(metrics: Sequence[str], options: MetricOptions) -> list[tuple[str, ...]]:
+    """Return the metrics whose colours are those of the view, which need all its frames, apart from the others."""
+    of_view = {one.name for one in scored_by_view(metrics) if one.corrects_colours and options.colour_scope == "view"}
+    parts = [name for name in metrics if name not in of_view], [name for name in metrics if name in of_view]
+    return [tuple(part) for part in parts if part]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """State of what measures some methods in a view, behind the first frames; see `RunRequest.states`.
+
+    Attributes:
+        metrics: name -> what its values depend on next to the frames.
+    """
+
+    states: Path | None
+    run: RunFolder
+    view: str
+    labels: Sequence[str]
+    metrics: Mapping[str, Any]
+    options: str
+
+    @property
+    def _key(self) -> list[Any]:
+        return [self.view, list(self.labels), dict(self.metrics), self.options]
+
+    def find(self, frames: range) -> tuple[Any, range]:
+        """Return the state and the frames that are left; None and all where the first ones were others."""
+        stop, digests, state = find_state(self.states, self._key) or (frames.start, [], None)
+        is_same = state is not None and digests == self._digests(range(frames.start, stop)) and stop < frames.stop
+        return (state, range(stop, frames.stop)) if is_same else (None, frames)
+
+    def keep(self, frames: range, state: object) -> None:
+        """Keep the state behind these frames."""
+        if self.states:
+            keep_state(self.states, self._key, (frames.stop, self._digests(frames), state))
+
+    def _digests(self, frames: range) -> list[str]:
+        rendered = (self.run.renders(label, self.view) for label in self.labels)
+        return [digest_frames(each, frames) for each in (self.run.truth(self.view), self.run.disoccluded(self.view), *rendered)]
+
+
 def _score_methods(
     run: RunFolder,
     view: str,
@@ -184,6 +234,7 @@ def _score_methods(
     metrics: Sequence[str],
     protocol: Protocol,
     options: MetricOptions,
+    kept: "Kept | None" = None,
 ) -> list[dict[str, Any]]:
     """Some metrics of methods that have the same frames; frames are streamed, two instants in memory.
 
@@ -197,11 +248,15 @@ def _score_methods(
     maps, corrected = None, any(metric.corrects_colours for metric in scored_by_view(metrics))
     if options.colour_scope == "view" and corrected:
         maps = fit_colour_maps(one for frames in stretches for one in _instants(shown, truth, frames, measurement))
+    if len(stretches) > 1 or maps is not None:
+        kept = None
     for frames in stretches:
-        instants = _instants(shown, truth, frames, measurement)
-        masks = _disoccluded(run.disoccluded(view), frames, measurement)
+        begun, left = kept.find(frames) if kept else (None, frames)
+        instants = _instants(shown, truth, left, measurement)
+        masks = _disoccluded(run.disoccluded(view), left, measurement)
         placed = replace(options, first_frame=frames.start - protocol.frames.start)
-        scored = score_views(instants, metrics, placed, colour_maps=maps, disoccluded=masks)
+        keep = partial(kept.keep, frames) if kept else None
+        scored = score_views(instants, metrics, placed, colour_maps=maps, disoccluded=masks, begun=begun, keep=keep)
         for record, scores in zip(records, scored, strict=True):
             values = [(name, -1 if index is None else frames[index], value) for name, index, value in scores.values]
             record["values"] += [value for value in values if value[1] >= 0 or len(stretches) == 1]
