@@ -112,14 +112,14 @@ VERBS: dict[str, Verb] = {
         "my_renders --capture my_capture --protocol mine.toml",
     ),
     "explain": Verb(
-        f"{VERBS_ROOM}.renders:explain",
+        "ggvs_eval.contrib.explain.command:explain",
         "Find the metric conventions that give a quoted number.",
         EVALUATE,
         "out/mine ssim 0.936 --method mine",
         "check-table",
     ),
     "check-table": Verb(
-        "ggvs_eval.contrib.table_check.command:check_table",
+        "ggvs_eval.contrib.explain.command:check_table",
         "Check every cell of a published table against scored runs.",
         EVALUATE,
         "out/mine --table paper.tex --out out/checked",
@@ -392,26 +392,26 @@ METRIC_FUNCTIONS = {
 FETCHED_WEIGHTS = {"LPIPS": f"{_IMAGE}.fetch_lpips:fetch_weights", "DISTS": f"{_MORE}.fetch_dists:fetch_dists_weights"}
 
 # Conventions under which the numbers of a family of metrics are recomputed (`explain`).
-_RENDERS = "ggvs_eval.pipelines.inspection.renders"
+_EXPLAIN = "ggvs_eval.contrib.explain"
 CONVENTIONS = {
-    "psnr": f"{_RENDERS}.frame_conventions:psnr_conventions",
+    "psnr": f"{_EXPLAIN}.frame_conventions:psnr_conventions",
     "iv-psnr": f"{_MORE}.perceptual_conventions:iv_psnr_conventions",
-    "ssim": f"{_RENDERS}.ssim_conventions:ssim_conventions",
-    "ms-ssim": f"{_RENDERS}.ssim_conventions:ssim_conventions",
-    "dssim": f"{_RENDERS}.ssim_conventions:ssim_conventions",
-    "lpips": f"{_RENDERS}.frame_conventions:lpips_conventions",
+    "ssim": f"{_EXPLAIN}.ssim_conventions:ssim_conventions",
+    "ms-ssim": f"{_EXPLAIN}.ssim_conventions:ssim_conventions",
+    "dssim": f"{_EXPLAIN}.ssim_conventions:ssim_conventions",
+    "lpips": f"{_EXPLAIN}.frame_conventions:lpips_conventions",
     "dists": f"{_MORE}.perceptual_conventions:dists_conventions",
     "flip": f"{_MORE}.perceptual_conventions:flip_conventions",
     "vmaf": f"{_MORE}.perceptual_conventions:vmaf_conventions",
     "cvvdp": f"{_MORE}.perceptual_conventions:vdp_conventions",
-    "l1": f"{_RENDERS}.frame_conventions:error_conventions",
-    "rmse": f"{_RENDERS}.frame_conventions:error_conventions",
-    "tcc": f"{_RENDERS}.ssim_conventions:tcc_conventions",
-    "sted": f"{_RENDERS}.ssim_conventions:sted_conventions",
-    "sdt": f"{_RENDERS}.ssim_conventions:sdt_conventions",
-    "sdv": f"{_RENDERS}.ssim_conventions:sdv_conventions",
-    "mtv": f"{_RENDERS}.steadiness:mtv_conventions",
-    "e_warp": f"{_RENDERS}.steadiness:warping_conventions",
+    "l1": f"{_EXPLAIN}.frame_conventions:error_conventions",
+    "rmse": f"{_EXPLAIN}.frame_conventions:error_conventions",
+    "tcc": f"{_EXPLAIN}.ssim_conventions:tcc_conventions",
+    "sted": f"{_EXPLAIN}.ssim_conventions:sted_conventions",
+    "sdt": f"{_EXPLAIN}.ssim_conventions:sdt_conventions",
+    "sdv": f"{_EXPLAIN}.ssim_conventions:sdv_conventions",
+    "mtv": f"{_EXPLAIN}.steadiness_conventions:mtv_conventions",
+    "e_warp": f"{_EXPLAIN}.steadiness_conventions:warping_conventions",
 }
 
 # The online step, the finish of found depth, and training samples, where another device computes them.

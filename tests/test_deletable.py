@@ -24,7 +24,7 @@ ASKED = {
     "more_baselines": ("run OUT --capture ROOM --protocol QUICK --methods mvsplat", "mvsplat is part of"),
     "more_metrics": ("explain OUT vmaf 90", "vmaf is part of"),
     "study": ("metric-study OUT", "metric-study is part of"),
-    "table_check": ("check-table OUT --table paper.csv", "check-table is part of"),
+    "explain": ("explain OUT psnr 30", "explain is part of"),
     "view": ("view ROOM", "view is part of"),
     "training": ("train blend OUT", "train is part of"),
     "what_if": ("what-if MINE --capture ROOM", "what-if is part of"),

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.errors import MetricError
-from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
+from ggvs_eval.contrib.explain.frame_conventions import (
     BT601,
     BT709,
     FrameMeasure,
@@ -20,6 +19,7 @@ from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
     view_pairs,
     ycbcr,
 )
+from ggvs_eval.errors import MetricError
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
 Views = Mapping[str, ViewFrames]

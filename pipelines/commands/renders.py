@@ -1,8 +1,9 @@
-"""The verbs of the command line that question frames: doctor, explain and steadiness."""
+"""The verbs of the command line that question frames: doctor and steadiness."""
 
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,26 +11,66 @@ from typing import Annotated
 
 import tyro
 
-from ggvs_eval.built_in import CONVENTIONS
 from ggvs_eval.coverage import read_import
 from ggvs_eval.errors import MetricError, RenderError
-from ggvs_eval.pipelines.commands.flags import CAPTURE_DEFAULTS, ONE_PER_CORE, CaptureFlags, CaptureOptions, Jobs
+from ggvs_eval.pipelines.commands.flags import CAPTURE_DEFAULTS, ONE_PER_CORE, CaptureFlags, Jobs
 from ggvs_eval.run_folder import RunFolder
 
 Renders = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RENDERS|RUN")]
 Videos = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="NAME=PATH")]
-Quoted = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VALUE")]
-Metric = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar=f"{{{','.join(CONVENTIONS)}}}")]
+
+
+@dataclass(frozen=True)
+class RendersOptions:
+    """Options of commands that question renders.
+
+    Attributes:
+        capture: rendered capture.
+        protocol: protocol (.toml or packaged name); fitted to the capture by default.
+        run: run folder to create or resume; temporary by default, with the protocol of scores/CAPTURE.
+        first_frame: number of the protocol's first frame in the file names, if ambiguous.
+        reading: capture reading.
+        jobs: parallel processes, at least 1.
+    """
+
+    capture: Path | None = None
+    protocol: str | None = None
+    run: Path | None = None
+    first_frame: int | None = None
+    reading: CaptureFlags = CAPTURE_DEFAULTS
+    jobs: Jobs = ONE_PER_CORE
+
+    @contextmanager
+    def open(self, renders: Path) -> Iterator[tuple[RunFolder, list[str]]]:
+        """A run folder with the frames in question, and what they are called there; it goes where none is named."""
+        if (renders / "protocol.toml").is_file():
+            folder = RunFolder(renders)
+            yield folder, folder.labels()
+            return
+        from ggvs_eval.pipelines.run.import_renders import SCORES_ROOT, import_renders, named_renders, require_there, run_for
+
+        require_there(named := named_renders((str(renders),)))
+        capture, protocol, run = self.capture, self.protocol, self.run
+        scored = RunFolder(SCORES_ROOT / capture.resolve().name).protocol_file if capture else Path()
+        if run is None and protocol is None and scored.is_file():
+            protocol = str(scored)
+        with TemporaryDirectory(prefix="ggvs-eval-") as scratch:
+            root = Path(scratch) / "run" if run is None and capture else run
+            with run_for(root, partial(self.reading.open, capture) if capture else None, protocol, self.jobs) as folder:
+                ((label, path),) = named.items()
+                record = import_renders(folder, label, path, workers=self.jobs, first_frame=self.first_frame, link=run is None)
+                for note in record["notes"]:
+                    print(f"{label}: {note}", file=sys.stderr)
+            yield folder, [label]
+
+
+RendersFlags = tyro.conf.OmitArgPrefixes[RendersOptions]
+RENDERS_DEFAULTS = RendersOptions()
 
 
 def doctor(
     renders: Renders,
-    capture: Path | None = None,
-    protocol: str | None = None,
-    run: Path | None = None,
-    first_frame: int | None = None,
-    reading: CaptureFlags = CAPTURE_DEFAULTS,
-    jobs: Jobs = ONE_PER_CORE,
+    source: RendersFlags = RENDERS_DEFAULTS,
 ) -> None:
     """Find faults in rendered frames before they are scored.
 
@@ -40,22 +81,16 @@ def doctor(
 
     Args:
         renders: frames in any form that `score` accepts, with --capture; or a run folder, for all its methods.
-        capture: rendered capture.
-        protocol: protocol (.toml or packaged name); fitted to the capture by default.
-        run: run folder to create or resume; temporary by default, with the protocol of scores/CAPTURE.
-        first_frame: number of the protocol's first frame in the file names, if ambiguous.
-        reading: capture reading.
-        jobs: parallel processes, at least 1.
+        source: capture and protocol of the renders.
     """
-    from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
-    from ggvs_eval.pipelines.inspection.renders.explain import forgiven_error
+    from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table, forgiven_error
     from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, views_of_run
     from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering
     from ggvs_eval.pipelines.inspection.renders.steadiness import steadiness_line
     from ggvs_eval.pipelines.run.references import find_seen_views
 
     certain = False
-    with open_renders(renders, capture, protocol, run, first_frame, reading, jobs) as (folder, labels):
+    with source.open(renders) as (folder, labels):
         for label in labels:
             views = views_of_run(folder, label)
             counted_from, start = (read_import(folder, label) or {}).get("counted_from", 0), folder.protocol().frames.start
@@ -67,51 +102,6 @@ def doctor(
                 print(line)
     if certain:
         sys.exit(1)
-
-
-def explain(
-    renders: Renders,
-    metric: Metric,
-    quoted: Quoted,
-    method: str | None = None,
-    mask: str | None = None,
-    capture: Path | None = None,
-    protocol: str | None = None,
-    run: Path | None = None,
-    first_frame: int | None = None,
-    reading: CaptureFlags = CAPTURE_DEFAULTS,
-    jobs: Jobs = ONE_PER_CORE,
-) -> None:
-    """Find the metric conventions that give a quoted number.
-
-    `explain --table FILE RUN ...` checks a whole published table; see `check-table --help`.
-
-    Args:
-        renders: frames in any form that `score` accepts, with --capture; or a run folder.
-        metric: metric family.
-        quoted: value as printed, with its digits.
-        method: method of the run folder, if it has several.
-        mask: for masked conventions: picture, white where pixels count; folder with VIEW.png or VIEW/FRAME.png; or a box in
-            pixels as LEFT,TOP,RIGHT,BOTTOM.
-        capture: rendered capture.
-        protocol: protocol (.toml or packaged name); fitted to the capture by default.
-        run: run folder to create or resume; temporary by default, with the protocol of scores/CAPTURE.
-        first_frame: number of the protocol's first frame in the file names, if ambiguous.
-        reading: capture reading.
-        jobs: parallel processes, at least 1.
-    """
-    from ggvs_eval.pipelines.inspection.renders.explain import explain as recompute
-    from ggvs_eval.pipelines.inspection.renders.explain import explanation_table, metric_family, printed, read_masks
-    from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
-
-    metric_family(metric)  # a mistyped name or number shows before anything is read
-    printed(quoted)
-    with open_renders(renders, capture, protocol, run, first_frame, reading, jobs) as (folder, labels):
-        if method is None and len(labels) != 1:
-            raise RenderError(f"{folder.root}: wanted one method, got {', '.join(labels)}; name one with --method")
-        views = views_of_run(folder, method or labels[0], as_measured=True)
-        masks = read_masks(mask, views, folder.protocol().measurement) if mask else None
-        print(explanation_table(metric, quoted, recompute(metric, quoted, views, masks)))
 
 
 def steadiness(
@@ -153,33 +143,3 @@ def steadiness(
     print(to_markdown([table], remarks), end="")
     if out is not None:
         write_steadiness(out, table, remarks)
-
-
-@contextmanager
-def open_renders(
-    renders: Path,
-    capture: Path | None,
-    protocol: str | None,
-    run: Path | None,
-    first_frame: int | None,
-    reading: CaptureOptions,
-    jobs: int,
-) -> Iterator[tuple[RunFolder, list[str]]]:
-    """A run folder with the frames in question, and what they are called there; it goes where none is named."""
-    if (renders / "protocol.toml").is_file():
-        folder = RunFolder(renders)
-        yield folder, folder.labels()
-        return
-    from ggvs_eval.pipelines.run.import_renders import SCORES_ROOT, import_renders, named_renders, require_there, run_for
-
-    require_there(named := named_renders((str(renders),)))
-    scored = RunFolder(SCORES_ROOT / capture.resolve().name).protocol_file if capture else Path()
-    if run is None and protocol is None and scored.is_file():
-        protocol = str(scored)
-    with TemporaryDirectory(prefix="ggvs-eval-") as scratch:
-        root = Path(scratch) / "run" if run is None and capture else run
-        with run_for(root, partial(reading.open, capture) if capture else None, protocol, jobs) as folder:
-            ((label, path),) = named.items()
-            for note in import_renders(folder, label, path, workers=jobs, first_frame=first_frame, link=run is None)["notes"]:
-                print(f"{label}: {note}", file=sys.stderr)
-        yield folder, [label]

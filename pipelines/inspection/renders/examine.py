@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32, Image8
+from ggvs_eval.metrics.image.psnr import PSNR_CEILING_DB, psnr
+from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
 from ggvs_eval.pipelines.inspection.renders.identity import (
@@ -25,6 +27,7 @@ from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 
 QUESTION = "test view seen"
+FORGIVING, PLAIN = "IV_PSNR", "PSNR_YCbCr"  # what misregistration, colour offset and noise have in an error is between them
 COMPARED = "PSNR"  # whose ceiling was checked
 # Of 192 predictions of what perfect renders score none was off by more than 1 dB.
 LIKELY_DB, CERTAIN_DB = 1.0, 2.0
@@ -293,3 +296,26 @@ def find_seen(view: str, psnr_db: float, ceiling_db: float) -> list[Finding]:
     advice = "was the method trained on, fitted to or initialised by this view? hold it out there too"
     values = {"psnr_db": psnr_db, "ceiling_db": ceiling_db}
     return [Finding(view, QUESTION, verdict_of(beyond_db > CERTAIN_DB), measured, values, advice)]
+
+
+def forgiven_error(views: Mapping[str, ViewFrames]) -> str:
+    """State the error that IV-PSNR tolerates in some renders.
+
+    Args:
+        views: name -> rendered and captured frames, of which a few are read.
+
+    Returns:
+        A sentence with both numbers; empty if no frame has the size of its truth, all are the truth itself, or the metric is
+        not installed.
+    """
+    if FORGIVING not in METRICS or PLAIN not in METRICS:
+        return ""
+    iv_psnr, psnr_ycbcr = METRICS[FORGIVING].function, METRICS[PLAIN].function
+    pairs = (pair for view in views.values() for pair in view.pairs(spread(view.frames, INSTANTS)))
+    alike = (pair for pair in pairs if pair[0].shape == pair[1].shape)
+    values = np.array([(psnr_ycbcr(*pair), iv_psnr(*pair), psnr(*pair)) for pair in alike])
+    if not len(values) or values[:, 2].min() >= PSNR_CEILING_DB:
+        return ""
+    plain, forgiving, _ = values.mean(axis=0)
+    numbers = f"PSNR of YCbCr {plain:.2f} dB, IV-PSNR {forgiving:.2f} dB: the {forgiving - plain:.1f} dB between them"
+    return f"{numbers} are misregistration of up to 2 pixels, a global colour offset of up to 3 levels, and noise"

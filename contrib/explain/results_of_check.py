@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from ggvs_eval.contrib.table_check.check import VERDICTS, CheckedCell, Verdict, expected_by_chance
+from ggvs_eval.contrib.explain.check import VERDICTS, CheckedCell, Verdict, expected_by_chance
 from ggvs_eval.files.atomic import write_text
 from ggvs_eval.files.templates import open_templates
 from ggvs_eval.pipelines.inspection.table import text_table

@@ -1,7 +1,4 @@
-"""Explanation of a quoted number: recomputed under the conventions in use, of which those that give it are named.
-
-What misregistration, colour offset and noise have in an error shows in the gap between the PSNR of YCbCr and IV-PSNR.
-"""
+"""Explanation of a quoted number: recomputed under the conventions in use, of which those that give it are named."""
 
 import re
 import textwrap
@@ -14,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.built_in import CONVENTIONS, PATH_METRICS
+from ggvs_eval.contrib.explain.frame_conventions import ALL_VIEWS, MaskReader, Recomputed
 from ggvs_eval.errors import AbsentPartError, MetricError, did_you_mean
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.listing import list_images
 from ggvs_eval.files.names import numbers_in
 from ggvs_eval.measured_frames import measured_mask
-from ggvs_eval.metrics.image.psnr import PSNR_CEILING_DB, psnr
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
-from ggvs_eval.pipelines.inspection.renders.frame_conventions import ALL_VIEWS, MaskReader, Recomputed
-from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, spread
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.pipelines.inspection.table import WIDTH, text_table
 from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Measurement
@@ -39,8 +35,6 @@ BOX = re.compile(r"\d+(,\d+){3}")
 OF_NO_VIEW = {"path": "a camera path", "depth": "depth videos"}
 Masks = Mapping[str, MaskReader]
 FAMILIES: Registry[Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = Registry("conventions", CONVENTIONS)
-FRAMES_PER_VIEW = 3
-FORGIVING, PLAIN = "IV_PSNR", "PSNR_YCbCr"
 
 
 @dataclass(frozen=True)
@@ -245,26 +239,3 @@ def read_masks(where: str, views: Mapping[str, ViewFrames], measurement: Measure
         return lambda index: read(by_number[index], view)
 
     return {view: reader(view) for view in views}
-
-
-def forgiven_error(views: Mapping[str, ViewFrames]) -> str:
-    """State the error that IV-PSNR tolerates in some renders.
-
-    Args:
-        views: name -> rendered and captured frames, of which a few are read.
-
-    Returns:
-        A sentence with both numbers; empty if no frame has the size of its truth, all are the truth itself, or the metric is
-        not installed.
-    """
-    if FORGIVING not in METRICS or PLAIN not in METRICS:
-        return ""
-    iv_psnr, psnr_ycbcr = METRICS[FORGIVING].function, METRICS[PLAIN].function
-    pairs = (pair for view in views.values() for pair in view.pairs(spread(view.frames, FRAMES_PER_VIEW)))
-    alike = (pair for pair in pairs if pair[0].shape == pair[1].shape)
-    values = np.array([(psnr_ycbcr(*pair), iv_psnr(*pair), psnr(*pair)) for pair in alike])
-    if not len(values) or values[:, 2].min() >= PSNR_CEILING_DB:
-        return ""
-    plain, forgiving, _ = values.mean(axis=0)
-    numbers = f"PSNR of YCbCr {plain:.2f} dB, IV-PSNR {forgiving:.2f} dB: the {forgiving - plain:.1f} dB between them"
-    return f"{numbers} are misregistration of up to 2 pixels, a global colour offset of up to 3 levels, and noise"

@@ -9,11 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from ggvs_eval.contrib.table_check.quoted_tables import QuotedCell
-from ggvs_eval.errors import GgvsError, ResultsError, did_you_mean
-from ggvs_eval.merged_results import merge_results
-from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.inspection.renders.explain import (
+from ggvs_eval.contrib.explain.explain import (
     ALL_VIEWS,
     WEAK_CHANCE,
     chance,
@@ -22,6 +18,10 @@ from ggvs_eval.pipelines.inspection.renders.explain import (
     printed,
     tolerance,
 )
+from ggvs_eval.contrib.explain.quoted_tables import QuotedCell
+from ggvs_eval.errors import GgvsError, ResultsError, did_you_mean
+from ggvs_eval.merged_results import merge_results
+from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell

@@ -9,13 +9,7 @@ import pytest
 from scipy import ndimage
 from skimage import data
 
-from ggvs_eval.errors import MetricError
-from ggvs_eval.files.images import write_image
-from ggvs_eval.metrics.image.fetch_lpips import NETS, weights_path
-from ggvs_eval.metrics.image.ms_ssim import ms_ssim
-from ggvs_eval.metrics.time.strred import luma, pool, strred
-from ggvs_eval.metrics.time.tcc import tcc
-from ggvs_eval.pipelines.inspection.renders.explain import (
+from ggvs_eval.contrib.explain.explain import (
     FAMILIES,
     Convention,
     chance,
@@ -26,9 +20,15 @@ from ggvs_eval.pipelines.inspection.renders.explain import (
     read_masks,
     tolerance,
 )
-from ggvs_eval.pipelines.inspection.renders.frame_conventions import ALL_VIEWS, Recomputed
+from ggvs_eval.contrib.explain.frame_conventions import ALL_VIEWS, Recomputed
+from ggvs_eval.contrib.explain.ssim_conventions import frame_measures
+from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import write_image
+from ggvs_eval.metrics.image.fetch_lpips import NETS, weights_path
+from ggvs_eval.metrics.image.ms_ssim import ms_ssim
+from ggvs_eval.metrics.time.strred import luma, pool, strred
+from ggvs_eval.metrics.time.tcc import tcc
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
-from ggvs_eval.pipelines.inspection.renders.ssim_conventions import frame_measures
 from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Measurement
 

@@ -13,12 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.errors import MetricError
-from ggvs_eval.metric_choices import StedPairing
-from ggvs_eval.metrics.image.ms_ssim import SMALLEST_PX, ms_ssim
-from ggvs_eval.metrics.image.ssim import ssim_map, ssim_variant
-from ggvs_eval.metrics.time import strred
-from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
+from ggvs_eval.contrib.explain.frame_conventions import (
     ALL_VIEWS,
     BT601,
     BT709,
@@ -38,6 +33,11 @@ from ggvs_eval.pipelines.inspection.renders.frame_conventions import (
     mean_over_views,
     view_pairs,
 )
+from ggvs_eval.errors import MetricError
+from ggvs_eval.metric_choices import StedPairing
+from ggvs_eval.metrics.image.ms_ssim import SMALLEST_PX, ms_ssim
+from ggvs_eval.metrics.image.ssim import ssim_map, ssim_variant
+from ggvs_eval.metrics.time import strred
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
 GAUSSIAN: dict[str, Any] = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from skimage import data
 
+from ggvs_eval.contrib.explain.explain import explain
+from ggvs_eval.contrib.explain.steadiness_conventions import ALWAYS, EVERYWHERE, OURS, SECOND
 from ggvs_eval.errors import MetricError
 from ggvs_eval.geometry.difference_mask import difference_mask
-from ggvs_eval.pipelines.inspection.renders.explain import explain
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
-from ggvs_eval.pipelines.inspection.renders.steadiness import ALWAYS, EVERYWHERE, OURS, SECOND, steadiness_line
+from ggvs_eval.pipelines.inspection.renders.steadiness import steadiness_line
 from helpers.refusals import refused
 
 RNG = np.random.default_rng(0)

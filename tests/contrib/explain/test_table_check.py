@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
 
-from ggvs_eval.contrib.table_check.check import CheckedCell, Runs, check_cells, expected_by_chance
-from ggvs_eval.contrib.table_check.quoted_tables import QuotedCell, read_quoted
-from ggvs_eval.contrib.table_check.results_of_check import check_csv, check_text, summary, write_check
+from ggvs_eval.contrib.explain.check import CheckedCell, Runs, check_cells, expected_by_chance
+from ggvs_eval.contrib.explain.explain import chance
+from ggvs_eval.contrib.explain.quoted_tables import QuotedCell, read_quoted
+from ggvs_eval.contrib.explain.results_of_check import check_csv, check_text, summary, write_check
 from ggvs_eval.errors import MetricError, ResultsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.inspection.renders.explain import chance
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import read_scores
