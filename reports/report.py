@@ -54,12 +54,10 @@ def write_tables(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction],
 def _titled(group: RunGroup, is_one_of_several: bool, columns: Sequence[str]) -> tuple[Table, ...]:
     runs = [section.run for section in group.sections]
     tables = main_tables(runs, group.results, columns) if columns else group.all_tables
-    return tuple(replace(table, dataset=_where(table, group)) for table in tables) if is_one_of_several else tables
-
-
-def _where(table: Table, group: RunGroup) -> str:
-    """Data set or scene of a table and its group, the scene once."""
-    return group.name if table.dataset == group.scenes else f"{table.dataset}: {group.name}"
+    if not is_one_of_several:
+        return tables
+    places = [group.name if table.dataset == group.scenes else f"{table.dataset}: {group.name}" for table in tables]
+    return tuple(replace(table, dataset=place) for table, place in zip(tables, places, strict=True))
 
 
 def _notes(groups: Sequence[RunGroup]) -> list[str]:

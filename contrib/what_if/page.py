@@ -2,14 +2,13 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Final
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.contrib.what_if.undo import apply
 from ggvs_eval.contrib.what_if.what_if import ALL, FEWEST_FRAMES, HONEST, WhatIf, cell_text, estimate, score_undone
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, middle_of, views_of_run
+from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, middle_of, views_of_run
 from ggvs_eval.reports.page.pictures import UndoneRenders
 from ggvs_eval.run_folder import RunFolder, as_ranges, read_json, write_json
 
@@ -21,12 +20,12 @@ METRIC = "PSNR"
 
 def keep_for_page(run: RunFolder, found: Mapping[str, bool]) -> None:
     """Remember in which methods of a run faults were found that can be undone, and in which none."""
-    write_json(run.root / FOUND_FILE, sorted({label for label in _kept(run) if label not in found} | {*filter(found.get, found)}))
+    write_json(run.root / FOUND_FILE, sorted((_kept(run) - {*found}) | {*filter(found.get, found)}))
 
 
-def _kept(run: RunFolder) -> list[str]:
+def _kept(run: RunFolder) -> set[str]:
     file = run.root / FOUND_FILE
-    return list(read_json(file)) if file.is_file() else []
+    return set(read_json(file)) if file.is_file() else set()
 
 
 def undo_faults(run: RunFolder, faulty: Collection[str]) -> Mapping[str, UndoneRenders]:
@@ -38,7 +37,7 @@ def undo_faults(run: RunFolder, faulty: Collection[str]) -> Mapping[str, UndoneR
     Returns:
         Label -> its frames with every fault undone; without methods whose faults cannot be undone, or that have too few frames.
     """
-    labels = [label for label in run.labels() if label in {*faulty, *_kept(run)}]
+    labels = [label for label in run.labels() if label in _kept(run).union(faulty)]
     found = {label: _undone(run, label) for label in labels if len(run.protocol().frames.numbers) >= FEWEST_FRAMES}
     return {label: one for label, one in found.items() if one}
 
@@ -55,13 +54,13 @@ def _undone(run: RunFolder, label: str) -> UndoneRenders | None:
         return None  # frames that nothing can be estimated on or scored on; the fault itself is reported elsewhere
     if not scored.rows or METRIC in scored.not_computed:
         return None
-    treated = {name: apply(faults.undos, name, view) for name, view in views.items()}
-    words = ", ".join(undo.words for undo in faults.undos)
-    return UndoneRenders(words, _sentence(scored).replace(ALL, words), partial(_frame, treated))
+    treated = {name: apply(faults[0], name, view) for name, view in views.items()}
+    words = ", ".join(undo.words for undo in faults[0])
 
+    def read(view: str, frame: int) -> Image8 | None:
+        return treated[view].rendered(frame) if frame in treated[view].frames else None
 
-def _frame(treated: Mapping[str, ViewFrames], view: str, frame: int) -> Image8 | None:
-    return treated[view].rendered(frame) if frame in treated[view].frames else None
+    return UndoneRenders(words, _sentence(scored).replace(ALL, words), read)
 
 
 def _sentence(found: WhatIf) -> str:

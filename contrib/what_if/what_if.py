@@ -25,6 +25,7 @@ from ggvs_eval.statistics.paired import Comparison, compare
 FEWEST_FRAMES = 8  # four to estimate on, fewer do not distinguish neighbouring instants
 HONEST, ALL = "as handed in", "all of these"
 PLACE = "what-if"
+Estimate = tuple[list[Undo], list[Finding], range]  # see `estimate`
 
 
 @dataclass(frozen=True)
@@ -57,23 +58,8 @@ class Row:
     scores: Mapping[str, Score]
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """Faults of rendered frames.
-
-    Attributes:
-        undos: what undoes them, in the order in which it is applied.
-        stays: faults that cannot be undone.
-        estimated_on: frames that the faults were looked for and measured on.
-    """
-
-    undos: Sequence[Undo]
-    stays: Sequence[Finding]
-    estimated_on: range
-
-
 def estimate(views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader]) -> Estimate:
-    """Look for faults in the middle half of the frames; see `what_if`."""
+    """Return what undoes the faults of the middle half of the frames, in order; what cannot be undone; that half's numbers."""
     frames = next(iter(views.values())).frames
     if len(frames) < FEWEST_FRAMES:
         raise RenderError(
@@ -82,7 +68,7 @@ def estimate(views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader]
     quarter = len(frames) // 4
     middle = range(frames.start + quarter, frames.stop - quarter)
     halves = {name: ViewFrames(view.rendered, view.truth, middle, view.truth_range) for name, view in views.items()}
-    return Estimate(*list_undos(examine(halves, cameras), halves), middle)
+    return *list_undos(examine(halves, cameras), halves), middle
 
 
 @dataclass(frozen=True)
@@ -133,7 +119,7 @@ def what_if(
 
 def score_undone(views: Mapping[str, ViewFrames], found: Estimate, measurement: Measurement, metrics: Sequence[str]) -> WhatIf:
     """Score frames as they came and with each fault undone, on other frames than the faults were estimated on."""
-    frames, (undos, stays, middle) = next(iter(views.values())).frames, (found.undos, found.stays, found.estimated_on)
+    frames, (undos, stays, middle) = next(iter(views.values())).frames, found
     if not undos:
         return WhatIf((), tuple(middle), (), len(views), 0, tuple(stays), {})
     treatments = _treatments(undos)

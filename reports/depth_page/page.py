@@ -69,7 +69,8 @@ def write_depth_page(
     """
     if not stored:
         raise DepthError(f"{folder}: wanted depth to show, got none; prepare a capture with at least one test view")
-    identity = _identity(capture, stored, filled_confidence)
+    described = [VERSION, filled_confidence, capture.scene, capture.units_per_metre, capture.units_origin, capture.camera_names]
+    identity = hashlib.sha256(json.dumps([described, [asdict(each) for each in stored]]).encode()).hexdigest()
     if _is_written(folder, identity):
         return folder / "index.html"
     shutil.rmtree(folder, ignore_errors=True)
@@ -97,11 +98,6 @@ def render_depth_page(record: DepthRecord) -> str:
             difference_scale=difference_scale(),
         )
     )
-
-
-def _identity(capture: Capture, stored: Sequence[StoredDepth], filled_confidence: float) -> str:
-    described = [VERSION, filled_confidence, capture.scene, capture.units_per_metre, capture.units_origin, capture.camera_names]
-    return hashlib.sha256(json.dumps([described, [asdict(each) for each in stored]]).encode()).hexdigest()
 
 
 def _is_written(folder: Path, identity: str) -> bool:

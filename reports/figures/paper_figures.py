@@ -138,7 +138,8 @@ def draw_crops(
         for number, region in enumerate(regions):
             _box(axes[0, across], region, number)
             _show(axes[1 + number, across], _cut(picture, region), "" if key == "truth" else f"L1 {_l1(errors[key], region):.1f}")
-            _frame(axes[1 + number, across], number)
+            for spine in axes[1 + number, across].spines.values():  # in the colour of the box that is shown
+                spine.set(edgecolor=BOX_COLOURS[number % len(BOX_COLOURS)], linewidth=1.6)
     if look.has_title:
         figure.suptitle(f"{regions[0].view}, frame {regions[0].frame}; boxes: {rule}", fontsize=SMALL, wrap=True)
     return tuple(save_figure(figure, file) for file in files)
@@ -218,12 +219,6 @@ def _box(axes: "Axes", region: Region, number: int) -> None:
     corner = (region.left - 0.5, region.top - 0.5)
     colour = BOX_COLOURS[number % len(BOX_COLOURS)]
     axes.add_patch(Rectangle(corner, region.side, region.side, fill=False, edgecolor=colour, linewidth=1.2))
-
-
-def _frame(axes: "Axes", number: int) -> None:
-    """Edges in the colour of the box that is shown."""
-    for spine in axes.spines.values():
-        spine.set(edgecolor=BOX_COLOURS[number % len(BOX_COLOURS)], linewidth=1.6)
 
 
 def write_side_by_side(run: MeasuredRun, out: Path, view: str | None = None) -> Path:

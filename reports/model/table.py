@@ -173,17 +173,14 @@ def _joined(tables: Sequence[Table], names: Sequence[str]) -> Table:
     cells = {(table.key, row.name): row.cells for table in tables for row in table.rows}
     rows = []
     for name in sorted(kinds, key=lambda name: kinds[name][0] in GREY):  # stable: grey rows last
-        row = Row(name, tuple(_cell_at(cells.get((table.key, name)), at) for table, at in places), *kinds[name])
+        shown = (cells[table.key, name][at] if (table.key, name) in cells else Cell("–") for table, at in places)
+        row = Row(name, tuple(shown), *kinds[name])
         if not row.is_grey or any(cell.value is not None for cell in row.cells):
             rows.append(row)
     notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
     columns = tuple(table.columns[at] for table, at in places)
     judgements = {name: one for table in tables for name, one in table.judgements.items() if name in names}
     return Table("results", "Results", tables[0].caption, columns, tuple(rows), tables[0].dataset, notes, judgements)
-
-
-def _cell_at(cells: Sequence[Cell] | None, at: int) -> Cell:
-    return Cell("–") if cells is None else cells[at]
 
 
 def measured_cell(value: float | None, reason: str, interval: Interval | None = None, decimals: int | None = None) -> Cell:

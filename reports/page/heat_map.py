@@ -57,16 +57,13 @@ def _heat_map(run: MeasuredRun, metric: str) -> HeatMap | None:
         for method, variant in cast("list[tuple[str, str]]", list(table.columns)):
             label = label_of(method, variant)
             if label in values:
-                values[label][view] = [_rounded(float(value)) for value in table[(method, variant)]]
+                row = map(float, table[(method, variant)])
+                values[label][view] = [float(f"{value:.{SIGNIFICANT}g}") if math.isfinite(value) else None for value in row]
     finite = [value for of_label in values.values() for row in of_label.values() for value in row if value is not None]
     if not finite:
         return None
     note = run.metrics[metric]
     return HeatMap(metric, note.unit, note.higher_is_better, min(finite), max(finite), values)
-
-
-def _rounded(value: float) -> float | None:
-    return float(f"{value:.{SIGNIFICANT}g}") if math.isfinite(value) else None
 
 
 def heat_colours(count: int = 64) -> Image8:

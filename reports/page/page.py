@@ -13,7 +13,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.templates import open_templates
 from ggvs_eval.geometry.source_views import CHOSEN_AS
@@ -58,6 +57,7 @@ SCRIPTS = (
     *("tabs", "place", "start"),
 )
 CONTEXT_WIDTH = 480
+SLICE_HEIGHT = 96  # of a picture of few samples
 UPS_AT_MOST = 2  # folders from a page up to what holds its run
 FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
 Part = tuple[str, str, tuple[str, ...]]
@@ -390,9 +390,9 @@ def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
 def _slice_pictures(slices: Slices) -> dict[str, Any]:
     height, width = slices.context.shape[:2]
     count = next(len(strip.image) for strip in slices.strips if strip.image is not None)
-    told = sorted({0, count // 2, count - 1})
+    seconds = {at: f"{at / slices.fps:.2f} s" if slices.fps else "" for at in sorted({0, count // 2, count - 1})}
     return {
-        "samples": [(round(100 * (at + 0.5) / count, 2), *_sample_texts(slices, at)) for at in told],
+        "samples": [(round(100 * (at + 0.5) / count, 2), str(slices.first + at), second) for at, second in seconds.items()],
         "pixels": [(round(100 * value / width, 2), text) for value, text in round_ticks(0, width)],
         "has_seconds": slices.fps > 0,
         "kind": slices.kind,
@@ -418,14 +418,5 @@ def _strip_picture(slices: Slices, strip: Strip) -> dict[str, Any]:
         place = f"{quote(slices.view, safe='')}/{slices.first + one.at}/{one.x},{slices.row}/{quote(strip.label, safe='')},truth"
         left, top = round(100 * (one.x + 0.5) / width, 2), round(100 * one.at / count, 2)
         breaks.append({"left": left, "top": top, "words": words, "place": place if slices.kind == "time" else ""})
-    return {"name": strip.name, "picture": png_uri(_tall(strip.image)), "breaks": breaks}
-
-
-def _sample_texts(slices: Slices, at: int) -> tuple[str, str]:
-    """Return the number of a sample of a slice, and its time in seconds where that is known."""
-    return str(slices.first + at), f"{at / slices.fps:.2f} s" if slices.fps else ""
-
-
-def _tall(image: Image8, height: int = 96) -> Image8:
-    """Repeat samples until a slice is tall enough to look at; no value is changed."""
-    return np.repeat(image, max(1, round(height / len(image))), axis=0)
+    tall = np.repeat(strip.image, max(1, round(SLICE_HEIGHT / count)), axis=0)  # no value is changed
+    return {"name": strip.name, "picture": png_uri(tall), "breaks": breaks}

@@ -331,13 +331,10 @@ def path_pictures(run: MeasuredRun, byte_budget: int = PATH_BYTES) -> PathPictur
     middle = [read_image(paths[len(paths) // 2]) for paths in files.values()]
     width = fitting_width(middle, byte_budget / (len(poses) * len(folders)))
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV's codecs release the GIL
-        compress = partial(_compress_path, width)
-        images = {key: list(pool.map(compress, paths)) for key, paths in files.items()}
+        images = {
+            key: list(pool.map(lambda file: webp_uri(shrink(read_image(file), width)), paths)) for key, paths in files.items()
+        }
     return PathPictures(tuple(poses), tuple(folders), images)
-
-
-def _compress_path(width: int, file: Path) -> str:
-    return webp_uri(shrink(read_image(file), width))
 
 
 @dataclass(frozen=True)
@@ -351,9 +348,11 @@ class PictureRoom:
 
 def share_room(runs: Sequence[MeasuredRun]) -> list[PictureRoom]:
     """Share the page among runs by the pixels that each has to show, so that a small room takes nothing from a large one."""
-    pixels = [_frame_pixels(run) for run in runs]
-    frames = _shares([pixel * min(_n_frames(run), FRAMES_AT_MOST) for pixel, run in zip(pixels, runs, strict=True)])
-    paths = _shares([pixel * min(_n_poses(run), POSES_AT_MOST) for pixel, run in zip(pixels, runs, strict=True)])
+    firsts = [read_image(frame_path(run.folder.truth(run.protocol.views.test[0]), run.frames[0])) for run in runs]
+    n_frames = [len(run.frames) * len(run.protocol.views.test) * (1 + len(run.pictured)) for run in runs]
+    n_poses = [sum(len(list(run.folder.path(key).glob("*.png"))) for key in ("truth", *run.pictured)) for run in runs]
+    frames = _shares([first.size * min(count, FRAMES_AT_MOST) for first, count in zip(firsts, n_frames, strict=True)])
+    paths = _shares([first.size * min(count, POSES_AT_MOST) for first, count in zip(firsts, n_poses, strict=True)])
     return [
         PictureRoom(int(FRAME_BYTES * frame), int(PATH_BYTES * path), int(VIDEO_BYTES * frame))
         for frame, path in zip(frames, paths, strict=True)
@@ -363,20 +362,6 @@ def share_room(runs: Sequence[MeasuredRun]) -> list[PictureRoom]:
 def _shares(weights: Sequence[int]) -> list[float]:
     total = sum(weights)
     return [weight / total if total else 0.0 for weight in weights]
-
-
-def _frame_pixels(run: MeasuredRun) -> int:
-    height, width, _ = read_image(frame_path(run.folder.truth(run.protocol.views.test[0]), run.frames[0])).shape
-    return height * width
-
-
-def _n_frames(run: MeasuredRun) -> int:
-    """Return the frames of the truth and of all methods."""
-    return len(run.frames) * len(run.protocol.views.test) * (1 + len(run.pictured))
-
-
-def _n_poses(run: MeasuredRun) -> int:
-    return sum(len(list(run.folder.path(key).glob("*.png"))) for key in ("truth", *run.pictured))
 
 
 def webp_bytes(image: Image8) -> bytes:

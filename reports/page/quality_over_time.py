@@ -10,6 +10,7 @@ from ggvs_eval.reports.tables.timing import TOTAL
 
 LINE_PX = 11  # between two names
 NAME_PX = 5.2  # of a sign of a name
+Box = tuple[float, float, float, float]  # left, top, right, bottom
 GAP_PX, DOT_PX = 7, 4  # from the middle of a dot to its name and to its rim
 
 
@@ -74,38 +75,28 @@ def quality_over_time(column: Column, values: Sequence[tuple[str, float]], timin
     axes = Panel(column.name, column.unit, better, "", (), bounds)
     dots: list[Dot] = []
     ordered = sorted(((axes.x(math.log10(time)), axes.y(value), name) for name, value, time in placed), key=lambda one: one[1])
-    boxes = [(x - DOT_PX, y - DOT_PX, x + DOT_PX, y + DOT_PX) for x, y, _ in ordered]
+    boxes: list[Box] = [(x - DOT_PX, y - DOT_PX, x + DOT_PX, y + DOT_PX) for x, y, _ in ordered]
     told = {name: f"{value:.4g}{f' {column.unit}' if column.unit else ''} in {time:.4g} ms" for name, value, time in placed}
     for x, y, name in ordered:
-        left, line, right = box = _free_box(x, y, name, boxes)
-        boxes.append(_outline(*box))
-        is_left = left < x
-        dots.append(Dot(name, x, y, right if is_left else left, round(line, 1), is_left, f"{name}: {told[name]}"))
+        left, _, right, bottom = _free_box(x, y, name, boxes)
+        boxes.append((left, bottom - LINE_PX, right, bottom))
+        dots.append(Dot(name, x, y, right if left < x else left, round(bottom - 2, 1), left < x, f"{name}: {told[name]}"))
     return QualityOverTime(axes, tuple(dots), tuple(name for name, _ in values if not times_ms[name]))
 
 
-def _free_box(x: float, y: float, name: str, boxes: Sequence[tuple[float, float, float, float]]) -> tuple[float, float, float]:
-    """Return left end, line and right end of a name: the nearest place to its dot that is clear of names and dots, if any is."""
-    width, middle = NAME_PX * len(name), y + 3.5
-    lines = [middle + side * step * LINE_PX / 2 for step in range(2 * SIZE[1] // LINE_PX) for side in (1, -1)]
-    places = [
-        (left, line, left + width)
-        for line in lines
-        if MARGIN[2] <= line <= SIZE[1] - MARGIN[3]
-        for left in (x + GAP_PX, x - GAP_PX - width)
-        if MARGIN[0] <= left and left + width <= SIZE[0] - MARGIN[1]
-    ]
-    free = (place for place in places if not any(_meet(_outline(*place), box) for box in boxes))
-    return next(free, places[0] if places else (x + GAP_PX, middle, x + GAP_PX + width))
-
-
-def _outline(left: float, line: float, right: float) -> tuple[float, float, float, float]:
-    return left, line - LINE_PX + 2, right, line + 2
-
-
-def _meet(one: Sequence[float], other: Sequence[float]) -> bool:
-    """True if two boxes (left, top, right, bottom) overlap."""
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+def _free_box(x: float, y: float, name: str, boxes: Sequence[Box]) -> Box:
+    """Return the place of a name that is nearest to its dot and clear of the other boxes, or the nearest one if none is clear."""
+    width = NAME_PX * len(name)
+    lines = (y + 3.5 + side * step * LINE_PX / 2 for step in range(2 * SIZE[1] // LINE_PX) for side in (1, -1))
+    inside = [line for line in lines if MARGIN[2] <= line <= SIZE[1] - MARGIN[3]]
+    ends = [left for left in (x + GAP_PX, x - GAP_PX - width) if MARGIN[0] <= left <= SIZE[0] - MARGIN[1] - width] or [x + GAP_PX]
+    places = [(left, line + 2 - LINE_PX, left + width, line + 2) for line in inside for left in ends]
+    clear = (
+        one
+        for one in places
+        if not any(one[0] < box[2] and box[0] < one[2] and one[1] < box[3] and box[1] < one[3] for box in boxes)
+    )
+    return next(clear, places[0])
 
 
 def _mean_time(name: str, timings: Sequence[Table]) -> float | None:

@@ -93,17 +93,12 @@ def _table(sweep: Path, notes: Mapping[str, MetricNote], caption: str) -> Table:
     columns = tuple(_column(metric, notes) for metric in metrics)
     rows = [
         Row(
-            ", ".join(_level_words(str(line[level])) for level in levels if line[level] != ""),
+            ", ".join(re.sub(r"^k(\d+)$", r"K = \1", str(line[level])) for level in levels if line[level] != ""),
             tuple(_cell(line[metric], notes.get(metric)) for metric in metrics),
         )
         for _, line in lines.iterrows()
     ]
     return Table("sweep", f"Sweep {sweep.name}", caption, columns, tuple(rows), sweep.name)
-
-
-def _level_words(level: str) -> str:
-    """Return a variant over K as a reader knows it, ``K = 2`` of ``k2``; anything else as it is."""
-    return re.sub(r"^k(\d+)$", r"K = \1", level)
 
 
 def _column(metric: str, notes: Mapping[str, MetricNote]) -> Column:

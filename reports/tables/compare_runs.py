@@ -158,19 +158,18 @@ def _per_view(both: Results, dataset: str, note: MetricNote, set_aside: str) -> 
     """Return the same in each test view alone; nothing for what belongs to the whole rig or to the camera path."""
     means = both.per_view(note.name)
     test_views = both.protocol_values.get("views", {}).get("test", means.columns)
-    compared = {
-        str(view): compare(_view_alone(both, view), note.name, *SIDES, dataset) for view in test_views if view in means.columns
+    # The values of one view as if it were the whole rig, so that what is drawn anew is time alone.
+    alone = {
+        str(view): replace(both, table=both.table[both.table["view"] == view].assign(view=None))
+        for view in test_views
+        if view in means.columns
     }
+    compared = {view: compare(results, note.name, *SIDES, dataset) for view, results in alone.items()}
     numbers = {view: means[view].loc[[(side, "") for side in SIDES]].astype(float).tolist() for view in compared}
     decided = decide(compared, note.higher_is_better)
     return [
         Difference(note, view, numbers[view][0], numbers[view][1], comparison, set_aside) for view, comparison in decided.items()
     ]
-
-
-def _view_alone(both: Results, view: str) -> Results:
-    """Return the values of one view as if it were the whole rig, so that what is drawn anew is time alone."""
-    return replace(both, table=both.table[both.table["view"] == view].assign(view=None))
 
 
 def what_else_differs(first: Path, second: Path) -> list[str]:

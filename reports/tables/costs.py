@@ -344,14 +344,11 @@ def differences_table(run: MeasuredRun) -> Table | None:
 
 def _same(protocol: Protocol) -> str:
     synthesis = protocol.synthesis
+    way = measuring_way(protocol.measurement)
+    measured = f", {way.describe}," if way else ""
     size = f"{synthesis.width} x {synthesis.height}" if synthesis.width else "the capture's size"
     return (
         f"test views {', '.join(protocol.views.test)}, each left out of its own rendering and of the depth for it; "
         f"{protocol.frames.count} frames of {size}, resized by {synthesis.resize_filter}; K = {synthesis.k} sources for methods "
-        f"that render from sources; scores from 8-bit images on disk{_measured(protocol)} by one implementation of each metric"
+        f"that render from sources; scores from 8-bit images on disk{measured} by one implementation of each metric"
     )
-
-
-def _measured(protocol: Protocol) -> str:
-    way = measuring_way(protocol.measurement)
-    return f", {way.describe}," if way else ""

@@ -315,18 +315,21 @@ def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> Comparabl
     related = [run for run in runs if terms.relation(run) != "other"]
     whole = [run for run in related if terms.relation(run) == "whole" and not terms.departures(run)]
     if not related:
-        return NotComparable(f"no run on {dataset} here; {_what_instead(runs)}")
+        names = dict.fromkeys(_name(run) + (", a demo capture" if run.is_demo else "") for run in runs)
+        instead = f"this report is of {'; '.join(names)}, none of the paper's data sets"
+        return NotComparable(f"no run on {dataset} here; {instead}")
     if not whole:
-        return NotComparable(
-            f"{_name(related[0])} is not {dataset} on the paper's terms: {_departures(terms, related[0])}", related[0]
-        )
+        why = "; ".join(terms.departures(related[0])) or "part of it by its name"
+        return NotComparable(f"{_name(related[0])} is not {dataset} on the paper's terms: {why}", related[0])
     alike = [run for run in whole if run.protocol.sha256 == whole[0].protocol.sha256]
     missing = terms.missing_scenes({run.scene for run in alike})
     if missing:
         return NotComparable(
             f"{_name(alike[0])} is only part of {dataset}; the paper's means also include {' and '.join(missing)}", alike[0]
         )
-    return ComparableRuns(tuple(alike), merge_results([run.results for run in alike]), _words(terms, alike))
+    words = f"on {', '.join(dict.fromkeys(run.scene for run in alike))}"
+    words += "" if terms.scenes else ", selected here, since the paper names no scenes"
+    return ComparableRuns(tuple(alike), merge_results([run.results for run in alike]), words)
 
 
 def why_not_beside(dataset: str, runs: Sequence[MeasuredRun]) -> str:
@@ -338,20 +341,5 @@ def why_not_beside(dataset: str, runs: Sequence[MeasuredRun]) -> str:
     return f"{_name(others[0])} is none of its scenes" if others else ""
 
 
-def _departures(terms: PaperTerms, run: MeasuredRun) -> str:
-    return "; ".join(terms.departures(run)) or "part of it by its name"
-
-
-def _what_instead(runs: Sequence[MeasuredRun]) -> str:
-    """Return the name what the runs are of instead of the paper's data sets."""
-    names = dict.fromkeys(_name(run) + (", a demo capture" if run.is_demo else "") for run in runs)
-    return f"this report is of {'; '.join(names)}, none of the paper's data sets"
-
-
 def _name(run: MeasuredRun) -> str:
     return f"{run.protocol.dataset} ({run.scene})"
-
-
-def _words(terms: PaperTerms, runs: Sequence[MeasuredRun]) -> str:
-    scenes = ", ".join(dict.fromkeys(run.scene for run in runs))
-    return f"on {scenes}" + ("" if terms.scenes else ", selected here, since the paper names no scenes")

@@ -20,6 +20,7 @@ from ggvs_eval.reports.tables.published import (
     NotComparable,
     find_comparable_runs,
     is_higher_better,
+    published_cell,
     read_published,
 )
 from ggvs_eval.reports.tables.table_formats import csv_text, escape_markdown, markdown_table
@@ -315,11 +316,15 @@ def paper_tables(entries: Sequence[Reproduction]) -> tuple[Table, ...]:
 
 def _table(entries: Sequence[Reproduction]) -> Table:
     table, dataset = entries[0].table, entries[0].dataset
-    columns = tuple(_column(entry) for entry in {entry.metric: entry for entry in entries}.values())
+    columns = tuple(  # times are not ranked, for each belongs to its machine
+        Column(entry.metric, entry.unit, None if entry.table == TIMING else is_higher_better(entry.metric))
+        for entry in {entry.metric: entry for entry in entries}.values()
+    )
     methods = dict.fromkeys(entry.method for entry in entries)
     entry_of = {(entry.method, entry.metric): entry for entry in entries}
+    paper = {key: entry.paper for key, entry in entry_of.items()}
     published = [
-        Row(name, tuple(_paper_cell(entry_of.get((name, column.name))) for column in columns), label=name) for name in methods
+        Row(name, tuple(published_cell(paper.get((name, column.name))) for column in columns), label=name) for name in methods
     ]
     rows: list[Row] = []
     best = [_best(published, at, column) for at, column in enumerate(columns)]
@@ -337,15 +342,6 @@ def _best(rows: Sequence[Row], at: int, column: Column) -> set[str]:
     top = (max if column.higher_is_better else min)(values.values(), default=None)
     best = {label for label, value in values.items() if value == top}
     return best if len(best) < len(values) else set()
-
-
-def _column(entry: Reproduction) -> Column:
-    """Return the head of a metric; times are not ranked, for each belongs to its machine."""
-    return Column(entry.metric, entry.unit, None if entry.table == TIMING else is_higher_better(entry.metric))
-
-
-def _paper_cell(entry: Reproduction | None) -> Cell:
-    return Cell("not reported") if entry is None else Cell(entry.paper, float(entry.paper))
 
 
 def _our_cell(entry: Reproduction | None) -> Cell:

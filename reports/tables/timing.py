@@ -140,15 +140,12 @@ def stream_table(run: MeasuredRun) -> Table | None:
         return None
     record = read_json(file)
     rows = [run.row(label, _screen_cells(record["methods"].get(label, {"absent": "not scored"}), stream)) for label in run.labels]
+    scored = f"the first {stream.warm_up} not scored" if stream.warm_up else "all scored from a method's first picture on"
     caption = (
-        f"{run.protocol.frames.count} frames of one view at {stream.fps:g} per second, {_scored(stream)}. {_policy(stream)} "
+        f"{run.protocol.frames.count} frames of one view at {stream.fps:g} per second, {scored}. {_policy(stream)} "
         f"Times are medians of this run (stated ones where the protocol states them), {record['depth']}."
     )
     return Table("on_time", "Displayed frames and their delay", caption, SCREEN_COLUMNS, rank(SCREEN_COLUMNS, rows), run.scene)
-
-
-def _scored(stream: Stream) -> str:
-    return f"the first {stream.warm_up} not scored" if stream.warm_up else "all scored from a method's first picture on"
 
 
 def _policy(stream: Stream) -> str:

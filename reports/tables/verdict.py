@@ -175,7 +175,9 @@ def evaluate_verdict(
     """
     all_leaders, causes, remedies = leaders(tables), *_set_aside(runs, results)
     if not all_leaders:
-        return Verdict(f"Nothing is ranked: {'; '.join(causes) or _nothing(results)}", " ".join(remedies))
+        nothing = [f"{metric} was not computed, {why}" for metric, why in results.not_computed.items()]
+        causes = causes or nothing[:1] or ["no metric was measured; score the run"]
+        return Verdict(f"Nothing is ranked: {'; '.join(causes)}", " ".join(remedies))
     first = min(all_leaders, key=lambda one: HEADLINES.index(one.column.name) if one.column.name in HEADLINES else len(HEADLINES))
     table = next(one for one in tables if one.dataset == first.dataset and first.column in one.columns)
     judgement, at = first.judgement, table.columns.index(first.column)
@@ -213,12 +215,6 @@ def _set_aside(runs: Sequence[MeasuredRun], results: Results) -> tuple[list[str]
         if todo := faults[label].remedy if label in faults else "Render the missing frames and score again.":
             remedies.setdefault(f"{todo[0].lower()}{todo[1:]}", []).append(names[label])
     return [f"{names[label]} {why}" for label, why in here.items()], [f"{', '.join(of)}: {todo}" for todo, of in remedies.items()]
-
-
-def _nothing(results: Results) -> str:
-    """State why there is no number, if no method is the cause."""
-    reasons = [f"{metric} was not computed, {why}" for metric, why in results.not_computed.items()]
-    return reasons[0] if reasons else "no metric was measured; score the run"
 
 
 def _worth(one: Comparison, decimals: int | None) -> str:
