@@ -7,13 +7,13 @@ from torch import Tensor
 from ggvs_eval.contrib.warp.constants import END, NEAR, PAST, PER_BIT, SLABS, TAU, StepConstants
 from ggvs_eval.contrib.warp.launch import MODULE_OPTIONS, launch
 from ggvs_eval.contrib.warp.tables import Tables
+from ggvs_eval.geometry.tsdf import STEP_FRACTION
 
 wp.set_module_options(MODULE_OPTIONS)
 
 COLUMN = 8  # target pixels across and down that share one column of the occupancy grid
 BLOCK = 4  # source pixels across and down that are marked together
 SEGMENTS = 16  # of a column, each searched by a thread
-STEP_FRACTION = 0.8
 _COLUMN, _SLABS, _BLOCK = wp.constant(COLUMN), wp.constant(SLABS), wp.constant(BLOCK)
 _SEGMENTS, _SEGMENT = wp.constant(SEGMENTS), wp.constant(SLABS // SEGMENTS)
 _JUST_BELOW = wp.constant(wp.float32(0.99999994))  # the largest number below 1

@@ -28,6 +28,7 @@ from ggvs_eval.geometry.pinhole import Pinhole, as_image, pinhole, rigid_between
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 
 MAX_VIEWS = 32
+STEP_FRACTION = 0.8  # of the fused distance, taken as a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,7 @@ def ray_march(
     tau: float,
     previous: PreviousDepth | None = None,
     skip_empty: bool = True,
-    step_fraction: float = 0.8,
+    step_fraction: float = STEP_FRACTION,
     min_step: float = 0.1,
 ) -> RayMarch:
     """Find the first surface of the fused field along each ray, from the target's near to its far depth (Eqs. 3, 9, 10, 13, 14).

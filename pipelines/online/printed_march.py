@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.pinhole import rigid_between
-from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch, march_end
+from ggvs_eval.geometry.tsdf import STEP_FRACTION, PreviousDepth, RayMarch, march_end
 
 Values = NDArray[np.float64]
 Rays = NDArray[np.int64]
-STEP = 0.8  # of the fused distance
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ def _crossings(
         crossings.append((before[:, crossed], here[:, crossed], active[crossed]))
         positive = (total > 0) & (s > 0)
         before = np.where(positive, here, np.nan)
-        z = z + tau * np.where(positive, np.maximum(STEP * s, min_step), STEP)
+        z = z + tau * np.where(positive, np.maximum(STEP_FRACTION * s, min_step), STEP_FRACTION)
         going = ~crossed & (z <= end)
         active, z, before = active[going], z[going], before[:, going]
     front, behind, hit = (np.concatenate(parts, axis=-1) for parts in zip(*crossings, strict=True))
