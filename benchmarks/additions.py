@@ -57,6 +57,7 @@ class Addition:
 ADDITIONS = (
     Addition("compensated", "false", "true", "PSNR", ("exposure", "plain", "arc")),
     Addition("settled", "false", "true", "PSNR", ("misplaced_depth", "plain", "arc")),
+    Addition("forgiven_px", "0", "0.5", "PSNR", ("misplaced_depth", "plain", "arc")),
     Addition("recurrent_limit", "0", "0.85", "STED", ("plain", "arc", "exposure"), over_time=True),
     Addition("remembered", "false", "true", "PSNR in holes", ("plain", "arc", "exposure"), over_time=True),
 )

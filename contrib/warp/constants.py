@@ -15,6 +15,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.contrib.warp.tables import Sizes
 from ggvs_eval.geometry.per_pixel import view_weights
+from ggvs_eval.geometry.warp import forgiven
 from ggvs_eval.kernels.portable import length, product
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.online import exposure_compensation as compensation
@@ -62,6 +63,7 @@ class StepConstants:
         to_pixels, to_cells: from the target's cells to the sources' pixels and to the cells of their masks, (K, 12), float32.
         weights, distances, axes: geometric weight of each source, its distance from the target and the cosine between their
             axes, (K,), float32.
+        forgiven: of each source, see `ggvs_eval.geometry.warp.forgiven`, (K, 2), float32.
         centres: of the sources in the target's frame, (K, 3), float32.
         flags: `PAST`, `SHOWN` and `GAINS`: 1 if that memory counts, (3,), int32.
         previous: place of each source in the state's stacks, -1 if it was not there, (K,), int32.
@@ -86,6 +88,7 @@ class StepConstants:
             "weights": (np.float32, (views,)),
             "distances": (np.float32, (views,)),
             "axes": (np.float32, (views,)),
+            "forgiven": (np.float32, (views, 2)),
             "centres": (np.float32, (views, 3)),
             "flags": (np.int32, (3,)),
             "previous": (np.int32, (views,)),
@@ -187,6 +190,7 @@ class StepConstants:
         values["lens"][:] = _corner([target, *cameras]), compensation.MEMORY if options.temporal else 1
         values["centres"][:] = back[:-1, :3, 3]
         values["distances"][:] = [float(length(camera.centre - target.centre)) for camera in cameras]
+        values["forgiven"][:] = [forgiven(target, camera, options.forgiven_px) for camera in cameras]
         values["axes"][:] = [float(camera.axis @ target.axis) for camera in cameras]
 
 

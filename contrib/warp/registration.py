@@ -13,6 +13,7 @@ from ggvs_eval.pipelines.online import network_inputs
 
 wp.set_module_options(MODULE_OPTIONS)
 
+FAR_TIMES = wp.constant(wp.float32(1000.0))  # kFarTimes of the compiled path
 FAINT = wp.constant(wp.float32(network_inputs.FAINT))
 
 
@@ -171,9 +172,13 @@ def cubic_colour(image: wp.array3d[wp.uint8], width: wp.int32, height: wp.int32,
 
 
 @wp.func
-def surface_in_view(fused: wp.array2d[wp.float32], m: wp.array[wp.float32], y: wp.int32, x: wp.int32) -> wp.vec3f:
-    """Image coordinates and depth in a view of what the target sees at a pixel; the depth is not positive where it is unknown."""
+def surface_in_view(
+    fused: wp.array2d[wp.float32], m: wp.array[wp.float32], y: wp.int32, x: wp.int32, far: wp.float32
+) -> wp.vec3f:
+    """Image coordinates and depth in a view of what the target sees at a pixel, at `far` if unknown; no depth if that is 0."""
     depth = fused[y, x]
+    if not (depth > 0.0):
+        depth = far
     at = wp.vec3f()
     if depth > 0.0:
         at = image_point(m, wp.vec2f(wp.float32(x) + 0.5, wp.float32(y) + 0.5), depth)
@@ -188,13 +193,16 @@ def is_inside(at: wp.vec3f, width: wp.int32, height: wp.int32) -> wp.bool:
 
 @wp.func
 def visibility_of(
-    depth: wp.array2d[wp.float32], width: wp.int32, height: wp.int32, at: wp.vec3f, tolerance: wp.float32
+    depth: wp.array2d[wp.float32], width: wp.int32, height: wp.int32, at: wp.vec3f, tolerance: wp.float32, slack: wp.float32
 ) -> wp.float32:
-    """Degree to which a view's own depth agrees that it sees a point in its image."""
+    """Degree to which a view's own depth agrees that it sees a point in its image, or is forgiven: unknown depth is far away."""
     there = depth_at(depth, width, height, at[0], at[1], tolerance)
     visibility = wp.float32(0.0)
+    if slack > 0.0 and not (there > 0.0):
+        there = FAR_TIMES * at[2]
     if there > 0.0:
-        visibility = wp.min(wp.max(2.0 - wp.abs(there - at[2]) / tolerance, 0.0), 1.0)
+        allowed = wp.max(tolerance, slack * there * at[2])
+        visibility = wp.min(wp.max(2.0 - wp.abs(there - at[2]) / allowed, 0.0), 1.0)
     return visibility
 
 
@@ -205,6 +213,7 @@ def warp_pixels(
     source_depths: wp.array3d[wp.float32],
     maps: wp.array2d[wp.float32],
     sizes: wp.array2d[wp.int32],
+    forgiven: wp.array2d[wp.float32],
     numbers: wp.array[wp.float32],
     colours: wp.array4d[wp.float32],
     visibilities: wp.array3d[wp.float32],
@@ -214,9 +223,9 @@ def warp_pixels(
     tolerance = numbers[TAU]
     colour_there = wp.vec3f()
     visibility = wp.float32(0.0)
-    at = surface_in_view(fused, maps[k], y, x)
+    at = surface_in_view(fused, maps[k], y, x, forgiven[k, 1])
     if is_inside(at, sizes[k, 0], sizes[k, 1]):
-        visibility = visibility_of(source_depths[k], sizes[k, 0], sizes[k, 1], at, tolerance)
+        visibility = visibility_of(source_depths[k], sizes[k, 0], sizes[k, 1], at, tolerance, forgiven[k, 0])
         colour_there = cubic_colour(images[k], sizes[k, 0], sizes[k, 1], at[0], at[1]) * (1.0 / 255.0)
     for c in range(3):
         colours[k, c, y, x] = colour_there[c]
@@ -230,6 +239,7 @@ def register_pixels(
     source_depths: wp.array3d[wp.float32],
     maps: wp.array2d[wp.float32],
     sizes: wp.array2d[wp.int32],
+    forgiven: wp.array2d[wp.float32],
     splats: wp.array4d[wp.float32],
     alphas: wp.array3d[wp.float32],
     numbers: wp.array[wp.float32],
@@ -242,9 +252,9 @@ def register_pixels(
     tolerance = numbers[TAU]
     shown = wp.vec3f(splats[k, y, x, 0], splats[k, y, x, 1], splats[k, y, x, 2])
     visibility = wp.float32(0.0)
-    at = surface_in_view(fused, maps[k], y, x)
+    at = surface_in_view(fused, maps[k], y, x, forgiven[k, 1])
     if is_inside(at, sizes[k, 0], sizes[k, 1]):
-        visibility = visibility_of(source_depths[k], sizes[k, 0], sizes[k, 1], at, tolerance)
+        visibility = visibility_of(source_depths[k], sizes[k, 0], sizes[k, 1], at, tolerance, forgiven[k, 0])
         if visibility > 0.0:
             captured = cubic_colour(images[k], sizes[k, 0], sizes[k, 1], at[0], at[1]) * (1.0 / 255.0)
             shown += visibility * (captured - shown)
@@ -283,7 +293,7 @@ def register_views(
     """
     colours = torch.empty((len(images), 3, *depth.shape), device=depth.device)
     coverage, visibilities = torch.empty_like(splats.alphas), torch.empty_like(splats.alphas)
-    seen = (depth, images, depths, c.to_views, t.view_sizes, splats.features, splats.alphas, c.numbers)
+    seen = (depth, images, depths, c.to_views, t.view_sizes, c.forgiven, splats.features, splats.alphas, c.numbers)
     launch(register_pixels, splats.alphas.shape, *seen, colours, coverage, visibilities)
     return colours, coverage, visibilities
 
@@ -296,6 +306,6 @@ def warp_views(depth: Tensor, images: Tensor, depths: Tensor, c: StepConstants, 
     """
     colours = torch.empty((len(images), 3, *depth.shape), device=depth.device)
     visibilities = torch.empty((len(images), *depth.shape), device=depth.device)
-    seen = (depth, images, depths, c.to_views, t.view_sizes, c.numbers)
+    seen = (depth, images, depths, c.to_views, t.view_sizes, c.forgiven, c.numbers)
     launch(warp_pixels, visibilities.shape, *seen, colours, visibilities)
     return colours, visibilities

@@ -125,12 +125,12 @@ def look_at_pixels(
 ):
     """Each view's change of pixels at a surface times its visibility, and that, (K, 4, h, w); 0 of a view that is new."""
     k, y, x = wp.tid()
-    at = surface_in_view(surface, maps[k], y, x)
+    at = surface_in_view(surface, maps[k], y, x, 0.0)
     visibility = wp.float32(0.0)
     p = previous[k]
     value = wp.vec3f()
     if p >= 0 and is_inside(at, sizes[k, 0], sizes[k, 1]):
-        visibility = visibility_of(depths[k], sizes[k, 0], sizes[k, 1], at, numbers[SAME_SURFACE])
+        visibility = visibility_of(depths[k], sizes[k, 0], sizes[k, 1], at, numbers[SAME_SURFACE], 0.0)
         n = corners_of(at, sizes[k, 0], sizes[k, 1])
         for c in range(3):
             a = pixel_change(now, before, k, p, n.y0, n.x0, c)
@@ -156,11 +156,11 @@ def look_at_cells(
 ):
     """The same of the change of mean colours of cells."""
     k, y, x = wp.tid()
-    at = surface_in_view(surface, maps[k], y, x)
+    at = surface_in_view(surface, maps[k], y, x, 0.0)
     visibility = wp.float32(0.0)
     value = wp.vec3f()
     if previous[k] >= 0 and is_inside(at, sizes[k, 0], sizes[k, 1]):
-        visibility = visibility_of(depths[k], sizes[k, 0], sizes[k, 1], at, numbers[SAME_SURFACE])
+        visibility = visibility_of(depths[k], sizes[k, 0], sizes[k, 1], at, numbers[SAME_SURFACE], 0.0)
         n = corners_of(at, sizes[k, 0], sizes[k, 1])
         for c in range(3):
             above = (1.0 - n.fx) * colours[k, n.y0, n.x0, c] + n.fx * colours[k, n.y0, n.x1, c]

@@ -14,6 +14,7 @@ from ggvs_eval.geometry.per_pixel import evenly_spaced
 from ggvs_eval.geometry.pinhole import Pinhole, as_image, as_image8, pinhole, rigid_between
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
+from ggvs_eval.kernels.portable import length
 from ggvs_eval.method import SourceView
 
 
@@ -39,6 +40,7 @@ def warp(
     tolerance: float,
     *,
     bicubic: bool = False,
+    forgiven_px: float = 0.0,
 ) -> Warp:
     """Sample a source image where the target's surface points project into it.
 
@@ -49,6 +51,7 @@ def warp(
         source_depth: the source's own depth, (Hs, Ws) float32, world units, 0 = invalid.
         tolerance: depths that differ by less are the same surface; visibility falls to 0 at twice this, world units.
         bicubic: interpolate with Catmull-Rom splines, sharper, clipped to [0, 1]; else bilinearly.
+        forgiven_px: see `forgiven`.
 
     Raises:
         RenderError: images that do not fit their cameras, or a tolerance that is not positive.
@@ -79,6 +82,7 @@ def warp(
         rigid_between(target, source),
         as_image(image, source, "image", RenderError),
         as_image(source_depth, source, "source depth", RenderError),
+        forgiven(target, source, forgiven_px),
     )
     return Warp(*_core.warp(*views, tolerance, bicubic, get_threads(), SIMD_LEVELS.index(get_simd_level())))
 
@@ -115,6 +119,7 @@ def warp_change(target: Camera, target_depth: Map, source: SourceView, before: I
         rigid_between(target, source.camera),
         (_image8(source), _image8(replace(source, image=before))),
         as_image(source.depth, source.camera, "source depth", RenderError),
+        forgiven(target, source.camera, 0.0),
     )
     return Warp(*_core.warp(*views, tolerance, False, get_threads(), SIMD_LEVELS.index(get_simd_level())))
 
@@ -126,6 +131,7 @@ def look_up(
     weights: Sequence[float],
     background: NDArray[np.float32],
     tolerance: float,
+    forgiven_px: float = 0.0,
 ) -> NDArray[np.float32]:
     """Look the target's surface up in all source images at once: their weighted mean, over a background.
 
@@ -138,6 +144,7 @@ def look_up(
         weights: weight of each view among the others that see the surface, positive.
         background: (H, W, 3) float32.
         tolerance: as in `warp`, world units.
+        forgiven_px: see `forgiven`.
 
     Returns:
         (H, W, 3) float32.
@@ -155,17 +162,37 @@ def look_up(
         raise RenderError(f"look-up: tolerance and weights must be positive, got {tolerance:g} and {least:g} .. {largest:g}")
     if background.shape[2:] != (3,):
         raise RenderError(f"look-up: wanted a background (H, W, 3), got {background.shape}")
-    fields = [(*_source_fields(target, source), weight) for source, weight in zip(sources, weights, strict=True)]
+    fields = [(*_source_fields(target, source, forgiven_px), weight) for source, weight in zip(sources, weights, strict=True)]
     depth = as_image(target_depth, target, "target depth", RenderError)
     under = as_image(background, target, "background", RenderError)
     level = SIMD_LEVELS.index(get_simd_level())
     return _core.look_up(pinhole(target), depth, fields, under, tolerance, get_threads(), level)
 
 
-def _source_fields(target: Camera, source: SourceView) -> tuple[Any, ...]:
-    """Pack a source view for the kernels: its pinhole, its pose relative to the target's, its checked image and depth."""
+def forgiven(target: Camera, source: Camera, forgiven_px: float) -> tuple[float, float]:
+    """Return which errors of depth hide no surface from a source, as they move what it shows by so many of its pixels at most.
+
+    Where the target is at the source's place that is every error: the same ray shows the surface. Between once and twice that
+    visibility falls to 0. Unknown depth of the source is infinite. A surface of unknown depth is shown, at the far plane, by
+    sources for which every depth from the near plane on is forgiven.
+
+    Args:
+        forgiven_px: displacement, pixels of the source; 0 forgives nothing.
+
+    Returns:
+        Largest difference of inverse depths that is forgiven, per world unit, and the depth of unknown surfaces, world units; 0
+        for none.
+    """
+    moved_px = source.focal_px * float(length(source.centre - target.centre))  # at unit depth
+    slack = forgiven_px / moved_px if moved_px else (np.inf if forgiven_px else 0.0)
+    return slack, target.far if slack * target.near >= 1 else 0.0
+
+
+def _source_fields(target: Camera, source: SourceView, forgiven_px: float) -> tuple[Any, ...]:
+    """Pack a source view for the kernels: pinhole, pose relative to the target's, checked image and depth, what is forgiven."""
     depth = as_image(source.depth, source.camera, "source depth", RenderError)
-    return pinhole(source.camera), rigid_between(target, source.camera), _image8(source), depth
+    relative = rigid_between(target, source.camera), _image8(source), depth
+    return pinhole(source.camera), *relative, forgiven(target, source.camera, forgiven_px)
 
 
 def _image8(source: SourceView) -> Image8:
@@ -183,6 +210,7 @@ def register_views(
     splats: Sequence[Splat],
     tolerance: float,
     faint: float,
+    forgiven_px: float = 0.0,
 ) -> tuple[Map, Map, Map]:
     """Register views in one pass, without images in between: what `warp` gives for each (bicubic), mixed with its splat.
 
@@ -192,6 +220,7 @@ def register_views(
         splats: the same views splatted into the target view, at least three features: their colours.
         tolerance: as in `warp`, world units.
         faint: coverage of a pixel that only the splat shows, per coverage of the splat.
+        forgiven_px: see `forgiven`.
 
     Returns:
         Stacks of the K views, float32: colours (K, H, W, 3), the splat's, and as far as the view is visible its image's at the
@@ -204,12 +233,17 @@ def register_views(
     """
     from ggvs_eval.kernels import _core
 
-    arguments = registration_arguments(target, target_depth, sources, splats, tolerance)
+    arguments = registration_arguments(target, target_depth, sources, splats, tolerance, forgiven_px)
     return _core.register_views(*arguments, faint, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
 
 def registration_arguments(
-    target: Camera, target_depth: NDArray[np.float32], sources: Sequence[SourceView], splats: Sequence[Splat], tolerance: float
+    target: Camera,
+    target_depth: NDArray[np.float32],
+    sources: Sequence[SourceView],
+    splats: Sequence[Splat],
+    tolerance: float,
+    forgiven_px: float = 0.0,
 ) -> tuple[Pinhole, Map, list[tuple[Any, ...]], float]:
     """Check and pack what `register_views` is given, except for `faint`, for the kernels."""
     if not len(sources) == len(splats) > 0:
@@ -218,7 +252,7 @@ def registration_arguments(
         raise RenderError(f"registration: tolerance must be positive and finite, got {tolerance:g}")
     fields = [
         (
-            *_source_fields(target, source),
+            *_source_fields(target, source, forgiven_px),
             evenly_spaced(splat.features),
             as_image(splat.alpha, target, "coverage of the splat", RenderError),
         )

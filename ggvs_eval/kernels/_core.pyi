@@ -9,6 +9,7 @@ Image = NDArray[np.float32]
 Image8 = NDArray[np.uint8]
 Matrix = NDArray[np.float64]  # (4, 4), rigid
 Pinhole = tuple[float, float, float, float, int, int]  # fx, fy, cx, cy, width, height
+Forgiven = tuple[float, float]  # slack and far, as blend.hpp has them
 
 def best_level() -> int: ...
 def idle_bytes() -> int: ...
@@ -42,6 +43,7 @@ def warp(
     from_target: Matrix,
     image: Image | tuple[Image8, Image8],  # or now and before, whose difference over 255 is looked up
     source_depth: Image,
+    forgiven: Forgiven,
     tolerance: float,
     bicubic: bool,
     threads: int,
@@ -65,7 +67,7 @@ def largest_feature(
 def look_up(
     target: Pinhole,
     depth: Image,
-    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, float]],  # camera, from_target, image, depth, factor
+    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Forgiven, float]],  # camera, from_target, image, depth, .., factor
     background: Image,
     tolerance: float,
     threads: int,
@@ -97,7 +99,7 @@ def push_pull(colour: Image, known: NDArray[np.bool_], out: Image, threads: int)
 def register_views(
     target: Pinhole,
     depth: Image,
-    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Image, Image]],  # camera, from_target, image, depth, splat, its alpha
+    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Forgiven, Image, Image]],  # as look_up has them, splat, its alpha
     tolerance: float,
     faint: float,
     threads: int,
@@ -118,7 +120,7 @@ def overview(
 def register_and_overview(
     target: Pinhole,
     depth: Image,
-    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Image, Image]],  # as register_views takes them
+    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Forgiven, Image, Image]],  # as register_views takes them
     tolerance: float,
     faint: float,
     depths: Sequence[Image],

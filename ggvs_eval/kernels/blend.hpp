@@ -32,6 +32,12 @@ struct CoveredFeature {
 void largest_feature(const std::vector<CoveredFeature>& views, int64_t pixels, float least_alpha, float otherwise, float* out,
                      int threads);
 
+// What a view shows of a surface whose depth is uncertain: errors of depth move it by less, the nearer the view is to the target.
+struct Forgiven {
+    float slack;  // differences of inverse depth that count as none
+    float far;    // depth at which surfaces of unknown depth are looked up; 0: nowhere
+};
+
 // A captured view that a surface is looked up in.
 struct LookUpView {
     Pinhole camera;
@@ -39,7 +45,8 @@ struct LookUpView {
     const uint8_t* image;       // (height, width, 3), at least two pixels
     const float* depth;         // (height, width), 0 = invalid
     float factor;               // of its visibility among those of the views that see the surface
-    PixelMap map;               // filled by look_up
+    Forgiven forgiven;
+    PixelMap map;  // filled by look_up
 };
 
 struct LookUp {

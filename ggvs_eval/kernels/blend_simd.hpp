@@ -173,6 +173,7 @@ GGVS_INLINE void prefetch_ahead(const LookUpView& view, const Corners& c) {
 
 GGVS_INLINE Sight sight_of(const LookUpView& view, F column, F row, F depth) {
     const float *m = view.map.matrix, *o = view.map.offset;
+    depth = select(less(all(0.0f), depth), depth, all(view.forgiven.far));
     F z = depth * (all(m[6]) * column + all(m[7]) * row + all(m[8])) + all(o[2]);
     F u = (depth * (all(m[0]) * column + all(m[1]) * row + all(m[2])) + all(o[0])) / z;
     F v = (depth * (all(m[3]) * column + all(m[4]) * row + all(m[5])) + all(o[1])) / z;
@@ -182,16 +183,24 @@ GGVS_INLINE Sight sight_of(const LookUpView& view, F column, F row, F depth) {
     return {select(inside, u, all(0.5f)), select(inside, v, all(0.5f)), z, inside};
 }
 
-// How far the view's own depth agrees that it sees the surface.
+constexpr float kFarTimes = 1000.0f;  // times the depth of what is looked up
+
+// How far the view's own depth agrees that it sees the surface, or is forgiven.
 GGVS_INLINE F visibility_of(const LookUpView& view, const Sight& sight, float tolerance) {
     if (!any(sight.inside)) return all(0.0f);
     const Corners around = corners(view.camera, sight.u, sight.v);
     prefetch_ahead(view, around);
     F there = depth_at(view, around, tolerance);
+    M known = less(all(0.0f), there);
+    if (view.forgiven.slack > 0.0f) {  // unknown depth is far away
+        there = select(known, there, all(kFarTimes) * sight.z);
+        known = sight.inside;
+    }
     F difference = there - sight.z;
-    F excess = max(difference, all(0.0f) - difference) / all(tolerance);
+    F allowed = max(all(tolerance), all(view.forgiven.slack) * there * sight.z);
+    F excess = max(difference, all(0.0f) - difference) / allowed;
     F visibility = min(max(all(2.0f) - excess, all(0.0f)), all(1.0f));
-    M visible = both(sight.inside, both(less(all(0.0f), there), less(all(0.0f), visibility)));
+    M visible = both(sight.inside, both(known, less(all(0.0f), visibility)));
     return select(visible, visibility, all(0.0f));
 }
 
@@ -210,15 +219,13 @@ GGVS_INLINE void look_up_packet(const LookUp& job, int y, int left, int count, f
     for (int lane = 0; lane < kWidth; ++lane) column[lane] = float(left + lane) + 0.5f;
     __builtin_memcpy(depth, job.depth + first, count * sizeof(float));
     F red = all(0.0f), green = red, blue = red, total = red, shown = red;
-    if (any(less(all(0.0f), load(depth)))) {
-        for (const LookUpView& view : job.views) {
-            Seen seen = see(view, load(column), all(float(y) + 0.5f), load(depth), job.tolerance);
-            F weight = seen.visibility * all(view.factor);
-            red = red + weight * seen.colour.red;
-            green = green + weight * seen.colour.green;
-            blue = blue + weight * seen.colour.blue;
-            total = total + weight, shown = shown + seen.visibility;
-        }
+    for (const LookUpView& view : job.views) {
+        Seen seen = see(view, load(column), all(float(y) + 0.5f), load(depth), job.tolerance);
+        F weight = seen.visibility * all(view.factor);
+        red = red + weight * seen.colour.red;
+        green = green + weight * seen.colour.green;
+        blue = blue + weight * seen.colour.blue;
+        total = total + weight, shown = shown + seen.visibility;
     }
     F per = all(1.0f) / (max(total, all(kNoWeight)) * all(255.0f));
     store(channels[0], red * per);

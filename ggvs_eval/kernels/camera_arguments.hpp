@@ -1,9 +1,11 @@
 // Cameras, and images that fit them, as arguments of the bindings.
 #pragma once
+#include <limits>
 #include <tuple>
 #include <utility>
 
 #include "array_arguments.hpp"
+#include "blend.hpp"
 #include "camera.hpp"
 #include "memory.hpp"
 
@@ -21,6 +23,17 @@ inline Pinhole pinhole_of(const py::handle& object) {
     if (width < 0 || height < 0 || width > kMostPixels || height > kMostPixels)
         throw py::value_error("images of at most 65535 x 65535 pixels");
     return {fx, fy, cx, cy, width, height};
+}
+
+// A view to be looked up: its camera, from_target, 8-bit image, depth and what is forgiven.
+inline LookUpView look_up_view(const py::tuple& view, float factor) {
+    const Pinhole from = pinhole_of(view[0]);
+    const int64_t pixels = int64_t(from.width) * from.height;
+    if (pixels < 2 || 3 * pixels > std::numeric_limits<int32_t>::max())
+        throw py::value_error("wanted images of at least two pixels and less than 2 GiB");
+    const auto [slack, far] = py::cast<std::pair<float, float>>(view[4]);
+    return {from, data_of<double>(view[1], "from_target", {4, 4}), data_of<uint8_t>(view[2], "image", {from.height, from.width, 3}),
+            image_of(view[3], "source depth", from), factor, {slack, far}, {}};
 }
 
 // Height and width: the first two axes.

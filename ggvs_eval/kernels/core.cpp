@@ -104,13 +104,14 @@ py::tuple ray_march(const py::handle& target, const py::tuple& range, const py::
 }
 
 py::tuple warp(const py::handle& target, const py::handle& target_depth, const py::handle& source, const py::handle& from_target,
-               const py::handle& image, const py::handle& source_depth, float tolerance, bool bicubic, int threads, int level) {
+               const py::handle& image, const py::handle& source_depth, std::pair<float, float> forgiven, float tolerance,
+               bool bicubic, int threads, int level) {
     const ggvs::Pinhole to = pinhole_of(target), from = pinhole_of(source);
     if (3 * int64_t(from.width) * from.height > std::numeric_limits<int32_t>::max())
         throw py::value_error("warp: wanted an image of less than 2 GiB");
     ggvs::Warping job{to, image_of(target_depth, "target_depth", to),
                       {from, data_of<double>(from_target, "from_target", {4, 4}), nullptr,
-                       image_of(source_depth, "source_depth", from), 1.0f, {}},
+                       image_of(source_depth, "source_depth", from), 1.0f, {forgiven.first, forgiven.second}, {}},
                       nullptr, nullptr, tolerance, bicubic};
     if (py::isinstance<py::tuple>(image)) {
         const auto [now, before] = py::cast<std::pair<py::object, py::object>>(image);
@@ -139,8 +140,8 @@ PYBIND11_MODULE(_core, m) {
     m.def("fusion_weights", &fusion_weights, "depth"_a, "tau"_a, "depth_noise"_a, "threads"_a, "level"_a);
     m.def("ray_march", &ray_march, "target"_a, "range"_a, "views"_a, "tau"_a, "step_fraction"_a, "min_step"_a,
           "skip_empty"_a, "threads"_a, "level"_a);
-    m.def("warp", &warp, "target"_a, "target_depth"_a, "source"_a, "from_target"_a, "image"_a, "source_depth"_a, "tolerance"_a,
-          "bicubic"_a, "threads"_a, "level"_a);
+    m.def("warp", &warp, "target"_a, "target_depth"_a, "source"_a, "from_target"_a, "image"_a, "source_depth"_a,
+          "forgiven"_a, "tolerance"_a, "bicubic"_a, "threads"_a, "level"_a);
     m.def("empty", &ggvs::empty, "shape"_a, "An array of floats that nobody has written yet, of the memory kept for results.");
     m.def("idle_bytes", &ggvs::idle_bytes, "Bytes that are kept for the next large results.");
     ggvs::bind_images(m);

@@ -104,13 +104,7 @@ py::array_t<float> look_up_of(const py::handle& target, const py::handle& depth,
                tolerance, {}};
     for (const py::handle& item : views) {
         const py::tuple view = py::cast<py::tuple>(item);
-        const Pinhole from = pinhole_of(view[0]);
-        const int64_t pixels = int64_t(from.width) * from.height;
-        if (pixels < 2 || 3 * pixels > std::numeric_limits<int32_t>::max())
-            throw py::value_error("look_up: wanted images of at least two pixels and less than 2 GiB");
-        job.views.push_back({from, data_of<double>(view[1], "from_target", {4, 4}),
-                             data_of<uint8_t>(view[2], "image", {from.height, from.width, 3}),
-                             image_of(view[3], "source depth", from), py::cast<float>(view[4]), {}});
+        job.views.push_back(look_up_view(view, py::cast<float>(view[5])));
     }
     py::array_t<float> out = empty({to.height, to.width, 3});
     float* data = out.mutable_data();

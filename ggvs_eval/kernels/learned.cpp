@@ -35,16 +35,10 @@ Registration registration_of(const py::handle& target, const py::handle& depth, 
     Registration job{to, image_of(depth, "depth", to), tolerance, faint, {}};
     for (const py::handle& item : views) {
         const py::tuple view = py::cast<py::tuple>(item);
-        const Pinhole from = pinhole_of(view[0]);
-        const int64_t pixels = int64_t(from.width) * from.height;
-        if (pixels < 2 || 3 * pixels > std::numeric_limits<int32_t>::max())
-            throw py::value_error("register_views: wanted images of at least two pixels and less than 2 GiB");
-        const LookUpView captured{from, data_of<double>(view[1], "from_target", {4, 4}),
-                                  data_of<uint8_t>(view[2], "image", {from.height, from.width, 3}),
-                                  image_of(view[3], "source depth", from), 1.0f, {}};
-        const py::array splat = py::cast<py::array>(view[4]);
+        const py::array splat = py::cast<py::array>(view[5]);
         const int stride = colour_stride(splat, to);
-        job.views.push_back({captured, static_cast<const float*>(splat.data()), stride, image_of(view[5], "alpha", to)});
+        const float* alpha = image_of(view[6], "alpha", to);
+        job.views.push_back({look_up_view(view, 1.0f), static_cast<const float*>(splat.data()), stride, alpha});
     }
     return job;
 }

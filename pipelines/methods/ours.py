@@ -18,8 +18,8 @@ OFFLINE = (f"{ONLINE}.whole_sequence",)
 
 # What the paper does not have, as the table of differences says it.
 UNFUSED = "adds exposure compensation and a recurrent output where nothing moves"
-INSTANT = "adds exposure compensation and settled depth"
-ADDED = "adds exposure compensation, settled depth and a recurrent output where nothing moves"
+INSTANT = "adds exposure compensation, settled and forgiven depth"
+ADDED = "adds exposure compensation, settled and forgiven depth and a recurrent output where nothing moves"
 
 
 def _geometric(options: Any = None, background: bool = True, **changed: Any) -> Method:

@@ -14,6 +14,8 @@ from ggvs_eval.geometry.warp import look_up
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant
 
+FORGIVEN_PX = 0.5  # an error that moves what a view shows by less leaves it in its pixel
+
 
 @dataclass(frozen=True)
 class BlendingInputs:
@@ -24,12 +26,14 @@ class BlendingInputs:
         splats: forward rendering of each view in the target view: colour, coverage, depth.
         depth: fused depth of the ray march in the target view, (H, W), world units, zero where unknown.
         tau: truncation distance of the fusion, world units.
+        forgiven_px: errors of depth that hide no surface, see `ggvs_eval.geometry.warp.forgiven`, pixels of a source.
     """
 
     instant: Instant
     splats: Sequence[Splat]
     depth: Map
     tau: float
+    forgiven_px: float = FORGIVEN_PX
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +104,7 @@ class GeometricBlender:
         weights = view_weights(inputs.instant.target, cameras, shares).tolist()
         tolerance = self.tolerance_tau * inputs.tau
         background = self._background(inputs.splats, weights)
-        return Blended(look_up(inputs.instant.target, inputs.depth, sources, weights, background, tolerance))
+        return Blended(look_up(inputs.instant.target, inputs.depth, sources, weights, background, tolerance, inputs.forgiven_px))
 
     def _background(self, splats: Sequence[Splat], weights: Sequence[float]) -> Map:
         """Return the splatted views' weighted mean, holes filled or black."""

@@ -19,7 +19,7 @@ from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat, splat, splat_points
 from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch, fusion_weights, ray_march
 from ggvs_eval.kernels import get_threads, side_by_side
 from ggvs_eval.method import Instant, Rendering, SourceView
-from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs, GeometricBlender
+from ggvs_eval.pipelines.online.blending import FORGIVEN_PX, Blender, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
 from ggvs_eval.pipelines.online.temporal_filters import (
@@ -85,6 +85,8 @@ class OnlineOptions:
         compensated: sources are brought to one colour before they are blended, gains and the fall-off of lenses alike, see
             `ExposureCompensation`; not in the paper.
         settled: fused depth that most views contradict gives way where their colours do, see `settle_depth`; not in the paper.
+        forgiven_px: errors of depth by which a view still sees the fused surface, since they move what it shows there by no more
+            source pixels, see `ggvs_eval.geometry.warp.forgiven`; 0, as in the paper, for none.
         remembered: what no source sees is shown as it was seen before, see `RememberedBackground`; not in the paper, and off,
             since it pays too rarely.
 
@@ -116,6 +118,7 @@ class OnlineOptions:
     recurrent_limit: float = 0.85
     compensated: bool = True
     settled: bool = True
+    forgiven_px: float = FORGIVEN_PX
     remembered: bool = False
 
     def depth_filter(self) -> TemporalDepthFilter:
@@ -199,7 +202,7 @@ class GeometryGuided:
         chosen = self.options
         index, target = filtered.index, filtered.target
         surface = np.zeros((target.height, target.width), np.float32) if depth is None else depth
-        inputs = BlendingInputs(filtered, splats, surface, self._tau(filtered))
+        inputs = BlendingInputs(filtered, splats, surface, self._tau(filtered), chosen.forgiven_px)
 
         def judged() -> tuple[Map, dict[str, Map]]:
             still = self._stillness(filtered, splats, depth, changes)

@@ -98,7 +98,7 @@ def registered(inputs: BlendingInputs, scale: int) -> tuple[BlendMaps, Overview]
     from ggvs_eval.kernels import _core
 
     target, (sources, splats) = inputs.instant.target, in_order(inputs)
-    registration = registration_arguments(target, inputs.depth, sources, splats, inputs.tau)
+    registration = registration_arguments(target, inputs.depth, sources, splats, inputs.tau, inputs.forgiven_px)
     weights = view_weights(target, [source.camera for source in sources], [source.share for source in sources])
     depths = [np.ascontiguousarray(each, np.float32) for each in (*(view.depth for view in splats), inputs.depth)]
     arguments = (*registration, float(FAINT), depths, *_overview_settings(weights, scale))

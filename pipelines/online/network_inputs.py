@@ -94,7 +94,7 @@ def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
     """
     target, (sources, splats) = inputs.instant.target, in_order(inputs)
     if guidance == "registered":
-        stacks = register_views(target, inputs.depth, sources, splats, inputs.tau, float(FAINT))
+        stacks = register_views(target, inputs.depth, sources, splats, inputs.tau, float(FAINT), inputs.forgiven_px)
     else:
         coverage = np.stack([view.alpha for view in splats])
         stacks = np.stack([view.features[..., :3] for view in splats]), coverage, coverage

@@ -13,14 +13,14 @@ from helpers.twins.warp import warp_twin
 
 
 @settings(deadline=None, max_examples=40)
-@given(seeds, sizes, sizes, st.booleans())
-def test_agrees_with_its_twin(seed, target_size, source_size, bicubic):
+@given(seeds, sizes, sizes, st.booleans(), st.sampled_from([0.0, 0.5, 3.0]))
+def test_agrees_with_its_twin(seed, target_size, source_size, bicubic, forgiven_px):
     """Any sizes and poses give the twin's colour and visibility, single pixels at borders apart."""
     random = np.random.default_rng(seed)
     target, source = random_camera(random, *target_size), random_camera(random, *source_size)
     image = random.random((source.height, source.width, 3), dtype=np.float32)
     inputs = (target, random_depth(random, target), source, image, random_depth(random, source), TAU)
-    ours, theirs = warp(*inputs, bicubic=bicubic), warp_twin(*inputs, bicubic=bicubic)
+    ours, theirs = (each(*inputs, bicubic=bicubic, forgiven_px=forgiven_px) for each in (warp, warp_twin))
     flips = 2 * max(0.005, 1 / ours.visibility.size)
     assert (np.abs(ours.colour - theirs.colour).max(axis=-1) > 1e-4).mean() <= flips
     assert (np.abs(ours.visibility - theirs.visibility) > 2e-3).mean() <= flips
@@ -50,6 +50,17 @@ def test_identity(bicubic):
     result = warp(camera, depth, camera, image, depth, TAU, bicubic=bicubic)
     np.testing.assert_allclose(result.colour, np.where(depth[..., None] > 0, image, 0), atol=1e-4)
     np.testing.assert_allclose(result.visibility, depth > 0, atol=1e-3)
+
+
+def test_every_error_of_depth_is_forgiven_at_one_place():
+    """A view warped into its own place is itself whatever both depths are, unknown ones too."""
+    random = np.random.default_rng(3)
+    camera = random_camera(random, 41, 27)
+    image, depths = random.random((27, 41, 3), dtype=np.float32), [random_depth(random, camera, 0.3) for _ in range(2)]
+    assert all((depth == 0).any() for depth in depths)
+    result = warp(camera, depths[0], camera, image, depths[1], TAU, forgiven_px=0.5)
+    np.testing.assert_allclose(result.colour, image, atol=1e-4)
+    np.testing.assert_array_equal(result.visibility, 1)
 
 
 def test_a_plane_shifts_by_its_disparity():

@@ -282,6 +282,16 @@ def settled() -> None:
     np.testing.assert_array_equal(depths[1], 1.3 * true_depth)
 
 
+def forgiven_px() -> None:
+    """A source at the target's place whose depth is wrong is looked up there, or hidden: others show the surface."""
+    frame = still(1, depth_noise=0.0)[0]
+    first = replace(frame.sources[0], image=255 - frame.sources[0].image, depth=1.3 * frame.sources[0].depth)
+    near = replace(frame, target=replace(first.camera, name="target"), sources=(first, *frame.sources[1:]))
+    images = [play([near], forgiven_px=value, compensated=False).images[0] for value in (0.5, 0.0)]
+    errors = [np.abs(255 * image - first.image).mean() for image in images]
+    assert errors[0] < 1 < 20 < errors[1]
+
+
 def remembered() -> None:
     """What no source sees any more is shown as it was seen, though all else has changed, or filled from its surroundings."""
     first, second, third = still(3, depth_noise=0.0)
@@ -316,7 +326,7 @@ CASES: dict[str, Case] = {
     for each in (
         *(temporal, fused, lambda_t, beta_mask, history_tolerance, beta_temporal, eta, tau_m, depth_noise_m),
         *(mask_channels, mask_views, splatted_depth, splatted_as, gaussian_scale_px, min_step),
-        *(signed_distance, normalised_field, recurrent_limit, compensated, settled, remembered),
+        *(signed_distance, normalised_field, recurrent_limit, compensated, settled, forgiven_px, remembered),
     )
 }
 

@@ -14,7 +14,7 @@ from ggvs_eval.contrib.worlds.film.shots import rig_shots
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.methods.registry import find_method
 from helpers.photographs import psnr_db
-from helpers.scenes import camera_at, instant
+from helpers.scenes import camera_at, instant, render_view
 
 pytestmark = pytest.mark.slow
 SMALL = DemoOptions(seed=101, width=160, height=120, n_frames=1, cameras_per_row=3, path_poses=0, noise_sigma_255=1.5)
@@ -55,6 +55,31 @@ def test_a_camera_that_sees_nothing_costs_nothing(method):
     """A source nearer than all others that looks the other way costs .1 dB at most: it has no place among the views."""
     for number in (1, 4):
         assert score(method, number, blind=True) > score(method, number) - 0.1
+
+
+def near_source(share: float) -> tuple[Instant, np.ndarray]:
+    """A target on the way from its nearest source, whose depth is a tenth too large, and what it sees; the source at share 0."""
+    room = filmed()
+    wanted, *cameras = list(room)[1], *nearest_cameras(list(room)[1], list(room), 4)
+    views = [SourceView(camera, *room[camera], np.ones_like(room[camera][1])) for camera in cameras]
+    views[0] = replace(views[0], depth=views[0].depth * np.float32(1.1))
+    pose, centre = cameras[0].world_to_camera.copy(), (1 - share) * cameras[0].centre + share * wanted.centre
+    pose[:3, 3] = -pose[:3, :3] @ centre
+    target = replace(cameras[0], name="target", world_to_camera=pose) if share else replace(cameras[0], name="target")
+    truth = render_view(lit_room(SMALL.seed).at(0.0), target)[0] if share else views[0].image
+    return Instant(0, target, tuple(views), UNITS_PER_METRE), truth
+
+
+@pytest.mark.parametrize("method", ["ours", "ours-geometric"])
+def test_a_source_next_to_the_target_is_shown(method):
+    """Whatever its depth: the source itself at its own place, next to it no worse than Distance-based Blending by .1 dB."""
+    scores = []
+    for share in (0.0, 0.02, 0.1, 0.3):
+        seen, truth = near_source(share)
+        made = [find_method(each).make().step(seen).image for each in (method, "distance-based")]
+        scores.append([psnr_db(image, truth) for image in made])
+    assert scores[0][0] > (38 if method == "ours" else 55)
+    assert all(ours > theirs - 0.1 for ours, theirs in scores)
 
 
 def scaled(seen: Instant, factor: float) -> Instant:

@@ -158,7 +158,8 @@ def raw_views(inputs: BlendingInputs) -> RawViews:
     splatted, warps = blend_maps(inputs, "none"), []
     for source in sources:
         image = source.image.astype(np.float32) / np.float32(255)
-        warps.append(warp(target, inputs.depth, source.camera, image, source.depth, inputs.tau, bicubic=True))
+        given = target, inputs.depth, source.camera, image, source.depth, inputs.tau
+        warps.append(warp(*given, bicubic=True, forgiven_px=inputs.forgiven_px))
     return RawViews(
         target,
         splatted.sources,
@@ -213,7 +214,7 @@ class BlendKind(SampleKind[BlendSample]):
     """The views of the sources in the target, and the geometric blender's result."""
 
     device: str = "cpu"
-    folders: ClassVar = {"rooms": ("samples", 4), "captures": ("captures", 2)}
+    folders: ClassVar = {"rooms": ("samples", 5), "captures": ("captures", 3)}
 
     def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> BlendSample:
         """See `blend_sample`."""
