@@ -314,17 +314,14 @@ def describe_machine() -> dict[str, str]:
 
     from ggvs_eval import kernels
 
+    cpuinfo = Path("/proc/cpuinfo")
+    described = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
+    names = [line.split(":", 1)[1].strip() for line in described if line.startswith("model name")]
     numpy_sets = np.show_config(mode="dicts")["SIMD Extensions"]
     return {
-        "processor": _processor_name(),
+        "processor": names[0] if names else platform.processor() or platform.machine(),
         "kernels of ggvs-eval": kernels.get_simd_level(),
         "NumPy": ", ".join(numpy_sets.get("found", [])) or "baseline",
         "OpenCV": cv2.getCPUFeaturesLine(),
         **{name: os.environ[name] for name in INSTRUCTION_SETS if name in os.environ},
     }
-
-
-def _processor_name() -> str:
-    described = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
-    names = [line.split(":", 1)[1].strip() for line in described if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()

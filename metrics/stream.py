@@ -90,10 +90,8 @@ def score_views(
     corrected = [metric.name for metric in streamed if metric.corrects_colours]
     if options.colour_scope == "view" and colour_maps is None and corrected:
         raise MetricError(f"{', '.join(corrected)}: colours are corrected per view; fit the maps first")
-    scores: list[ViewScores]
-    scorers: list[list[Scorer]]
-    previous: Image8 | None
-    count, previous, scores, scorers = begun or (0, None, [], [])
+    fresh: tuple[int, Image8 | None, list[ViewScores], list[list[Scorer]]] = (0, None, [], [])
+    count, previous, scores, scorers = begun or fresh
     masks = iter(disoccluded) if disoccluded is not None else None
     for index, (renderings, image) in enumerate(frames, count):
         if previous is not None and image.shape != previous.shape:

@@ -115,7 +115,7 @@ def rig_depth_range(poses: Sequence[Array]) -> list[tuple[float, float]]:
         return [(0.1, 100.0)] * len(poses)  # invalid poses; `Camera` raises the error
     rotations = np.stack([pose[:3, :3] for pose in poses])
     centres = np.stack([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
-    spacing = _median_spacing(centres)
+    spacing = float(np.median(neighbour_distances(centres))) if len(centres) > 1 else 0.0
     if spacing == 0:
         return [(0.1, 100.0)] * len(poses)
     axes = rotations[:, 2]
@@ -135,12 +135,6 @@ def _looked_at(centres: Array, axes: Array) -> Array:
     """Return the point nearest to all optical axes, (3,)."""
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     return np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, centres), rcond=None)[0]
-
-
-def _median_spacing(centres: Array) -> float:
-    if len(centres) < 2:
-        return 0.0
-    return float(np.median(neighbour_distances(centres)))
 
 
 def neighbour_distances(centres: Array) -> Array:

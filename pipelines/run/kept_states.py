@@ -14,11 +14,7 @@ from ggvs_eval.files.atomic import write_bytes
 
 
 def keep_state(folder: Path | None, key: object, state: object) -> None:
-    """Write a state where there is a folder of them; one that cannot be pickled is left out, and what made it runs again.
-
-    Args:
-        key: JSON values that everything in the state depends on, but for how far it got.
-    """
+    """Write a state under JSON values that it depends on; where it cannot be pickled, what made it will begin anew."""
     if folder is not None:
         with suppress(AttributeError, TypeError, pickle.PicklingError, OSError):
             write_bytes(_file(folder, key), pickle.dumps(state))
@@ -26,9 +22,7 @@ def keep_state(folder: Path | None, key: object, state: object) -> None:
 
 def find_state(folder: Path | None, key: object) -> Any:
     """Return what was kept under an equal key; None if nothing was."""
-    if folder is None or not (file := _file(folder, key)).is_file():
-        return None
-    return pickle.loads(file.read_bytes())
+    return pickle.loads(_file(folder, key).read_bytes()) if folder and _file(folder, key).is_file() else None
 
 
 def _file(folder: Path, key: object) -> Path:

@@ -290,23 +290,13 @@ def view_colours(weights: Map) -> Image8:
     return np.rint(np.einsum("khw,kc->hwc", weights, colours).clip(0, 255)).astype(np.uint8)
 
 
-def _depth(depth: Map, target: Camera) -> Image8:
-    return depth_colours(depth, target.near, target.far)
-
-
-def _share(values: Map, target: Camera) -> Image8:
-    del target
+def _share(values: Map, _target: Camera) -> Image8:
     return coloured(values, "cividis", np.ones(values.shape, np.bool_))
 
 
-def _views(weights: Map, target: Camera) -> Image8:
-    del target
-    return view_colours(weights)
-
-
 _PICTURES: Mapping[str, Callable[[Map, Camera], Image8]] = {
-    "depth": _depth,
-    "weights": _views,
+    "depth": lambda depth, target: depth_colours(depth, target.near, target.far),
+    "weights": lambda weights, _target: view_colours(weights),
     "coverage": _share,
     "motion": _share,
 }

@@ -32,7 +32,7 @@ from ggvs_eval.pipelines.run.derived_files import cached_capture
 from ggvs_eval.pipelines.run.folds import FitPlan, fill_folds, plan_fits, plan_folds, visible_cameras
 from ggvs_eval.pipelines.run.render import RunJobs, fit_job, render_job
 from ggvs_eval.progress import counted
-from ggvs_eval.protocol import PathCamera, Protocol
+from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, read_json
 
 
@@ -50,25 +50,15 @@ def choose_path(capture: Capture, protocol: Protocol) -> CameraPath:
     if protocol.path.poses == 0:
         return CameraPath((), None, 0.0)
     if protocol.path.cameras:
-        return CameraPath(_chosen_poses(protocol.path.cameras, middle), None, 0.0)
-    own_path = open_path(capture.path)
-    if own_path is not None and _shows_its_instant(capture, own_path):
+        poses = (Camera.from_json(f"path{index:04d}", asdict(pose)) for index, pose in enumerate(protocol.path.cameras))
+        return CameraPath(tuple(pose.resized(*middle.size) for pose in poses), None, 0.0)
+    own_path, edit = open_path(capture.path), capture.edit
+    held = edit.hold_frame if edit and edit.hold_frames else None  # the one instant that can be seen
+    if own_path is not None and held in (None, round(own_path.time_s * capture.fps)):
         return replace(own_path, cameras=tuple(pose.resized(*middle.size) for pose in own_path.cameras))
     neighbour = nearest_cameras(middle, capture.cameras, 2)[-1]
     span = 2 * float(np.linalg.norm(neighbour.centre - middle.centre))
     return CameraPath(tuple(translated_path(middle, span, protocol.path.poses)), None, 0.0)
-
-
-def _chosen_poses(poses: Sequence[PathCamera], view: Camera) -> tuple[Camera, ...]:
-    """Return the poses that the protocol lists, at the size of a test view."""
-    cameras = (Camera.from_json(f"path{index:04d}", asdict(pose)) for index, pose in enumerate(poses))
-    return tuple(camera.resized(*view.size) for camera in cameras)
-
-
-def _shows_its_instant(capture: Capture, path: CameraPath) -> bool:
-    """Return whether the capture's own path was rendered at an instant that can be seen: not where another one is held still."""
-    edit = capture.edit
-    return edit is None or not edit.hold_frames or round(path.time_s * capture.fps) == edit.hold_frame
 
 
 # What a refusal for want of depth adds.

@@ -46,7 +46,8 @@ def write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str])
         for label, spec in specs.items()
         if isinstance(spec, OnlineMethod) and _has_given_weights(run, protocol, label, spec)
     ]
-    titles = {label: _title(specs[label], label in given) if label in specs else label for label in labels}
+    titles = {label: specs[label].title if label in specs else label for label in labels}
+    titles |= {label: spec.title_from for label in given if isinstance(spec := specs[label], OnlineMethod) and spec.title_from}
     looks = [label for label in specs if not specs[label].online]
     write_json(
         run.root / "methods.json",
@@ -77,10 +78,6 @@ def _has_given_weights(run: RunFolder, protocol: Protocol, label: str, spec: Onl
     identities = [read_json(file).get("identity", {}) for file in files if file.is_file()]
     shipped = [digest_weights(file) for file in spec.weights if file.is_file()]
     return any(identity.get("weights", shipped) != shipped for identity in identities)
-
-
-def _title(spec: MethodSpec, is_given: bool) -> str:
-    return spec.title_from or spec.title if is_given and isinstance(spec, OnlineMethod) else spec.title
 
 
 TOLD_FRAMES = 10  # number to score from which a line gives the expected time

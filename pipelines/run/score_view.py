@@ -133,7 +133,10 @@ def _score_view(
             methods[label] |= _replaced(methods[label], seen)
     for (there, metrics), labels in alike.items():
         shown = [partial(frame_path, run.renders(label, view)) for label in labels]
-        kept = Kept(states, run, view, labels, {name: identities[labels[0]]["metrics"][name] for name in metrics}, str(options))
+        kept = None
+        if states and len(there) == 1:
+            key = [view, labels, {name: identities[labels[0]]["metrics"][name] for name in metrics}, str(options)]
+            kept = Kept(states, key, [run.truth(view), run.disoccluded(view), *(run.renders(label, view) for label in labels)])
         with _computing(options.device):
             scores = _score_methods(run, view, shown, there, metrics, protocol, options, kept)
         for label, measured in zip(labels, scores, strict=True):
@@ -187,43 +190,29 @@ def _values_of(metrics: Collection[str], record: Mapping[str, Any], options: Met
 def _parts(metrics: Sequence[str], options: MetricOptions) -> list[tuple[str, ...]]:
     """Return the metrics whose colours are those of the view, which need all its frames, apart from the others."""
     of_view = {one.name for one in scored_by_view(metrics) if one.corrects_colours and options.colour_scope == "view"}
-    parts = [name for name in metrics if name not in of_view], [name for name in metrics if name in of_view]
-    return [tuple(part) for part in parts if part]
+    return [tuple(part) for each in (False, True) if (part := [name for name in metrics if (name in of_view) == each])]
 
 
 @dataclass(frozen=True)
 class Kept:
-    """State of what measures some methods in a view, behind the first frames; see `RunRequest.states`.
+    """State of what has measured the first frames of some folders, see `RunRequest.states`."""
 
-    Attributes:
-        metrics: name -> what its values depend on next to the frames.
-    """
-
-    states: Path | None
-    run: RunFolder
-    view: str
-    labels: Sequence[str]
-    metrics: Mapping[str, Any]
-    options: str
-
-    @property
-    def _key(self) -> list[Any]:
-        return [self.view, list(self.labels), dict(self.metrics), self.options]
+    states: Path
+    key: list[Any]
+    folders: Sequence[Path]
 
     def find(self, frames: range) -> tuple[Any, range]:
         """Return the state and the frames that are left; None and all where the first ones were others."""
-        stop, digests, state = find_state(self.states, self._key) or (frames.start, [], None)
-        is_same = state is not None and digests == self._digests(range(frames.start, stop)) and stop < frames.stop
+        stop, seen, state = find_state(self.states, self.key) or (frames.stop, None, None)
+        is_same = stop < frames.stop and seen == self._seen(range(frames.start, stop))
         return (state, range(stop, frames.stop)) if is_same else (None, frames)
 
     def keep(self, frames: range, state: object) -> None:
         """Keep the state behind these frames."""
-        if self.states:
-            keep_state(self.states, self._key, (frames.stop, self._digests(frames), state))
+        keep_state(self.states, self.key, (frames.stop, self._seen(frames), state))
 
-    def _digests(self, frames: range) -> list[str]:
-        rendered = (self.run.renders(label, self.view) for label in self.labels)
-        return [digest_frames(each, frames) for each in (self.run.truth(self.view), self.run.disoccluded(self.view), *rendered)]
+    def _seen(self, frames: range) -> list[str]:
+        return [digest_frames(folder, frames) for folder in self.folders]
 
 
 def _score_methods(
@@ -248,14 +237,12 @@ def _score_methods(
     maps, corrected = None, any(metric.corrects_colours for metric in scored_by_view(metrics))
     if options.colour_scope == "view" and corrected:
         maps = fit_colour_maps(one for frames in stretches for one in _instants(shown, truth, frames, measurement))
-    if len(stretches) > 1 or maps is not None:
-        kept = None
     for frames in stretches:
-        begun, left = kept.find(frames) if kept else (None, frames)
+        begun, left = kept.find(frames) if kept and not maps else (None, frames)
         instants = _instants(shown, truth, left, measurement)
         masks = _disoccluded(run.disoccluded(view), left, measurement)
         placed = replace(options, first_frame=frames.start - protocol.frames.start)
-        keep = partial(kept.keep, frames) if kept else None
+        keep = partial(kept.keep, frames) if kept and not maps else None
         scored = score_views(instants, metrics, placed, colour_maps=maps, disoccluded=masks, begun=begun, keep=keep)
         for record, scores in zip(records, scored, strict=True):
             values = [(name, -1 if index is None else frames[index], value) for name, index, value in scores.values]
@@ -319,11 +306,7 @@ def _disoccluded(folder: Path, frames: range, measurement: Measurement) -> Itera
     """Read the masks of what no source camera sees of the view; None if they have not been computed."""
     if missing_frames(folder, frames):
         return None
-    return (_read_mask(frame_path(folder, index), measurement) for index in frames)
-
-
-def _read_mask(path: Path, measurement: Measurement) -> Mask:
-    return measured_mask(read_image(path)[..., 0], measurement)
+    return (measured_mask(read_image(frame_path(folder, index))[..., 0], measurement) for index in frames)
 
 
 def _instants(
