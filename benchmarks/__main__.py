@@ -12,6 +12,7 @@ from benchmarks import (
     bench_full_reference,
     bench_gaussians,
     bench_geometry,
+    bench_growth,
     bench_metrics,
     bench_no_reference,
     bench_online,
@@ -33,6 +34,7 @@ PARTS = {
     "depth": bench_depth.measure,
     "page": bench_page.measure,
     "baselines": bench_baselines.measure,
+    "growth": bench_growth.measure,
 }
 
 

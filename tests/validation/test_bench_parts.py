@@ -1,8 +1,10 @@
 """`python -m benchmarks PART ...`: parts beside what was measured before, and a word that is none."""
 
+import numpy as np
 import pytest
 
 from benchmarks import __main__ as bench
+from benchmarks import bench_growth
 from ggvs_eval.run_folder import read_json, write_json
 
 
@@ -28,3 +30,12 @@ def test_a_part_that_is_none_is_told(capsys):
     told = capsys.readouterr().err
     for part in ("onlin;", "online"):
         assert part in told
+
+
+def test_growth_is_an_exponent():
+    """Cameras and frames in small numbers: a positive time, and the slope between the two largest sizes."""
+    figures = bench_growth.measure_cameras((6, 8)) | bench_growth.measure_series((20, 40))
+    assert figures["growth.cameras.depth_maps"]["value"] >= 4
+    for name, each in figures.items():
+        assert np.isfinite(each["value"])
+        assert each["target"] == (bench_growth.SUPERLINEAR if name.endswith("exponent") else None)
