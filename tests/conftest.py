@@ -152,6 +152,17 @@ def _rooms_lit_once(shared_folder) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session")
+def quick_demo(shared_folder) -> Path:
+    """What `ggvs-eval demo --quick` unpacks, once for all processes; nobody changes it, `shutil.copytree` it."""
+    from ggvs_eval.files.atomic import locked
+    from ggvs_eval.synthetic.shipped import write_quick
+
+    folder = shared_folder / "quick"
+    with locked(folder.with_name("quick.lock")):
+        return folder if folder.is_dir() else write_quick(folder)
+
+
 @pytest.fixture(scope="module")
 def no_figures() -> Iterator[None]:
     """A module's reports are written without what takes longer than all else of them."""

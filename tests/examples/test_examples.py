@@ -15,7 +15,6 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import Frames, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
-from ggvs_eval.synthetic.shipped import write_quick
 from helpers.places import ROOT
 from helpers.small_runs import leave_out_figures
 
@@ -25,10 +24,10 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(not EXAMPLES.is_dir(), reason
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(quick_demo, tmp_path_factory):
     """A working folder as the headers want it: the quick demo, its protocol cut to two views and metrics."""
     folder = tmp_path_factory.mktemp("examples")
-    write_quick(folder / "quick")
+    shutil.copytree(quick_demo, folder / "quick")
     protocol = load_protocol(folder / "quick" / "quick.toml")
     measurement = replace(protocol.measurement, metrics=("PSNR", "SSIM"), ceilings=False)
     cut = replace(protocol, views=Views(("cam00", "cam03"), "test"), measurement=measurement)

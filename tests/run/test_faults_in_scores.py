@@ -25,7 +25,7 @@ from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.compare_runs import differences, method_sides
 from ggvs_eval.results import Fault, Results
 from ggvs_eval.run_folder import RunFolder, frame_path
-from ggvs_eval.synthetic.shipped import FIXED, LATE, PROTOCOL, QUICK_ROOM, quick_protocol, write_quick
+from ggvs_eval.synthetic.shipped import FIXED, LATE, PROTOCOL, QUICK_ROOM, quick_protocol
 from helpers.small_runs import leave_out_figures
 
 pytestmark = pytest.mark.slow
@@ -38,9 +38,9 @@ SPOILT = {
 
 
 @pytest.fixture(scope="module")
-def quick(tmp_path_factory) -> Path:
+def quick(quick_demo, tmp_path_factory) -> Path:
     """The quick demo, its protocol with cheap metrics alone, and two spoilt copies of its honest renders; nobody changes it."""
-    folder = write_quick(tmp_path_factory.mktemp("faults") / "quick")
+    folder = Path(shutil.copytree(quick_demo, tmp_path_factory.mktemp("faults") / "quick"))
     protocol = quick_protocol()
     cheap = replace(protocol, measurement=replace(protocol.measurement, metrics=("PSNR", "L1"), ceilings=False))
     (folder / PROTOCOL).write_text(cheap.to_toml(), encoding="utf-8")

@@ -1,5 +1,6 @@
 """Renders that papers publish with their truth are scored without a capture and marked so; failed calls leave nothing."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,16 +14,16 @@ from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables_of_runs import tables_of_runs
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path
-from ggvs_eval.synthetic.shipped import FIXED, LATE, PROTOCOL, QUICK_ROOM, quick_protocol, write_quick
+from ggvs_eval.synthetic.shipped import FIXED, LATE, PROTOCOL, QUICK_ROOM, quick_protocol
 
 pytestmark = pytest.mark.slow
 VIEW, FRAMES = "cam00", 4
 
 
 @pytest.fixture(scope="module")
-def quick(tmp_path_factory) -> Path:
+def quick(quick_demo, tmp_path_factory) -> Path:
     """The quick demo under a protocol of one view and cheap metrics, scored with its capture; nobody changes it."""
-    folder = write_quick(tmp_path_factory.mktemp("own") / "quick")
+    folder = Path(shutil.copytree(quick_demo, tmp_path_factory.mktemp("own") / "quick"))
     protocol = quick_protocol()
     cheap = replace(
         protocol,

@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.page.pictures import UndoneRenders, undone_renders
 from ggvs_eval.run_folder import RunFolder, frame_path
-from ggvs_eval.synthetic.shipped import FIXED, LATE, QUICK_ROOM, quick_protocol, write_quick
+from ggvs_eval.synthetic.shipped import FIXED, LATE, QUICK_ROOM, quick_protocol
 from helpers.painted_page import write_page
 
 pytestmark = pytest.mark.slow
@@ -32,9 +32,9 @@ STANDINGS = re.compile(r'<table class="standings">.*?</table>', re.DOTALL)
 
 
 @pytest.fixture(scope="module")
-def quick(tmp_path_factory) -> Path:
+def quick(quick_demo, tmp_path_factory) -> Path:
     """The quick demo with the renders of one view; nobody changes it."""
-    folder = write_quick(tmp_path_factory.mktemp("undone") / "quick")
+    folder = Path(shutil.copytree(quick_demo, tmp_path_factory.mktemp("undone") / "quick"))
     for renders in (folder / FIXED, folder / LATE):
         for other in set(renders.iterdir()) - {renders / VIEW}:
             shutil.rmtree(other)
