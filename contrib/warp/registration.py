@@ -257,7 +257,8 @@ def register_pixels(
         visibility = visibility_of(source_depths[k], sizes[k, 0], sizes[k, 1], at, tolerance, forgiven[k, 0])
         if visibility > 0.0:
             captured = cubic_colour(images[k], sizes[k, 0], sizes[k, 1], at[0], at[1]) * (1.0 / 255.0)
-            shown += visibility * (captured - shown)
+            share = wp.where(alphas[k, y, x] > 0.0, visibility, 1.0)  # where nothing was splatted there is nothing to mix with
+            shown += share * (captured - shown)
     for c in range(3):
         colours[k, c, y, x] = shown[c]
     coverage[k, y, x] = wp.max(visibility, FAINT * alphas[k, y, x])

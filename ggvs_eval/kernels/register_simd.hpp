@@ -78,14 +78,18 @@ GGVS_INLINE void register_packets(const Registration& job, const RegisteredView&
         for (int ahead = 0; ahead < kWidth * view.stride; ahead += 16)  // floats of a cache line
             __builtin_prefetch(splat + kTogetherPackets * kWidth * view.stride + ahead);
         Colour colour = splatted_colour(view, splat, count);
+        const F alpha = load_part(view.alpha + first + n * kWidth, count);
         if (any(less(all(0.0f), visibility[n]))) {
             const Colour seen = colour_at(view.captured, sights[n], visibility[n]);
             F per = all(1.0f / 255.0f);
-            add(colour, visibility[n], {seen.red * per - colour.red, seen.green * per - colour.green, seen.blue * per - colour.blue});
+            // Where nothing was splatted there is no colour to mix with.
+            const F whole = select(less(all(0.0f), visibility[n]), all(1.0f), all(0.0f));
+            const F share = select(less(all(0.0f), alpha), visibility[n], whole);
+            add(colour, share, {seen.red * per - colour.red, seen.green * per - colour.green, seen.blue * per - colour.blue});
         }
         const int64_t at = row + left + n * kWidth;
         store_colour(out.colours + 3 * at, colour, count);
-        F faint = all(job.faint) * load_part(view.alpha + first + n * kWidth, count);
+        F faint = all(job.faint) * alpha;
         store_part(out.coverage + at, max(visibility[n], faint), count);
         store_part(out.seen + at, visibility[n], count);
     });

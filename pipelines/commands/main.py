@@ -8,7 +8,8 @@ import re
 import sys
 import textwrap
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from shutil import get_terminal_size
 from typing import Any, TextIO
@@ -135,9 +136,18 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
 
 def _is_foreign(command: Callable[..., None], words: Sequence[str]) -> bool:
     """Return whether an option is none of a command's, not even a mistyped one."""
-    own = ["--help", *(f"--{name.replace('_', '-')}" for name in inspect.signature(command).parameters)]
+    given = {name: each.default for name, each in inspect.signature(command).parameters.items()}
+    own = ["--help", *(f"--{name.replace('_', '-')}" for name in _option_names(given))]
     asked = {word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")} - set(own)
     return any(not did_you_mean(option, own) for option in asked)
+
+
+def _option_names(given: Mapping[str, object]) -> Iterator[str]:
+    """Names of options with their defaults, and of those in options that are a dataclass."""
+    for name, usual in given.items():
+        yield name
+        if is_dataclass(usual):
+            yield from _option_names({field.name: getattr(usual, field.name) for field in fields(usual)})
 
 
 def _about(command: Callable[..., None]) -> str:

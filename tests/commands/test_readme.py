@@ -72,7 +72,7 @@ def test_what_is_printed_is_what_the_page_shows(walk):
         assert re.search(rf"certain {camera} frame t shows instant t-1", examined)
     numbers = next(line.split()[1:] for line in shown.splitlines() if line.startswith("mine"))
     assert f"{float(numbers[0]):.2f}" == QUOTED
-    printed = scored.rpartition("mine ")[2].split()
+    printed = re.findall(r"\bmine ([\d. ]+)", scored)[-1].split()
     assert len(numbers) == 5
     for text in (shown, scored):
         assert "late shows every frame one instant late, so it is not ranked" in text

@@ -120,13 +120,13 @@ def test_sources_are_chosen_as_wanted(playback, stock):
 
 
 def test_time_that_jumps_begins_anew(playback, stock):
-    """Instants 0, 1, 2 build up a history; 2 after 0 is like 2 alone."""
-    view = LiveView(stock, 1.0, ALL)
-    view.picture(request_of(playback))
-    jumped = view.picture(request_of(playback, instant=2)).image
-    alone = LiveView(stock, 1.0, ALL).picture(request_of(playback, instant=2)).image
+    """Instants 0, 1, 2 build up a history; 2 after 0 is like 2 alone. At a camera's place its picture is shown."""
+    view, between = LiveView(stock, 1.0, ALL), moved(request_of(playback).pose, 0.1)
+    view.picture(request_of(playback, pose=between))
+    jumped = view.picture(request_of(playback, pose=between, instant=2)).image
+    alone = LiveView(stock, 1.0, ALL).picture(request_of(playback, pose=between, instant=2)).image
     history = LiveView(stock, 1.0, ALL)
-    played = [history.picture(request_of(playback, instant=instant)).image for instant in (0, 1, 2)][-1]
+    played = [history.picture(request_of(playback, pose=between, instant=instant)).image for instant in (0, 1, 2)][-1]
     assert np.array_equal(jumped, alone)
     assert not np.array_equal(played, alone)
 
