@@ -18,7 +18,7 @@ from ggvs_eval.measured_frames import measured_frame, measured_mask, measuring_w
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metric_choices import MetricChoices
 from ggvs_eval.metrics.metric import MetricOptions, ViewMetric
-from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen
+from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen, select_metrics
 from ggvs_eval.metrics.time.on_screen import Screen, ScreenMetric
 from ggvs_eval.pipelines.inspection.renders.identity import frame_reader
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
@@ -145,8 +145,10 @@ def _score_view(
     for label in unchecked:  # behind the metrics, which refuse frames of another size
         found = checks.check(frame_reader(run.renders(label, view)), max(stretches[label], key=len))
         methods[label]["faults"] = [asdict(finding) for finding in found]
-    for record in methods.values():  # whatever was measured together
-        record["values"].sort(key=lambda value: (value[1], value[0]))
+    parts = [(*one.pooling(options).parts, one.name) for one in select_metrics(protocol.measurement.metrics)]
+    order = {name: place for place, name in enumerate(dict.fromkeys(name for names in parts for name in names))}
+    for record in methods.values():  # whatever was measured together; what belongs to no frame comes last
+        record["values"].sort(key=lambda value: (value[1] < 0, value[1], order.get(value[0], len(order)), value[0]))
     stands = all(methods.get(label, {}).get("identity") == record["identity"] for label, record in records.items())
     also = [before["sha256"], *before.get("also", ())] if records and stands else []
     return {"methods": methods, "also": also}
