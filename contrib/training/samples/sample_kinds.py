@@ -80,7 +80,10 @@ class RawViews:
         """Return the maps that a network of that guidance works on: what `blend_maps` gives in one pass."""
         if guidance != "registered":
             return self.splatted
-        colours = self.splats + self.visibilities[..., None] * (self.warps - self.splats)
+        share = np.where(
+            self.alphas > 0, self.visibilities, np.float32(1) * (self.visibilities > 0)
+        )  # of nothing there is no mix
+        colours = self.splats + share[..., None] * (self.warps - self.splats)
         coverage = np.maximum(self.visibilities, FAINT * self.alphas)
         return replace(self.splatted, colours=colours, coverage=coverage, visibilities=self.visibilities)
 
