@@ -122,8 +122,8 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
         raise CommandError(f"{program}: no command {name!r}; commands are {', '.join(commands)}{suggestion}") from None
     if isinstance(command, Mapping):
         call_command(f"{program} {name}", command, words[1:])
-    elif commands is COMMANDS and name in VERBS and VERBS[name].wider and _is_foreign(command, words[1:]):
-        call_command(program, commands, [VERBS[name].wider, *words[1:]])
+    elif commands is COMMANDS and name in VERBS and (wider := VERBS[name].wider) and _is_of(wider, command, words[1:]):
+        call_command(program, commands, [wider, *words[1:]])
     else:
         import tyro  # not before a command is called
 
@@ -134,20 +134,22 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
         tyro.cli(command, prog=called, args=words[1:], description=_about(command) + example, config=(tyro.conf.DisallowNone,))
 
 
-def _is_foreign(command: Callable[..., None], words: Sequence[str]) -> bool:
-    """Return whether an option is none of a command's, not even a mistyped one."""
-    given = {name: each.default for name, each in inspect.signature(command).parameters.items()}
-    own = ["--help", *(f"--{name.replace('_', '-')}" for name in _option_names(given))]
-    asked = {word.partition("=")[0].replace("_", "-") for word in words if word.startswith("--")} - set(own)
-    return any(not did_you_mean(option, own) for option in asked)
+def _is_of(wider: str, command: Callable[..., None], words: Sequence[str]) -> bool:
+    """Return whether an option is none of a command's but one of a wider one's, which is loaded only then."""
+    asked = {
+        word.partition("=")[0].replace("_", "-").removeprefix("--").removeprefix("no-") for word in words if "--" in word[:2]
+    }
+    further = asked - {"help", *_option_names(command)}
+    return bool(further) and not further.isdisjoint(_option_names(COMMANDS[wider]))
 
 
-def _option_names(given: Mapping[str, object]) -> Iterator[str]:
-    """Names of options with their defaults, and of those in options that are a dataclass."""
-    for name, usual in given.items():
-        yield name
-        if is_dataclass(usual):
-            yield from _option_names({field.name: getattr(usual, field.name) for field in fields(usual)})
+def _option_names(given: Any) -> Iterator[str]:
+    """Names of the options of a command as they are typed, and of those in options that are a dataclass."""
+    named = fields(given) if is_dataclass(given) else inspect.signature(given).parameters.values()
+    for each in named:
+        yield each.name.replace("_", "-")
+        if is_dataclass(each.default):
+            yield from _option_names(each.default)
 
 
 def _about(command: Callable[..., None]) -> str:
