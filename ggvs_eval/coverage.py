@@ -102,3 +102,8 @@ def read_import(run: RunFolder, label: str) -> dict[str, Any] | None:
     """Return the record of an import; None if the method was rendered here."""
     file = run.root / "renders" / label / IMPORT_FILE
     return dict(read_json(file)) if file.is_file() else None
+
+
+def guessed_first(run: RunFolder, label: str) -> int:
+    """Return the number in the names of imported frames that was taken for the capture's first instant; 0 if none was guessed."""
+    return int((read_import(run, label) or {}).get("counted_from", 0))

@@ -143,9 +143,8 @@ def neighbour_distances(centres: Array) -> Array:
     Args:
         centres: (N, 3).
     """
-    apart = np.sqrt(((centres[:, None] - centres) ** 2).sum(axis=2))
-    np.fill_diagonal(apart, np.inf)
-    return np.asarray(apart.min(axis=1))
+    # A row at a time, as captures can have thousands of poses; the import of a tree would cost more than all of this.
+    return np.sqrt([np.partition(((centres - one) ** 2).sum(axis=1), 1)[1] for one in centres])
 
 
 def _convergence_rad(axes: Array) -> float:

@@ -170,9 +170,9 @@ def look_up(
 
 
 def forgiven(target: Camera, source: Camera, forgiven_px: float) -> tuple[float, float]:
-    """Return which errors of depth hide no surface from a source, as they move what it shows by so many of its pixels at most.
+    """Return which errors of depth hide no surface from a source: those that move what it shows by at most `forgiven_px`.
 
-    Where the target is at the source's place that is every error: the same ray shows the surface. Between once and twice that
+    Where the target is at the source's place these are all errors: the same ray shows the surface. Between once and twice that
     visibility falls to 0. Unknown depth of the source is infinite. A surface of unknown depth is shown, at the far plane, by
     sources for which every depth from the near plane on is forgiven.
 
@@ -223,9 +223,9 @@ def register_views(
         forgiven_px: see `forgiven`.
 
     Returns:
-        Stacks of the K views, float32: colours (K, H, W, 3), the splat's, and as far as the view is visible its image's at the
-        fused surface; coverage (K, H, W), the visibility, or the faint coverage of the splat if that is more; visibilities
-        (K, H, W) in [0, 1], as in `warp`.
+        Stacks of the K views, float32: colours (K, H, W, 3), the splat's, and its image's at the fused surface as far as the view
+        is visible, or wholly where nothing was splatted; coverage (K, H, W), the visibility, or the faint coverage of the splat
+        if that is more; visibilities (K, H, W) in [0, 1], as in `warp`.
 
     Raises:
         RenderError: no view, not as many splats as views, images that do not fit their cameras or are not 8-bit RGB, or a

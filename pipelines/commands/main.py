@@ -136,10 +136,8 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
 
 def _is_of(wider: str, command: Callable[..., None], words: Sequence[str]) -> bool:
     """Return whether an option is none of a command's but one of a wider one's, which is loaded only then."""
-    asked = {
-        word.partition("=")[0].replace("_", "-").removeprefix("--").removeprefix("no-") for word in words if "--" in word[:2]
-    }
-    further = asked - {"help", *_option_names(command)}
+    asked = (word[2:].partition("=")[0].replace("_", "-") for word in words if word.startswith("--"))
+    further = {option.removeprefix("no-") for option in asked} - {"help", *_option_names(command)}
     return bool(further) and not further.isdisjoint(_option_names(COMMANDS[wider]))
 
 

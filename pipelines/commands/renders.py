@@ -11,7 +11,7 @@ from typing import Annotated
 
 import tyro
 
-from ggvs_eval.coverage import read_import
+from ggvs_eval.coverage import guessed_first
 from ggvs_eval.errors import MetricError, RenderError
 from ggvs_eval.pipelines.commands.flags import CAPTURE_DEFAULTS, ONE_PER_CORE, CaptureFlags, Jobs
 from ggvs_eval.run_folder import RunFolder
@@ -93,7 +93,7 @@ def doctor(
     with source.open(renders) as (folder, labels):
         for label in labels:
             views = views_of_run(folder, label)
-            counted_from, start = (read_import(folder, label) or {}).get("counted_from", 0), folder.protocol().frames.start
+            counted_from, start = guessed_first(folder, label), folder.protocol().frames.start
             checked = [doubt_numbering(one, counted_from, start) for one in examine(views, cameras_of_run(folder))]
             findings = [*checked, *find_seen_views(folder, label)]
             certain |= any(finding.verdict == "certain" for finding in findings)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.coverage import Coverage, read_coverage, read_import
+from ggvs_eval.coverage import Coverage, guessed_first, read_coverage
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
@@ -219,7 +219,7 @@ def _collect(
         own: list[tuple[Any, ...]] = []
         reasons: dict[str, str] = {}  # of what belongs to no single view
         found: list[Fault] = []
-        counted_from = (read_import(run, label) or {}).get("counted_from", 0)
+        counted_from = guessed_first(run, label)
         for view, methods in records.items():
             if why := coverage.refused.get(label, {}).get(view):
                 absences += [Absence(metric, label, capture["scene"], view, why) for metric in protocol.measurement.metrics]

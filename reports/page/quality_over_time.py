@@ -24,7 +24,7 @@ class Dot:
         name_x: where its name begins or, left of the dot, ends.
         name_y: line of its name, which keeps clear of other names.
         is_left: the name is left of the dot.
-        told: name, time and value in words.
+        words: name, time and value in words.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Dot:
     name_x: float
     name_y: float
     is_left: bool
-    told: str
+    words: str
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,11 @@ def quality_over_time(column: Column, values: Sequence[tuple[str, float]], timin
     dots: list[Dot] = []
     ordered = sorted(((axes.x(math.log10(time)), axes.y(value), name) for name, value, time in placed), key=lambda one: one[1])
     boxes: list[Box] = [(x - DOT_PX, y - DOT_PX, x + DOT_PX, y + DOT_PX) for x, y, _ in ordered]
-    told = {name: f"{value:.4g}{f' {column.unit}' if column.unit else ''} in {time:.4g} ms" for name, value, time in placed}
+    words = {name: f"{value:.4g}{f' {column.unit}' if column.unit else ''} in {time:.4g} ms" for name, value, time in placed}
     for x, y, name in ordered:
         left, _, right, bottom = _free_box(x, y, name, boxes)
         boxes.append((left, bottom - LINE_PX, right, bottom))
-        dots.append(Dot(name, x, y, right if left < x else left, round(bottom - 2, 1), left < x, f"{name}: {told[name]}"))
+        dots.append(Dot(name, x, y, right if left < x else left, round(bottom - 2, 1), left < x, f"{name}: {words[name]}"))
     return QualityOverTime(axes, tuple(dots), tuple(name for name, _ in values if not times_ms[name]))
 
 

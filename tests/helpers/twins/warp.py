@@ -30,7 +30,7 @@ def warp_twin(
     uv = np.where(seen[:, None], uv, 0.5)
     there = sample_depth(np.pad(source_depth, (0, 1), "edge"), *uv.T, tolerance)  # the kernel repeats the border
     agreement = np.clip(2 - np.abs(there - z) / tolerance, 0, 1) * (there > 0)
-    if forgiven_px:  # an error of depth moves the point by so many pixels at most; unknown depth is infinite
+    if forgiven_px:  # the error of depth that moves the point by `forgiven_px`; unknown depth is infinite
         inverse = np.divide(1, there, out=np.zeros(len(z)), where=there > 0)
         moved_px = source.focal_px * np.linalg.norm(source.centre - target.centre) * np.abs(inverse - 1 / np.where(seen, z, 1))
         agreement = np.maximum(agreement, np.clip(2 - moved_px / forgiven_px, 0, 1))
