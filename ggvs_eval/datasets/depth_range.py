@@ -138,13 +138,18 @@ def _looked_at(centres: Array, axes: Array) -> Array:
 
 
 def neighbour_distances(centres: Array) -> Array:
-    """Return the distance of each of at least two points to its nearest neighbour, (N,).
+    """Return the distance of each point to its nearest neighbour, (N,); a lone point's is infinite.
 
     Args:
         centres: (N, 3).
     """
     # A row at a time, as captures can have thousands of poses; the import of a tree would cost more than all of this.
-    return np.sqrt([np.partition(((centres - one) ** 2).sum(axis=1), 1)[1] for one in centres])
+    nearest = np.empty(len(centres))
+    for index, one in enumerate(centres):
+        squared = ((centres - one) ** 2).sum(axis=1)
+        squared[index] = np.inf
+        nearest[index] = np.sqrt(squared.min())
+    return nearest
 
 
 def _convergence_rad(axes: Array) -> float:

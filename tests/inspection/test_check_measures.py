@@ -318,6 +318,7 @@ def test_doubled_places_are_found():
 
     assert same_places(cameras) == [[], [3], [], [1]]
     assert neighbour_spacing(cameras)[[1, 3]] == pytest.approx([0, 0])
+    assert neighbour_spacing(cameras[:1]) == np.inf
 
 
 def test_intrinsics_are_judged_by_their_closed_forms():
