@@ -130,7 +130,11 @@ def evaluate_demos(
     tables: list[Path] = []
     plans: list[RunPlan] = []
     failures: tuple[Failure, ...] = ()
+    has_grown = False
     for each in planned:
+        if has_grown:  # asked here, as the last page is written once, with its figures
+            show(report(roots, tables_of=tables, with_figures=False))
+        has_grown = False
         plans += each.plans if isinstance(each, SweepPlan) else [each]
         if isinstance(each, SweepPlan):
             result = run_sweep(each, workers)
@@ -144,8 +148,7 @@ def evaluate_demos(
             measure(each, workers)
         shutil.rmtree(first_root(each.run.root), ignore_errors=True)
         roots = [*dict.fromkeys([*roots, each.run.root])]
-        if not left.is_nothing():
-            show(report(roots, tables_of=tables, with_figures=False))
+        has_grown = not left.is_nothing()
     if not failures:
         drop_found_depth(plans)
     page = report(roots, tables_of=tables)
