@@ -147,7 +147,7 @@ class RadianceNetwork(nn.Module):
         encoded = encode(places)
         scale, hidden = self.pts_bias(seen), encoded
         for i, layer in enumerate(self.pts_linears):
-            hidden = functional.relu(layer(hidden) * scale)
+            hidden = layer(hidden).mul_(scale).relu_()  # in place, as memory is what takes the time
             if i == SKIPPING_LAYER:
                 hidden = torch.cat([encoded, hidden], dim=-1)
         density = functional.relu(self.alpha_linear(hidden))[:, 0]
