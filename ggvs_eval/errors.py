@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Iterable
 from difflib import get_close_matches
+from pathlib import Path
 
 LONGEST_WORD = 1000  # of a message: longer than most paths, shorter than what a hostile file calls a name
 LONGEST_NAME = 100  # for which another is suggested: likeness takes time
@@ -156,6 +157,14 @@ def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6, prefix: s
     alike = [one for one in known if _plain_numbers(one) == _plain_numbers(name)]
     nearest = alike or (get_close_matches(name, known, n=1, cutoff=cutoff) if len(name) <= LONGEST_NAME else [])
     return f"; did you mean {prefix}{nearest[0]}?" if nearest else ""
+
+
+def no_such_path(path: Path, wanted: str) -> str:
+    """Return the message that there is nothing at a path, with the name next to it that was probably meant."""
+    place = path.parent
+    names = [one.name for one in place.iterdir()] if place.is_dir() else []
+    suggestion = did_you_mean(path.name, names, prefix="" if str(place) == "." else f"{place}/")
+    return f"{path}: wanted {wanted}, got no such path{suggestion or '; check it'}"
 
 
 def _plain_numbers(name: str) -> str:

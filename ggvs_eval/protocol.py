@@ -5,11 +5,12 @@ import hashlib
 import json
 import pathlib
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, Literal
 
-from ggvs_eval.errors import ProtocolError, did_you_mean
+from ggvs_eval.errors import ProtocolError, did_you_mean, no_such_path
 from ggvs_eval.files.images import ResizeFilter
 from ggvs_eval.files.toml_tables import build_table, key_of, parse_toml, read_toml
 from ggvs_eval.geometry.source_views import SourceChoice
@@ -20,6 +21,7 @@ STREAMED = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")  # the usual metrics, and th
 OF_OWN_TRUTH = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "Flicker", "SDT")  # of renders that come with their reference
 AGREEING = {"PSNR": 0.05, "SSIM": 0.002, "LPIPS": 0.005}  # change by 8 bit and another implementation, at most
 COSTLIEST = "LPIPS"  # of the usual metrics; as much as all others
+MOST_DIFFERENCES = 4  # that a message lists
 ON_SCREEN = "_stream"  # suffix of a metric's name: measured on the displayed frames, see `Stream`
 
 
@@ -296,7 +298,7 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
     path = pathlib.Path(source)
     if path.suffix == ".toml":
         if not path.is_file():
-            raise ProtocolError(f"{path}: no such protocol file; packaged ones are {', '.join(packaged_protocols())}")
+            raise ProtocolError(no_such_path(path, "a protocol file or a packaged name"))
         values = read_toml(path, ProtocolError)
     else:
         if str(source) not in packaged_protocols():
@@ -308,6 +310,25 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
     values = {"name": path.stem, **values}
     values = {"dataset": values["name"], **values}
     return checked_protocol(build_table(Protocol, values, str(source), "", ProtocolError), str(source))
+
+
+def name_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """Return the first differences of two records in words, as ``a.b: 1 and 2``; of lists what one of them has alone."""
+    differing = _differences(one, other)
+    more = f" and {len(differing) - MOST_DIFFERENCES} more" if len(differing) > MOST_DIFFERENCES else ""
+    return "; ".join(differing[:MOST_DIFFERENCES]) + more
+
+
+def _differences(one: Any, other: Any, name: str = "") -> list[str]:
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        keys = dict.fromkeys([*one, *other])
+        return [each for key in keys for each in _differences(one.get(key), other.get(key), f"{name}.{key}".lstrip("."))]
+    if one == other:
+        return []
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple) and {*map(str, one)} != {*map(str, other)}:
+        alone = [[str(each) for each in these if each not in those] for these, those in ((one, other), (other, one))]
+        one, other = (", ".join(each) or "none" for each in alone)
+    return [f"{name}: {str(one)[:60]} and {str(other)[:60]}"]
 
 
 def packaged_protocols() -> list[str]:

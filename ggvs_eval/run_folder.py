@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.errors import RenderError, ResultsError
+from ggvs_eval.errors import RenderError, ResultsError, no_such_path
 from ggvs_eval.files.atomic import write_text
 from ggvs_eval.protocol import Protocol, load_protocol
 
@@ -134,6 +134,8 @@ class RunFolder:
         return read_json(self.root / "capture.json")
 
     def _require_run(self) -> None:
+        if not self.root.exists():
+            raise ResultsError(no_such_path(self.root, "a run folder"))
         if not self.protocol_file.is_file():
             raise ResultsError(f"{self.root}: wanted a run folder with protocol.toml, got none; create one by `ggvs-eval run`")
 

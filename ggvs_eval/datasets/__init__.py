@@ -16,7 +16,7 @@ from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.public_captures import locate
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.datasets.unread_files import find_marked, unread_note, unused_note
-from ggvs_eval.errors import CaptureError, GgvsError, did_you_mean
+from ggvs_eval.errors import CaptureError, GgvsError, did_you_mean, no_such_path
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_entries, list_files
 from ggvs_eval.files.plain import watch_reads
 from ggvs_eval.plugins import Registry, foreign
@@ -99,7 +99,7 @@ def open_capture(
     """
     path = locate(Path(path))
     if not path.exists():
-        raise CaptureError(f"{path}: wanted a folder with a capture, got no such path; check it")
+        raise CaptureError(no_such_path(path, "a folder with a capture"))
     if path.is_dir() and not list_entries(path):
         raise CaptureError(f"{path}: wanted a capture, got an empty folder; add frames and poses, or try 'ggvs-eval demo'")
     spec = DATASETS[detect_layout(path, layout)]
@@ -148,6 +148,8 @@ def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
 
 def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
     """State why a path is of no layout: what it shows first, then what else was looked for."""
+    if path.is_file():
+        return f"{path}: wanted the folder of a capture, got a file; give {path.parent if path.parent.name else 'its folder'}"
     refuse_chapters(path, [file.stem for file in list_files(path, VIDEO_SUFFIXES)])
     within, mark = _captures_within(path), calibration_mark(path)
     remedy = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"

@@ -210,7 +210,7 @@ def _found_by_name(
     except RenderError as error:
         raise RenderError(f"{pair.rendered.parent}: {error}") from None
     is_whole = 0 < len(claims) == len(placed)
-    agreeing = f"{pair.truth.name}/ agrees with the captured frames ({level:.1f} levels of 255 apart)"
+    agreeing = f"{pair.truth.name}/ agrees with the truth of the run ({level:.1f} levels of 255 apart)"
     return replace(renders, notes=(agreeing if is_whole else f"no complete {pair.truth.name}/ to compare with the capture",))
 
 

@@ -170,9 +170,11 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
     Raises:
         RenderError: anything missing, extra or unusable; up to 20 of each are named, and all are counted.
     """
-    groups = {"frames are missing": fitted.missing, "cannot be used": fitted.faulty, "belongs to nothing": fitted.extras}
+    groups = {"frames are missing": fitted.missing, "cannot be used": fitted.faulty, "fits no view and frame": fitted.extras}
     listed = [f"{title}: {_listed(items)}" for title, items in groups.items() if items]
     if listed:
+        if fitted.untested:
+            listed.append(f"there are renders of {', '.join(fitted.untested)}, which the protocol does not test")
         numbered = [numbering] if numbering else []
         rest = ", or add --allow-partial to score the rest" if fitted.usable else ""
         raise RenderError(f"{path}: {'; '.join([*numbered, *listed])}; fix these{rest}")

@@ -383,7 +383,7 @@ def _compare_truth(stack: ArrayStack, indices: Mapping[int, int], view: str, req
             f"{truth.name}: wanted the captured frames of {view}, got pictures {level:.1f} levels of 255 away; check view, "
             "frames and --first-frame, or score them with their own truth: --with-truth"
         )
-    return f"{truth.path.name}[{OWN_TRUTH}] agrees with the captured frames ({level:.1f} levels of 255 apart)"
+    return f"{truth.path.name}[{OWN_TRUTH}] agrees with the truth of the run ({level:.1f} levels of 255 apart)"
 
 
 def _found(

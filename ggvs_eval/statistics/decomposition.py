@@ -29,10 +29,10 @@ class TwoWay:
     SDT and SDV are margins of the same parts. With s_v the standard deviation of view v over its frames and u_t that of
     frame t over the views, both with divisor n - ddof:
 
-    - mean of s_v ** 2 over the views  = (ss_time + ss_rest) / (V (T - ddof)), `variance_over_time`
-    - mean of u_t ** 2 over the frames = (ss_view + ss_rest) / (T (V - ddof)), `variance_over_views`
-    - SDT ** 2 = (mean of s_v) ** 2 = variance_over_time - var(s_v), SDV ** 2 = variance_over_views - var(u_t), the outer
-      variance with divisor n: the mean of squares is the square of the mean plus the variance.
+    - mean of s_v ** 2 over the views  = (ss_time + ss_rest) / (V (T - ddof))
+    - mean of u_t ** 2 over the frames = (ss_view + ss_rest) / (T (V - ddof))
+    - SDT ** 2 = (mean of s_v) ** 2 is the first less var(s_v), SDV ** 2 the second less var(u_t), the outer variance with
+      divisor n: the mean of squares is the square of the mean plus the variance.
 
     So a bias moves neither, SDT is blind to the view effect, SDV to the time effect, and the rest is in both.
 
@@ -70,18 +70,6 @@ class TwoWay:
         squares = {"view": self.ss_view, "time": self.ss_time, "rest": self.ss_rest}
         total = sum(squares.values())
         return {name: square / total if total else 0.0 for name, square in squares.items()}
-
-    def variance_over_time(self, ddof: int = 1) -> float:
-        """Mean over the views of the variance over time: the square of SDT except for the spread of SDT over the views."""
-        views, frames = self.rest.shape
-        _check_count(frames, ddof, "frames")
-        return (self.ss_time + self.ss_rest) / (views * (frames - ddof))
-
-    def variance_over_views(self, ddof: int = 1) -> float:
-        """Mean over the frames of the variance over views: the square of SDV except for the spread of SDV over the frames."""
-        views, frames = self.rest.shape
-        _check_count(views, ddof, "views")
-        return (self.ss_view + self.ss_rest) / (frames * (views - ddof))
 
     def sdt(self, ddof: int = 1) -> float:
         """Return the mean over the views of the standard deviation over time, from the parts alone."""

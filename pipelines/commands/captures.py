@@ -11,7 +11,7 @@ import tyro
 
 from ggvs_eval.datasets.assemble import Crop, write_crop
 from ggvs_eval.datasets.public_captures import find_scene, get_capture, locate
-from ggvs_eval.errors import CaptureError, CommandError, ProtocolError
+from ggvs_eval.errors import CaptureError, CommandError, ProtocolError, no_such_path
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.pipelines.commands.flags import (
     CAPTURE_DEFAULTS,
@@ -101,7 +101,7 @@ def check(
 
     capture = locate(capture)
     if not capture.exists():
-        raise CaptureError(f"{capture}: wanted a folder or a file with a capture, got no such path; check it")
+        raise CaptureError(no_such_path(capture, "a folder or a file with a capture"))
     out = out or Path(f"{capture.resolve().name}.check.json")
     if crop is not None:
         print(write_crop(capture if capture.is_dir() else capture.parent, Crop(*crop)))

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from ggvs_eval.errors import CaptureError, CommandError
+from ggvs_eval.errors import CaptureError, CommandError, no_such_path
 from ggvs_eval.pipelines.commands import captures, runs
 from ggvs_eval.pipelines.commands.captures import Calibrating
 from ggvs_eval.pipelines.commands.flags import (
@@ -62,7 +62,7 @@ def evaluate(
         engine: job execution.
     """
     if not videos.exists():
-        raise CaptureError(f"{videos}: wanted videos, or folders of images, of several cameras, got no such path; check it")
+        raise CaptureError(no_such_path(videos, "videos, or folders of images, of several cameras"))
     shown = _Steps()
     capture = out / "capture" if _needs_poses(videos, reading.layout) else videos
     if capture != videos and not (capture / CALIBRATED).is_file():

@@ -118,8 +118,8 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
     try:
         command = commands[name]
     except KeyError:
-        suggestion = did_you_mean(name, commands)
-        raise CommandError(f"{program}: no command {name!r}; commands are {', '.join(commands)}{suggestion}") from None
+        called, suggestion = " ".join([*program.split()[1:], name]), did_you_mean(name, commands)
+        raise CommandError(f"no command {called!r}; commands are {', '.join(commands)}{suggestion}") from None
     if isinstance(command, Mapping):
         call_command(f"{program} {name}", command, words[1:])
     elif commands is COMMANDS and name in VERBS and (wider := VERBS[name].wider) and _is_of(wider, command, words[1:]):

@@ -9,7 +9,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.camera_frames import coding_of
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.atomic import write_text
-from ggvs_eval.protocol import Protocol
+from ggvs_eval.protocol import Protocol, name_differences
 from ggvs_eval.run_folder import RunFolder, write_json
 
 
@@ -33,8 +33,7 @@ def require_owner(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
 def require_protocol(run: RunFolder, protocol: Protocol) -> None:
     """Refuse a folder that holds a run of another protocol."""
     if run.protocol_file.is_file() and not (kept := run.protocol()).agrees_with(protocol):
-        asked = f"{protocol.name} {protocol.sha256[:12]}"
-        _refuse(run, f"another protocol: {kept.name} {kept.sha256[:12]}, wanted {asked}; compare {run.protocol_file}")
+        _refuse(run, f"another protocol (there and here: {name_differences(kept.values(), protocol.values())})")
 
 
 def claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.coverage import IMPORT_FILE, read_import
-from ggvs_eval.errors import GgvsError, MetricError, ProtocolError, RenderError
+from ggvs_eval.errors import GgvsError, MetricError, ProtocolError, RenderError, no_such_path
 from ggvs_eval.files.archive import Limits, is_archive, unpack
 from ggvs_eval.files.atomic import absent_unless_made, atomic_folder, remove_leftovers, scratch_folder
 from ggvs_eval.files.digest import digest_files, digest_values
@@ -89,7 +89,7 @@ def require_there(renders: Mapping[str, Path]) -> None:
     for label, path in renders.items():
         _check_label(label)
         if not path.exists():
-            raise RenderError(f"{path}: wanted renders, got no such path; check it")
+            raise RenderError(no_such_path(path, "renders"))
 
 
 @contextmanager
@@ -250,7 +250,9 @@ def run_for(
     """
     asked = asked_protocol(protocol) if protocol else None
     if root is None and open_capture is None:
-        raise ProtocolError("wanted a run folder, or --capture CAPTURE and --protocol PROTOCOL to make one, got neither")
+        raise ProtocolError(
+            "wanted a run folder, or --capture CAPTURE to make one, got neither; --with-truth scores archives that have both"
+        )
     capture = open_capture() if open_capture else None
     run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))
     own = run.protocol() if run.protocol_file.is_file() else None

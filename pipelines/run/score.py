@@ -113,13 +113,15 @@ class Scores:
 
     def time_words(self, workers: int) -> str:
         """State the expected time of the views left to score, and how to shorten it; empty if seconds."""
-        protocol, left = self.run.protocol(), sum(not job.is_done() for job in self.views)
-        frames = left * protocol.frames.count
-        if frames * len(self.labels) < TOLD_FRAMES or self.device != "cpu":
+        protocol, views = self.run.protocol(), [job.folder / JOB_FILE for job in self.views if not job.is_done()]
+        measured = [read_json(file)["methods"] for file in views if file.is_file()]
+        left = [label for label in self.labels if not measured or any(label not in methods for methods in measured)]
+        labels, frames = left or self.labels, len(views) * protocol.frames.count
+        if frames * len(labels) < TOLD_FRAMES or self.device != "cpu":
             return ""
         size = read_header(frame_path(self.run.truth(protocol.views.test[0]), protocol.frames.start)).size
         cost = score_cost(protocol.measurement) * size[0] * size[1] / 1e6
-        seconds = cost * frames * len(self.labels) * pace() / min(workers, left)
+        seconds = cost * frames * len(labels) * pace() / min(workers, len(views))
         every = protocol.measurement.lpips_every
         of_lpips = (
             f"; {COSTLIEST} of {'every frame' if every == 1 else f'one frame in {every}'}"
@@ -127,7 +129,7 @@ class Scores:
             else ""
         )
         shorter = f": {STAGES['scoring']} shortens it" if of_lpips and every == 1 and seconds >= TOLD_S else ""
-        what = f"scoring {counted(frames, 'frame')} of {counted(len(self.labels), 'method')}"
+        what = f"scoring {counted(frames, 'frame')} of {'each of ' * (len(labels) > 1)}{counted(len(labels), 'method')}"
         return f"{what} takes about {duration(seconds)}{of_lpips}{shorter}"
 
     def collect(self) -> Results:

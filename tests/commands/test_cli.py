@@ -202,7 +202,7 @@ def test_options_are_those_of_the_network(capsys, tmp_path):
     ("arguments", "ends"),
     [
         (("trian",), "no command 'trian'; commands are demo, .*; did you mean train?"),
-        (("train", "blnd", "out"), "no command 'blnd'; commands are blend, .*; did you mean blend?"),
+        (("train", "blnd", "out"), "no command 'train blnd'; commands are blend, .*; did you mean blend?"),
         (
             ("explain", "run", "ssmi", "0.9"),
             "wanted a metric with known conventions, got 'ssmi'; known are psnr, .*; did you mean ssim?",

@@ -122,13 +122,13 @@ def test_two_pictures_in_one_are_named(axis, words, truth_run, tmp_path):
 
 
 def test_flat_names_that_tell_two_things_are_not_guessed(truth_run, tmp_path):
-    """Two views, two numbers, or none: such a picture belongs to nothing, and is named."""
+    """Two views, two numbers, or none: such a picture fits none, and is named."""
     folder = write_folders(tmp_path / "theirs", pattern="{view}_{number:04d}.png")
     for name in ("cam00_cam02_0002.png", "cam00_0002_0003.png", "preview.png"):
         write_image(folder / name, rendered("cam00", 2))
 
     message = refusal(truth_run, folder)
-    assert "belongs to nothing: cam00_0002_0003.png; cam00_cam02_0002.png; preview.png" in message
+    assert "fits no view and frame: cam00_0002_0003.png; cam00_cam02_0002.png; preview.png" in message
 
 
 def test_one_archive_under_two_spellings_is_no_hole(truth_run, tmp_path):

@@ -201,7 +201,7 @@ def test_one_missing_frame_says_which_instant_and_which_name(tmp_path):
     message = str(caught.value)
     assert "numbered from 1: 1-2, 4-6 are used as the instants 0-1, 3-5 of the capture; frames are missing: " in message
     assert "mine in cam00 lacks 2 (numbered 3)" in message
-    assert "belongs to nothing" not in message
+    assert "fits no view and frame" not in message
 
 
 def test_frames_without_numbers_need_none_where_one_is_asked_for(tmp_path):

@@ -260,7 +260,7 @@ LOOKALIKES: dict[str, tuple[Callable[[Path], Path], list[str], list[str]]] = {
     ".jpg beside .png": (
         lambda f: converted(write_folders(f), ".jpg", keep=True),
         ["mine in cam00: 2-4 (several pictures of one frame: 0002.jpg and 0002.png; give a folder with one of each)"],
-        ["lacks", "belongs to nothing"],
+        ["lacks", "fits no view and frame"],
     ),
 }
 

@@ -109,7 +109,7 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "double arrays in npz": (lambda f: write_arrays(f, "float64", ".npz"), "one array per view", "rounded to 8 bit"),
     "one npz": (write_one_npz, "one array per view", "in order"),
     "one array of all views": (write_one_array, "one array per view", "its 2 stacks are taken for cam02, cam00"),
-    "flat, whose views are links": (write_linked, BESIDE_TRUTH, "gt/ agrees with the captured frames"),
+    "flat, whose views are links": (write_linked, BESIDE_TRUTH, "gt/ agrees with the truth of the run"),
     "flat, view by view": (lambda f: write_flat(f, view_major()), BESIDE_TRUTH, "view after view"),
     "flat, instant by instant": (lambda f: write_flat(f, by_frame), BESIDE_TRUTH, "instant after instant"),
     "flat, by alphabet": (lambda f: write_flat(f, by_alphabet), BESIDE_TRUTH, "cam00, cam02 in frames 2-4"),

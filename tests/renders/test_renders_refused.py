@@ -61,7 +61,7 @@ def test_everything_wrong_is_in_one_list(truth_run, tmp_path):
     assert "frames are missing: mine in cam02 lacks 2-3; " in message
     assert "mine in cam00: 2-3 (32 x 24 instead of 64 x 48: to score them at this size" in message
     assert "mine in cam00: 4 (no picture that can be read)" in message
-    assert "belongs to nothing: depth/ (1 pictures); cam02/0099.png" in message
+    assert "fits no view and frame: depth/ (1 pictures); cam02/0099.png" in message
     assert "--allow-partial" in message
 
 
@@ -89,7 +89,7 @@ def test_a_long_list_is_counted(truth_run, tmp_path):
 
 
 def message_items(message: str) -> tuple[int, str]:
-    listed = message.partition("belongs to nothing: ")[2]
+    listed = message.partition("fits no view and frame: ")[2]
     return listed.count("cam00/"), "and" + listed.partition(" and")[2].partition(";")[0]
 
 
@@ -208,7 +208,7 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     ),
     "a damaged video": (damaged_video, "the file is truncated or no video"),
     "one video too few": (lambda f: write_videos(f, views=["cam00"]), "mine in cam02 lacks all 3 frames"),
-    "one video too many": (with_another_video, "belongs to nothing: depth.mp4"),
+    "one video too many": (with_another_video, "fits no view and frame: depth.mp4"),
     "channels first": (
         lambda f: write_array(f, stack("cam00").transpose(0, 3, 1, 2)),
         "wanted an array (T, H, W, 3), got (3, 3, 48, 64), which has its channels first: save frames.transpose(0, 2, 3, 1)",

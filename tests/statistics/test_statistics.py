@@ -69,10 +69,13 @@ def test_sdt_and_sdv_are_margins(matrix, ddof):
     assert parts.sdt(ddof) == pytest.approx(sdt(matrix, ddof), rel=1e-12)
     assert parts.sdv(ddof) == pytest.approx(sdv(matrix, ddof), rel=1e-12)
     over_time, over_views = matrix.std(axis=1, ddof=ddof), matrix.std(axis=0, ddof=ddof)
-    assert parts.variance_over_time(ddof) == pytest.approx(np.square(over_time).mean(), rel=1e-12)
-    assert parts.variance_over_views(ddof) == pytest.approx(np.square(over_views).mean(), rel=1e-12)
-    assert sdt(matrix, ddof) ** 2 == pytest.approx(parts.variance_over_time(ddof) - over_time.var(), rel=1e-12)
-    assert sdv(matrix, ddof) ** 2 == pytest.approx(parts.variance_over_views(ddof) - over_views.var(), rel=1e-12)
+    views, frames = matrix.shape
+    of_time = (parts.ss_time + parts.ss_rest) / (views * (frames - ddof))
+    of_views = (parts.ss_view + parts.ss_rest) / (frames * (views - ddof))
+    assert of_time == pytest.approx(np.square(over_time).mean(), rel=1e-12)
+    assert of_views == pytest.approx(np.square(over_views).mean(), rel=1e-12)
+    assert sdt(matrix, ddof) ** 2 == pytest.approx(of_time - over_time.var(), rel=1e-12)
+    assert sdv(matrix, ddof) ** 2 == pytest.approx(of_views - over_views.var(), rel=1e-12)
 
 
 def test_bias_moves_no_deviation(matrix):

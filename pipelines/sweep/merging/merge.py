@@ -17,6 +17,7 @@ from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.jobs.ledger import JOBS_FOLDER
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, join_records
 from ggvs_eval.pipelines.run.render import FITS
+from ggvs_eval.protocol import name_differences
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 ROUNDING = 1e-6  # machines add in different orders
@@ -177,11 +178,9 @@ def _require_alike(runs: Sequence[RunFolder]) -> None:
     first, *others = runs
     identity = _identity(first)
     for run in others:
-        differences = _differences(identity, _identity(run))
-        if differences:
-            more = f" and {len(differences) - 4} more" if len(differences) > 4 else ""
+        if differences := name_differences(identity, _identity(run)):
             raise ProtocolError(
-                f"{first.root} and {run.root} are not runs of one protocol and capture: {'; '.join(differences[:4])}{more}; "
+                f"{first.root} and {run.root} are not runs of one protocol and capture: {differences}; "
                 "merge runs that differ in their methods or rendered views alone"
             )
 
@@ -195,14 +194,6 @@ def _identity(run: RunFolder) -> dict[str, Any]:
         "capture": {name: record.get(name) for name in SAME_OF_CAPTURE},
         "depth": {name: value for name, value in depth.items() if name != "stereo_weights"},
     }
-
-
-def _differences(one: Any, other: Any, name: str = "") -> list[str]:
-    """List the differences of two records, as ``a.b: 1 and 2``."""
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        keys = dict.fromkeys([*one, *other])
-        return [each for key in keys for each in _differences(one.get(key), other.get(key), f"{name}.{key}".lstrip("."))]
-    return [] if one == other else [f"{name}: {str(one)[:60]} and {str(other)[:60]}"]
 
 
 def _place(unit: Unit, target: Path, place: Place) -> None:
