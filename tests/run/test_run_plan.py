@@ -342,7 +342,7 @@ def test_a_sweep_is_planned_as_one(demo_capture, protocol, tmp_path):
 
 def test_a_folder_of_another_run_is_refused(finished, demo_capture, protocol):
     """A folder of another protocol is refused when it is planned, hence by a dry run, too; the message names both."""
-    with refused(ProtocolError, "protocol", protocol.name):
+    with refused(ProtocolError, "another protocol", "synthesis.k: "):
         planned(finished, demo_capture, dataclasses.replace(protocol, synthesis=Synthesis(3)))
 
 
