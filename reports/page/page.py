@@ -104,7 +104,7 @@ def viewer_data(
         full: the run folder as an address from the page; empty if the page cannot name it.
     """
     return {
-        "run": run.folder.root.resolve().name,
+        "run": _run_words(run.folder.root, str(run.capture.get("path", ""))),
         "full": full,
         "width": comparison.width,
         "views": comparison.views,
@@ -297,18 +297,28 @@ def _without_empty_rows(table: Table) -> Table:
 
 
 def reproduce(run: MeasuredRun, capture: str) -> list[str]:
-    """Return the commands that reproduce these numbers; folders by last name only, to reveal nothing of the machine."""
-    root = run.folder.root.name
+    """Return the commands that reproduce these numbers; folders by last names only, to reveal nothing of the machine."""
+    root = _run_words(run.folder.root, capture)
     ours = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
     foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in ours]
-    prepare = ["prepare", root, "--capture", Path(capture).name, "--protocol", f"{root}/protocol.toml"]
-    commands = [[*prepare, *(["--matcher", matcher] if (matcher := _matcher(run)) else [])]]
+    given, terms = ["--capture", Path(capture).name], ["--protocol", f"{root}/protocol.toml"]
+    if ours:
+        commands = [["prepare", root, *given, *terms, *(["--matcher", matcher] if (matcher := _matcher(run)) else [])]]
+        scored = ["score", root, *(["--renders", *foreign] if foreign else [])]
+    else:  # no depth is needed
+        commands, given = [], ["--with-truth"] if run.has_own_truth else given
+        scored = ["score", "--run", root, *given, *terms, "--renders", *foreign]
     on_gpu = {render.rsplit("/", 1)[0] for render in run.results.devices}
     for device, flags in ((False, []), (True, ["--device", "cuda"])):
         if labels := [label for label in ours if (label in on_gpu) == device]:
             commands.append(["render", root, "--methods", *labels, *flags])
-    commands += [["score", root, *(["--renders", *foreign] if foreign else [])], ["report", root]]
-    return [shlex.join(["ggvs-eval", *command]) for command in commands]
+    return [shlex.join(["ggvs-eval", *command]) for command in (*commands, scored, ["report", root])]
+
+
+def _run_words(root: Path, capture: str) -> str:
+    """Last name of a run folder, after its parent's where the capture has the same."""
+    *_, parent, name = ("", *root.resolve().parts[1:])
+    return f"{parent}/{name}" if parent and name == Path(capture).name else name
 
 
 def _section(
