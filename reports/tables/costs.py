@@ -343,7 +343,8 @@ def differences_table(run: MeasuredRun) -> Table | None:
 
 def _same(run: MeasuredRun) -> str:
     protocol, synthesis = run.protocol, run.protocol.synthesis
-    sources = f"K = {synthesis.k} sources for methods that render from sources; " if run.from_sources.intersection(run.labels) else ""
+    known = run.from_sources.intersection(run.labels)
+    sources = f"K = {synthesis.k} sources for methods that render from sources; " if known else ""
     way = measuring_way(protocol.measurement)
     measured = f", {way.describe}," if way else ""
     size = f"{synthesis.width} x {synthesis.height}" if synthesis.width else "the capture's size"
