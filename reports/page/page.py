@@ -13,7 +13,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ggvs_eval.files.images import read_image
 from ggvs_eval.files.templates import open_templates
 from ggvs_eval.geometry.source_views import CHOSEN_AS
 from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE, method_numbers, round_ticks
@@ -44,7 +43,7 @@ from ggvs_eval.reports.tables.published import CAVEATS, PAPER
 from ggvs_eval.reports.tables.reproduction import HEADS, MEANING, PAPER_MAP, Reproduction, blocks, count_words, paper_tables
 from ggvs_eval.reports.tables.table_formats import copyable
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict, leaders
-from ggvs_eval.run_folder import JOB_FILE, frame_path, read_json
+from ggvs_eval.run_folder import JOB_FILE, read_json
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -347,7 +346,7 @@ def _section(
         "title": title,
         "address": address,
         "opening": opening,
-        "insets": _insets(run, opening),
+        "insets": _insets(run, opening, comparison.full_size[0]),
         "view_tables": section.view_tables,
         "timing": section.timing,
         "costs": section.costs,
@@ -369,16 +368,16 @@ def _section(
     }
 
 
-def _insets(run: MeasuredRun, keys: Sequence[str]) -> dict[str, Any]:
-    """The square in which the two methods of the first screen differ most, of each picture at full size; none of one method."""
-    labels = tuple(key for key in keys if key != "truth")
+def _insets(run: MeasuredRun, keys: Sequence[str], width: int) -> dict[str, dict[str, float]]:
+    """View -> place of the square in which the two methods of the first screen differ most, in its sides; none of one method."""
+    labels, count = tuple(key for key in keys if key != "truth"), len(run.protocol.views.test)
     if len(labels) < 2:
         return {}
-    (region,) = find_regions(replace(run, labels=labels), "different", labels[0], 1)
-    rows, columns = slice(region.top, region.top + region.side), slice(region.left, region.left + region.side)
-    folders = run.frame_folders(region.view)
-    crops = {key: png_uri(read_image(frame_path(folders[key], region.frame))[rows, columns]) for key in keys}
-    return {"crops": crops, "place": f"{region.view}, frame {region.frame}"}
+    regions = find_regions(replace(run, labels=labels), "different", labels[0], count, one_per_view=True)
+    return {
+        one.view: {name: round(size / one.side, 4) for name, size in (("left", one.left), ("top", one.top), ("across", width))}
+        for one in regions
+    }
 
 
 def _matcher(run: MeasuredRun) -> str:
