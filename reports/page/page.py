@@ -390,7 +390,8 @@ def _matcher(run: MeasuredRun) -> str:
 def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
     """List the facts about the capture, including notes about what was left out."""
     plain = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
-    facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in plain.items()}
+    shown = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in plain.items()}
+    facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in shown.items()}
     facts |= {"cameras": len(capture["cameras"])} if capture.get("cameras") else {}
     notes = "; ".join(capture.get("notes", ()))
     return facts | ({"notes": notes} if notes else {})
