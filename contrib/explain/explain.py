@@ -186,7 +186,8 @@ def explanation_table(
         for one in sorted(shown, key=lambda one: (not one.matches, one.views != ALL_VIEWS, one.matches and not one.is_ours))
     ]
     table = text_table({"": 0, " ": 0, metric.upper(): 0, "over": 0, "convention": 1}, rows, width)
-    left = f"\n\n{len(conventions)} conventions tried; --all shows them" if len(nearest) < len(others) else ""
+    count = len(others) + sum(one.matches and one.views == ALL_VIEWS for one in conventions)
+    left = f"\n\n{count} conventions tried; --all shows them" if len(nearest) < len(others) else ""
     return f"{textwrap.fill(_sentence(metric.upper(), quoted, conventions), width)}\n\n{table}{left}"
 
 
@@ -216,8 +217,8 @@ def _matching(metric: str, quoted: str, matching: Sequence[Convention], share: f
 
 
 def _share_text(share: float) -> str:
-    shown = f"{share:.0%}" if share >= 0.01 else "less than 1 %"
-    return f"{shown} of the numbers within {NEIGHBOURHOOD:.0%} of it would match one by chance"
+    shown = f"{100 * share:.0f} %" if share >= 0.01 else "less than 1 %"
+    return f"{shown} of the numbers within {100 * NEIGHBOURHOOD:.0f} % of it would match one by chance"
 
 
 def _full_name(convention: Convention) -> str:

@@ -536,7 +536,7 @@ def test_a_wrong_value_is_explained_by_nothing():
     assert sentence.endswith("each is off by more than 0.00067")
     rows = [line for line in text.splitlines()[4:] if ALL_VIEWS in line.partition("tried;")[0]]
     assert len(rows) in (5, 6)  # ours as well
-    assert text.endswith(f"\n\n{len(tried)} conventions tried; --all shows them")
+    assert text.endswith(f"\n\n{everywhere} conventions tried; --all shows them")
     assert explanation_table("psnr", f"{value:.3f}", tried, shows_all=True).count(ALL_VIEWS) >= everywhere
     assert max(map(len, text.splitlines())) <= 130
 
