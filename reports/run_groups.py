@@ -144,6 +144,7 @@ def _read_section(root: Path, scored: str, scene: str) -> RunSection:
 
 def _name_groups(firsts: Sequence[MeasuredRun], scenes: Sequence[str]) -> list[str]:
     """Name the groups so that they differ: scene, protocol and K, with the protocol's hash where these are the same."""
-    names = [f"{scene}, {run.protocol.name}, {run.sources_text}" for run, scene in zip(firsts, scenes, strict=True)]
+    terms = [(scene, run.protocol.name, run.sources_text) for run, scene in zip(firsts, scenes, strict=True)]
+    names = [", ".join(filter(None, each)) for each in terms]
     hashes = [run.protocol.sha256[:HASH_DIGITS] for run in firsts]
     return [f"{name}, {digest}" if names.count(name) > 1 else name for name, digest in zip(names, hashes, strict=True)]

@@ -41,7 +41,8 @@ def tables_of_runs(roots: Sequence[Path], columns: Sequence[str], to: TableForma
     several = len({run.scene for run in runs}) > 1
     tables = [_over_scenes(runs, results, name) for name in names] if several else [*main_tables(runs, results, names)]
     means = f"{counted(protocol.frames.count, 'frame')} of {counted(len(protocol.views.test), 'view')}"
-    terms = f"Mean over {means}, {runs[0].sources_text}; protocol {protocol.name}, {protocol.sha256[:HASH_DIGITS]}."
+    means = ", ".join([means, *filter(None, dict.fromkeys(run.sources_text for run in runs))])
+    terms = f"Mean over {means}; protocol {protocol.name}, {protocol.sha256[:HASH_DIGITS]}."
     if not with_notes:
         tables = [_in_short(table, terms, names) for table in tables]
     if to == "csv":

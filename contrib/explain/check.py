@@ -23,6 +23,7 @@ from ggvs_eval.errors import GgvsError, ResultsError, did_you_mean
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
+from ggvs_eval.progress import track
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell
 from ggvs_eval.reports.tables.report_tables import main_tables
@@ -144,9 +145,8 @@ def check_cells(cells: Sequence[QuotedCell], runs: Runs) -> list[CheckedCell]:
         the same metric; otherwise the cell is not reproduced.
     """
     checked = [_against_protocol(cell, runs) for cell in cells]
-    candidates = {
-        at: _matching(cells[at], runs) for at, one in enumerate(checked) if one.verdict in ("undecided", "not reproduced")
-    }
+    open_cells = [at for at, one in enumerate(checked) if one.verdict in ("undecided", "not reproduced")]
+    candidates = {at: _matching(cells[at], runs) for at in track(open_cells, "trying other conventions on cells")}
     for at, (matches, share) in candidates.items():
         elsewhere = {
             name for i, (names, _) in candidates.items() if i != at and cells[i].metric == cells[at].metric for name in names

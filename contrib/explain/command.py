@@ -23,6 +23,7 @@ def explain(
     quoted: Quoted,
     method: str | None = None,
     mask: str | None = None,
+    all: bool = False,
     source: RendersFlags = RENDERS_DEFAULTS,
 ) -> None:
     """Find the metric conventions that give a quoted number.
@@ -36,10 +37,11 @@ def explain(
         method: method of the run folder, if it has several.
         mask: for masked conventions: picture, white where pixels count; folder with VIEW.png or VIEW/FRAME.png; or a box in
             pixels as LEFT,TOP,RIGHT,BOTTOM.
+        all: show every convention that was tried, not only the nearest.
         source: capture and protocol of the renders.
     """
     from ggvs_eval.contrib.explain.explain import explain as recompute
-    from ggvs_eval.contrib.explain.explain import explanation_table, metric_family, printed, read_masks
+    from ggvs_eval.contrib.explain.explain import explanation_table, followed, metric_family, printed, read_masks
     from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
 
     metric_family(metric)  # a mistyped name or number shows before anything is read
@@ -49,7 +51,9 @@ def explain(
             raise RenderError(f"{folder.root}: wanted one method, got {', '.join(labels)}; name one with --method")
         views = views_of_run(folder, method or labels[0], as_measured=True)
         masks = read_masks(mask, views, folder.protocol().measurement) if mask else None
-        print(explanation_table(metric, quoted, recompute(metric, quoted, views, masks)))
+        with followed(views) as read:
+            conventions = recompute(metric, quoted, read, masks)
+        print(explanation_table(metric, quoted, conventions, shows_all=all))
 
 
 def check_table(runs: Scored, table: Path, rows: Rows = (), metric: str | None = None, out: Path | None = None) -> None:

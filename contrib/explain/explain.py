@@ -2,7 +2,8 @@
 
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.built_in import CONVENTIONS, PATH_METRICS
 from ggvs_eval.contrib.explain.frame_conventions import ALL_VIEWS, MaskReader, Recomputed
 from ggvs_eval.errors import AbsentPartError, MetricError, did_you_mean
@@ -21,6 +23,7 @@ from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.pipelines.inspection.table import WIDTH, text_table
 from ggvs_eval.plugins import Registry
+from ggvs_eval.progress import track
 from ggvs_eval.protocol import Measurement
 from ggvs_eval.run_folder import as_ranges
 
@@ -29,6 +32,7 @@ ROUNDING = 5e-6
 # A few dozen conventions are within a decibel or two of each other: two matching digits can be chance. A match is evidence where
 # few of the numbers near the quoted one would match something as well.
 NEIGHBOURHOOD, WEAK_CHANCE = 0.05, 0.25
+NEAREST = 5  # conventions that do not match and are shown
 MOST_DIGITS = 100  # before or behind the point of a printed number
 PRINTED = re.compile(r"(?P<number>[+-]?\d+(?:[.,]\d+)?)\s*(?P<unit>dB|%)?")
 BOX = re.compile(r"\d+(,\d+){3}")
@@ -83,6 +87,20 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
         if len(views) > 1 or over == ALL_VIEWS
     ]
     return sorted(conventions, key=lambda one: not one.is_ours)
+
+
+@contextmanager
+def followed(views: Mapping[str, ViewFrames]) -> Iterator[Mapping[str, ViewFrames]]:
+    """Yield the views with a bar that moves as their rendered frames are read for the first time."""
+    steps = track(range(sum(len(view.frames) for view in views.values())), "comparing frames")
+
+    def passed(image: Image8) -> Image8:
+        next(steps, None)
+        return image
+
+    yield {name: view.with_rendered(passed) for name, view in views.items()}
+    for _ in steps:  # ends the bar
+        pass
 
 
 def metric_family(metric: str) -> str:
@@ -155,15 +173,22 @@ def chance(quoted: str, values: Sequence[float]) -> float:
     return covered / (2 * reach)
 
 
-def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention], width: int = WIDTH) -> str:
-    """Write the result as text: a sentence, and the conventions over all views, with those over one view that match."""
-    shown = [one for one in conventions if one.views == ALL_VIEWS or one.matches]
+def explanation_table(
+    metric: str, quoted: str, conventions: Sequence[Convention], width: int = WIDTH, shows_all: bool = False
+) -> str:
+    """Write the result as text: a sentence, the matches, and of the others over all views the nearest and ours, or all."""
+    others = [one for one in conventions if one.views == ALL_VIEWS and not one.matches]
+    others.sort(key=lambda one: abs(one.value - printed(quoted)[0]))
+    nearest = [one for at, one in enumerate(others) if at < NEAREST or one.is_ours or shows_all]
+    shown = [one for one in conventions if one.matches] + nearest
     rows = [
         ("=" if one.matches else "", "this tool" if one.is_ours else "", f"{one.value:.6g}", one.views, one.name)
-        for one in sorted(shown, key=lambda one: (not one.matches, one.views != ALL_VIEWS, not one.is_ours))
+        for one in sorted(shown, key=lambda one: (not one.matches, one.views != ALL_VIEWS, one.matches and not one.is_ours))
     ]
     table = text_table({"": 0, " ": 0, metric.upper(): 0, "over": 0, "convention": 1}, rows, width)
-    return f"{textwrap.fill(_sentence(metric.upper(), quoted, conventions), width)}\n\n{table}"
+    count = len(others) + sum(one.matches and one.views == ALL_VIEWS for one in conventions)
+    left = f"\n\n{count} conventions tried; --all shows them" if len(nearest) < len(others) else ""
+    return f"{textwrap.fill(_sentence(metric.upper(), quoted, conventions), width)}\n\n{table}{left}"
 
 
 def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> str:
@@ -192,8 +217,8 @@ def _matching(metric: str, quoted: str, matching: Sequence[Convention], share: f
 
 
 def _share_text(share: float) -> str:
-    shown = f"{share:.0%}" if share >= 0.01 else "less than 1 %"
-    return f"{shown} of the numbers within {NEIGHBOURHOOD:.0%} of it would match one by chance"
+    shown = f"{100 * share:.0f} %" if share >= 0.01 else "less than 1 %"
+    return f"{shown} of the numbers within {100 * NEIGHBOURHOOD:.0f} % of it would match one by chance"
 
 
 def _full_name(convention: Convention) -> str:

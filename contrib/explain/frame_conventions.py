@@ -381,6 +381,11 @@ def error_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskR
     return [row for one in rows for row in _on_both_scales(one)]
 
 
+def rmse_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
+    """Return the same; none is this tool's, which measures no RMSE."""
+    return [replace(row, is_ours=False) for row in error_conventions(views, masks)]
+
+
 def _on_both_scales(row: Recomputed) -> list[Recomputed]:
     scaled = {over: value / 255 for over, value in row.values.items()}
     return [replace(row, name=f"{row.name}, 0..255"), Recomputed(f"{row.name}, 0..1", scaled)]

@@ -4,6 +4,7 @@ Dissimilarities are one minus SSIM or half of it; TCC is an SSIM of changes; SDT
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from math import prod
 from typing import Any, get_args
@@ -40,7 +41,7 @@ from ggvs_eval.metrics.image.ssim import ssim_map, ssim_variant
 from ggvs_eval.metrics.time import strred
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
-GAUSSIAN: dict[str, Any] = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+GAUSSIAN: dict[str, Any] = {"side": 11, "sigma": 1.5, "unbiased": False}
 OUR_SSIM = "Gaussian 11 x 11, valid positions, range 1"
 UNIFORM_RANGE_1 = "uniform 7 x 7, range 1 (scikit-image on uint8)"
 UNIFORM_11 = "uniform 11 x 11, range 1 (scikit-image, win_size 11)"
@@ -53,11 +54,17 @@ LUMAS = {"luma BT.601": np.array(strred.LUMA_WEIGHTS), "luma BT.709": BT709}
 SCALES = {"0..255": 1.0, "0..1": 1.0 / 255}
 OURS = ("disjoint pairs", "mean x mean", "luma BT.601", "0..255")
 PAIRINGS = {"disjoint": "disjoint pairs", "consecutive": "consecutive pairs"}
-Outputs = dict[tuple[str, str, str], dict[str, float]]
+STRIP_ROWS = 32  # so that the planes in between stay in cache
 
 
-def ssim_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
-    """SSIM as scikit-image, kornia and the code bases of this field compute it."""
+def ssim_conventions(
+    views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader], ours: tuple[str, ...] = (OUR_SSIM,)
+) -> list[Recomputed]:
+    """SSIM as scikit-image, kornia and the code bases of this field compute it.
+
+    Args:
+        ours: names of those by which this tool measures the metric in question.
+    """
     shortest_px = min(min(view.truth(view.frames[0]).shape[:2]) for view in views.values())
     is_boxed = _box_side(shortest_px) > 1
     measures = {name: measure for name, measure in frame_measures().items() if is_boxed or BOXED not in name}
@@ -67,7 +74,13 @@ def ssim_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
     rows = frame_means(views, measures, OUR_SSIM, (OUR_SSIM, ZERO_PADDED, UNIFORM_RANGE_1))
     rows += [_dissimilarity(row, divisor) for divisor in (1, 2) for row in rows if row.name in plain]
     rows += _inside(views, masks) if all(view in masks for view in views) else []
-    return rows + masked_rows(views, masks, {name: measures[name] for name in (OUR_SSIM, UNIFORM_RANGE_1)})
+    rows += masked_rows(views, masks, {name: measures[name] for name in (OUR_SSIM, UNIFORM_RANGE_1)})
+    return [replace(row, is_ours=row.name in ours) for row in rows]
+
+
+DSSIM = "DSSIM = (1 - SSIM) / 2"
+dssim_conventions = partial(ssim_conventions, ours=(f"{DSSIM}, {UNIFORM_RANGE_1}", f"{DSSIM}, {UNIFORM_RANGE_2}"))
+ms_ssim_conventions = partial(ssim_conventions, ours=(MULTI_SCALE,))
 
 
 def frame_measures() -> dict[str, FrameMeasure]:
@@ -76,18 +89,18 @@ def frame_measures() -> dict[str, FrameMeasure]:
         OUR_SSIM: partial(similarity, **GAUSSIAN),
         "Gaussian 11 x 11, valid positions, range 2": partial(similarity, data_range=2.0, **GAUSSIAN),
         "Gaussian 11 x 11, valid positions, range of the true frame": partial(similarity, data_range=None, **GAUSSIAN),
-        "Gaussian 11 x 11, sample covariance, range 1": partial(similarity, **{**GAUSSIAN, "use_sample_covariance": True}),
+        "Gaussian 11 x 11, sample covariance, range 1": partial(similarity, **{**GAUSSIAN, "unbiased": True}),
         ZERO_PADDED: partial(ssim_variant, name="gaussian-zero"),
         "Gaussian 11 x 11, valid positions, range 1, luma": partial(similarity, luma=True, **GAUSSIAN),
         UNIFORM_RANGE_1: similarity,
         UNIFORM_RANGE_2: partial(similarity, data_range=2.0),
         "uniform 7 x 7, range 255 on images in 0..1": partial(similarity, data_range=255.0),
         "uniform 7 x 7, range of the true frame": partial(similarity, data_range=None),
-        "uniform 7 x 7, population covariance, range 1": partial(similarity, use_sample_covariance=False),
+        "uniform 7 x 7, population covariance, range 1": partial(similarity, unbiased=False),
         "uniform 7 x 7, range 1, luma": partial(similarity, luma=True),
-        UNIFORM_11: partial(similarity, win_size=11),
-        "uniform 11 x 11, range 2": partial(similarity, win_size=11, data_range=2.0),
-        "uniform 11 x 11, population covariance, range 1": partial(similarity, win_size=11, use_sample_covariance=False),
+        UNIFORM_11: partial(similarity, side=11),
+        "uniform 11 x 11, range 2": partial(similarity, side=11, data_range=2.0),
+        "uniform 11 x 11, population covariance, range 1": partial(similarity, side=11, unbiased=False),
         "uniform 7 x 7, range 1, without a border of 10 % (ENeRF, later code)": lambda *pair: similarity(*cropped(*pair)),
         "uniform 7 x 7, range 2, without a border of 10 % (ENeRF as published)": partial(_prepared, cropped, data_range=2.0),
         "uniform 7 x 7, range 2, both at 960 x 640, without a border of 10 % (MVSNeRF on LLFF)": partial(
@@ -100,7 +113,7 @@ def frame_measures() -> dict[str, FrameMeasure]:
         for size, prepare in PREPARATIONS.items()
     }
     windows: dict[str, FrameMeasure] = {
-        f"Gaussian {side} x {side}, {border}, range 1{of}": partial(gaussian_similarity, side=side, border=code)
+        f"Gaussian {side} x {side}, {border}, range 1{of}": partial(similarity, **{**GAUSSIAN, "side": side, "border": code})
         for side in (3, 5, 7, 9, 11)
         for (border, of), code in BORDERS.items()
         if (border, side) not in (("zero-padded", 11), ("valid positions", 11))
@@ -144,38 +157,74 @@ def _averaged_boxes(image: Levels) -> Levels:
     return boxes.mean(axis=(1, 3))
 
 
-def similarity(rendered: Levels, truth: Levels, data_range: float | None = 1.0, luma: bool = False, **options: Any) -> float:
-    """scikit-image's SSIM of two frames, (H, W, 3) or (H, W).
+def similarity(
+    rendered: Levels, truth: Levels, data_range: float | None = 1.0, luma: bool = False, unbiased: bool = True, **window: Any
+) -> float:
+    """SSIM of two frames, (H, W, 3) or (H, W), as scikit-image computes it where no border is given.
 
     Args:
         rendered: on the scale 0..255.
         data_range: where images are taken to 0..1; None for the range of the true frame's levels.
+        unbiased: whether variances are divided by N - 1.
+        window: arguments of `_moments`.
     """
-    from skimage.metrics import structural_similarity
+    strips, levels = _moments(rendered, truth, luma, **window)
+    white = (levels if data_range is None else data_range) or 1.0
+    samples = window.get("side", 7) ** 2
+    small, large = (0.01 * white) ** 2, (0.03 * white) ** 2 * (1 - 1 / samples if unbiased else 1)
+    total = 0.0
+    for squares, product, variances, covariance in strips:
+        scores = (product + small) * (covariance + large)
+        scores /= (squares + small) * (variances + large)
+        total += float(scores.sum())
+    return total / sum(strip[0].size for strip in strips)
 
-    first, second = (image @ BT601 / 255 if luma else image / 255 for image in (rendered, truth))
-    levels = float(second.max() - second.min()) if data_range is None else data_range
-    axis = 2 if second.ndim == 3 else None
-    return float(structural_similarity(first, second, data_range=levels or 1.0, channel_axis=axis, **options))
+
+def _kept(compute: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
+    """Return a function of two frames that keeps its last result: many conventions differ in what they make of it alone."""
+    last: dict[Any, Any] = {}
+
+    def again(rendered: Levels, truth: Levels, *args: Any, **options: Any) -> tuple[Any, ...]:
+        key = (id(rendered), id(truth), args, *options.items())
+        if key not in last:
+            last.clear()
+            last[key] = compute(rendered, truth, *args, **options), rendered, truth  # which therefore keep their ids
+        return last[key][0]
+
+    return again
 
 
-def gaussian_similarity(rendered: Image8, truth: Image8, side: int, border: int | None) -> float:
-    """SSIM of two frames, (H, W, 3), by a Gaussian window of any side and sigma 1.5.
+@_kept
+def _moments(
+    rendered: Levels, truth: Levels, luma: bool, side: int = 7, sigma: float = 0.0, border: int | None = None
+) -> tuple[Any, ...]:
+    """Return what SSIM is made of, of each window of two frames in 0..1, and the range of the true frame's levels.
 
     Args:
+        sigma: of a Gaussian window; 0 for a uniform one.
         border: of OpenCV, for windows at every pixel as kornia (reflected) and pytorch-ssim (zeros) have them; None for windows
             inside the frame alone.
+
+    Returns:
+        Strips of squares x^2 + y^2 and product 2 x y of the means, sum of the variances, and twice the covariance.
     """
-    first, second = rendered / 255, truth / 255
-    taps = cv2.getGaussianKernel(side, 1.5)
-    blur = partial(cv2.sepFilter2D, ddepth=-1, kernelX=taps, kernelY=taps, borderType=border or cv2.BORDER_CONSTANT)
-    mean_x, mean_y = blur(first), blur(second)
-    covariance = blur(first * second) - mean_x * mean_y
-    variances = blur(first * first) - mean_x**2 + blur(second * second) - mean_y**2
-    scores = (2 * mean_x * mean_y + 1e-4) * (2 * covariance + 9e-4)
-    scores /= (mean_x**2 + mean_y**2 + 1e-4) * (variances + 9e-4)
-    inner = slice(side // 2, -(side // 2)) if border is None else slice(None)
-    return float(scores[inner, inner].mean())
+    taps = cv2.getGaussianKernel(side, sigma) if sigma else np.full(side, 1 / side)
+    blur = partial(cv2.sepFilter2D, ddepth=-1, kernelX=taps, kernelY=taps)
+    first, second = (image @ BT601 if luma else image for image in (rendered, truth))
+    levels = (float(second.max()) - float(second.min())) / 255
+    half = side // 2
+    if border is not None:
+        first, second = (cv2.copyMakeBorder(image, half, half, half, half, border) for image in (first, second))
+    if min(first.shape[:2]) < side:
+        raise MetricError(f"SSIM: wanted frames of at least {side} x {side} pixels, its window; got {truth.shape[:2]}")
+    strips = []
+    for start in range(0, len(first) - 2 * half, STRIP_ROWS):
+        x, y = (image[start : start + STRIP_ROWS + 2 * half] / 255.0 for image in (first, second))
+        means = (blur(plane)[half:-half, half:-half] for plane in (x, y, x * x + y * y, 2 * x * y))
+        mean_x, mean_y, energy, twice = means
+        squares, product = mean_x * mean_x + mean_y * mean_y, 2 * mean_x * mean_y
+        strips.append((squares, product, energy - squares, twice - product))
+    return strips, levels
 
 
 def _block_similarity(planes: Callable[[Image8], list[Levels]], rendered: Image8, truth: Image8) -> float:
@@ -200,9 +249,8 @@ def _block_sums(plane: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _dissimilarity(row: Recomputed, divisor: int) -> Recomputed:
-    formula = "1 - SSIM" if divisor == 1 else "DSSIM = (1 - SSIM) / 2"
-    is_ours = divisor == 2 and row.name in (UNIFORM_RANGE_1, UNIFORM_RANGE_2)  # D-SSIM 1 and 2
-    return Recomputed(f"{formula}, {row.name}", {over: (1 - value) / divisor for over, value in row.values.items()}, is_ours)
+    formula = "1 - SSIM" if divisor == 1 else DSSIM
+    return Recomputed(f"{formula}, {row.name}", {over: (1 - value) / divisor for over, value in row.values.items()})
 
 
 def _inside(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:

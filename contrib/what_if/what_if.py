@@ -220,7 +220,7 @@ def what_if_text(label: str, found: WhatIf) -> str:
     )
     return "\n".join(
         [
-            f"{label}: no result, but what it would score if. Estimated on {where}, scored on {as_ranges(list(found.scored_on))} "
+            f"{label}: no result: scores without the fault. Estimated on {where}, scored on {as_ranges(list(found.scored_on))} "
             f"of {found.views} views, {found.border_px} px cut off at each side{stays}",
             text_table({"frames": 1, **dict.fromkeys(metrics, 0)}, lines),
             f"in brackets the difference to the first row and its 95 % interval{rounding if rounding[-2:] != ': ' else ''}",

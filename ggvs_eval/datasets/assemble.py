@@ -32,6 +32,7 @@ FOLDER_FPS = 30.0
 LARGEST_DIFFERENCE = 2e-4
 LARGEST_LAG = 0.5  # steps between frames of one number, where rates vary: farther off, the next frame is nearer
 CROP_FILE = "crop.toml"
+UNNAMED = "capture"  # the folder that `evaluate` writes into OUT, whose name is the scene's
 Size = tuple[int, int]
 LARGEST_RIG = 10_000  # poses of a hand-held sequence, each of which is a camera, are some thousands
 FILE = "known_traps.toml"
@@ -62,7 +63,7 @@ def assemble_capture(
 
     Args:
         units: world units per metre.
-        scene: what the scene is called; the last part of the path by default.
+        scene: what the scene is called; the last part of the path by default, the one above for a `capture`.
         fps: frames per second where the layout says it; by default that of the videos, 30 for images.
 
     Raises:
@@ -70,6 +71,7 @@ def assemble_capture(
             one name.
     """
     check_rig_size(path, len(cameras))
+    *_, parent, name = ("", *path.resolve().parts[1:])
     names = [camera.name for camera in cameras]
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice or not names:
@@ -84,7 +86,7 @@ def assemble_capture(
     n_frames = common_count(path, by_name)
     rate = fps or common_rate(path, by_name)
     return Capture(
-        scene=scene or path.resolve().name,
+        scene=scene or (parent if name == UNNAMED and parent else name),
         layout=layout,
         path=path,
         cameras=tuple(_fit_camera(camera, source, path) for camera, source in zip(cameras, sources, strict=True)),

@@ -118,9 +118,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
     extras = [_extras(file, *each) for each in zip(table.camera, lenses, cameras, sources, strict=True)]
     table_units = None if table.units_per_metre is None else Units(table.units_per_metre, FILE)
     chosen = choose_units(file.parent, units, cameras, of_data_set=table_units)
-    scene = table.scene or file.parent.resolve().name
     fps = None if any(isinstance(source, VideoFrames) for source in sources) else table.fps
-    return assemble_capture(file.parent, "capture.toml", cameras, sources, chosen, scene=scene, fps=fps, extras=extras)
+    return assemble_capture(file.parent, "capture.toml", cameras, sources, chosen, scene=table.scene, fps=fps, extras=extras)
 
 
 def _file(path: Path) -> Path:

@@ -41,7 +41,7 @@ class RendersOptions:
     jobs: Jobs = ONE_PER_CORE
 
     @contextmanager
-    def open(self, renders: Path) -> Iterator[tuple[RunFolder, list[str]]]:
+    def open(self, renders: Path, allow_partial: bool = False) -> Iterator[tuple[RunFolder, list[str]]]:
         """A run folder with the frames in question, and what they are called there; it goes where none is named."""
         if (renders / "protocol.toml").is_file():
             folder = RunFolder(renders)
@@ -58,7 +58,7 @@ class RendersOptions:
             root = Path(scratch) / "run" if run is None and capture else run
             with run_for(root, partial(self.reading.open, capture) if capture else None, protocol, self.jobs) as folder:
                 ((label, path),) = named.items()
-                record = import_renders(folder, label, path, workers=self.jobs, first_frame=self.first_frame, link=run is None)
+                record = import_renders(folder, label, path, allow_partial, self.jobs, self.first_frame, link=run is None)
                 for note in record["notes"]:
                     print(f"{label}: {note}", file=sys.stderr)
             yield folder, [label]
@@ -75,30 +75,31 @@ def doctor(
     """Find faults in rendered frames before they are scored.
 
     Finds frame offsets, reversed time, wrong cameras, swapped channels, gamma, wrong video range, flicker, shifts from a quarter
-    of a pixel, wrong resizing or focal length, JPEG, frozen frames, copied reference frames, and a PSNR above the ceiling of
-    noise and codec. Also reports the error that IV-PSNR forgives, and whether stability is due to blur. Exits with 1 if a fault
-    is certain.
+    of a pixel, wrong resizing or focal length, JPEG, missing and frozen frames, copied reference frames, and a PSNR above the
+    ceiling of noise and codec. Also reports the error that IV-PSNR forgives, and whether stability is due to blur. Exits with 1
+    if a fault is certain.
 
     Args:
         renders: frames in any form that `score` accepts, with --capture; or a run folder, for all its methods.
         source: capture and protocol of the renders.
     """
     from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table, forgiven_error
-    from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, views_of_run
+    from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, views_there
     from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering
     from ggvs_eval.pipelines.inspection.renders.steadiness import steadiness_line
     from ggvs_eval.pipelines.run.references import find_seen_views
 
     certain = False
-    with source.open(renders) as (folder, labels):
+    with source.open(renders, allow_partial=True) as (folder, labels):
         for label in labels:
-            views = views_of_run(folder, label)
+            views, missing = views_there(folder, label)
             counted_from, start = guessed_first(folder, label), folder.protocol().frames.start
             checked = [doubt_numbering(one, counted_from, start) for one in examine(views, cameras_of_run(folder))]
-            findings = [*checked, *find_seen_views(folder, label)]
+            findings = [*missing, *checked, *([] if missing else find_seen_views(folder, label))]
             certain |= any(finding.verdict == "certain" for finding in findings)
             print(f"{label}\n{faults_table(findings)}")
-            for line in filter(None, (forgiven_error(views), steadiness_line(views))):
+            is_explained = any(one.verdict == "certain" for one in checked)
+            for line in filter(None, ("" if is_explained else forgiven_error(views), steadiness_line(views))):
                 print(line)
     if certain:
         sys.exit(1)

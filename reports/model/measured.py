@@ -226,8 +226,9 @@ class MeasuredRun:
 
     @property
     def sources_text(self) -> str:
-        """Terms on which methods saw the scene, in short: the number of source views, or whose the truth is."""
-        return "own truth" if self.has_own_truth else f"K = {self.protocol.synthesis.k}"
+        """Terms in short: whose the truth is, or the number of source views; empty where no method is known to have used them."""
+        k = f"K = {self.protocol.synthesis.k}" if self.from_sources.intersection(self.labels) else ""
+        return "own truth" if self.has_own_truth else k
 
     @property
     def frames(self) -> range:

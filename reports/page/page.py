@@ -13,7 +13,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ggvs_eval.files.images import read_image
 from ggvs_eval.files.templates import open_templates
 from ggvs_eval.geometry.source_views import CHOSEN_AS
 from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE, method_numbers, round_ticks
@@ -44,7 +43,7 @@ from ggvs_eval.reports.tables.published import CAVEATS, PAPER
 from ggvs_eval.reports.tables.reproduction import HEADS, MEANING, PAPER_MAP, Reproduction, blocks, count_words, paper_tables
 from ggvs_eval.reports.tables.table_formats import copyable
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict, leaders
-from ggvs_eval.run_folder import JOB_FILE, frame_path, read_json
+from ggvs_eval.run_folder import JOB_FILE, read_json
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -104,7 +103,7 @@ def viewer_data(
         full: the run folder as an address from the page; empty if the page cannot name it.
     """
     return {
-        "run": run.folder.root.resolve().name,
+        "run": _run_words(run.folder.root, str(run.capture.get("path", ""))),
         "full": full,
         "width": comparison.width,
         "views": comparison.views,
@@ -297,18 +296,28 @@ def _without_empty_rows(table: Table) -> Table:
 
 
 def reproduce(run: MeasuredRun, capture: str) -> list[str]:
-    """Return the commands that reproduce these numbers; folders by last name only, to reveal nothing of the machine."""
-    root = run.folder.root.name
+    """Return the commands that reproduce these numbers; folders by last names only, to reveal nothing of the machine."""
+    root = _run_words(run.folder.root, capture)
     ours = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
     foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in ours]
-    prepare = ["prepare", root, "--capture", Path(capture).name, "--protocol", f"{root}/protocol.toml"]
-    commands = [[*prepare, *(["--matcher", matcher] if (matcher := _matcher(run)) else [])]]
+    given, terms = ["--capture", Path(capture).name], ["--protocol", f"{root}/protocol.toml"]
+    if ours:
+        commands = [["prepare", root, *given, *terms, *(["--matcher", matcher] if (matcher := _matcher(run)) else [])]]
+        scored = ["score", root, *(["--renders", *foreign] if foreign else [])]
+    else:  # no depth is needed
+        commands, given = [], ["--with-truth"] if run.has_own_truth else given
+        scored = ["score", "--run", root, *given, *terms, "--renders", *foreign]
     on_gpu = {render.rsplit("/", 1)[0] for render in run.results.devices}
     for device, flags in ((False, []), (True, ["--device", "cuda"])):
         if labels := [label for label in ours if (label in on_gpu) == device]:
             commands.append(["render", root, "--methods", *labels, *flags])
-    commands += [["score", root, *(["--renders", *foreign] if foreign else [])], ["report", root]]
-    return [shlex.join(["ggvs-eval", *command]) for command in commands]
+    return [shlex.join(["ggvs-eval", *command]) for command in (*commands, scored, ["report", root])]
+
+
+def _run_words(root: Path, capture: str) -> str:
+    """Last name of a run folder, after its parent's where the capture has the same."""
+    *_, parent, name = ("", *root.resolve().parts[1:])
+    return f"{parent}/{name}" if parent and name == Path(capture).name else name
 
 
 def _section(
@@ -337,7 +346,7 @@ def _section(
         "title": title,
         "address": address,
         "opening": opening,
-        "insets": _insets(run, opening),
+        "insets": _insets(run, opening, comparison.full_size[0]),
         "view_tables": section.view_tables,
         "timing": section.timing,
         "costs": section.costs,
@@ -359,16 +368,16 @@ def _section(
     }
 
 
-def _insets(run: MeasuredRun, keys: Sequence[str]) -> dict[str, Any]:
-    """The square in which the two methods of the first screen differ most, of each picture at full size; none of one method."""
-    labels = tuple(key for key in keys if key != "truth")
+def _insets(run: MeasuredRun, keys: Sequence[str], width: int) -> dict[str, dict[str, float]]:
+    """View -> place of the square in which the two methods of the first screen differ most, in its sides; none of one method."""
+    labels, count = tuple(key for key in keys if key != "truth"), len(run.protocol.views.test)
     if len(labels) < 2:
         return {}
-    (region,) = find_regions(replace(run, labels=labels), "different", labels[0], 1)
-    rows, columns = slice(region.top, region.top + region.side), slice(region.left, region.left + region.side)
-    folders = run.frame_folders(region.view)
-    crops = {key: png_uri(read_image(frame_path(folders[key], region.frame))[rows, columns]) for key in keys}
-    return {"crops": crops, "place": f"{region.view}, frame {region.frame}"}
+    regions = find_regions(replace(run, labels=labels), "different", labels[0], count, one_per_view=True)
+    return {
+        one.view: {name: round(size / one.side, 4) for name, size in (("left", one.left), ("top", one.top), ("across", width))}
+        for one in regions
+    }
 
 
 def _matcher(run: MeasuredRun) -> str:
@@ -381,7 +390,8 @@ def _matcher(run: MeasuredRun) -> str:
 def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
     """List the facts about the capture, including notes about what was left out."""
     plain = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
-    facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in plain.items()}
+    shown = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in plain.items()}
+    facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in shown.items()}
     facts |= {"cameras": len(capture["cameras"])} if capture.get("cameras") else {}
     notes = "; ".join(capture.get("notes", ()))
     return facts | ({"notes": notes} if notes else {})

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Any
 
 from ggvs_eval.measured_frames import measuring_way
-from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun, MetricNote
 from ggvs_eval.reports.model.table import (
     SHORT_MEANS,
@@ -338,17 +337,19 @@ def differences_table(run: MeasuredRun) -> Table | None:
         run.row(label, [Cell(declared.get(label, {}).get(column.name, UNKNOWN_DIFFERENCE)) for column in DIFFERENCE_COLUMNS])
         for label in run.labels
     ]
-    caption = f"Differences that no protocol can remove. The same for all: {_same(run.protocol)}."
+    caption = f"Differences that no protocol can remove. The same for all: {_same(run)}."
     return Table("differences", "Differences between the methods", caption, DIFFERENCE_COLUMNS, tuple(rows), run.scene)
 
 
-def _same(protocol: Protocol) -> str:
-    synthesis = protocol.synthesis
+def _same(run: MeasuredRun) -> str:
+    protocol, synthesis = run.protocol, run.protocol.synthesis
+    known = run.from_sources.intersection(run.labels)
+    sources = f"K = {synthesis.k} sources for methods that render from sources; " if known else ""
     way = measuring_way(protocol.measurement)
     measured = f", {way.describe}," if way else ""
     size = f"{synthesis.width} x {synthesis.height}" if synthesis.width else "the capture's size"
     return (
         f"test views {', '.join(protocol.views.test)}, each left out of its own rendering and of the depth for it; "
-        f"{protocol.frames.count} frames of {size}, resized by {synthesis.resize_filter}; K = {synthesis.k} sources for methods "
-        f"that render from sources; scores from 8-bit images on disk{measured} by one implementation of each metric"
+        f"{protocol.frames.count} frames of {size}, resized by {synthesis.resize_filter}; {sources}"
+        f"scores from 8-bit images on disk{measured} by one implementation of each metric"
     )

@@ -64,7 +64,7 @@ COLUMNS = (
     Column("misplaced", "%"),
     Column("detail", "%"),
 )
-NOT_TOLD = Cell("not measured: add PSNR_disoccluded to the protocol's metrics")
+NOT_TOLD = Cell("not measured", note="add PSNR_disoccluded to the protocol's metrics")
 CAUSES = {
     "unseen": "areas that no source camera sees",
     "colour": "colour and exposure, which a smooth colour map would remove",
@@ -231,7 +231,8 @@ def budget_table(run: MeasuredRun) -> Table | None:
     rows = [run.row(label, _share_cells([one[label] for one in budgets.values()])) for label in run.pictured]
     for view in run.protocol.views.test:
         rows.append(Row(f"{run.name(shown)} in {view}", _share_cells([budgets[view, frame][shown] for frame in frames])))
-    return Table(BUDGET_KEY, "Sources of the error", CAPTION, COLUMNS, tuple(rows), run.title)
+    below = (f"Unseen is not measured: {NOT_TOLD.note}.",) if any(NOT_TOLD in row.cells for row in rows) else ()
+    return Table(BUDGET_KEY, "Sources of the error", CAPTION, COLUMNS, tuple(rows), run.title, below)
 
 
 def _budgets(run: MeasuredRun, instant: tuple[str, int]) -> dict[str, ErrorBudget]:

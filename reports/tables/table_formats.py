@@ -48,13 +48,10 @@ CSV_HEAD = (
     *("protocol", "k", "protocol_sha256"),
 )
 HELD_BACK = 40  # tables; LaTeX keeps those that no text follows, and stops at the 53rd
-LATEX_HEAD = r"""% \usepackage{booktabs}
-% \usepackage[table]{xcolor}
-% \usepackage{graphicx}
-% Blue: the better half of each column, on the scale of the paper's tables.
-% Bold: best, or not significantly worse.
-% Grey: published values, measured by others under other conditions.
-\providecommand{\fittowidth}[1]{\sbox0{#1}\ifdim\wd0>\linewidth\resizebox{\linewidth}{!}{\usebox0}\else\usebox0\fi}
+LATEX_HEAD = r"""%% \usepackage{booktabs}
+%% \usepackage[table]{xcolor}
+%% \usepackage{graphicx}
+%s\providecommand{\fittowidth}[1]{\sbox0{#1}\ifdim\wd0>\linewidth\resizebox{\linewidth}{!}{\usebox0}\else\usebox0\fi}
 """
 LONGEST_NAME = 31  # of a sheet, set by Excel
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a ZIP archive can hold
@@ -136,7 +133,20 @@ def to_latex(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
     """``table`` environments for booktabs and xcolor, shaded as the paper's."""
     comments = "".join(f"% {' '.join(note.split())}\n" for note in notes)
     breaks = ["\\clearpage\n" if at and at % HELD_BACK == 0 else "" for at in range(len(tables))]
-    return LATEX_HEAD + comments + "\n" + "\n".join(map("".join, zip(breaks, map(_latex_table, tables), strict=True)))
+    return _latex_head(tables) + comments + "\n" + "\n".join(map("".join, zip(breaks, map(_latex_table, tables), strict=True)))
+
+
+def _latex_head(tables: Sequence[Table]) -> str:
+    """Packages, and the meaning of the marks that these tables have."""
+    rows = [row for table in tables for row in table.rows]
+    marks = {
+        "Blue: the better half of each column, deeper towards its best value.": any(
+            cell.shade for row in rows for cell in row.cells
+        ),
+        "Bold: best, or not significantly worse.": any(cell.best for row in rows for cell in row.cells),
+        "Grey rows: published values, measured by others under other conditions.": any(row.kind == "published" for row in rows),
+    }
+    return LATEX_HEAD % "".join(f"% {words}\n" for words, used in marks.items() if used)
 
 
 def escape_latex(text: str) -> str:
@@ -206,7 +216,7 @@ def copyable(table: Table) -> dict[str, tuple[str, list[str], str]]:
             cells += ["" if bound is None else repr(bound) for bound in (cell.low, cell.high)] if has_bounds else []
         lines.append(csv_text(names, [cells]).removeprefix(csv_head).rstrip("\n"))
     head, rows, foot = latex_parts(table)
-    return {"latex": (f"{LATEX_HEAD}\n{head}", rows, foot), "csv": (csv_head.rstrip("\n"), lines, "")}
+    return {"latex": (f"{_latex_head([table])}\n{head}", rows, foot), "csv": (csv_head.rstrip("\n"), lines, "")}
 
 
 def _latex_cell(row: Row, cell: Cell) -> str:

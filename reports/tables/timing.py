@@ -82,11 +82,13 @@ def _stage_cell(stages: dict[str, list[float]], stage: str) -> Cell:
 
 
 def _caption(run: MeasuredRun, jobs: dict[str, list[dict[str, Any]]], first: int) -> str:
+    if not any(jobs.values()):
+        return "No times: others rendered these frames."
     height, width = read_image(frame_path(run.folder.truth(run.protocol.views.test[0]), run.frames[0])).shape[:2]
     threads = sorted({record["threads"] for records in jobs.values() for record in records if "threads" in record})
     on = f"{' or '.join(map(str, threads))} thread{'' if threads == [1] else 's'}" if threads else "threads not recorded"
     left_out = "each view's first frame left out" if first else "of the only frame of each view"
-    size = f"K = {run.protocol.synthesis.k}, {width} × {height}, {on}"
+    size = ", ".join(filter(None, (run.sources_text, f"{width} × {height}", on)))
     return f"Median (95th percentile), {left_out}; {size}; reading and writing of files excluded."
 
 

@@ -18,9 +18,9 @@ EVENNESS = ("SDT", "SDV")  # deviations of the error, which are small too where 
 COMPARABLE_DB = 1.0  # PSNR behind the best within which evenness says something of quality
 HEADLINES = ("PSNR", "SSIM", "LPIPS", "TCC", "STED", "SDT", "SDV")  # those of the paper's tables
 PLAIN = {
-    "PSNR": "closeness of each frame to the recorded one",
-    "SSIM": "structural similarity of each frame to the recorded one",
-    "LPIPS": "perceived difference of each frame from the recorded one",
+    "PSNR": "how close each frame is to the recorded one",
+    "SSIM": "how similar each frame is in structure to the recorded one",
+    "LPIPS": "how different each frame looks from the recorded one",
 }
 RIM = 4.0  # per cent of the drawing that stay free on either side
 
@@ -232,7 +232,7 @@ def _words(
     if not judgement.rivals:
         number = f"{best.cell.shown} {best.cell.spread}".strip() + unit
         if not judgement.unranked:
-            return f"{best.name} was measured alone", number
+            return f"{best.name} is the only method measured", number
         if judgement.unranked.keys() <= results.set_aside.keys():
             return f"Only {best.name} is ranked", f"{best.name} has {number}"
         return "No winner can be named", f"{best.name} has {number}; the others were measured on other scenes, views or frames"

@@ -38,6 +38,12 @@ def one_image_rig(folder: Path, more: str = "", head: str = "", images: list | N
     return folder
 
 
+def test_a_folder_called_capture_has_the_name_of_its_parent(tmp_path):
+    """`evaluate VIDEOS OUT` writes OUT/capture, which says nothing to a reader; every other folder is a name."""
+    shown = [open_capture(write_capture_toml(tmp_path / name)).scene for name in ("dome/capture", "capture/dome", "dome/capture2")]
+    assert shown == ["dome", "dome", "capture2"]
+
+
 @pytest.mark.parametrize("named", ["folder", "file"])
 def test_videos_and_folders_of_images(toml_rig, named):
     """A rig of videos and image folders opens by its folder or its file, in the order of the file."""

@@ -11,7 +11,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
-from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, views_of_run
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, views_of_run, views_there
 from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.run_folder import RunFolder, frame_path
@@ -219,6 +219,9 @@ def test_a_frame_offset_is_found_with_its_sign(offset, kind, honest, truth):
 
     assert finding.question == "frame offset"
     assert finding.values["offset_frames"] == offset
+    flags = f"--frames {N_FRAMES - abs(offset)}" if offset < 0 else f"--start {offset} --frames {N_FRAMES - offset}"
+    assert f"by {offset:+d} and, as instant" in finding.advice
+    assert f"mine.toml {flags})" in finding.advice
     assert doubt_numbering(finding, 0, 3) == finding == doubt_numbering(finding, -offset, 3)
     assert f"protocol CAPTURE mine.toml --start {3 + offset}" in doubt_numbering(finding, offset, 3).advice
 
@@ -296,16 +299,25 @@ def test_sensor_noise_in_the_rendering_is_certain_proof():
     assert nothing == []
 
 
+@pytest.mark.parametrize("offset", [-2, 1])
+def test_frames_held_at_the_end_of_an_offset_are_no_fault_of_their_own(offset, honest, truth):
+    """A late set repeats its first frame, an early one its last; a repeat elsewhere is still named."""
+    held = honest["warped"][VIEW][np.clip(np.arange(N_FRAMES) + offset, 0, N_FRAMES - 1)]
+    assert faults(diagnose(held, truth)) == ["frame offset"]
+
+
 def test_repeated_and_frozen_frames_are_listed(honest, truth):
     """Frames that repeat the one before are named; not where the truth repeats itself too."""
     repeated, captured = honest["warped"][VIEW].copy(), truth[VIEW].copy()
     repeated[[3, 6]] = repeated[[2, 5]]
     (finding,) = diagnose(repeated, truth)
+    (once,) = diagnose(np.concatenate([repeated[:4], honest["warped"][VIEW][4:]]), truth)
     (frozen,) = diagnose(np.repeat(repeated[3:4], N_FRAMES, axis=0), truth)
     captured[[3, 6]] = captured[[2, 5]]
 
     assert finding.question == frozen.question == "repeated frames"
-    assert "frames 3, 6 " in finding.measured
+    assert "frames 3, 6 repeat the one before" in finding.measured
+    assert "frame 3 repeats frame 2 while" in once.measured
     assert "all 9 frames show one instant" in frozen.measured
     assert examine({VIEW: view_of(repeated, captured)}) == []
 
@@ -380,6 +392,9 @@ def test_a_run_folder_is_read(tmp_path):
     frame_path(run.renders("no-blending", "cam03"), 4).unlink()
     with refused(RenderError, "no-blending in cam03", "lacks 4"):
         views_of_run(run, "no-blending")
+    views, (gap,) = views_there(run, "no-blending")
+    assert [list(view.frames) for view in views.values()] == [[2, 3, 4, 5], [2, 3]]
+    assert (gap.subject, gap.question, gap.measured) == ("cam03", "missing frames", "lacks 4; only 2-3 examined")
 
 
 def test_frames_are_read_at_the_size_at_which_they_are_measured(tmp_path):

@@ -149,6 +149,7 @@ def test_the_table_has_a_row_per_method_and_view(tmp_path):
     assert [row.name for row in table.rows] == names
     for row in table.rows:
         assert row.cells[1] == NOT_TOLD
+        assert "PSNR" not in row.cells[1].shown
         assert sum(cell.value for cell in row.cells[2:]) == pytest.approx(100)
 
     for view in run.protocol.views.test:
@@ -156,6 +157,7 @@ def test_the_table_has_a_row_per_method_and_view(tmp_path):
             shape = read_image(frame_path(run.folder.truth(view), frame)).shape
             write_image(frame_path(run.folder.disoccluded(view), frame), np.full(shape, 255, np.uint8))
     told = budget_table(run)
+    assert ([*map(len, (table.notes, told.notes))], "add PSNR_disoccluded" in table.notes[0]) == ([1, 0], True)
     assert [row.cells[1].value for row in told.rows] == pytest.approx([100] * len(told.rows))
     assert [row.cells[0].value for row in told.rows] == pytest.approx([row.cells[0].value for row in table.rows])
 

@@ -116,7 +116,7 @@ def test_one_room_and_one_part_at_a_time(started, rooms):
 def test_the_first_screen_answers_and_shows(started, painted, size):
     """Without scrolling: who is best, by how much, what was recorded beside the best and the runner-up, and the button."""
     started.visit(painted, size)
-    parts = "[...document.querySelectorAll('.headline, .margin, .opening img, .player')]"
+    parts = "[...document.querySelectorAll('.headline, .margin, .opening figure > img, .player')]"
     assert max(started.run(f"{parts}.map(one => one.getBoundingClientRect().bottom)")) <= size[1]
     assert started.run("document.querySelector('.headline').textContent").startswith("GGVS (online), geometric weights is best")
     assert started.run("[...document.querySelectorAll('.opening figure')].map(one => one.dataset.key)") == [
@@ -133,12 +133,15 @@ MOMENT = "document.querySelector('[data-role=moment]').textContent"
 
 
 def test_the_first_screen_moves(started, painted):
-    """It plays by itself through every frame of every view, and the button stops it; who asked for calm has to press it."""
+    """It plays by itself through every frame of every view, enlarged as well, until the button; who asked for calm presses it."""
     started.visit(painted, moving=True)
     started.wait(f"{MOMENT} === 'cam03, frame 5'")
     started.wait(f"{MOMENT} === 'cam00, frame 2'")
     started.run("document.querySelector('[data-role=run]').click()")
     stopped = started.run(MOMENT)
+    pairs = "[...document.querySelectorAll('.opening figure')].map(one => [...one.querySelectorAll('img')].map(each => each.src))"
+    assert [len(sources) for sources in started.run(pairs)] == [2] * 3
+    assert all(picture == enlarged for picture, enlarged in started.run(pairs))
     assert started.run("document.querySelector('[data-role=run]').ariaLabel") == "Play"
     assert started.driven.execute_async_script(f"setTimeout(() => arguments[0]({MOMENT}), 400)") == stopped
     started.visit(painted)

@@ -17,7 +17,7 @@ from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.page.pictures import compare_frames, error_map
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.table_formats import escape_latex
-from ggvs_eval.run_folder import frame_path
+from ggvs_eval.run_folder import frame_path, read_json, write_json
 from helpers.page_reader import PageReader
 from helpers.refusals import refused
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
@@ -163,11 +163,14 @@ def test_page_tells_nothing_of_the_machine(whole_run, report):
 
 
 def test_page_names_the_depth(tmp_path):
-    """The facts of a run and the commands that repeat it name the matcher of its depth, and no folder of its weights."""
+    """The facts and commands of a run name the matcher of its depth, without folders; a measured scale has four digits."""
     run = write_run(tmp_path / "run", SMALL)
     (run / "depth.json").write_text('{"matcher": "sgbm+itermvs:/home/somebody/model.ckpt"}')
+    record = read_json(run / "capture.json") | {"units_per_metre": 8.481877397921176}
+    write_json(run / "capture.json", record)
     text = (write_report([run], with_figures=False).parent / "index.html").read_text(encoding="utf-8")
     assert "depth by" in text
+    assert "<dt>units per metre</dt><dd>8.482</dd>" in text
     assert "protocol.toml --matcher sgbm+itermvs:model.ckpt" in text
     assert "/home/somebody" not in text
 

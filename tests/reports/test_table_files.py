@@ -17,7 +17,7 @@ from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.reproduction import paper_tables, reproduce
-from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, write_excel
+from ggvs_eval.reports.tables.table_formats import copyable, to_csv, to_latex, write_excel
 from ggvs_eval.reports.tables_of_runs import tables_of_runs
 from helpers.command_line import refusal
 from helpers.refusals import refused
@@ -109,6 +109,16 @@ def test_workbook_holds_the_tables_numbers(report):
     place = openpyxl.load_workbook(report / "tables.xlsx")["quality DyNeRF"]
     best = next(row for row in place.iter_rows(min_row=2) if row[0].value == "Without")
     assert (best[1].font.bold, best[1].fill.fgColor.rgb, best[1].number_format.split('"')[0]) == (True, "FFBFBFFF", "0.00")
+
+
+def test_latex_explains_only_the_marks_that_a_table_has():
+    """A table without shades, bold or published rows has no line on them; a grey reference row is not a published one."""
+    plain = (Row("a", (Cell("1", 1.0),)), Row("Ceiling", (Cell("2", 2.0),), "reference"))
+    marked = (Row("a", (Cell("1", 1.0, True, 1.0),)), Row("b (paper)", (Cell("2", 2.0),), "published"))
+    for rows, wanted in ((plain, []), (marked, ["Blue", "Bold", "Grey"])):
+        table = Table("t", "T", "", (Column("PSNR"),), rows)
+        for text in (to_latex([table]), copyable(table)["latex"][0]):
+            assert re.findall(r"^% (Blue|Bold|Grey)", text, re.MULTILINE) == wanted
 
 
 def test_no_cell_of_a_csv_is_a_formula():

@@ -198,7 +198,7 @@ def test_fewer_frames_name_no_more_winners(measured_run, tmp_path):
 def test_one_method_alone_is_no_winner(tmp_path):
     """A single method is not called the best of anything; its value is told."""
     verdict = verdict_of(read_run(write_run(tmp_path / "run", replace(SHAPE, labels=(BEST,)))))
-    assert verdict.headline == f"{NAMES[BEST]} was measured alone"
+    assert verdict.headline == f"{NAMES[BEST]} is the only method measured"
     assert verdict.margin.endswith(" dB.")
     assert verdict.shown(replace(read_run(tmp_path / "run"))) == (BEST,)
 

@@ -1,6 +1,8 @@
 """From renders of others to a table: whole ones, partial ones that are marked, and the command line around it."""
 
 import hashlib
+import re
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +21,7 @@ from ggvs_eval.pipelines.run.prepare import prepare_truth
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.reports.model.measured import read_scores
+from ggvs_eval.reports.page.page import reproduce
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path
@@ -215,6 +218,31 @@ def test_one_command_scores_renders_of_a_capture(coffee_folder, protocol_path, t
     assert sorted(folder.name for folder in (run.root / "truth").iterdir()) == ["cam01", "cam02"]
     assert not run.depth.exists()
     assert Results.read(run.root).summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
+
+
+@pytest.mark.takes(10)
+def test_the_commands_of_the_page_repeat_a_run_of_renders(coffee_folder, protocol_path, theirs, tmp_path, capsys, monkeypatch):
+    """Pasted where the run was made they make it again, without depth; no report of it states a K that nobody knows."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "RENDERS").mkdir()
+    theirs.rename("RENDERS/mine")
+    command("score", "--renders", "RENDERS/mine", "--capture", "coffee", "--protocol", protocol_path, "--jobs", "1")
+    run = RunFolder(tmp_path / "scores" / "coffee")
+    printed = reproduce(read_scores(run.root), run.capture_record()["path"])
+    for folder in ("renders", "scores"):
+        shutil.rmtree(run.root / folder)
+
+    for line in printed:
+        run_command(shlex.split(line)[1:])
+    command("table", run.root)
+
+    assert printed[-1] == "ggvs-eval report scores/coffee"
+    assert len(printed) == 2
+    assert Results.read(run.root).summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
+    page = (run.report / "index.html").read_text(encoding="utf-8")
+    assert '"run": "scores/coffee"' in page
+    texts = [page, capsys.readouterr().out, *((run.report / f"tables.{kind}").read_text() for kind in ("md", "tex"))]
+    assert not [text for text in texts if re.search(r"\bK = \d", text)]
 
 
 @pytest.mark.takes(10)

@@ -12,8 +12,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.pipelines.inspection.finding import Finding, Verdict, verdict_of
-from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, ViewFrames, spread
-from ggvs_eval.run_folder import as_ranges
+from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, ViewFrames, named_frames, spread
 
 # The middle of a large picture says as much as is needed.
 CROP_PX = 640
@@ -195,7 +194,7 @@ def _copies(
     one = pooled_share(noise)
     measured = f"{_named(list(fits), view)} captured, written again: fine detail correlates {least:.3f} in the worst patches"
     measured += f", {others:.2f} in the other frames" if usual else ""
-    measured += f"; they have {one.share:.0%} of its noise" if one.deviations > LEAST_DEVIATIONS else ""
+    measured += f"; they have {100 * one.share:.0f} % of its noise" if one.deviations > LEAST_DEVIATIONS else ""
     values = {"n_frames": len(fits), "worst_patches": least, "worst_patches_others": others, "share": one.share}
     is_proved = one.share > CERTAIN_SHARE and one.deviations > LEAST_DEVIATIONS
     return [_finding(name, verdict_of(is_proved or others < USUAL_CORRELATION), measured, values)]
@@ -207,14 +206,14 @@ def _blend(name: str, noise: Sequence[NoiseSums]) -> list[Finding]:
     if one.share < LEAST_SHARE or one.deviations < LEAST_DEVIATIONS:
         return []
     measured = (
-        f"{one.share:.0%} of the truth's sensor noise is in the rendering, {one.deviations:.0f} standard errors from none: "
-        "the reference was blended in, or copied and changed"
+        f"{100 * one.share:.0f} % of the truth's sensor noise is in the rendering, {one.deviations:.0f} standard errors from "
+        "none: the reference was blended in, or copied and changed"
     )
     return [_finding(name, verdict_of(one.share > CERTAIN_SHARE), measured, {"share": one.share, "share_error": one.error})]
 
 
 def _named(frames: Sequence[int], view: ViewFrames) -> str:
-    return "all frames are as" if len(frames) == len(view.frames) else f"frames {as_ranges(list(frames))} are as"
+    return f"{'all frames are' if len(frames) == len(view.frames) else named_frames(list(frames))} as"
 
 
 def worst_patches(rendered: Image8, truth: Image8) -> float:

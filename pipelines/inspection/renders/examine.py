@@ -22,7 +22,7 @@ from ggvs_eval.pipelines.inspection.renders.identity import (
     spread,
 )
 from ggvs_eval.pipelines.inspection.renders.placement import find_placement, shared_shift
-from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, check_sample, resized, scan_frames
+from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, check_sample, find_repeated, resized, scan_frames
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 
@@ -122,7 +122,7 @@ def find_upscaling(name: str, view: ViewFrames) -> list[Finding]:
     verdict = verdict_of(strength[period] > CERTAIN_PEAK)
     measured = (
         f"interpolated by {PERIODS_PX[period]}: period of {period:g} px {strength[period]:.0f} times the usual, "
-        f"{share:.0%} of the finest detail is left"
+        f"{100 * share:.0f} % of the finest detail is left"
     )
     values = {"period_px": period, "peak": strength[period], "fine_share": share}
     advice = "rendered at a smaller size and enlarged? render at the full size"
@@ -186,7 +186,8 @@ def find_flicker(name: str, view: ViewFrames) -> list[Finding]:
         return []
     largest = float(np.abs(whole).max() * np.sqrt(2))
     measured = (
-        f"whole frames are brighter or darker by {size:.1%} (standard deviation), from one to the next by up to {largest:.1%}"
+        f"whole frames are brighter or darker by {100 * size:.1f} % (standard deviation), from one to the next by up to "
+        f"{100 * largest:.1f} %"
     )
     values = {"flicker_share": size, "largest_jump_share": largest, "common_share": common}
     advice = "write all frames with one exposure: is each normalised by its own minimum, maximum or mean?"
@@ -248,7 +249,7 @@ class _Examined:
 
 def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], count: int) -> _Examined:
     scan = scan_frames(name, view)
-    usable = longest_run(scan.usable)
+    usable, whole = longest_run(scan.usable), view
     if not usable:
         return _Examined(scan.findings)
     view = replace(view, frames=usable, truth_frames=view.truth_range)
@@ -261,7 +262,8 @@ def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
     enlarged = find_upscaling(name, view) if has_size and not jpeg else []
     picture = _examine_picture(name, view, cameras, count)
     enlarged = [] if any(finding.question == "wrong resize" for finding in picture.findings) else enlarged
-    return _Examined([*scan.findings, *picture.findings, *enlarged, *jpeg], picture.shift_px)
+    repeated = find_repeated(name, whole, scan, picture.findings)
+    return _Examined([*scan.findings, *repeated, *picture.findings, *enlarged, *jpeg], picture.shift_px)
 
 
 def _examine_picture(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], count: int) -> _Examined:
@@ -299,7 +301,7 @@ def find_seen(view: str, psnr_db: float, ceiling_db: float) -> list[Finding]:
 
 
 def forgiven_error(views: Mapping[str, ViewFrames]) -> str:
-    """State the error that IV-PSNR tolerates in some renders.
+    """Compare IV-PSNR, which tolerates some errors, with the PSNR of the same colours.
 
     Args:
         views: name -> rendered and captured frames, of which a few are read.
@@ -317,5 +319,5 @@ def forgiven_error(views: Mapping[str, ViewFrames]) -> str:
     if not len(values) or values[:, 2].min() >= PSNR_CEILING_DB:
         return ""
     plain, forgiving, _ = values.mean(axis=0)
-    numbers = f"PSNR of YCbCr {plain:.2f} dB, IV-PSNR {forgiving:.2f} dB: the {forgiving - plain:.1f} dB between them"
-    return f"{numbers} are misregistration of up to 2 pixels, a global colour offset of up to 3 levels, and noise"
+    numbers = f"is {forgiving:.2f} dB, {forgiving - plain:.1f} dB above PSNR of YCbCr ({plain:.2f} dB)"
+    return f"IV-PSNR, which tolerates shifts of up to 2 px and a global colour offset of up to 3 levels, {numbers}"

@@ -17,7 +17,7 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.measured_frames import resized_frame
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.protocol import Measurement
-from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, require_frames
+from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path, missing_frames, require_frames
 
 FrameReader = Callable[[int], Image8]
 # Everything but registration and coding is decided on pictures of this size, so that a dozen of them are a few megabytes.
@@ -166,6 +166,33 @@ def views_of_run(run: RunFolder, label: str, as_measured: bool = False) -> dict[
         view: ViewFrames(frame_reader(run.renders(label, view), measurement), frame_reader(run.truth(view), measurement), frames)
         for view in protocol.views.test
     }
+
+
+def views_there(run: RunFolder, label: str) -> tuple[dict[str, ViewFrames], list[Finding]]:
+    """Return the views of renders that may be incomplete, each with its longest run of frames, and what is missing."""
+    frames = run.protocol().frames.numbers
+    views: dict[str, ViewFrames] = {}
+    findings: list[Finding] = []
+    for view in run.protocol().views.test:
+        require_frames({f"truth of {view}": run.truth(view)}, frames)
+        lacking = missing_frames(run.renders(label, view), frames)
+        if there := longest_run([index for index in frames if index not in set(lacking)]):
+            views[view] = ViewFrames(frame_reader(run.renders(label, view)), frame_reader(run.truth(view)), there, frames)
+        if lacking:
+            rest = f"only {as_ranges(list(there))} examined" if there else "nothing to examine"
+            measured, values = f"lacks {as_ranges(lacking)}; {rest}", {"n_frames": float(len(lacking))}
+            findings.append(Finding(view, "missing frames", "certain", measured, values, "render these too"))
+    return views, findings
+
+
+def named_frames(frames: list[int]) -> str:
+    """Return frames as the beginning of a sentence.
+
+    Examples:
+        >>> named_frames([3]), named_frames([3, 4, 7])
+        ('frame 3 is', 'frames 3-4, 7 are')
+    """
+    return f"frame {frames[0]} is" if len(frames) == 1 else f"frames {as_ranges(frames)} are"
 
 
 def cameras_of_run(run: RunFolder) -> dict[str, FrameReader]:

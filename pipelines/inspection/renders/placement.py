@@ -261,7 +261,9 @@ def _evaluate_zoom(name: str, placed: list[Placement], view: ViewFrames) -> list
         return []
     if float(np.ptp(zooms, axis=0).max()) > 0.3 * abs(zoom):
         return []
-    measured = f"picture is {'enlarged' if zoom > 0 else 'reduced'} by {abs(zoom):.1%} about its centre, equally in all parts"
+    measured = (
+        f"picture is {'enlarged' if zoom > 0 else 'reduced'} by {100 * abs(zoom):.1f} % about its centre, equally in all parts"
+    )
     values = {"scale_x": 1 + zoom_x, "scale_y": 1 + zoom_y, "unevenness_px": uneven}
     advice = "check fx and fy: intrinsics of another size or before undistortion, or wrong calibration of the captured camera?"
     return [Finding(name, "focal length", "likely", measured, values, advice)]

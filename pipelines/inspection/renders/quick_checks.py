@@ -24,6 +24,7 @@ from ggvs_eval.pipelines.inspection.renders.identity import (
     find_identity,
     longest_run,
     middle_of,
+    named_frames,
     remember,
     shrink,
     take_sample,
@@ -107,8 +108,9 @@ class QuickChecks:
         view = replace(view, frames=usable)
         mirrored, view = find_identity(self._view, view, {self._view: remember(self._small_truth)})
         sampled, _ = check_sample(self._view, view)
+        repeated = find_repeated(self._view, view, scan, sampled)
         middle = ViewFrames(rendered, self._truth, middle_of(usable, COPIED_FRAMES), self._numbers)
-        return [*scan.findings, *mirrored, *sampled, *find_copied(self._view, middle)]
+        return [*scan.findings, *repeated, *mirrored, *sampled, *find_copied(self._view, middle)]
 
 
 def check_sample(name: str, view: ViewFrames, count: int = SAMPLED_FRAMES) -> tuple[list[Finding], ViewFrames]:
@@ -170,11 +172,11 @@ def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Findi
     if best is None or best.ratio > LIKELY_RATIO or best.correlation < LEAST_CORRELATION or best.agreeing < AGREEING_SHARE:
         return [], view
     if best.is_reversed:
-        return [_finding(name, best)], view.reversed(best.lag)
-    return [_finding(name, best)], view.moved(best.lag)
+        return [_finding(name, best, view.truth_range)], view.reversed(best.lag)
+    return [_finding(name, best, view.truth_range)], view.moved(best.lag)
 
 
-def _finding(name: str, timing: _Timing) -> Finding:
+def _finding(name: str, timing: _Timing, instants: range) -> Finding:
     values = {
         "offset_frames": float(timing.lag),
         "correlation": timing.correlation,
@@ -184,9 +186,15 @@ def _finding(name: str, timing: _Timing) -> Finding:
     shown = f"the frames come in reversed order{f', {timing.lag:+d}' if timing.lag else ''}" if timing.is_reversed else ""
     measured = (
         f"{shown or f'frame t shows instant t{timing.lag:+d}'}: motion correlates {timing.correlation:.2f} with it, "
-        f"{timing.straight:.2f} with t, {timing.agreeing:.0%} of the instants agree"
+        f"{timing.straight:.2f} with t, {100 * timing.agreeing:.0f} % of the instants agree"
     )
-    advice = f"renumber the frames by {timing.lag:+d}: first frame counted from 0 or 1, or another start in the protocol?"
+    whole = instants[timing.lag :] if timing.lag > 0 else instants[: timing.lag or None]
+    absent = as_ranges(sorted(set(instants) - set(whole)))
+    flags = f"--start {whole.start} " * (whole.start > 0) + f"--frames {len(whole)}"
+    advice = (
+        f"renumber the frames by {timing.lag:+d} and, as instant {absent} then has no render, score all methods under a protocol "
+        f"without it (ggvs-eval protocol CAPTURE mine.toml {flags}): first frame counted from 0 or 1, or another start?"
+    )
     question = "reversed time" if timing.is_reversed else "frame offset"
     advice = "number the frames from the first instant to the last" if timing.is_reversed else advice
     return Finding(name, question, verdict_of(timing.ratio < CERTAIN_RATIO), measured, values, advice)
@@ -246,10 +254,11 @@ class Change:
 
 @dataclass(frozen=True)
 class Scan:
-    """Result of one pass over the rendered frames."""
+    """Result of one pass over the rendered frames; `repeats` are those that hardly differ from the one before."""
 
     findings: list[Finding]
     usable: list[int]
+    repeats: list[int]
 
 
 def scan_frames(name: str, view: ViewFrames) -> Scan:
@@ -272,8 +281,8 @@ def scan_frames(name: str, view: ViewFrames) -> Scan:
     usual = float(np.median(changes)) if changes else 0.0
     candidates = [index for index, value in zip(still, changes, strict=True) if value < max(STILL_SHARE * usual, STILL_255)]
     blank = [index for index in blank if shrink(view.truth(index)).std(axis=(0, 1)).max() > LEAST_CONTRAST]
-    findings = [*_wrong_size(name, view, sizes), *_blank(name, blank, len(view.frames)), *_repeated(name, view, candidates)]
-    return Scan(findings, [index for index in view.frames if index not in set(blank)])
+    findings = [*_wrong_size(name, view, sizes), *_blank(name, blank, len(view.frames))]
+    return Scan(findings, [index for index in view.frames if index not in set(blank)], candidates)
 
 
 def change(before: Array32, after: Array32) -> Change:
@@ -293,7 +302,7 @@ def _wrong_size(name: str, view: ViewFrames, sizes: dict[tuple[int, int], list[i
     wrong = {size: indices for size, indices in sizes.items() if size != (width, height)}
     if not wrong:
         return []
-    shown = "; ".join(f"frames {as_ranges(indices)} are {w} x {h}" for (w, h), indices in wrong.items())
+    shown = "; ".join(f"{named_frames(indices)} {w} x {h}" for (w, h), indices in wrong.items())
     values = {"width_px": float(next(iter(wrong))[0]), "height_px": float(next(iter(wrong))[1])}
     measured = f"{shown}, the truth is {width} x {height}"
     return [Finding(name, "wrong size", "certain", measured, values, f"render at {width} x {height}, do not resize after")]
@@ -302,22 +311,35 @@ def _wrong_size(name: str, view: ViewFrames, sizes: dict[tuple[int, int], list[i
 def _blank(name: str, blank: list[int], count: int) -> list[Finding]:
     if not blank:
         return []
-    measured = f"frames {as_ranges(blank)} are blank ({len(blank)} of {count})"
+    measured = f"{named_frames(blank)} blank ({len(blank)} of {count})"
     advice = "render them again; black frames: is the camera inside something, or near and far wrong?"
     return [Finding(name, "blank frames", "certain", measured, {"n_frames": float(len(blank))}, advice)]
 
 
-def _repeated(name: str, view: ViewFrames, candidates: list[int]) -> list[Finding]:
-    """Of the frames that hardly differ from the one before those in which the truth continues moving."""
+def find_repeated(name: str, view: ViewFrames, scan: Scan, found: Sequence[Finding]) -> list[Finding]:
+    """Of the frames that hardly differ from the one before return those in which the truth continues moving.
+
+    Args:
+        view: as it was scanned.
+        found: other findings; frames held at an end, as many as an offset among them says, are its consequence.
+    """
+    instants = view.truth_range
+    lag = sum(int(one.values["offset_frames"]) for one in found if one.question == "frame offset")
+    held = instants[-lag:] if lag > 0 else instants[1 : 1 - lag]
+    candidates = [index for index in scan.repeats if index not in held]
     if not candidates:
         return []
     typical = _truth_change(view, list(view.frames)[1 :: max(len(view.frames) // 8, 1)])
     repeats = [index for index in candidates if _moves(_truth_change(view, [index]), typical)]
     if not repeats:
         return []
-    whole = len(repeats) == len(view.frames) - 1
-    measured = f"frames {as_ranges(repeats)} repeat the one before while the truth moves"
-    measured = f"all {len(view.frames)} frames show one instant while the truth moves" if whole else measured
+    shown = (
+        f"frames {as_ranges(repeats)} repeat the one before"
+        if len(repeats) > 1
+        else (f"frame {repeats[0]} repeats frame {repeats[0] - 1}")
+    )
+    whole = len(repeats) == len(view.frames) - 1 > 1
+    measured = f"{f'all {len(view.frames)} frames show one instant' if whole else shown} while the truth moves"
     values = {"n_frames": float(len(repeats)), "truth_change_255": typical.largest}
     advice = "is time passed to the renderer? converted frame rates or dropped frames repeat some"
     return [Finding(name, "repeated frames", "certain", measured, values, advice)]

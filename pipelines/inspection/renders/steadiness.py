@@ -48,8 +48,8 @@ def steadiness_line(views: Mapping[str, ViewFrames]) -> str:
         return ""
     change, true_change, sharp, true_sharp = np.array(values, dtype=np.float64).mean(axis=0)
     told = (
-        f"where the scene is static the renders change by {change:.3f} % of white from frame to frame (mTV x 100), the "
-        f"capture with its noise by {true_change:.3f} %; their sharpness is {sharp:.2f} %, its own {true_sharp:.2f} %"
+        f"in static areas the renders change by {change:.3f} % of white per frame (mTV x 100), the capture, noise included, by "
+        f"{true_change:.3f} %; the sharpness of the renders is {sharp:.2f} %, of the capture {true_sharp:.2f} %"
     )
     is_blurred = change < true_change and sharp < BLURRED_BELOW * true_sharp
     return told + (": more stable but blurrier than the capture" if is_blurred else "")

@@ -11,6 +11,7 @@ function makeOpening(root, data, open) {
   const count = data.views.length * data.frames.length;
   const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
   const player = makePlayer(part("run"), () => show(at + 1), data.frames.length > 1 ? data.fps : 1 / VIEW_SECONDS);
+  const insets = JSON.parse(root.dataset.insets); // view -> place of the enlarged square, in its sides
   let at = 0;
   let resumes = !isStill && count > 1; // whether it plays when it comes into sight
 
@@ -20,8 +21,9 @@ function makeOpening(root, data, open) {
   function show(next) {
     at = next % count;
     for (const figure of root.querySelectorAll("figure")) {
-      showPicture(figure.querySelector("img"), data.images[view()][figure.dataset.key][frame()]);
+      for (const image of figure.querySelectorAll("img")) showPicture(image, data.images[view()][figure.dataset.key][frame()]);
     }
+    for (const [name, value] of Object.entries(insets[view()] ?? {})) root.style.setProperty(`--${name}`, value);
     part("moment").textContent = `${view()}, frame ${data.frames[frame()]}`;
   }
 

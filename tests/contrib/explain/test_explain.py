@@ -534,7 +534,10 @@ def test_a_wrong_value_is_explained_by_nothing():
         f"no known convention gives PSNR {value:.3f}: {everywhere} conventions over all views, and {len(tried)}"
     )
     assert sentence.endswith("each is off by more than 0.00067")
-    assert "nearest" not in text
+    rows = [line for line in text.splitlines()[4:] if ALL_VIEWS in line.partition("tried;")[0]]
+    assert len(rows) in (5, 6)  # ours as well
+    assert text.endswith(f"\n\n{everywhere} conventions tried; --all shows them")
+    assert explanation_table("psnr", f"{value:.3f}", tried, shows_all=True).count(ALL_VIEWS) >= everywhere
     assert max(map(len, text.splitlines())) <= 130
 
 
@@ -560,6 +563,17 @@ def test_a_match_that_chance_would_give_as_well_is_none():
     assert explanation_table("psnr", "30.0", [*ours, *others[:14], *others[15:]]).startswith(
         "PSNR 30.0 is first way, the convention of this tool"
     )
+
+
+OURS = {"ssim": "Gaussian 11 x 11", "dssim": "DSSIM = (1 - SSIM) / 2", "l1": "mean over pixels and channels", "rmse": None}
+
+
+@pytest.mark.parametrize("metric", OURS)
+def test_only_the_convention_of_the_metric_in_question_is_ours(metric):
+    """A dissimilarity is not this tool's SSIM, nor the reverse; of a metric that it lacks none is its own."""
+    marked = {one.name.partition(",")[0] for one in explain_again(metric, "0.9") if one.is_ours}
+
+    assert marked == {OURS[metric]} - {None}
 
 
 def test_masked_conventions():
