@@ -40,9 +40,9 @@ def tables_of_runs(roots: Sequence[Path], columns: Sequence[str], to: TableForma
     names = list(dict.fromkeys(columns or protocol.measurement.metrics))
     several = len({run.scene for run in runs}) > 1
     tables = [_over_scenes(runs, results, name) for name in names] if several else [*main_tables(runs, results, names)]
-    means = f"{counted(protocol.frames.count, 'frame')} of {counted(len(protocol.views.test), 'view')}"
-    means = ", ".join([means, *filter(None, dict.fromkeys(run.sources_text for run in runs))])
-    terms = f"Mean over {means}; protocol {protocol.name}, {protocol.sha256[:HASH_DIGITS]}."
+    means = [f"{counted(protocol.frames.count, 'frame')} of {counted(len(protocol.views.test), 'view')}"]
+    means += filter(None, dict.fromkeys(run.sources_text for run in runs))
+    terms = f"Mean over {', '.join(means)}; protocol {protocol.name}, {protocol.sha256[:HASH_DIGITS]}."
     if not with_notes:
         tables = [_in_short(table, terms, names) for table in tables]
     if to == "csv":

@@ -227,7 +227,7 @@ class MeasuredRun:
     @property
     def sources_text(self) -> str:
         """Terms in short: whose the truth is, or the number of source views; empty where no method is known to have used them."""
-        k = f"K = {self.protocol.synthesis.k}" if self.from_sources.intersection(self.labels) else ""
+        k = "" if self.from_sources.isdisjoint(self.labels) else f"K = {self.protocol.synthesis.k}"
         return "own truth" if self.has_own_truth else k
 
     @property

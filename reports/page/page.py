@@ -300,13 +300,10 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
     root = _run_words(run.folder.root, capture)
     ours = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
     foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in ours]
-    given, terms = ["--capture", Path(capture).name], ["--protocol", f"{root}/protocol.toml"]
-    if ours:
-        commands = [["prepare", root, *given, *terms, *(["--matcher", matcher] if (matcher := _matcher(run)) else [])]]
-        scored = ["score", root, *(["--renders", *foreign] if foreign else [])]
-    else:  # no depth is needed
-        commands, given = [], ["--with-truth"] if run.has_own_truth else given
-        scored = ["score", "--run", root, *given, *terms, "--renders", *foreign]
+    given = ["--with-truth"] if run.has_own_truth else ["--capture", Path(capture).name]
+    given += ["--protocol", f"{root}/protocol.toml"]
+    commands = [["prepare", root, *given, *(["--matcher", matcher] if (matcher := _matcher(run)) else [])]] if ours else []
+    scored = ["score", *([root] if ours else ["--run", root, *given]), *(["--renders", *foreign] if foreign else [])]
     on_gpu = {render.rsplit("/", 1)[0] for render in run.results.devices}
     for device, flags in ((False, []), (True, ["--device", "cuda"])):
         if labels := [label for label in ours if (label in on_gpu) == device]:
@@ -374,10 +371,7 @@ def _insets(run: MeasuredRun, keys: Sequence[str], width: int) -> dict[str, dict
     if len(labels) < 2:
         return {}
     regions = find_regions(replace(run, labels=labels), "different", labels[0], count, one_per_view=True)
-    return {
-        one.view: {name: round(size / one.side, 4) for name, size in (("left", one.left), ("top", one.top), ("across", width))}
-        for one in regions
-    }
+    return {one.view: {"left": one.left / one.side, "top": one.top / one.side, "across": width / one.side} for one in regions}
 
 
 def _matcher(run: MeasuredRun) -> str:
@@ -390,11 +384,9 @@ def _matcher(run: MeasuredRun) -> str:
 def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
     """List the facts about the capture, including notes about what was left out."""
     plain = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
-    shown = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in plain.items()}
-    facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in shown.items()}
+    facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in plain.items()}
     facts |= {"cameras": len(capture["cameras"])} if capture.get("cameras") else {}
-    notes = "; ".join(capture.get("notes", ()))
-    return facts | ({"notes": notes} if notes else {})
+    return facts | ({"notes": "; ".join(capture["notes"])} if capture.get("notes") else {})
 
 
 def _slice_pictures(slices: Slices) -> dict[str, Any]:

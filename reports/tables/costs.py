@@ -343,8 +343,7 @@ def differences_table(run: MeasuredRun) -> Table | None:
 
 def _same(run: MeasuredRun) -> str:
     protocol, synthesis = run.protocol, run.protocol.synthesis
-    known = run.from_sources.intersection(run.labels)
-    sources = f"K = {synthesis.k} sources for methods that render from sources; " if known else ""
+    sources = "" if run.from_sources.isdisjoint(run.labels) else f"K = {synthesis.k} sources for those that render from sources; "
     way = measuring_way(protocol.measurement)
     measured = f", {way.describe}," if way else ""
     size = f"{synthesis.width} x {synthesis.height}" if synthesis.width else "the capture's size"

@@ -231,7 +231,7 @@ def budget_table(run: MeasuredRun) -> Table | None:
     rows = [run.row(label, _share_cells([one[label] for one in budgets.values()])) for label in run.pictured]
     for view in run.protocol.views.test:
         rows.append(Row(f"{run.name(shown)} in {view}", _share_cells([budgets[view, frame][shown] for frame in frames])))
-    below = (f"Unseen is not measured: {NOT_TOLD.note}.",) if any(NOT_TOLD in row.cells for row in rows) else ()
+    below = (f"Unseen is not measured: {NOT_TOLD.note}.",) * any(NOT_TOLD in row.cells for row in rows)
     return Table(BUDGET_KEY, "Sources of the error", CAPTION, COLUMNS, tuple(rows), run.title, below)
 
 

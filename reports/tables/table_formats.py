@@ -139,11 +139,10 @@ def to_latex(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
 def _latex_head(tables: Sequence[Table]) -> str:
     """Packages, and the meaning of the marks that these tables have."""
     rows = [row for table in tables for row in table.rows]
+    cells = [cell for row in rows for cell in row.cells]
     marks = {
-        "Blue: the better half of each column, deeper towards its best value.": any(
-            cell.shade for row in rows for cell in row.cells
-        ),
-        "Bold: best, or not significantly worse.": any(cell.best for row in rows for cell in row.cells),
+        "Blue: the better half of each column, deeper towards its best value.": any(cell.shade for cell in cells),
+        "Bold: best, or not significantly worse.": any(cell.best for cell in cells),
         "Grey rows: published values, measured by others under other conditions.": any(row.kind == "published" for row in rows),
     }
     return LATEX_HEAD % "".join(f"% {words}\n" for words, used in marks.items() if used)

@@ -183,7 +183,7 @@ def test_the_page_renders_again_where_it_was_rendered(tmp_path):
     """The commands that make the numbers again ask for a GPU for those methods alone that had one."""
     results = Results(pd.DataFrame(columns=list(COLUMNS)), {"protocol_sha256": "0", "devices": {"ours/cam00": H100}})
     run = SimpleNamespace(folder=RunFolder(tmp_path / "run"), protocol=small_protocol(1, 0, ("PSNR",)), results=results)
-    run.labels = ("no-blending", "ours")
+    run.labels, run.has_own_truth = ("no-blending", "ours"), False
     for label in run.labels:
         write_json(run.folder.renders(label, "cam00") / "job.json", {})
     assert [command for command in page.reproduce(run, "demo") if " render " in command] == [
