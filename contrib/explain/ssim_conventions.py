@@ -60,11 +60,7 @@ STRIP_ROWS = 32  # so that the planes in between stay in cache
 def ssim_conventions(
     views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader], ours: tuple[str, ...] = (OUR_SSIM,)
 ) -> list[Recomputed]:
-    """SSIM as scikit-image, kornia and the code bases of this field compute it.
-
-    Args:
-        ours: names of those by which this tool measures the metric in question.
-    """
+    """SSIM as scikit-image, kornia and the code bases of this field compute it; `ours` are those by this tool."""
     shortest_px = min(min(view.truth(view.frames[0]).shape[:2]) for view in views.values())
     is_boxed = _box_side(shortest_px) > 1
     measures = {name: measure for name, measure in frame_measures().items() if is_boxed or BOXED not in name}

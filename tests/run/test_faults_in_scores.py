@@ -89,7 +89,7 @@ def test_a_spoilt_row_says_so_and_is_compared_with_no_other(run, monkeypatch):
     assert headline.startswith("Only mine is ranked; ")
     margin = page.split('<p class="margin">')[1].split("</p>")[0]
     assert margin.startswith("mine has ")
-    assert "late: renumber the frames by -1." in margin
+    assert "late: renumber the frames by -1 and, as instant " in margin
     for label, words in SPOILT.items():
         rows = [line for line in lines if line.startswith(f"| {label} (faulty) |")]
         assert len(rows) >= 3

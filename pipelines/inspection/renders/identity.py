@@ -179,19 +179,13 @@ def views_there(run: RunFolder, label: str) -> tuple[dict[str, ViewFrames], list
         if there := longest_run([index for index in frames if index not in set(lacking)]):
             views[view] = ViewFrames(frame_reader(run.renders(label, view)), frame_reader(run.truth(view)), there, frames)
         if lacking:
-            rest = f"only {as_ranges(list(there))} examined" if there else "nothing to examine"
-            measured, values = f"lacks {as_ranges(lacking)}; {rest}", {"n_frames": float(len(lacking))}
-            findings.append(Finding(view, "missing frames", "certain", measured, values, "render these too"))
+            measured = f"lacks {as_ranges(lacking)}; " + (f"only {as_ranges(list(there))} examined" if there else "no frame")
+            findings.append(Finding(view, "missing frames", "certain", measured, {"n_frames": len(lacking)}, "render these too"))
     return views, findings
 
 
 def named_frames(frames: list[int]) -> str:
-    """Return frames as the beginning of a sentence.
-
-    Examples:
-        >>> named_frames([3]), named_frames([3, 4, 7])
-        ('frame 3 is', 'frames 3-4, 7 are')
-    """
+    """Return frames as the beginning of a sentence."""
     return f"frame {frames[0]} is" if len(frames) == 1 else f"frames {as_ranges(frames)} are"
 
 

@@ -317,12 +317,7 @@ def _blank(name: str, blank: list[int], count: int) -> list[Finding]:
 
 
 def find_repeated(name: str, view: ViewFrames, scan: Scan, found: Sequence[Finding]) -> list[Finding]:
-    """Of the frames that hardly differ from the one before return those in which the truth continues moving.
-
-    Args:
-        view: as it was scanned.
-        found: other findings; frames held at an end, as many as an offset among them says, are its consequence.
-    """
+    """Find repeats where the truth moves; those held at an end by an offset in `found` are its consequence, and left out."""
     instants = view.truth_range
     lag = sum(int(one.values["offset_frames"]) for one in found if one.question == "frame offset")
     held = instants[-lag:] if lag > 0 else instants[1 : 1 - lag]
