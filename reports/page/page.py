@@ -386,7 +386,9 @@ def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
     plain = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
     facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in plain.items()}
     facts |= {"cameras": len(capture["cameras"])} if capture.get("cameras") else {}
-    return facts | ({"notes": "; ".join(capture["notes"])} if capture.get("notes") else {})
+    if capture.get("notes"):
+        facts["notes"] = "; ".join(capture["notes"])
+    return facts
 
 
 def _slice_pictures(slices: Slices) -> dict[str, Any]:

@@ -40,7 +40,9 @@ def one_image_rig(folder: Path, more: str = "", head: str = "", images: list | N
 
 def test_a_folder_called_capture_has_the_name_of_its_parent(tmp_path):
     """`evaluate VIDEOS OUT` writes OUT/capture, which says nothing to a reader; every other folder is a name."""
-    shown = [open_capture(write_capture_toml(tmp_path / name)).scene for name in ("dome/capture", "capture/dome", "dome/capture2")]
+    shown = [
+        open_capture(write_capture_toml(tmp_path / name)).scene for name in ("dome/capture", "capture/dome", "dome/capture2")
+    ]
     assert shown == ["dome", "dome", "capture2"]
 
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from ggvs_eval.contrib.worlds.packing import pack_renders
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import frame_path
 from ggvs_eval.synthetic import shipped
+from helpers.packing import pack_renders
 
 
 def test_renders_of_a_run_are_packed_and_come_back(tmp_path, monkeypatch):

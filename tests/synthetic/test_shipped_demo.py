@@ -10,12 +10,12 @@ from ggvs_eval.contrib.worlds.demo import DEMO_ROOMS, SHIPPED, film_demo, write_
 from ggvs_eval.contrib.worlds.film.film import Footage, light_instant, stored_instant
 from ggvs_eval.contrib.worlds.film.shots import rig_and_path_shots
 from ggvs_eval.contrib.worlds.layouts.videos import dynerf_files
-from ggvs_eval.contrib.worlds.packing import pack_room
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.synthetic import shipped
 from ggvs_eval.synthetic.shipped import ROOMS, write_room
+from helpers.packing import pack_room
 from helpers.refusals import refused
 
 # Of 255 levels: what x264 at crf 12 does to the noisiest picture.

@@ -1,4 +1,4 @@
-"""Packed demo data: filmed rooms, and renders of the main one."""
+"""How the demo data that ship were packed: filmed rooms, and renders of the main one."""
 
 import shutil
 from collections.abc import Sequence
