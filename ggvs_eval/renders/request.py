@@ -176,7 +176,7 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
         if fitted.untested:
             listed.append(f"there are renders of {', '.join(fitted.untested)}, which the protocol does not test")
         numbered = [numbering] if numbering else []
-        rest = ", or add --allow-partial to score the rest" if fitted.usable else ""
+        rest = ", or score the rest by `ggvs-eval score --allow-partial`" if fitted.usable else ""
         raise RenderError(f"{path}: {'; '.join([*numbered, *listed])}; fix these{rest}")
 
 
