@@ -27,7 +27,7 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 NOISE_FREE, SECOND = "Ceiling: perfect and noise-free", "Ceiling: second recording"
 NOTES = {
     NOISE_FREE: "estimated score of the scene without the camera's noise and codec against this capture.",
-    SECOND: "estimated score of another recording by the same camera, with independent noise.",
+    SECOND: "estimated score of another recording by the same camera, with independent noise; a codec softens both alike.",
 }
 LEAST_DB = 30.0
 UNRECORDED = "not recorded in this run folder; prepare it again"

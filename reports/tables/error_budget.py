@@ -291,7 +291,7 @@ def describe_absolute(
     beside = []
     ceilings = [row.cells[at].shown for row in table.rows if row.kind == "reference" and row.cells[at].value is not None]
     if ceilings:
-        beside.append(f"a perfect rendering would have {ceilings[0]}{unit} on this capture")
+        beside.append(f"a perfect rendering without noise or codec would have {ceilings[0]}{unit} on this capture")
     published = [row.cells[at] for row in table.rows if row.kind == "published" and row.cells[at].value is not None]
     if published:
         low, high = (end(published, key=lambda one: one.value or 0.0).shown for end in (min, max))

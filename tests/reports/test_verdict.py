@@ -84,7 +84,7 @@ def test_a_number_stands_beside_what_is_known(tmp_path):
     budget = budget_table(measured)
     tables = main_tables([measured], measured.results)
     verdict = evaluate_verdict([measured], measured.results, tables, [budget])
-    assert "a perfect rendering would have 40.50 dB" in verdict.absolute
+    assert "a perfect rendering without noise or codec would have 40.50 dB" in verdict.absolute
     assert "published" not in verdict.absolute
     row = next(row for row in budget.rows if row.name == NAMES[MIDDLE])
     shares = [cell.value or 0.0 for cell in row.cells[1:]]
