@@ -149,7 +149,9 @@ def calibration_mark(path: Path) -> tuple[str, tuple[str, ...], str] | None:
 def _unfit(path: Path, refusals: Mapping[str, str]) -> str:
     """State why a path is of no layout: what it shows first, then what else was looked for."""
     if path.is_file():
-        return f"{path}: wanted the folder of a capture, got a file; give {path.parent if path.parent.name else 'its folder'}"
+        return (
+            f"{path}: wanted a capture's folder or capture.toml, got another file; give its folder, {path.parent.resolve().name}"
+        )
     refuse_chapters(path, [file.stem for file in list_files(path, VIDEO_SUFFIXES)])
     within, mark = _captures_within(path), calibration_mark(path)
     remedy = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"

@@ -216,7 +216,7 @@ def test_frame_counts_and_rates_must_agree(toml_rig):
 def test_another_file_is_no_capture(toml_rig):
     """A TOML file of another name is not taken for a rig."""
     (toml_rig / "capture.toml").rename(toml_rig / "rig.toml")
-    assert "not capture.toml: no capture.toml" in refusal(toml_rig / "rig.toml")
+    assert "wanted a capture's folder or capture.toml, got another file" in refusal(toml_rig / "rig.toml")
 
 
 def qualisys_rig(folder: Path, *, transposed: bool = False, mirrored: bool = False, scale: float = 64.0, more: str = "") -> Path:

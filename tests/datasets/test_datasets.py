@@ -64,11 +64,12 @@ def test_no_folder_no_content_no_layout(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "cam00.mp4").write_bytes(b"x")
     assert "got no such path; check it" in refusal(tmp_path / "absent")
-    assert "wanted a capture in a known layout; see docs/captures.md for the layouts (looked for: not capture.toml: " in refusal(
+    assert f"wanted a capture's folder or capture.toml, got another file; give its folder, {tmp_path.name}" in refusal(
         tmp_path / "file"
     )
     assert "got an empty folder" in refusal(tmp_path / "empty")
     message = refusal(tmp_path / "other")
+    assert "wanted a capture in a known layout; see docs/captures.md for the layouts (looked for: not capture.toml: " in message
     assert "not dynerf: no poses_bounds.npy" in message
     assert "not colmap: no COLMAP model" in message
 
