@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8, Map
-from ggvs_eval.errors import RenderError
+from ggvs_eval.errors import RenderError, no_such_path
 from ggvs_eval.files.images import decode_image, read_encoded, read_image, to_8_bit
 from ggvs_eval.files.listing import IMAGE_SUFFIXES, VIDEO_SUFFIXES, list_files
 from ggvs_eval.files.names import numbers_in
@@ -139,5 +139,5 @@ def _member(path: Path) -> str:
 
 
 def _nothing(path: Path, kinds: str) -> RenderError:
-    contents = "got another kind" if path.exists() else "got no such path"
-    return RenderError(f"{path}: wanted {kinds}, {contents}; check the path")
+    there = f"{path}: wanted {kinds}, got another kind; check the path"
+    return RenderError(there if path.exists() else no_such_path(path, kinds))

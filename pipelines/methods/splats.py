@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ggvs_eval import built_in
 from ggvs_eval.camera import Camera
-from ggvs_eval.errors import RenderError
+from ggvs_eval.errors import RenderError, no_such_path
 from ggvs_eval.files.listing import list_files
 from ggvs_eval.files.names import Number, is_stamp, numbers_in
 from ggvs_eval.files.plain import why_unread
@@ -139,7 +139,7 @@ def splats_files(path: Path) -> list[Path]:
     except OSError as error:
         raise RenderError(f"{path}: wanted {KINDS}; got an unreadable path: {why_unread(error)}") from error
     if not files:
-        raise RenderError(f"{path}: wanted {KINDS}; got {'none of them' if path.is_dir() else 'no such path'}")
+        raise RenderError(f"{path}: wanted {KINDS}; got none of them" if path.is_dir() else no_such_path(path, KINDS))
     if (place / DEFORMATION).is_file():
         return [*files, place / DEFORMATION]
     counts = [*map(_whole, _frame_numbers(files))]

@@ -64,6 +64,7 @@ def test_no_folder_no_content_no_layout(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "cam00.mp4").write_bytes(b"x")
     assert "got no such path; check it" in refusal(tmp_path / "absent")
+    assert f"got no such path; did you mean {tmp_path}/other?" in refusal(tmp_path / "othr")
     assert f"wanted a capture's folder or capture.toml, got another file; give its folder, {tmp_path.name}" in refusal(
         tmp_path / "file"
     )

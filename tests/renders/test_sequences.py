@@ -74,7 +74,7 @@ def test_frames_are_read_in_every_form(tmp_path):
 @pytest.mark.parametrize(
     ("make", "read", "words"),
     [
-        (lambda path: None, read_depths, r"wanted a folder of depth maps, .*got no such path; check the path"),
+        (lambda path: None, read_depths, r"wanted a folder of depth maps, .*got no such path; check it"),
         (lambda path: path.write_text("no"), read_frames, "wanted a folder of pictures, .*got another kind"),
         (lambda path: path.mkdir(), read_depths, r"wanted depth maps \(.png, .*\), got none"),
         (lambda path: path.mkdir(), read_frames, r"wanted pictures \(.png, .*\), got none"),

@@ -18,7 +18,7 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.evaluate import report
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare_truth
-from ggvs_eval.pipelines.run.score import score
+from ggvs_eval.pipelines.run.score import plan_scores, score
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.reports.model.measured import read_scores
 from ggvs_eval.reports.page.page import reproduce
@@ -73,6 +73,20 @@ def test_partial_renders_are_scored_where_they_are_and_marked(truth_run, tmp_pat
     assert some[("cam00", 2, "TCC")] == whole[("cam00", 2, "TCC")]
     assert some[("cam00", -1, "SDT")] == pytest.approx(np.std([some[("cam00", t, "L1")] for t in (2, 3)], ddof=1))
     assert results.not_computed == {}
+
+
+def test_the_announced_time_is_of_what_is_left(truth_run, tmp_path):
+    """Methods that are scored already are not counted again."""
+    for label in ("a", "b"):
+        import_renders(truth_run, label, write_folders(tmp_path / label))
+    words = "scoring 6 frames of each of 2 methods takes about "
+    assert plan_scores(truth_run, ["a", "b"]).time_words(1).startswith(words)
+    score(truth_run)
+    for label in ("c", "d"):
+        import_renders(truth_run, label, write_folders(tmp_path / label))
+
+    assert plan_scores(truth_run, ["a", "b", "c", "d"]).time_words(1).startswith(words)
+    assert plan_scores(truth_run, ["a", "b", "c"]).time_words(1) == ""  # six frames are not worth a line
 
 
 def test_a_view_that_is_missing_has_no_row(truth_run, tmp_path):
