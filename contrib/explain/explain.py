@@ -91,11 +91,15 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
 
 @contextmanager
 def followed(views: Mapping[str, ViewFrames]) -> Iterator[Mapping[str, ViewFrames]]:
-    """Yield the views with a bar that moves as their rendered frames are read for the first time."""
-    steps = track(range(sum(len(view.frames) for view in views.values())), "comparing frames")
+    """Yield the views with a bar that moves as their rendered frames are read, one for each time that all of them are."""
+    frames = range(sum(len(view.frames) for view in views.values()))
+    steps = iter(())
 
     def passed(image: Image8) -> Image8:
-        next(steps, None)
+        nonlocal steps
+        if next(steps, None) is None:
+            steps = track(frames, "comparing frames")
+            next(steps)
         return image
 
     yield {name: view.with_rendered(passed) for name, view in views.items()}

@@ -55,7 +55,7 @@ PLAIN = "report_tables"  # ... and of all others
 MANY_CAMERAS = 100  # more than any K of a sweep wants
 ON_A_REAL_FRAME = ("no-blending", "distance-based", "interpolation", "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", "ours")
 ON_AN_INSTANT = ("no-blending", "distance-based", "ibrnet", "enerf", "mvsnerf", "ours")
-LLFF_SCENES, ON_LLFF = ("fern", "flower"), ("distance-based", "enerf", "ours-geometric", "ours")
+LLFF_SCENES, ON_LLFF = ("fern", "flower"), ("distance-based", "enerf", "mvsnerf", "ours-geometric", "ours")
 ON_A_SMALL_FRAME = (*ON_A_REAL_FRAME[:-1], "mvsplat", "mvsnerf", "ours", "ours-geometric")
 
 
@@ -191,12 +191,12 @@ MEASUREMENTS = {
             (
                 *(
                     f"ggvs-eval run out/llff/{scene} --capture {{data}}/llff/{scene} --protocol llff_3view_{scene} --methods "
-                    f"{' '.join(ON_LLFF)}"
+                    f"{' '.join(ON_LLFF)} --weights mvsnerf={{weights}}/{MVSNERF_FILE}"
                     for scene in LLFF_SCENES
                 ),
                 f"python -m benchmarks.llff {' '.join(f'out/llff/{scene}' for scene in LLFF_SCENES)}",
             ),
-            10,
+            130,
             ON_LLFF,
             "llff_3view_fern",
             sources=("benchmarks/llff.py",),
