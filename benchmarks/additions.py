@@ -20,7 +20,7 @@ from ggvs_eval.contrib.training.instant_samples import InstantSample
 from ggvs_eval.contrib.worlds.domains import find_domain
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.splat import COVERED_ALPHA, splat_depth
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.metrics.image.corrected import apply_colour_map, fit_colour_map, unit_range
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.time.flicker import flicker
@@ -153,7 +153,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--frames", type=int, default=16, help="instants of a view over time")
     parser.add_argument("--size", type=int, nargs=2, default=(320, 240), help="of the images, pixels")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for additions.json and what is kept")
-    parser.add_argument("--jobs", type=int, default=default_workers(), help="processes that film and compute depth")
+    parser.add_argument("--jobs", type=int, default=usable_cpus(), help="processes that film and compute depth")
     return parser.parse_args()
 
 

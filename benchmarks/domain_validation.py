@@ -16,7 +16,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.contrib.worlds.domains import DOMAINS
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.images import quantise
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.method import Method
 from ggvs_eval.metrics.image.lpips import lpips_between, lpips_features
 from ggvs_eval.metrics.image.psnr import psnr
@@ -160,7 +160,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--alone", action="store_true", help="depth as play and view have it, not checked against other sources'")
     parser.add_argument("--data", type=Path, default=None, help=f"folder with {REAL_CAPTURE}")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for validate_domains.json and what is kept")
-    parser.add_argument("--jobs", type=int, default=default_workers(), help="processes that film and compute depth")
+    parser.add_argument("--jobs", type=int, default=usable_cpus(), help="processes that film and compute depth")
     return parser.parse_args()
 
 

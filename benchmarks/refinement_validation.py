@@ -25,7 +25,8 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.colmap_model import Sightings, write_model
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.geometry.epipolar import epipolar_errors
-from ggvs_eval.jobs.processes import default_workers, finish_all, worker_pool
+from ggvs_eval.jobs.processes import finish_all, worker_pool
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.methods.registry import find_method
@@ -60,7 +61,7 @@ def validate_refinement(cache: Path, seeds: Sequence[int]) -> pd.DataFrame:
         A row per state, means over rooms and views: mean reprojection error of the features and median epipolar error of exact
         matches, both in pixels, PSNR in dB and SSIM of the rendered views.
     """
-    with worker_pool(min(default_workers(), len(seeds))) as pool:
+    with worker_pool(min(usable_cpus(), len(seeds))) as pool:
         rooms = [pool.submit(_measure_room, cache, seed) for seed in seeds]
         finish_all(pool, rooms, "rooms calibrated")
     rows = chain.from_iterable(room.result() for room in rooms)

@@ -15,7 +15,7 @@ import pandas as pd
 
 from benchmarks.depth_validation.evaluate_matcher import validate_depth
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.pipelines.methods.registry import usual_methods
 from ggvs_eval.pipelines.run.evaluate import evaluate
 from ggvs_eval.protocol import load_protocol
@@ -88,7 +88,7 @@ def validate_calibration(capture: Path, out: Path) -> Figures:
 def validate_real_frame(capture: Path, run: Path, protocol: str) -> Figures:
     """Return one real instant, leave-one-out on nine views; the target takes no part in any depth."""
     labels = [label for label in usual_methods() if "+" not in label]  # variants differ over time only
-    evaluate(run, open_capture(capture), load_protocol(protocol), labels, default_workers())
+    evaluate(run, open_capture(capture), load_protocol(protocol), labels, usable_cpus())
     results = Results.read(run)
     for metric in ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1"):
         if metric not in results.not_computed:
@@ -104,7 +104,7 @@ def validate_demo(run: Path) -> Figures:
     from ggvs_eval.synthetic.shipped import write_room
 
     capture = write_room(run.with_name(f"{run.name}-capture"))
-    evaluate(run, open_capture(capture), load_protocol("demo"), usual_methods(), default_workers())
+    evaluate(run, open_capture(capture), load_protocol("demo"), usual_methods(), usable_cpus())
     means = _means(Results.read(run))
     print(means.round(4).to_string())
     targets: Targets = {"PSNR": (None, True), "TCC": (None, True), "STED": (None, False)}

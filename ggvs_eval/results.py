@@ -260,7 +260,7 @@ class Results:
     def per_frame(self, metric: str, view: str) -> "pd.DataFrame":
         """Return one metric along time in one view: rows are frames, one column per (method, variant)."""
         rows = self.table[(self.table["metric"] == metric) & (self.table["view"] == view) & (self.table["frame"] >= 0)]
-        return rows.pivot_table(index="frame", columns=["method", "variant"], values="value", sort=False)
+        return rows.groupby(["frame", "method", "variant"], sort=False)["value"].mean().unstack(["method", "variant"], sort=False)
 
 
 def label_of(method: str, variant: str) -> str:

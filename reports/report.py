@@ -1,11 +1,13 @@
 """A report of one or several runs: the page, the tables in four formats, and the figures."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ggvs_eval.files.atomic import write_text
+from ggvs_eval.jobs.processes import do_all
 from ggvs_eval.reports.figures.curves import draw_curves
 from ggvs_eval.reports.figures.paper_figures import draw_crops, draw_failures
 from ggvs_eval.reports.figures.regions import RULES, Rule, find_regions
@@ -107,26 +109,30 @@ def write_report(
     write_text(page, render_page(groups, reproduced, swept, None if standalone else out))
     numbers = page_numbers(groups, swept)
     if with_figures:
+        figures: list[Callable[[], object]] = []
         for index, section in enumerate(sections):
-            _draw_figures(section, out / "figures" / (f"run{index}" if len(sections) > 1 else ""), numbers)
+            figures += _figures(section, out / "figures" / (f"run{index}" if len(sections) > 1 else ""), numbers)
         for index, sweep in enumerate((*sweeps, *tables_of)):
             if swept[index].panels:
-                draw_k(sweep, out / "figures" / f"k{index or ''}.png", numbers=numbers)
+                figures.append(partial(draw_k, sweep, out / "figures" / f"k{index or ''}.png", numbers=numbers))
             if swept[index].rates:
-                draw_rates(swept[index].rates, out / "figures" / f"stream{index or ''}.png", numbers)
+                figures.append(partial(draw_rates, swept[index].rates, out / "figures" / f"stream{index or ''}.png", numbers))
+        do_all(figures, "drawing figures")
     return page
 
 
-def _draw_figures(section: RunSection, folder: Path, numbers: Mapping[str, int]) -> None:
+def _figures(section: RunSection, folder: Path, numbers: Mapping[str, int]) -> Iterator[Callable[[], object]]:
+    """Yield what draws each figure of a run."""
     for slices in section.slices:
-        draw_slices(slices, folder / ("epi.png" if slices.kind == "epi" else f"x-t_{slices.view}.png"))
+        yield partial(draw_slices, slices, folder / ("epi.png" if slices.kind == "epi" else f"x-t_{slices.view}.png"))
     if section.run.pictured:
         label = section.run.ours_first[0]
         rule: Rule = "different" if len(section.run.pictured) > 1 else "worst"
         regions = find_regions(section.run, rule, label, 2)
-        draw_crops(section.run, [folder / "crops.png"], regions, RULES[rule].format(name=section.run.name(label)))
-        draw_failures(section.run, [folder / "failures.png"], label)
+        yield partial(draw_crops, section.run, [folder / "crops.png"], regions, RULES[rule].format(name=section.run.name(label)))
+        yield partial(draw_failures, section.run, [folder / "failures.png"], label)
     if section.rate_panels:
-        draw_rates(section.rate_panels, folder / "stream.png", numbers)
+        yield partial(draw_rates, section.rate_panels, folder / "stream.png", numbers)
     for metric in dict.fromkeys(panel.metric for panel in section.panels):
-        draw_curves([panel for panel in section.panels if panel.metric == metric], folder / f"curves_{metric}.png", numbers)
+        panels = [panel for panel in section.panels if panel.metric == metric]
+        yield partial(draw_curves, panels, folder / f"curves_{metric}.png", numbers)

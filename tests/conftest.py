@@ -26,10 +26,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
-    from ggvs_eval.jobs.processes import default_workers, share_cpus
+    from ggvs_eval.jobs.processes import share_cpus
+    from ggvs_eval.kernels import usable_cpus
 
     # More threads than cores wait for one another at full speed: a network's step took ten times as long.
-    share_cpus(max(default_workers() // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]), 1))
+    share_cpus(max(usable_cpus() // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]), 1))
 
 MARKERS = {
     "quick": "none of the others; `make test-quick` runs these",

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ggvs_eval.baselines.enerf.network import CostNetwork, Networks
-from ggvs_eval.baselines.enerf.views import Matrix, SeenView, extrinsics, image_places, intrinsics, padded, projection, sample
+from ggvs_eval.baselines.enerf.views import Matrix, SeenView, extrinsics, image_places, padded, projection, sample
 from ggvs_eval.camera import Camera
 
 COARSE_SCALE, FINE_SCALE = 1 / 8, 1 / 2  # of the volumes' planes
@@ -175,7 +175,7 @@ def expectation(scores: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
 
 def target_grid(target: Camera, unit: float = 1.0) -> TargetGrid:
     """Return the target's padded pixels; `unit` is the network's units of length per world unit."""
-    return TargetGrid(intrinsics(target), extrinsics(target, unit), padded(target.width), padded(target.height))
+    return TargetGrid(target.K_opencv, extrinsics(target, unit), padded(target.width), padded(target.height))
 
 
 def render_pixels(

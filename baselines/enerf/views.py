@@ -14,7 +14,6 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.method import SourceView
 
 SIZE_MULTIPLE = 32  # sides are padded to it: the volume is at 1/8 and is halved twice
-PIXEL_CENTRE = 0.5  # this package's are at halves, the network was trained with centres at whole numbers
 SMALLEST_DEPTH, EPSILON = 1e-6, 1e-6
 TRAINED_NEAR = 2.125  # nearest depth in training: DTU's 425 mm in units of 200 mm
 Matrix = NDArray[np.float64]
@@ -76,7 +75,7 @@ def see_together(network: FeatureNetwork, sources: Sequence[SourceView], unit: f
     quarter, half, full = (level.float() for level in network(2 * images - 1))
     shown = torch.cat([full, images], dim=1)
     return [
-        SeenView((quarter[k], half[k]), shown[k], intrinsics(source.camera), extrinsics(source.camera, unit))
+        SeenView((quarter[k], half[k]), shown[k], source.camera.K_opencv, extrinsics(source.camera, unit))
         for k, source in enumerate(sources)
     ]
 
@@ -84,13 +83,6 @@ def see_together(network: FeatureNetwork, sources: Sequence[SourceView], unit: f
 def padded(side_px: int) -> int:
     """Return the next multiple of 32."""
     return -(-side_px // SIZE_MULTIPLE) * SIZE_MULTIPLE
-
-
-def intrinsics(camera: Camera) -> Matrix:
-    """K for pixel centres at whole numbers, (3, 3)."""
-    K = camera.K.copy()
-    K[:2, 2] -= PIXEL_CENTRE
-    return K
 
 
 def extrinsics(camera: Camera, unit: float) -> Matrix:

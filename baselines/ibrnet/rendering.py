@@ -20,7 +20,6 @@ from ggvs_eval.method import Instant, SourceView
 
 Pixels = NDArray[np.float32]
 Pass = Literal["coarse", "fine"]
-PIXEL_CENTRE = 0.5  # this package's are at halves, the network was trained with centres at whole numbers
 FARTHEST_PX = 1e6
 BILINEAR, ZEROS = 0, 0  # torch's numbers of interpolation and padding
 EPSILON = 1e-6
@@ -87,9 +86,7 @@ def directions(points_world: Tensor, target_centre: Tensor, source_centre: Tenso
 
 def projection_of(camera: Camera) -> Tensor:
     """Return the transform of world to image with pixel centres at whole numbers, (3, 4)."""
-    K = camera.K.copy()
-    K[:2, 2] -= PIXEL_CENTRE
-    return torch.as_tensor(np.ascontiguousarray(K @ camera.world_to_camera[:3])).float()
+    return torch.as_tensor(np.ascontiguousarray(camera.K_opencv @ camera.world_to_camera[:3])).float()
 
 
 def _unit(vectors: Tensor) -> Tensor:

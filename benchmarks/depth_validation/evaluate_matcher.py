@@ -11,7 +11,7 @@ from benchmarks.depth_validation.named_matchers import depth_options, pairwise_m
 from benchmarks.depth_validation.rooms import film_rooms
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import DepthError
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import read_json, write_json
@@ -94,7 +94,7 @@ def _rendering(folder: Path, out: Path, matchers: Sequence[str]) -> Figures:
         print(f"rendering: not computed: no capture at {folder}; give --data")
         return {}
     table, figures = rendering.evaluate_rendering(
-        open_capture(folder), load_protocol("real_frame"), out / "depth_rendering", matchers, default_workers()
+        open_capture(folder), load_protocol("real_frame"), out / "depth_rendering", matchers, usable_cpus()
     )
     _show(table, out, "rendering")
     return figures

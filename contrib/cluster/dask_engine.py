@@ -11,7 +11,8 @@ from typing import Any, TypeVar
 from ggvs_eval.errors import GO_ON, RenderError
 from ggvs_eval.jobs.engine import start_remedy
 from ggvs_eval.jobs.ledger import LostJob
-from ggvs_eval.jobs.processes import default_workers, share_cpus
+from ggvs_eval.jobs.processes import share_cpus
+from ggvs_eval.kernels import usable_cpus
 
 CONNECT_S = 30
 REPLACE_EVERY_S = 2.0
@@ -42,7 +43,7 @@ def run_on_dask(
         RenderError: dask is not installed, or nothing answers at the address, or the scheduler has gone away.
     """
     distributed = _import_distributed()
-    threads = None if scheduler else max(default_workers() // workers, 1)
+    threads = None if scheduler else max(usable_cpus() // workers, 1)
     with _connect(distributed, min(workers, len(items)), scheduler) as client:
         futures = [client.submit(_work_on, work, item, threads, pure=False) for item in items]
         index_of = {future.key: index for index, future in enumerate(futures)}

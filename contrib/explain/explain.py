@@ -93,7 +93,7 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
 def followed(views: Mapping[str, ViewFrames]) -> Iterator[Mapping[str, ViewFrames]]:
     """Yield the views with a bar that moves as their rendered frames are read, one for each time that all of them are."""
     frames = range(sum(len(view.frames) for view in views.values()))
-    steps = iter(())
+    steps: Iterator[int] = iter(())
 
     def passed(image: Image8) -> Image8:
         nonlocal steps

@@ -20,7 +20,7 @@ from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKi
 from ggvs_eval.contrib.training.samples.training_data import prepare_samples, sample_pools
 from ggvs_eval.contrib.training.train_one import CACHE, sample_device, sample_workers
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.pipelines.online.blend_network import weights_name
 from ggvs_eval.progress import LOOK_BACK_S
 
@@ -59,7 +59,7 @@ class Training:
 
 def default_jobs(device_type: str, trainings: int) -> int:
     """Return how many trainings run at once: all of them on a GPU, one per two cores on a CPU."""
-    return trainings if device_type == "cuda" else max(min(default_workers() // CORES_PER_TRAINING, trainings), 1)
+    return trainings if device_type == "cuda" else max(min(usable_cpus() // CORES_PER_TRAINING, trainings), 1)
 
 
 def run_trainings(trainings: Sequence[Training], jobs: int) -> dict[str, str]:
@@ -113,7 +113,7 @@ def _start(training: Training, jobs: int) -> subprocess.Popen[bytes]:
     with training.log.open("ab") as log:
         _lock(training, log)
         command = [sys.executable, "-m", "ggvs_eval", *training.arguments]
-        threads = str(max(default_workers() // jobs, 1))
+        threads = str(max(usable_cpus() // jobs, 1))
         environment = {"OMP_NUM_THREADS": threads, "GGVS_EVAL_THREADS": threads, **os.environ}
         return subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, env=environment, start_new_session=True
@@ -269,4 +269,4 @@ def prepare_all(cache: Path, request: TrainingOptions, networks: Sequence[Networ
         device = sample_device(request)
         prepare_samples(*sample_pools(cache, request, BlendKind(device)), sample_workers(device))
     for depth in sorted({TRAINED_BASELINES[what].takes_depth for what, _ in networks if what in TRAINED_BASELINES}):
-        prepare_samples(*sample_pools(cache, request, InstantKind(depth)), default_workers())
+        prepare_samples(*sample_pools(cache, request, InstantKind(depth)), usable_cpus())

@@ -26,7 +26,7 @@ from ggvs_eval.contrib.training.stereo_task import StereoTask
 from ggvs_eval.contrib.training.task import Schedule, Task, freeze_statistics, recompute_statistics
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.images import quantise
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.method import Instant
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
@@ -243,7 +243,7 @@ def planned_task(what: str, cache: Path, request: TrainingOptions) -> Task:
     is_trained = request.start_from is not None
     if what != "blend":
         baseline = baseline_task(what, cache, request, request.configuration, request.seed, is_trained, request.crop)
-        prepare_samples(baseline.training, baseline.validation, default_workers())
+        prepare_samples(baseline.training, baseline.validation, usable_cpus())
         return baseline
     config, device = BlendNetworkShape(request.views, request.guidance, WIDTHS[request.size]), sample_device(request)
     schedule = blend_task.FINE_TUNING if is_trained else blend_task.LEARNING
@@ -260,5 +260,5 @@ def sample_device(request: TrainingOptions) -> str:
 def sample_workers(device: str) -> int:
     """Processes that make samples side by side: one per CPU, but of those that share a GPU no more than its memory holds."""
     if device.startswith("cuda"):
-        return max(min(default_workers(), torch.cuda.mem_get_info(device)[0] // WORKER_BYTES), 1)
-    return default_workers()
+        return max(min(usable_cpus(), torch.cuda.mem_get_info(device)[0] // WORKER_BYTES), 1)
+    return usable_cpus()

@@ -15,7 +15,8 @@ from ggvs_eval.contrib.worlds.film.shots import Shot, camera_gains
 from ggvs_eval.contrib.worlds.layouts.layouts import LAYOUTS
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.files.atomic import atomic_folder
-from ggvs_eval.jobs.processes import default_workers, worker_pool
+from ggvs_eval.jobs.processes import worker_pool
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.shipped import MAIN, is_written, write_room
 
@@ -52,7 +53,7 @@ def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -
 
 def film_demo(folder: Path, options: DemoOptions, workers: int | None = None) -> Path:
     """Film the capture as `write_demo` does, also if it is included in the package."""
-    with atomic_folder(folder) as unfinished, _executor(workers or default_workers()) as executor:
+    with atomic_folder(folder) as unfinished, _executor(workers or usable_cpus()) as executor:
         _film(executor, unfinished, options)
     return folder
 

@@ -25,7 +25,8 @@ from ggvs_eval.errors import GO_ON, AbsentPartError, RenderError
 from ggvs_eval.jobs.code_identity import package_digest
 from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.machine import has_room
-from ggvs_eval.jobs.processes import borrowed_pool, default_workers, worker_pool
+from ggvs_eval.jobs.processes import borrowed_pool, worker_pool
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.plugins import Registry
 from ggvs_eval.progress import track
 
@@ -52,7 +53,7 @@ class Engine:
         scheduler: dask scheduler, tcp://HOST:8786, with shared folders; local workers by default.
     """
 
-    jobs: int = field(default_factory=default_workers)
+    jobs: int = field(default_factory=usable_cpus)
     engine: Literal["processes", "dask"] = "processes"
     scheduler: str | None = None
 

@@ -5,23 +5,27 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from multiprocessing import active_children, connection, get_context, parent_process
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.progress import track
 
+Item = TypeVar("Item")
+Made = TypeVar("Made")
 # What a /dev/shm that is read-only, full, absent or forbidden makes of a semaphore.
 NO_SEMAPHORES = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOSYS, errno.ENOSPC)
 
 
-def default_workers() -> int:
-    """Return the number of processes for this machine: one per available CPU."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+def in_threads(work: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
+    """Yield what is made of each item, by a thread per CPU: codecs and OpenCV let go of the interpreter."""
+    with ThreadPoolExecutor(usable_cpus()) as pool:
+        yield from pool.map(work, items)
 
 
 def worker_pool(workers: int) -> Executor:
@@ -29,7 +33,7 @@ def worker_pool(workers: int) -> Executor:
 
     Processes are spawned, not forked: threads and libraries of the parent would not survive a fork.
     """
-    threads = max(default_workers() // workers, 1)
+    threads = max(usable_cpus() // workers, 1)
     try:
         return _WorkerPool(workers, get_context("spawn"), initializer=_start_worker, initargs=(threads,))
     except (OSError, NotImplementedError) as error:
@@ -152,6 +156,16 @@ def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str)
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         raise
+
+
+def do_all(jobs: Sequence[Callable[[], object]], description: str) -> None:
+    """Do jobs with a progress bar: in the processes that are kept, if any are, else here, one after the other."""
+    if _keeper is None:
+        for job in track(jobs, description):
+            job()
+    else:
+        with borrowed_pool(usable_cpus(), usable_cpus()) as pool:
+            finish_all(pool, [pool.submit(job) for job in jobs], description)
 
 
 def share_cpus(threads: int) -> None:

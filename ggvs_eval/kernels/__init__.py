@@ -35,7 +35,7 @@ def get_threads() -> int:
         setting = os.environ.get("GGVS_EVAL_THREADS", "")
         if setting and not setting.isdecimal():
             raise ValueError(f"GGVS_EVAL_THREADS: wanted a number of threads, got {setting!r}")
-        set_threads(int(setting) if setting else _usable_cpus())
+        set_threads(int(setting) if setting else usable_cpus())
     return _settings["threads"]
 
 
@@ -76,5 +76,6 @@ def available_levels() -> tuple[str, ...]:
     return SIMD_LEVELS[: _core.best_level() + 1]
 
 
-def _usable_cpus() -> int:
+def usable_cpus() -> int:
+    """Return the number of CPUs that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -19,16 +19,17 @@ inline std::string describe(const py::array& array) {
 // The data of a C-contiguous T array of exactly this shape.
 template <class T>
 const T* data_of(const py::handle& object, const char* name, const std::vector<py::ssize_t>& shape) {
-    py::tuple sizes(shape.size());
-    for (size_t n = 0; n < shape.size(); ++n) sizes[n] = shape[n];
-    const std::string wanted =
-        py::cast<std::string>(py::str(py::dtype::of<T>())) + " " + py::cast<std::string>(py::str(sizes)) + ", C-contiguous";
-    if (!py::isinstance<py::array>(object))
-        throw py::type_error(std::string(name) + ": wanted " + wanted + ", got " + Py_TYPE(object.ptr())->tp_name);
+    const auto refuse = [&](const std::string& got) {  // words cost more than the check: only what is refused gets them
+        py::tuple sizes(shape.size());
+        for (size_t n = 0; n < shape.size(); ++n) sizes[n] = shape[n];
+        throw py::type_error(std::string(name) + ": wanted " + py::cast<std::string>(py::str(py::dtype::of<T>())) + " " +
+                             py::cast<std::string>(py::str(sizes)) + ", C-contiguous, got " + got);
+    };
+    if (!py::isinstance<py::array>(object)) refuse(Py_TYPE(object.ptr())->tp_name);
     const py::array array = py::reinterpret_borrow<py::array>(object);
     const bool same = py::isinstance<py::array_t<T>>(array) && (array.flags() & py::array::c_style) &&
                       std::vector<py::ssize_t>(array.shape(), array.shape() + array.ndim()) == shape;
-    if (!same) throw py::type_error(std::string(name) + ": wanted " + wanted + ", got " + describe(array));
+    if (!same) refuse(describe(array));
     return static_cast<const T*>(array.data());
 }
 

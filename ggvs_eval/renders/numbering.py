@@ -83,7 +83,8 @@ def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item
     Raises:
         RenderError: views that are numbered differently, or numbers that fit in several ways or in none.
     """
-    if len(request.frames) == 1 and all(len(items) == 1 and _means_nothing(items[0][0], request) for items in views.values()):
+    is_alone = request.n_frames == 1 and request.first_frame is None  # then its number says nothing
+    if len(request.frames) == 1 and all(len(items) == 1 and (is_alone or items[0][0] is None) for items in views.values()):
         alone = {view: {request.frames[0]: items[0][1]} for view, items in views.items()}
         return Numbered(alone, {}, {}, 0, f"the only frame of each view is assumed to be instant {request.frames[0]}")
     numbers = {view: {number for number, _ in items if number is not None} for view, items in views.items()}
@@ -106,11 +107,6 @@ def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item
         beyond = [item for frame, some in by_frame.items() if frame not in allowed for item in some]
         extras[view] = [item for number, item in items if number is None] + beyond
     return Numbered(frames, extras, doubles, first, note)
-
-
-def _means_nothing(number: int | None, request: FrameRequest) -> bool:
-    """Return whether the number of a picture that is the only one of its view says nothing."""
-    return number is None or (request.n_frames == 1 and request.first_frame is None)
 
 
 def _decide(numbers: Mapping[str, Numbers], request: FrameRequest) -> tuple[int, str]:

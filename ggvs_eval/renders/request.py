@@ -229,7 +229,8 @@ def size_fault(size: tuple[int, int], wanted: tuple[int, int]) -> str:
             return f"{fault}: {count} pictures {lie}? cut out the rendered one"
     if size[0] < wanted[0] and abs(size[0] / wanted[0] - size[1] / wanted[1]) < 1 / min(wanted):
         return (
-            f"{fault}: to score them at this size, set synthesis.width = {size[0]}, synthesis.height = {size[1]} in the protocol"
+            f"{fault}: to score them at this size, set synthesis.width = {size[0]}, synthesis.height = {size[1]} in a protocol; "
+            "sets of another size need one of their own"
         )
     return fault
 

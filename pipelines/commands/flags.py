@@ -13,7 +13,7 @@ from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, CommandError
 from ggvs_eval.jobs.engine import Engine
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
 from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER, DepthRunOptions
 
@@ -35,7 +35,7 @@ _COUNT = tyro.constructors.PrimitiveConstructorSpec(
     str_from_instance=lambda value: [str(value)],
 )
 Jobs = Annotated[int, _COUNT]
-ONE_PER_CORE = default_workers()
+ONE_PER_CORE = usable_cpus()
 Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
 CaptureFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
 Output = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]

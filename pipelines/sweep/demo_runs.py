@@ -3,6 +3,7 @@
 import atexit
 import shutil
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,6 +35,7 @@ from ggvs_eval.synthetic.shipped import MAIN, ROOMS, write_room
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")
 FIRST_FRAMES = 8  # of the main room, on the first page
+PAGE_EVERY_S = 90.0  # at most, after that of the whole main room: each page costs what a small room does
 # Seconds until that page, and of evaluating each room by the usual methods, and over K, times the cores: at `pace` 1.
 FIRST_CORE_SECONDS = 160.0
 CORE_SECONDS = {MAIN: 470.0, "demo-enerf-outdoor": 90.0, "demo-d3dmv": 320.0, K_PROTOCOL: 210.0}
@@ -121,7 +123,7 @@ def evaluate_demos(
 
     Args:
         planned: see `demo_plans`; each is made when the one before is done.
-        show: is called with the page whenever it has grown, except for the last time.
+        show: is called with the page when it has grown, at most every `PAGE_EVERY_S`, except for the last time.
 
     Returns:
         The page of all rooms, in the main room's run folder.
@@ -130,11 +132,13 @@ def evaluate_demos(
     tables: list[Path] = []
     plans: list[RunPlan] = []
     failures: tuple[Failure, ...] = ()
-    has_grown = False
+    has_grown, shown_s = False, -PAGE_EVERY_S
     for each in planned:
-        if has_grown:  # asked here, as the last page is written once, with its figures
+        if (
+            has_grown and time.monotonic() - shown_s > PAGE_EVERY_S
+        ):  # asked here, as the last page is written once, with its figures
             show(report(roots, tables_of=tables, with_figures=False))
-        has_grown = False
+            has_grown, shown_s = False, time.monotonic()
         plans += each.plans if isinstance(each, SweepPlan) else [each]
         if isinstance(each, SweepPlan):
             result = run_sweep(each, workers)
@@ -148,7 +152,7 @@ def evaluate_demos(
             measure(each, workers)
         shutil.rmtree(first_root(each.run.root), ignore_errors=True)
         roots = [*dict.fromkeys([*roots, each.run.root])]
-        has_grown = not left.is_nothing()
+        has_grown |= not left.is_nothing()
     if not failures:
         drop_found_depth(plans)
     page = report(roots, tables_of=tables)
@@ -225,7 +229,7 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
     if (page.is_file() and not first_root(root).exists()) or any(name not in CORE_SECONDS for name in labels):
         return ""
     whole, first = (seconds * probe() / jobs for seconds in (sum(CORE_SECONDS.values()), FIRST_CORE_SECONDS))
-    return f"demo: about {duration(whole)} in all on {jobs} cores; in about {duration(first)} open {page}, updated by each run"
+    return f"demo: about {duration(whole)} in all on {jobs} cores; in about {duration(first)} open {page}, which grows"
 
 
 def room_labels(labels: Sequence[str]) -> dict[str, Sequence[str]]:

@@ -161,8 +161,9 @@ def comparison_weight(truth: Image8, images: Iterable[Image8]) -> NDArray[np.flo
     rim = max(1, round(RIM_SHARE * truth.shape[1]))
     inner = np.zeros_like(weight)
     inner[rim:-rim, rim:-rim] = weight[rim:-rim, rim:-rim]
+    is_lit = cv2.inRange(truth, (0,) * 3, (DARK_255,) * 3) == 0  # numpy's maximum over channels takes twenty times as long
     for image in images:
-        inner[(image.max(axis=2) == 0) & (truth.max(axis=2) > DARK_255)] = 0.0
+        inner[is_lit & (cv2.inRange(image, (0,) * 3, (0,) * 3) > 0)] = 0.0
     return inner if inner.any() else np.ones_like(weight)
 
 

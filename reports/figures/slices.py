@@ -1,7 +1,6 @@
 """Slices through a sequence: the row of an image over viewpoints (epipolar plane image) or over time (x-t)."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,7 +11,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.jobs.processes import in_threads
 from ggvs_eval.reports.figures.curves import save_figure
 from ggvs_eval.reports.figures.look import FULL_LOOK, FigureLook
 from ggvs_eval.reports.figures.regions import comparison_weight
@@ -85,29 +84,16 @@ class Slices:
     fps: float = 0.0
 
 
-def epipolar_plane_image(folder: Path, n_poses: int, row: int) -> Image8:
-    """Return one row of the images along a camera path, stacked.
+def stacked_rows(folder: Path, indices: range, row: int) -> Image8:
+    """Stack one row of frames; read one by one, so that memory does not grow with the images.
 
     Args:
-        folder: ``0000.png``, ... one per pose.
+        folder: ``0000.png``, ... one per frame or pose.
 
     Returns:
-        (v, x, 3), v the pose; a scene point is a line whose slope grows with its nearness.
+        (samples, x, 3): along a camera path an epipolar plane image, in which a scene point is a line whose slope grows with its
+        nearness; over time in a fixed view static content is a vertical line, and flicker is horizontal noise.
     """
-    return _stack_rows(folder, range(n_poses), row)
-
-
-def temporal_slice(folder: Path, frames: range, row: int) -> Image8:
-    """Return one row of the frames of a fixed view, stacked over time.
-
-    Returns:
-        (t, x, 3); static content is a vertical line, flicker is horizontal noise.
-    """
-    return _stack_rows(folder, frames, row)
-
-
-def _stack_rows(folder: Path, indices: range, row: int) -> Image8:
-    """Read image by image and keep one row of each, so that memory does not grow with the images."""
 
     def read_row(index: int) -> Image8:
         image = read_image(frame_path(folder, index))
@@ -116,8 +102,7 @@ def _stack_rows(folder: Path, indices: range, row: int) -> Image8:
             raise ResultsError(f"{frame_path(folder, index)}: no row {row} in an image of {height} rows; use 0..{height - 1}")
         return image[row].copy()
 
-    with ThreadPoolExecutor(default_workers()) as threads:  # decoding lets go of the interpreter
-        return np.stack(list(threads.map(read_row, indices)))
+    return np.stack(list(in_threads(read_row, indices)))
 
 
 def find_breaks(image: Image8, truth: Image8) -> tuple[Break, ...]:
@@ -231,7 +216,7 @@ def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
     row, chosen_by = _choose_row(
         row, folders, range(n_poses), lambda: most_textured_row([middle["truth"]] if of_truth else middle.values()), chosen_by
     )
-    strips = [Strip(label, run.name(label), epipolar_plane_image(folder, n_poses, row)) for label, folder in folders.items()]
+    strips = [Strip(label, run.name(label), stacked_rows(folder, range(n_poses), row)) for label, folder in folders.items()]
     if not of_truth:
         strips.insert(0, Strip("truth", run.name("truth"), None))
     context = next(iter(middle.values()))
@@ -257,7 +242,7 @@ def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
         "the largest change of the reference from frame to frame",
     )
     strips = _with_breaks(
-        [Strip(label, run.name(label), temporal_slice(folder, run.frames, row)) for label, folder in folders.items()]
+        [Strip(label, run.name(label), stacked_rows(folder, run.frames, row)) for label, folder in folders.items()]
     )
     context = read_image(frame_path(folders["truth"], run.frames[len(run.frames) // 2]))
     title, fps = f"{len(run.frames)} frames of {view}", float(run.capture.get("fps") or 0)

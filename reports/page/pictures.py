@@ -5,9 +5,7 @@ All are text that the page carries in itself, compressed until they fit into eac
 
 import base64
 import math
-import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,6 +20,7 @@ from ggvs_eval.built_in import UNDONE_FAULTS
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.files.video import write_video
+from ggvs_eval.jobs.processes import in_threads
 from ggvs_eval.plugins import Registry
 from ggvs_eval.progress import track
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
@@ -146,13 +145,12 @@ def compare_frames(
     images: dict[str, dict[str, list[str]]] = {view: {key: [] for key in keys} for view in views}
     errors: dict[str, dict[str, list[str]]] = {view: {label: [] for label in run.pictured} for view in views}
     instants = [(view, frame) for view in views for frame in frames]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV's codecs release the GIL
-        compressed = pool.map(partial(_compress_frames, run, diagnostics, undone or {}, width), instants)
-        for (view, _), pictures in zip(instants, track(compressed, "compressing frames", len(instants)), strict=True):
-            for key, (picture, error) in pictures.items():
-                images[view][key].append(picture)
-                if error:
-                    errors[view][key].append(error)
+    compressed = in_threads(partial(_compress_frames, run, diagnostics, undone or {}, width), instants)
+    for (view, _), pictures in zip(instants, track(compressed, "compressing frames", len(instants)), strict=True):
+        for key, (picture, error) in pictures.items():
+            images[view][key].append(picture)
+            if error:
+                errors[view][key].append(error)
     return Comparison(views, tuple(frames), stride, width, height, full_size, keys, tuple(names.values()), images, errors)
 
 
@@ -271,8 +269,7 @@ def method_videos(run: MeasuredRun, fps: float, byte_budget: int = VIDEO_BYTES) 
     views = run.protocol.views.test[: max(1, VIDEO_FRAMES_AT_MOST // len(run.frames))]
     keys = ("truth", *run.pictured)
     for width in VIDEO_WIDTHS:
-        with ThreadPoolExecutor(os.cpu_count()) as pool:  # codecs release the GIL
-            videos = list(pool.map(partial(_encode, run, views, width, fps or DEFAULT_FPS), keys))
+        videos = list(in_threads(partial(_encode, run, views, width, fps or DEFAULT_FPS), keys))
         if sum(len(video) for video, *_ in videos) <= byte_budget:
             break
     addresses = ["data:video/mp4;base64," + base64.b64encode(video).decode("ascii") for video, *_ in videos]
@@ -330,10 +327,9 @@ def path_pictures(run: MeasuredRun, byte_budget: int = PATH_BYTES) -> PathPictur
     files = {key: [frame_path(folder, pose) for pose in poses] for key, folder in folders.items()}
     middle = [read_image(paths[len(paths) // 2]) for paths in files.values()]
     width = fitting_width(middle, byte_budget / (len(poses) * len(folders)))
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV's codecs release the GIL
-        images = {
-            key: list(pool.map(lambda file: webp_uri(shrink(read_image(file), width)), paths)) for key, paths in files.items()
-        }
+    images = {
+        key: list(in_threads(lambda file: webp_uri(shrink(read_image(file), width)), paths)) for key, paths in files.items()
+    }
     return PathPictures(tuple(poses), tuple(folders), images)
 
 

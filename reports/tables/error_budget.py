@@ -4,11 +4,9 @@ A method's number alone has a ceiling, published values of the same data, its tr
 """
 
 import math
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial, reduce
 from typing import NamedTuple
 
 import cv2
@@ -18,6 +16,7 @@ from ggvs_eval.arrays import Array, Array32, Image8, Map, Mask
 from ggvs_eval.depth_store import CONFIDENCE_STEPS, DepthStore
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image
+from ggvs_eval.jobs.processes import in_threads
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.results import split_label
@@ -186,6 +185,7 @@ def smooth_colour_map(image: Image8, truth: Image8, coverage: Map) -> Array32:
     return mapped
 
 
+@lru_cache(maxsize=4)
 def _quadratics(size: tuple[int, int]) -> Array:
     """Monomials up to the second degree at each pixel of a picture of (W, H), (W H, 6), places from -1 to 1."""
     x, y = np.meshgrid(*(np.linspace(-1, 1, count) for count in size))
@@ -207,15 +207,17 @@ def _misplaced(image: Array32, truth: Image8, coverage: Map, width: int) -> floa
     counted /= 3  # channels
     reach = max(MOVES)
     wider = cv2.copyMakeBorder(image, reach, reach, reach, reach, cv2.BORDER_REFLECT)
+    planes, wanted = (np.ascontiguousarray(np.moveaxis(values, 2, 0)) for values in (wider, reference))  # (3, H, W), summed fast
+    apart = np.empty_like(wanted)  # kept, as to clear new memory takes longer than the sums
 
     def left_after(across: int, down: int) -> Map:
-        moved = wider[reach + down : reach + down + size[1], reach + across : reach + across + size[0]]
-        apart = moved - reference
-        error = np.einsum("hwc,hwc->hw", apart, apart) * counted
+        moved = planes[:, reach + down : reach + down + size[1], reach + across : reach + across + size[0]]
+        np.square(np.subtract(moved, wanted, out=apart), out=apart)
+        error = apart.sum(axis=0) * counted
         return np.asarray(cv2.boxFilter(error, -1, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT), np.float32)
 
     here = left_after(0, 0)
-    best = np.minimum.reduce([left_after(across, down) for across in MOVES for down in MOVES])
+    best = reduce(np.minimum, (left_after(across, down) for across in MOVES for down in MOVES))
     return float(np.where(best < MOST_LEFT * here, here - best, 0.0).mean())
 
 
@@ -226,8 +228,7 @@ def budget_table(run: MeasuredRun) -> Table | None:
     shown = run.ours_first[0]
     frames = run.frames[:: math.ceil(len(run.frames) / FRAMES_AT_MOST)]
     instants = [(view, frame) for view in run.protocol.views.test for frame in frames]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV releases the GIL
-        budgets = dict(zip(instants, pool.map(partial(_budgets, run), instants), strict=True))
+    budgets = dict(zip(instants, in_threads(partial(_budgets, run), instants), strict=True))
     rows = [run.row(label, _share_cells([one[label] for one in budgets.values()])) for label in run.pictured]
     for view in run.protocol.views.test:
         rows.append(Row(f"{run.name(shown)} in {view}", _share_cells([budgets[view, frame][shown] for frame in frames])))

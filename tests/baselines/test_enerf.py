@@ -10,7 +10,7 @@ import torch
 from ggvs_eval.baselines.enerf.method import ENeRF
 from ggvs_eval.baselines.enerf.network import Networks, load_enerf
 from ggvs_eval.baselines.enerf.rendering import composite, disagreement, expectation, find_surface, render_pixels, target_grid
-from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, intrinsics, see
+from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, see
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
 from helpers.hostile import Hostile
@@ -192,7 +192,7 @@ def test_views_agree_where_the_surface_is():
         camera = camera_at(x)
         image = torch.from_numpy(look(camera, square_x=9.0)[0]).permute(2, 0, 1)[None].float() / 255
         half = torch.nn.functional.interpolate(image, scale_factor=0.5, mode="bilinear", align_corners=True)[0]
-        views.append(SeenView((half, half), image[0], intrinsics(camera), extrinsics(camera, 1.0)))
+        views.append(SeenView((half, half), image[0], camera.K_opencv, extrinsics(camera, 1.0)))
     depths = torch.tensor([3.0, 4.0, WALL_Z, 6.5, 8.0])
     grid = target_grid(target)
     planes = depths[:, None, None].expand(-1, grid.height // 2, grid.width // 2)

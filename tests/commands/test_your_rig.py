@@ -38,7 +38,7 @@ def walk(tmp_path_factory) -> tuple[Path, list[Step]]:
     folder = tmp_path_factory.mktemp("walk")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr(flags, "default_workers", lambda: 1)
+        patch.setattr(flags, "usable_cpus", lambda: 1)
         light_by_few_rays(patch, tmp_path_factory.mktemp("light"))
         return folder, [follow(line) for line in commands_of(PAGE)]
 

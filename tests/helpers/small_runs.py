@@ -26,7 +26,7 @@ def leave_out_figures(patch: pytest.MonkeyPatch) -> None:
     from ggvs_eval.reports import report, run_groups
 
     leave_out_pixels(patch)  # of sweeps
-    patch.setattr(report, "_draw_figures", lambda *_: None)
+    patch.setattr(report, "_figures", lambda *_: [])
     patch.setattr(run_groups, "budget_table", lambda _run: None)
 
 

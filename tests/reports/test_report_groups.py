@@ -5,6 +5,7 @@ import html
 import json
 import re
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
 def report(runs, tmp_path_factory) -> Path:
     """Folder of their common report; of the figures of a run, which others draw, the folder alone."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report_module, "_draw_figures", lambda _section, folder, _numbers: folder.mkdir(parents=True))
+        patch.setattr(report_module, "_figures", lambda _section, folder, _numbers: [partial(folder.mkdir, parents=True)])
         return write_report(list(runs.values()), tmp_path_factory.mktemp("groups") / "report").parent
 
 

@@ -10,12 +10,11 @@ from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.figures.paper_figures import write_figure
 from ggvs_eval.reports.figures.slices import (
-    epipolar_plane_image,
     most_changing_row,
     most_different_row,
     most_textured_row,
     path_slices,
-    temporal_slice,
+    stacked_rows,
     time_slices,
 )
 from ggvs_eval.reports.model.measured import read_run
@@ -36,7 +35,7 @@ def frames(tmp_path: Path):
 def test_temporal_slice_is_one_row_of_each_frame(frames):
     """An x-t slice holds the same row of consecutive frames, top to bottom, to the bit."""
     folder, images = frames
-    np.testing.assert_array_equal(temporal_slice(folder, range(3, 8), 11), images[:, 11])
+    np.testing.assert_array_equal(stacked_rows(folder, range(3, 8), 11), images[:, 11])
 
 
 def test_epipolar_plane_image_is_one_row_of_each_pose(tmp_path):
@@ -44,13 +43,13 @@ def test_epipolar_plane_image_is_one_row_of_each_pose(tmp_path):
     images = np.random.default_rng(1).integers(0, 256, (4, 9, 8, 3), dtype=np.uint8)
     for index, image in enumerate(images):
         write_image(frame_path(tmp_path, index), image)
-    np.testing.assert_array_equal(epipolar_plane_image(tmp_path, 4, 8), images[:, 8])
+    np.testing.assert_array_equal(stacked_rows(tmp_path, range(4), 8), images[:, 8])
 
 
 def test_scene_point_draws_a_straight_line(tmp_path):
     """A wall that moves by three pixels per pose is shifted by three pixels from each line of the EPI to the next."""
     run = read_run(write_run(tmp_path / "run"))
-    epi = epipolar_plane_image(run.folder.path("truth"), 6, 40)
+    epi = stacked_rows(run.folder.path("truth"), range(6), 40)
     np.testing.assert_array_equal(epi[1:, :-3, 0], epi[:-1, 3:, 0])
 
 
@@ -58,7 +57,7 @@ def test_scene_point_draws_a_straight_line(tmp_path):
 def test_row_outside_is_refused(frames, row):
     """A row that the image does not have is an error that says which rows there are."""
     with refused(ResultsError, "0..19"):
-        temporal_slice(frames[0], range(3, 8), row)
+        stacked_rows(frames[0], range(3, 8), row)
 
 
 def test_row_of_largest_change_is_found(tmp_path):

@@ -22,7 +22,7 @@ def sweep(tmp_path_factory) -> Path:
 def page(sweep) -> str:
     """The page of the sweep, where it lies by default."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "_draw_figures", lambda *_: None)  # of each run
+        patch.setattr(report, "_figures", lambda *_: [])  # of each run
         file = write_report([sweep])
     assert file == sweep / "report" / "index.html"
     return file.read_text(encoding="utf-8")
@@ -71,7 +71,7 @@ def test_a_sweep_of_one_k_has_a_table_alone(sweep, tmp_path):
 
 def test_a_sweep_may_stand_without_its_runs(sweep, tmp_path, monkeypatch):
     """As `tables_of` it follows the groups, says on what it was measured, and which command shows its runs."""
-    monkeypatch.setattr(report, "_draw_figures", lambda *_: None)  # of the run
+    monkeypatch.setattr(report, "_figures", lambda *_: [])  # of the run
     page = write_report([sweep / "k2"], tmp_path / "report", tables_of=[sweep]).read_text(encoding="utf-8")
 
     assert 'class="group-name"' not in page  # one run, one group, which then has no frame of its own

@@ -154,6 +154,7 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     """Each room is evaluated next to the main one, whose first frames have a page before; a second call computes nothing."""
     monkeypatch.setattr(demo_runs, "load_protocol", small_protocols)
     monkeypatch.setattr(demo_runs, "FIRST_FRAMES", 1)
+    monkeypatch.setattr(demo_runs, "PAGE_EVERY_S", 0.0)
     maps, write = [], DepthStore.write
     monkeypatch.setattr(DepthStore, "write", lambda *call: maps.append(call[1:3]) or write(*call))
     rooms = {MAIN: TINY, "demo-d3dmv": replace(TINY, layout="d3dmv", cameras_per_row=2)}

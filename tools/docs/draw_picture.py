@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import read_image
-from ggvs_eval.reports.figures.slices import epipolar_plane_image, most_textured_row, temporal_slice
+from ggvs_eval.reports.figures.slices import most_textured_row, stacked_rows
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path
 
@@ -53,7 +53,7 @@ def moving_scene(run: RunFolder) -> Iterator[Image8]:
     indices = range(span.start, span.start + span.count)
     folders = {label: run.truth(VIEW) if label == "truth" else run.renders(label, VIEW) for label in METHODS}
     row = most_textured_row([read_image(frame_path(folders["truth"], indices[len(indices) // 2]))])
-    slices = {label: temporal_slice(folder, indices, row) for label, folder in folders.items()}
+    slices = {label: stacked_rows(folder, indices, row) for label, folder in folders.items()}
     told = f"test view {VIEW} over time; below, row {row} of each frame, stacked (x-t slice)"
     for shown, index in enumerate(indices, start=1):
         yield drawn(run, told, row, shown / len(indices), lambda label, index=index: frame_path(folders[label], index), slices)
@@ -62,7 +62,7 @@ def moving_scene(run: RunFolder) -> Iterator[Image8]:
 def moving_camera(run: RunFolder) -> Iterator[Image8]:
     """The camera path at one instant, with the epipolar plane image of a row."""
     row = most_textured_row([read_image(frame_path(run.path("truth"), POSES // 2))])
-    slices = {label: epipolar_plane_image(run.path(label), POSES, row) for label in METHODS}
+    slices = {label: stacked_rows(run.path(label), range(POSES), row) for label in METHODS}
     told = f"along a camera path; below, row {row} of each pose, stacked (epipolar plane image)"
     for pose in range(0, POSES, POSE_STEP):
         shown = (pose + POSE_STEP) / POSES

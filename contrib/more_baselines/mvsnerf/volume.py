@@ -17,7 +17,6 @@ PLANES = 128
 MARGIN_CELLS = 24  # on every side of the reference's frustum
 CELL_PX = 4  # pixels of the image per cell
 SIZE_MULTIPLE = 32  # sides are padded to it: the volume is at 1/4 and is halved three times
-PIXEL_CENTRE = 0.5  # this package's are at halves, the network was trained with centres at whole numbers
 IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 SMALLEST_DEPTH_SHARE = 1e-6  # of the nearest depth; what is behind a camera is far outside its image
 Matrix = NDArray[np.float64]
@@ -81,18 +80,11 @@ def _inside(grid: Tensor) -> Tensor:
 
 def project(camera: Camera, points_world: Tensor, near: float) -> Tensor:
     """Return the pixels with centres at whole numbers, and depth, (N, 3) to (N, 3)."""
-    world_to_image = intrinsics(camera) @ camera.world_to_camera[:3]
+    world_to_image = camera.K_opencv @ camera.world_to_camera[:3]
     matrix = torch.as_tensor(world_to_image).float()
     projected = points_world @ matrix[:, :3].T + matrix[:, 3]
     depth = projected[:, 2:]
     return torch.cat([projected[:, :2] / depth.clamp(min=SMALLEST_DEPTH_SHARE * near), depth], dim=-1)
-
-
-def intrinsics(camera: Camera) -> Matrix:
-    """K for pixel centres at whole numbers, (3, 3)."""
-    K = camera.K.copy()
-    K[:2, 2] -= PIXEL_CENTRE
-    return K
 
 
 def encode_volume(network: Encoding, sources: Sequence[SourceView], near: float, far: float) -> Volume:
@@ -161,7 +153,7 @@ def cost_volume(features: Tensor, colours: Tensor, cameras: Sequence[Camera], ne
 def _projection(camera: Camera) -> Matrix:
     """World to (u z, v z, z, 1) in cells, (4, 4); the first two rows of K are scaled, pixel (0, 0) stays, as the authors'."""
     scaled = np.eye(4)
-    scaled[:3, :3] = np.diag([1 / CELL_PX, 1 / CELL_PX, 1.0]) @ intrinsics(camera)
+    scaled[:3, :3] = np.diag([1 / CELL_PX, 1 / CELL_PX, 1.0]) @ camera.K_opencv
     return np.asarray(scaled @ camera.world_to_camera)
 
 

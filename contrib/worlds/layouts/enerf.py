@@ -58,7 +58,7 @@ def _write_calibration(folder: Path, cameras: Sequence[Camera], lenses: Sequence
     names = [easymocap_name(camera) for camera in cameras]
     intrinsics, extrinsics = [names_entry("names", names)], [names_entry("names", names)]
     for name, camera, lens in zip(names, cameras, lenses, strict=True):
-        intrinsics += [matrix_entry(f"K_{name}", _opencv_K(camera)), matrix_entry(f"dist_{name}", np.array(lens)[:, None])]
+        intrinsics += [matrix_entry(f"K_{name}", camera.K_opencv), matrix_entry(f"dist_{name}", np.array(lens)[:, None])]
         intrinsics += [number_entry(f"H_{name}", camera.height), number_entry(f"W_{name}", camera.width)]
         vector = rotation_vector(camera.rotation)[:, None]
         extrinsics += [matrix_entry(f"R_{name}", vector), matrix_entry(f"Rot_{name}", camera.rotation)]
@@ -70,11 +70,6 @@ def _write_calibration(folder: Path, cameras: Sequence[Camera], lenses: Sequence
 def easymocap_name(camera: Camera) -> str:
     """``00`` for cam00."""
     return camera.name.removeprefix("cam")
-
-
-def _opencv_K(camera: Camera) -> Array:
-    """K with the centre of the first pixel at 0, (3, 3)."""
-    return camera.K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
 
 
 def moving_bounds(options: DemoOptions, index: int) -> Array:

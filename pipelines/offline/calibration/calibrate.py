@@ -29,7 +29,7 @@ from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.geometry.alignment import pose_differences, rig_extent
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.pipelines.offline.calibration.known_cameras import KnownCamera, colmap_camera, fit_known, read_known
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json
@@ -256,7 +256,7 @@ def _job(
         "shared": options.shared_intrinsics,
         "own_lens": [images[name] for name in options.own_lens],
         "seed": options.seed,
-        "threads": min(default_workers(), MOST_THREADS),
+        "threads": min(usable_cpus(), MOST_THREADS),
         "max_features": options.max_features,
         "max_image_size_px": options.max_image_size_px,
         "refine": options.refine,

@@ -27,7 +27,7 @@ from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.unpickler import unpickle_plain
 from ggvs_eval.files.video import write_video
-from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration.known_cameras import INTRINSICS, fit_known, read_known, write_intrinsics
 from ggvs_eval.progress import track
@@ -244,7 +244,7 @@ def _stream(name: str, file: CameraFrames, lens_and_target: LensAndTarget, rate:
 
 def _write_all(folder: Path, streams: list[_Stream], options: UndistortOptions) -> None:
     """Cameras side by side: decoding, resampling and encoding all leave the interpreter free."""
-    pool = ThreadPoolExecutor(default_workers())
+    pool = ThreadPoolExecutor(usable_cpus())
     try:
         jobs = [pool.submit(_write, folder, stream, options) for stream in streams]
         for job in track(jobs, "undistorting", len(jobs)):

@@ -172,7 +172,7 @@ class _Batch:
         self._matched = matched, members
         views, projections = self._views, np.zeros(self._views.projections.shape, np.float32)
         for k, (camera, *others) in enumerate(matched):
-            numbers = [_projection(camera, other, _whole_pixels(camera), _whole_pixels(other)) for other in others]
+            numbers = [_projection(camera, other, camera.K_opencv, other.K_opencv) for other in others]
             projections[k, : len(others)] = [[*each, 1] for each in numbers]
         padded = [each + each[:1] * (views.members.shape[1] - len(each)) for each in members]
         ranges = [(1 / each.far, 1 / each.near - 1 / each.far, NEAREST_SHARE * each.near) for each in own]
@@ -263,11 +263,6 @@ def _projection(first: Camera, second: Camera, first_matrix: Array, second_matri
     motion = rigid_between(first, second)
     matrix = second_matrix @ motion[:3, :3] @ np.linalg.inv(first_matrix)
     return np.concatenate([matrix.ravel(), second_matrix @ motion[:3, 3]])
-
-
-def _whole_pixels(camera: Camera) -> Array:
-    """Return the camera matrix where the first pixel's middle is at 0."""
-    return camera.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 
 
 @lru_cache(maxsize=64)

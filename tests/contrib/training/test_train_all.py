@@ -114,7 +114,7 @@ def test_each_network_has_its_command(tmp_path):
 def test_how_many_run_at_once(monkeypatch):
     """All on a GPU; on a CPU one per two cores, but one at least."""
     for cores, jobs in ((1, 1), (2, 1), (5, 2), (64, 7)):
-        monkeypatch.setattr("ggvs_eval.contrib.training.train_all.default_workers", lambda cores=cores: cores)
+        monkeypatch.setattr("ggvs_eval.contrib.training.train_all.usable_cpus", lambda cores=cores: cores)
         assert default_jobs("cpu", 7) == jobs
         assert default_jobs("cuda", 7) == 7
 

@@ -118,7 +118,7 @@ def test_a_training_s_device_reaches_its_samples(tmp_path, monkeypatch):
 
 def test_workers_that_share_a_gpu_fit_into_it(monkeypatch):
     """One per CPU where there is no GPU or memory enough, fewer on a small one, and always one."""
-    monkeypatch.setattr(train_one, "default_workers", lambda: 16)
+    monkeypatch.setattr(train_one, "usable_cpus", lambda: 16)
     counts = []
     for free in (100, 3, 0.5):
         monkeypatch.setattr(train_one.torch.cuda, "mem_get_info", lambda device, free=free: (int(free * 2**30), 2**37))
