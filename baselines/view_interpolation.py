@@ -10,6 +10,7 @@ import numpy as np
 from ggvs_eval.arrays import Array, Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import ViewRefusedError
+from ggvs_eval.geometry.source_views import turn_rad
 from ggvs_eval.method import Instant, Rendering, SourceView
 
 LARGEST_OFFSET = 0.2  # of the target from the line between two cameras, baselines
@@ -79,7 +80,7 @@ def choose_pair(target: Camera, cameras: Sequence[Camera]) -> tuple[int, int, fl
             continue
         share = float((target.centre - a) @ (b - a)) / baseline**2
         offset = float(np.linalg.norm(target.centre - a - share * (b - a))) / baseline
-        turns = [np.arccos(np.clip(cameras[each].axis @ target.axis, -1, 1)) for each in (first, second)]
+        turns = [turn_rad(cameras[each], target) for each in (first, second)]
         if -ON_THE_LINE <= share <= 1 + ON_THE_LINE and offset <= LARGEST_OFFSET and max(turns) <= LARGEST_TURN_RAD:
             distance = sum(float(np.linalg.norm(end - target.centre)) for end in (a, b))
             found.append((distance, first, second, min(max(share, 0.0), 1.0)))
@@ -94,10 +95,7 @@ def turn_towards(target: Camera, source: SourceView) -> tuple[Image8, Map]:
 
     Outside the source's image the border is repeated, so that flow finds no edge of black.
     """
-    half = np.array(
-        [[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]]
-    )  # this package's pixel centres are at halves, OpenCV's at whole numbers
-    to_target = half @ target.K @ target.rotation @ source.camera.rotation.T @ np.linalg.inv(half @ source.camera.K)
+    to_target = target.K_opencv @ target.rotation @ source.camera.rotation.T @ np.linalg.inv(source.camera.K_opencv)
     size = target.width, target.height
     turned = cv2.warpPerspective(source.image, to_target, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     whole = np.ones(source.image.shape[:2], np.float32)

@@ -149,12 +149,14 @@ class Camera:
         """World-to-camera translation, (3,)."""
         return self.world_to_camera[:3, 3]
 
-    @cached_property
+    @property
     def centre(self) -> Array:
         """Camera centre in the world, (3,)."""
-        centre = transformed(-self.rotation.T, self.translation)
-        centre.setflags(write=False)
-        return centre
+        return self._centre.copy()
+
+    @cached_property
+    def _centre(self) -> Array:
+        return transformed(-self.rotation.T, self.translation)
 
     @property
     def axis(self) -> Array:

@@ -22,6 +22,7 @@ from ggvs_eval.baselines.gps_gaussian.rendering import Gaussians, join, render_g
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError, ViewRefusedError
+from ggvs_eval.geometry.source_views import turn_rad
 from ggvs_eval.method import Instant, Rendering, SourceView
 
 MIN_PARALLAX_SINE = 0.5  # between the line through both centres and the viewing direction
@@ -134,10 +135,10 @@ def _rectifying_axes(left: Camera, right: Camera) -> Array:
     towards = right.centre - left.centre
     forward = left.axis + right.axis
     distance, length = float(np.linalg.norm(towards)), float(np.linalg.norm(forward))
-    turn_rad = np.arccos(np.clip(left.axis @ right.axis, -1, 1))
+    angle_rad = turn_rad(left, right)
     pair = f"cameras {left.name} and {right.name}"
-    if distance < 1e-9 * left.near or turn_rad > MAX_TURN_RAD:
-        raise RenderError(f"wanted a stereo pair, {pair} are {distance:g} apart and {np.degrees(turn_rad):.0f} degrees turned")
+    if distance < 1e-9 * left.near or angle_rad > MAX_TURN_RAD:
+        raise RenderError(f"wanted a stereo pair, {pair} are {distance:g} apart and {np.degrees(angle_rad):.0f} degrees turned")
     if np.linalg.norm(np.cross(towards, forward)) < MIN_PARALLAX_SINE * distance * length:
         raise RenderError(f"wanted a stereo pair, {pair} are behind each other")
     x = towards / distance

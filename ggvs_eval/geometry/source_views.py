@@ -293,10 +293,15 @@ def _worth(target: Camera, source: Camera, points: Array) -> Array:
     return np.asarray(turned * _inside(source, points, BORDER) / (1 + np.square(angles / HALF_ANGLE_RAD)))
 
 
-def sample_view(target: Camera) -> Array:
-    """Return the points all over the target's view at depths from near to far, (P, 3) in the world."""
-    across, down = ((np.arange(n) + 0.5) / n * size for n, size in zip(GRID, target.size, strict=True))
-    u, v, inverse = np.meshgrid(across, down, np.linspace(1 / target.near, 1 / target.far, DEPTHS))
+def sample_view(target: Camera, grid: tuple[int, int] = GRID, depths: int = DEPTHS) -> Array:
+    """Return the points all over the target's view at depths from near to far, (P, 3) in the world.
+
+    Args:
+        grid: rays across and down.
+        depths: of each ray, evenly spaced in inverse depth.
+    """
+    across, down = ((np.arange(n) + 0.5) / n * size for n, size in zip(grid, target.size, strict=True))
+    u, v, inverse = np.meshgrid(across, down, np.linspace(1 / target.near, 1 / target.far, depths))
     return target.unproject(np.stack([u, v], axis=-1), 1 / inverse).reshape(-1, 3)
 
 

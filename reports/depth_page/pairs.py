@@ -13,6 +13,7 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import resize
 from ggvs_eval.geometry.epipolar import Features, match_pair
 from ggvs_eval.geometry.rectification import RectifiedPair, rectify
+from ggvs_eval.geometry.source_views import turn_rad
 
 SLACK_PX = 1.0  # a disparity counts as outside its range only beyond this, the error of a feature's place
 WIDTH_PX = 640  # of a picture
@@ -113,7 +114,7 @@ def _evaluate(camera: Camera, partner: Camera, pair: RectifiedPair, uv: Array) -
 
 def _unmeasured(camera: Camera, partner: Camera, obstacle: str) -> PairErrors:
     baseline = float(np.linalg.norm(partner.centre - camera.centre))
-    angle_rad = float(np.arccos(np.clip(camera.axis @ partner.axis, -1, 1)))
+    angle_rad = turn_rad(camera, partner)
     return PairErrors(camera.name, partner.name, baseline, angle_rad, 0, 0, 0, 0.0, 0.0, 0.0, obstacle)
 
 

@@ -211,7 +211,7 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
 
 
 def test_learned_baselines_come_last(tmp_path, small_protocols, monkeypatch):
-    """Those of a small room are rendered after the runs over K; a dry run plans each room once."""
+    """They are rendered after the runs over K; a dry run plans each room once."""
     monkeypatch.setattr(demo_runs, "load_protocol", small_protocols)
     captures = {}
 
@@ -227,7 +227,7 @@ def test_learned_baselines_come_last(tmp_path, small_protocols, monkeypatch):
         return [plan.request.labels if isinstance(plan, RunPlan) else "K" for plan in plans]
 
     small = labels["demo-d3dmv"]
-    assert planned(in_stages=True) == [labels[MAIN], ["no-blending", "ours+no-tsdf"], "K", small]
+    assert planned(in_stages=True) == [["no-blending", "ours"], ["no-blending", "ours+no-tsdf"], "K", labels[MAIN], small]
     assert planned(in_stages=False) == [labels[MAIN], small, "K"]
 
 
@@ -247,7 +247,7 @@ def test_a_dry_run_leaves_nothing(tmp_path, capsys):
 
     told = [line for line in capsys.readouterr().out.splitlines() if line.startswith(("plan: ", "disk: "))]
     assert [line.split(":")[0] for line in told] == ["plan", "disk"] * 4
-    assert "3 views x 24 frames x 6 methods at 480 x 360, K = 4" in told[0]
+    assert "3 views x 24 frames x 7 methods at 480 x 360, K = 4" in told[0]
     assert "2 views x 8 frames x 3 methods at 384 x 216, K = 4" in told[2]
     assert "2 views x 8 frames x 7 methods at 320 x 180, K = 2" in told[4]
     assert "5 runs of 2 views x 6 frames x 2 methods at 480 x 360, K = 2, 3, 4, 5, 6" in told[6]

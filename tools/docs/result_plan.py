@@ -183,7 +183,7 @@ _STEAK = f"{{data}}/{FLAME_STEAK}"
 MEASUREMENTS = {
     each.name: each
     for each in (
-        Measurement("demo", ("ggvs-eval run out/demo",), 15, usual_methods(), "demo"),
+        Measurement("demo", ("ggvs-eval run out/demo",), 15, (*usual_methods(), "fwd"), "demo"),
         _run("real_frame", _STEAK, (*ON_A_REAL_FRAME, "ours-geometric"), 75),
         _run("real_frame_small", _STEAK, ON_A_SMALL_FRAME, 35, more="--weights mvsnerf={weights}/mvsnerf-v0.tar"),
         Measurement(

@@ -13,7 +13,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.depth_range import RANGE_MEND
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import can_rectify
-from ggvs_eval.geometry.source_views import share_of_view
+from ggvs_eval.geometry.source_views import sample_view, share_of_view, turn_rad
 
 GRID = (16, 12)  # rays across and down
 DEPTHS = 6  # depths per ray, evenly spaced in inverse depth
@@ -59,7 +59,7 @@ def choose_partners(
     """
     passed_over = {camera.name, *excluded}
     others = sorted((other for other in candidates if other.name not in passed_over), key=lambda other: other.name)
-    points = _sample_view(camera)
+    points = sample_view(camera, GRID, DEPTHS)
     pairs = _extend([], camera, others, points, count, MAX_ANGLE_RAD, rectified=True)
     chosen = _extend(pairs, camera, others, points, views, MAX_VIEW_ANGLE_RAD, rectified=False)
     if not chosen:
@@ -74,7 +74,7 @@ def choose_partners(
 
 def pairs_of(camera: Camera, partners: Sequence[Camera], count: int) -> list[Camera]:
     """Return the first of `choose_partners`' views, which can be matched pair by pair."""
-    points = _sample_view(camera)
+    points = sample_view(camera, GRID, DEPTHS)
     return [each for each in partners[:count] if _evaluate(camera, each, points, MAX_ANGLE_RAD) and _can_be_matched(camera, each)]
 
 
@@ -101,25 +101,14 @@ def _extend(
 
 def _can_be_matched(camera: Camera, other: Camera) -> bool:
     """Return whether a pair can be rectified and is worth its search, which is as wide as its nearest surfaces move."""
-    return can_rectify(camera, other, nearest=np.inf if _angle_rad(camera, other) <= CLOSE_ANGLE_RAD else 1.0)
-
-
-def _angle_rad(camera: Camera, other: Camera) -> float:
-    return float(np.arccos(np.clip(camera.axis @ other.axis, -1, 1)))
-
-
-def _sample_view(camera: Camera) -> Array:
-    """Return the points all over the camera's view at depths from near to far, (S, 3) in the world."""
-    across, down = ((np.arange(n) + 0.5) / n * size for n, size in zip(GRID, camera.size, strict=True))
-    u, v, inverse = np.meshgrid(across, down, np.linspace(1 / camera.near, 1 / camera.far, DEPTHS))
-    return camera.unproject(np.stack([u, v], axis=-1), 1 / inverse).reshape(-1, 3)
+    return can_rectify(camera, other, nearest=np.inf if turn_rad(camera, other) <= CLOSE_ANGLE_RAD else 1.0)
 
 
 def _evaluate(camera: Camera, other: Camera, points: Array, max_angle_rad: float) -> Partner | None:
     """Evaluate what `other` is worth to `camera`; None if a match makes no sense."""
     uv, depth = other.project(points)
     inside = (depth > 0) & ((uv > 0) & (uv < other.size)).all(axis=-1)  # (S,)
-    angle = _angle_rad(camera, other)
+    angle = turn_rad(camera, other)
     offset = camera.rotation @ (other.centre - camera.centre)
     distance = float(np.linalg.norm(offset[:2]))
     if share_of_view(camera, inside, DEPTHS) < MIN_OVERLAP or angle > max_angle_rad or distance <= abs(offset[2]):
