@@ -91,7 +91,7 @@ class _Recorder:
 
         def recorded(*arguments: Any) -> Any:
             result = function(*arguments)
-            if name not in ("empty", "idle_bytes", "best_level"):
+            if name not in ("empty", "idle_bytes", "forget_idle", "best_level"):
                 self.calls.append(Call(name, arguments, result))
             return result
 

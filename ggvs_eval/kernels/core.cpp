@@ -144,6 +144,7 @@ PYBIND11_MODULE(_core, m) {
           "forgiven"_a, "tolerance"_a, "bicubic"_a, "threads"_a, "level"_a);
     m.def("empty", &ggvs::empty, "shape"_a, "An array of floats that nobody has written yet, of the memory kept for results.");
     m.def("idle_bytes", &ggvs::idle_bytes, "Bytes that are kept for the next large results.");
+    m.def("forget_idle", &ggvs::forget_idle, "Give them back to the system.");
     ggvs::bind_images(m);
     ggvs::bind_learned(m);
     ggvs::bind_unet(m);

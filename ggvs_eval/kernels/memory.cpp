@@ -54,6 +54,10 @@ public:
         drop([this, wanted](const Block&) { return bytes_ > std::max(kMostIdle, wanted); });
     }
 
+    void forget() {
+        drop([](const Block&) { return true; });
+    }
+
     size_t bytes() const { return bytes_; }
 
 private:
@@ -107,5 +111,7 @@ py::array_t<float> empty(std::vector<py::ssize_t> shape) {
 }
 
 size_t idle_bytes() { return idle().bytes(); }
+
+void forget_idle() { idle().forget(); }
 
 }  // namespace ggvs

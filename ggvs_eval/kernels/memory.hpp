@@ -16,4 +16,7 @@ pybind11::array_t<float> empty(std::vector<pybind11::ssize_t> shape);
 // Bytes that are kept at the moment and belong to no array.
 size_t idle_bytes();
 
+// Gives them back to the system: other work that follows wants other sizes.
+void forget_idle();
+
 }  // namespace ggvs

@@ -81,6 +81,16 @@ def test_a_large_step_keeps_its_memory_however_many_small_results_come_between()
     assert all(each == places[0] for each in places)
 
 
+def test_what_is_idle_can_be_given_back():
+    """Scoring that follows rendering begins without its memory; what still lives is not touched."""
+    held, given_up = mixed(1.0), mixed(2.0)
+    del given_up
+    assert _core.idle_bytes() >= MAP_BYTES
+    _core.forget_idle()
+    assert _core.idle_bytes() == 0
+    assert (held == 1).all()
+
+
 def test_many_threads_share_it():
     """Results of several threads at a time are each their own."""
     wrong = []
