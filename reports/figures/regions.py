@@ -140,7 +140,8 @@ def _read_frames(run: MeasuredRun, view: str, frame: int) -> dict[str, Image8]:
 
 def _errors(images: Mapping[str, Image8]) -> ErrorMaps:
     differences = {label: cv2.absdiff(image, images["truth"]) for label, image in images.items() if label != "truth"}
-    return {label: difference.mean(axis=2, dtype=np.float32) for label, difference in differences.items()}
+    # Plane by plane: NumPy's own mean over so short an axis takes ten times as long.
+    return {label: np.add.reduce(cv2.split(each), dtype=np.float32) / np.float32(3) for label, each in differences.items()}
 
 
 def comparison_weight(truth: Image8, images: Iterable[Image8]) -> NDArray[np.float32]:
@@ -154,15 +155,16 @@ def comparison_weight(truth: Image8, images: Iterable[Image8]) -> NDArray[np.flo
         0 at the border, and where a method is black and the truth is not: there it shows nothing. Elsewhere more where the truth
         has texture, since a difference on a plain wall says little. Where nothing is left every pixel counts the same.
     """
-    levels = truth.astype(np.float32).mean(axis=2)
+    levels = np.add.reduce(cv2.split(truth), dtype=np.float32) / np.float32(3)
     variance = cv2.blur(levels * levels, (7, 7)) - np.square(cv2.blur(levels, (7, 7)))
     texture = np.minimum(np.sqrt(np.maximum(variance, 0.0)) / TEXTURE_255, 1.0)
     weight = np.asarray(PLAIN_SHARE + (1.0 - PLAIN_SHARE) * texture, np.float32)
     rim = max(1, round(RIM_SHARE * truth.shape[1]))
     inner = np.zeros_like(weight)
     inner[rim:-rim, rim:-rim] = weight[rim:-rim, rim:-rim]
+    bright = np.maximum.reduce(cv2.split(truth)) > DARK_255
     for image in images:
-        inner[(image.max(axis=2) == 0) & (truth.max(axis=2) > DARK_255)] = 0.0
+        inner[(np.maximum.reduce(cv2.split(image)) == 0) & bright] = 0.0
     return inner if inner.any() else np.ones_like(weight)
 
 

@@ -215,7 +215,7 @@ def error_map(rendered: Image8, truth: Image8, file: Path) -> Image8:
             f"{file}: wanted {truth_size[0]} x {truth_size[1]} pixels as the truth has, "
             f"got {rendered_size[0]} x {rendered_size[1]}; render it again"
         )
-    difference = cv2.absdiff(rendered, truth).mean(axis=2)  # (H, W), 0..255
+    difference = np.add.reduce(cv2.split(cv2.absdiff(rendered, truth)), dtype=np.float64) / 3  # (H, W), 0..255
     scaled = np.rint(np.minimum(difference / ERROR_FULL_SCALE, 1.0) * 255).astype(np.uint8)
     return _magma(scaled)
 
