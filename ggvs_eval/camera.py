@@ -16,7 +16,6 @@ from ggvs_eval.errors import CameraError
 from ggvs_eval.kernels.portable import length, transformed
 
 ROUNDING = 1e-4  # of a rotation's products of axes: numbers as files keep them
-UNIT, LAST_ROW = np.eye(3), np.array([0.0, 0.0, 0.0, 1.0])
 RangeOrigin = Literal["given", "measured", "guessed"]
 LARGEST_DEVIATION = 1e-2  # of a rotation's entries from the nearest rotation's, for one that is still meant to be a rotation
 
@@ -75,11 +74,11 @@ class Camera:
             object.__setattr__(self, name, matrix)
         with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are no rotation by far
             self._check_values()
-            if not _is_near(self.rotation @ self.rotation.T, UNIT, ROUNDING):
+            if not _is_near(self.rotation @ self.rotation.T, np.eye(3), ROUNDING):
                 self._straighten()
 
     def _check_values(self) -> None:
-        if not _is_near(self.world_to_camera[3], LAST_ROW, 1e-8):
+        if not _is_near(self.world_to_camera[3], np.array([0, 0, 0, 1]), 1e-8):
             last_row = self.world_to_camera[3].tolist()
             raise CameraError(f"camera {self.name}: world_to_camera must end with the row 0 0 0 1, got {last_row}; transpose it")
         determinant = np.linalg.det(self.rotation)

@@ -260,7 +260,8 @@ class Results:
     def per_frame(self, metric: str, view: str) -> "pd.DataFrame":
         """Return one metric along time in one view: rows are frames, one column per (method, variant)."""
         rows = self.table[(self.table["metric"] == metric) & (self.table["view"] == view) & (self.table["frame"] >= 0)]
-        return rows.groupby(["frame", "method", "variant"], sort=False)["value"].mean().unstack(["method", "variant"], sort=False)
+        means = rows.groupby(["frame", "method", "variant"], sort=False)["value"].mean().dropna()
+        return means.unstack(["method", "variant"], sort=False)
 
 
 def label_of(method: str, variant: str) -> str:

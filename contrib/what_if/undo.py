@@ -13,7 +13,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.pipelines.inspection.finding import Finding, Verdict, worst
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, take_sample
 from ggvs_eval.pipelines.inspection.renders.quick_checks import CHANNELS, SAMPLED_FRAMES
-from ggvs_eval.pipelines.inspection.renders.tone import VIDEO_BLACK, VIDEO_SLOPE, tone_curve
+from ggvs_eval.pipelines.inspection.renders.tone import VIDEO_BLACK, VIDEO_SLOPE, tone_curves
 
 Change = Callable[[ViewFrames], ViewFrames]
 LANCZOS_REACH_PX = 4
@@ -246,11 +246,7 @@ def find_gain(views: Mapping[str, ViewFrames]) -> float | None:
         The doctor asks for no gain, since the exposure of cameras differs and methods blend them. One number for every channel of
         every view, and no haze with it, is hardly the cameras': it is undone as "likely".
     """
-    curves = [
-        tone_curve(sample, channel)
-        for sample in (take_sample(view, SAMPLED_FRAMES) for view in views.values())
-        for channel in range(3)
-    ]
+    curves = [curve for view in views.values() for curve in tone_curves(take_sample(view, SAMPLED_FRAMES))]
     if len(views) < FEWEST_VIEWS or min(len(curve) for curve in curves) < FEWEST_LEVELS:
         return None
     gains = np.array([float(np.median(curve[:, 1] / curve[:, 0])) for curve in curves])

@@ -17,7 +17,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, FrameSource, source_chain
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.files.atomic import sweep_files
+from ggvs_eval.files.atomic import sweep_files, write_text
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import ResizeFilter, read_image, resize, write_image
 from ggvs_eval.jobs.code_identity import code_identity
@@ -93,7 +93,8 @@ class MadeFiles:
         files = {name: self.folder / name for name in names}
         changed = {name: _entry(file) for name, file in files.items() if noted.get(name, ())[:-1] != _status(file)}
         if changed:
-            write_json(self.folder / DIGESTS, {"made_from": self.made_from, "files": noted | changed})
+            record = {"made_from": self.made_from, "files": noted | changed}
+            write_text(self.folder / DIGESTS, json.dumps(record))  # indented it takes ten times as long, for each pose of a path
 
     def note_frames(self, numbers: Iterable[int]) -> None:
         """Note frames, see `note`."""

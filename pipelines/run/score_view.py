@@ -14,6 +14,7 @@ from ggvs_eval.coverage import Coverage
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.jobs.job import Job
+from ggvs_eval.kernels import _core
 from ggvs_eval.measured_frames import measured_frame, measured_mask, measuring_way
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metric_choices import MetricChoices
@@ -109,8 +110,6 @@ def _score_view(
     _folder: Path,
 ) -> dict[str, Any]:
     """Measure stale metrics, methods with the same frames and stale metrics side by side; all other values stay."""
-    from ggvs_eval.kernels import _core
-
     _core.forget_idle()  # of what was rendered in this process: at 1352 x 1014 two thirds of a gigabyte
     record_file = run.scores(view) / JOB_FILE
     before = read_json(record_file) if record_file.is_file() else {"methods": {}}

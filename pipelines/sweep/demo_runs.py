@@ -41,10 +41,9 @@ FIRST_CORE_SECONDS = 160.0
 CORE_SECONDS = {MAIN: 600.0, "demo-enerf-outdoor": 90.0, "demo-d3dmv": 320.0, K_PROTOCOL: 210.0}
 # What is evaluated where no methods are named: in the main room also an opponent that readers know, in the smallest one all that
 # the paper compares itself with.
-KNOWN = "fwd"
 SMALL_ROOMS_METHODS = {
     "demo-enerf-outdoor": FEW,
-    "demo-d3dmv": (*FEW[:2], KNOWN, "gps-gaussian+given-depth", "ibrnet", "enerf", FEW[2]),
+    "demo-d3dmv": (*FEW[:2], "fwd", "gps-gaussian+given-depth", "ibrnet", "enerf", FEW[2]),
 }
 
 
@@ -237,7 +236,7 @@ def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int,
 def room_labels(labels: Sequence[str]) -> dict[str, Sequence[str]]:
     """Return the name of a demo room -> its methods: rooms have their own lists if these are the default ones."""
     usual = tuple(labels) == usual_methods()
-    return {MAIN: (*labels, KNOWN), **SMALL_ROOMS_METHODS} if usual else {name: labels for name in ROOMS}
+    return {MAIN: (*labels, "fwd"), **SMALL_ROOMS_METHODS} if usual else {name: labels for name in ROOMS}
 
 
 def demo_root(root: Path, name: str) -> Path:

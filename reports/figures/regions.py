@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.files.images import read_image
+from ggvs_eval.files.images import mean_of_channels, read_image
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.run_folder import frame_path
 
@@ -140,7 +140,7 @@ def _read_frames(run: MeasuredRun, view: str, frame: int) -> dict[str, Image8]:
 
 def _errors(images: Mapping[str, Image8]) -> ErrorMaps:
     differences = {label: cv2.absdiff(image, images["truth"]) for label, image in images.items() if label != "truth"}
-    return {label: difference.mean(axis=2, dtype=np.float32) for label, difference in differences.items()}
+    return {label: mean_of_channels(difference) for label, difference in differences.items()}
 
 
 def comparison_weight(truth: Image8, images: Iterable[Image8]) -> NDArray[np.float32]:
@@ -154,7 +154,7 @@ def comparison_weight(truth: Image8, images: Iterable[Image8]) -> NDArray[np.flo
         0 at the border, and where a method is black and the truth is not: there it shows nothing. Elsewhere more where the truth
         has texture, since a difference on a plain wall says little. Where nothing is left every pixel counts the same.
     """
-    levels = truth.astype(np.float32).mean(axis=2)
+    levels = mean_of_channels(truth)
     variance = cv2.blur(levels * levels, (7, 7)) - np.square(cv2.blur(levels, (7, 7)))
     texture = np.minimum(np.sqrt(np.maximum(variance, 0.0)) / TEXTURE_255, 1.0)
     weight = np.asarray(PLAIN_SHARE + (1.0 - PLAIN_SHARE) * texture, np.float32)

@@ -174,7 +174,7 @@ def most_different_row(folders: Mapping[str, Path], indices: range) -> int | Non
         images = np.stack([read_image(frame_path(folders[label], index)).astype(np.float32) for label in labels])
         truth = read_image(frame_path(folders["truth"], index)) if "truth" in folders else images.mean(axis=0)
         weight = comparison_weight(truth, images)  # (H, W)
-        errors = (np.abs(images - truth).mean(axis=3) * weight).mean(axis=2)
+        errors = (np.einsum("mhwc->mhw", np.abs(images - truth)) / 3 * weight).mean(axis=2)
         totals, apart = totals + errors, apart + errors.mean(axis=0)
     if "truth" in folders:
         apart = np.ptp(totals, axis=0)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.built_in import UNDONE_FAULTS
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import read_image, resize
+from ggvs_eval.files.images import mean_of_channels, read_image, resize
 from ggvs_eval.files.video import write_video
 from ggvs_eval.jobs.processes import in_threads
 from ggvs_eval.plugins import Registry
@@ -213,7 +213,7 @@ def error_map(rendered: Image8, truth: Image8, file: Path) -> Image8:
             f"{file}: wanted {truth_size[0]} x {truth_size[1]} pixels as the truth has, "
             f"got {rendered_size[0]} x {rendered_size[1]}; render it again"
         )
-    difference = cv2.absdiff(rendered, truth).mean(axis=2)  # (H, W), 0..255
+    difference = mean_of_channels(cv2.absdiff(rendered, truth))  # (H, W), 0..255
     scaled = np.rint(np.minimum(difference / ERROR_FULL_SCALE, 1.0) * 255).astype(np.uint8)
     return _magma(scaled)
 

@@ -16,7 +16,7 @@ from ggvs_eval.pipelines.commands.flags import CaptureOptions
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.evaluate import reopen
 from ggvs_eval.pipelines.run.prepare import prepare
-from ggvs_eval.protocol import Frames, Synthesis, Views, load_protocol
+from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import frame_path, read_json
 from helpers.captures import N_FRAMES, NAMES, make_image, make_rig, write_folders, write_poses
 
@@ -167,7 +167,12 @@ def protocol(tmp_path):
     base = load_protocol("demo")
     measurement = dataclasses.replace(base.measurement, metrics=("PSNR",))
     changed = dataclasses.replace(
-        base, views=Views(("cam00",), "test"), frames=Frames(0, 4), synthesis=Synthesis(2), measurement=measurement
+        base,
+        views=Views(("cam00",), "test"),
+        frames=Frames(0, 4),
+        synthesis=Synthesis(2),
+        path=CameraPath(3),
+        measurement=measurement,
     )
     (tmp_path / "protocol.toml").write_text(changed.to_toml())
     return changed

@@ -1,8 +1,9 @@
 """The check of a capture over its whole clip: faults that come after the first frame, their time, and repairs with intervals."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.commands.captures import check as check_command
 from ggvs_eval.pipelines.inspection.capture import check as check_module
+from ggvs_eval.pipelines.inspection.capture import pairs as pairs_module
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture, examine, record_cameras
 from ggvs_eval.pipelines.inspection.capture.colour import describe_repair, propose_corrections, repair_capture
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, Recorder, record_camera
@@ -27,6 +29,14 @@ pytestmark = pytest.mark.slow
 N_FRAMES = 24
 SHARED = CalibrationOptions(shared_intrinsics=True, max_features=1500)
 Plant = Callable[[Frames], Frames]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _matched_once() -> Iterator[None]:
+    """The pictures of two cameras without a fault are matched by the first test that asks, and remembered for the others."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pairs_module, "match_pair", cache(pairs_module.match_pair))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -21,6 +21,7 @@ from ggvs_eval.pipelines.offline.depth.fill_store import depth_job
 from ggvs_eval.pipelines.offline.sensor.registered_capture import displacement
 from ggvs_eval.pipelines.offline.sensor.registration import Registration, pose_after, with_registration
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
+from helpers.lit_rooms import light_by_few_rays
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +32,9 @@ WIDTH, HEIGHT = 240, 180
 def room(tmp_path_factory) -> Path:
     """Twelve frames of a hand-held camera in a validation room."""
     options = DemoOptions(layout="rgbd", seed=101, width=WIDTH, height=HEIGHT, n_frames=12, fps=10)
-    return write_demo(tmp_path_factory.mktemp("registration") / "room", options, workers=1)
+    with pytest.MonkeyPatch.context() as patch:
+        light_by_few_rays(patch, tmp_path_factory.mktemp("light"))  # where depth lies does not depend on the light
+        return write_demo(tmp_path_factory.mktemp("registration") / "room", options, workers=1)
 
 
 def planted(room: Path, folder: Path, right_px: float, down_px: float, roll_deg: float, scale: float) -> Path:

@@ -27,6 +27,7 @@ def filmed() -> dict[Camera, tuple[np.ndarray, np.ndarray]]:
     return {each.noted_camera(): next((frame.image, frame.depth) for frame in each.frames()) for each in footage}
 
 
+@cache
 def score(method: str, number: int, blind: bool = False) -> float:
     """PSNR of the view of one camera from the three nearest others, and from one that looks the other way and is nearer."""
     room = filmed()

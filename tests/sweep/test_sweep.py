@@ -17,7 +17,7 @@ from ggvs_eval.gaussians import write_ply
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
-from ggvs_eval.protocol import Frames, Views, load_protocol
+from ggvs_eval.protocol import CameraPath, Frames, Views, load_protocol
 from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps
 from helpers.gaussian_clouds import random_cloud
@@ -36,7 +36,8 @@ def demo_capture(tmp_path_factory):
 def protocol():
     base = load_protocol("demo")
     measurement = dataclasses.replace(base.measurement, metrics=("PSNR",))
-    return dataclasses.replace(base, views=Views(("cam00",), "test"), frames=Frames(0, 2), measurement=measurement)
+    few = {"frames": Frames(0, 2), "path": CameraPath(2)}  # of 48 poses by default, each rendered by every method
+    return dataclasses.replace(base, views=Views(("cam00",), "test"), measurement=measurement, **few)
 
 
 def test_the_ablation_table_has_the_papers_rows():

@@ -3,17 +3,19 @@
 The noise of the truth is its fingerprint: no method can guess it, so a rendering that has it took it from the truth.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
+from ggvs_eval.files.images import mean_of_channels
 from ggvs_eval.pipelines.inspection.finding import Finding, Verdict, verdict_of
 from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, ViewFrames, named_frames, spread
 
+FineReader = Callable[[int], Array32]
 # The middle of a large picture says as much as is needed.
 CROP_PX = 640
 CELL_PX = 16
@@ -32,7 +34,7 @@ FRAME_SHARE, FRAME_DEVIATIONS = 0.3, 8.0
 WORST_SHARE, SUSPICIOUS_CORRELATION, USUAL_CORRELATION = 0.05, 0.97, 0.9
 # Frames that are looked at together.
 WINDOW = 8
-PATCH_PX, TEXTURE_255, FEWEST_PATCHES = 16, 3.0, 20
+TEXTURE_255, FEWEST_PATCHES = 3.0, 20
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def pooled_share(instants: Iterable[NoiseSums]) -> TruthShare:
     return TruthShare(share, error)
 
 
-def noise_sums(view: ViewFrames, index: int) -> NoiseSums:
+def noise_sums(view: ViewFrames, rendered: FineReader, truth: FineReader, index: int) -> NoiseSums:
     """Sum products of an instant's captured and rendered frame with the noise of the captured one.
 
     The noise n is what the captured frame has beyond its neighbours' mean, brightness and a shift fitted to each cell, so that
@@ -90,18 +92,18 @@ def noise_sums(view: ViewFrames, index: int) -> NoiseSums:
     in which the rendering changes much, on its own account, count less.
 
     Args:
+        rendered: fine detail of its rendered frames, as `_fine` gives it; so `truth` of the captured ones.
         index: frame number of which `has_far_frames` holds; two to either side make the answer sharp.
     """
     near, far = (_beside(view, index, lag) for lag in (1, 2))
-    around = _mean(view.truth, near)
+    around = _mean(truth, near)
     design = _design(around)
-    noise = _beyond(_fine(view.truth(index)) - around, design)
-    captured, rendered = (_beyond(_fine(read(index)) - _mean(read, far), design) for read in (view.truth, view.rendered))
-    energy, own = (np.square(image).sum(axis=1) for image in (noise, rendered))
+    noise = _beyond(truth(index) - around, design)
+    theirs, ours = (_beyond(read(index) - _mean(read, far), design) for read in (truth, rendered))
+    energy, own = (np.square(image).sum(axis=1) for image in (noise, ours))
     steady = energy <= np.quantile(energy, STEADY_SHARE)
     weights = 1 / (own + np.median(own) + 1)
-    theirs, ours = ((weights * (image * noise).sum(axis=1))[steady] for image in (captured, rendered))
-    return NoiseSums(theirs, ours)
+    return NoiseSums(*((weights * (image * noise).sum(axis=1))[steady] for image in (theirs, ours)))
 
 
 def has_far_frames(view: ViewFrames, index: int) -> bool:
@@ -113,22 +115,24 @@ def _beside(view: ViewFrames, index: int, lag: int) -> list[int]:
     return [other for other in (index - lag, index + lag) if other in view.frames]
 
 
-def _mean(read: FrameReader, indices: Sequence[int]) -> Array32:
-    return np.mean([_fine(read(index)) for index in indices], axis=0) if indices else np.zeros((), np.float32)
+def _mean(read: FineReader, indices: Sequence[int]) -> Array32:
+    return np.mean([read(index) for index in indices], axis=0) if indices else np.zeros((), np.float32)
 
 
-def _fine(image: Image8) -> Array32:
+def _fine(read: FrameReader, index: int) -> Array32:
     """Fine detail of the mean of the channels, in the middle of the picture, whole cells of it."""
+    image = read(index)
     top, left = (max(size - CROP_PX, 0) // 2 for size in image.shape[:2])
     height, width = (min(size, CROP_PX) // CELL_PX * CELL_PX for size in image.shape[:2])
-    grey = image[top : top + height, left : left + width].mean(axis=-1, dtype=np.float32)
+    grey = mean_of_channels(image[top : top + height, left : left + width])
     return np.asarray(grey - cv2.blur(grey, (5, 5)), dtype=np.float32)
 
 
 def _cells(image: Array32) -> Array32:
-    """(cells, pixels)."""
+    """Whole squares of a picture, (cells, pixels)."""
     rows, columns = (size // CELL_PX for size in image.shape)
-    return image.reshape(rows, CELL_PX, columns, CELL_PX).swapaxes(1, 2).reshape(rows * columns, CELL_PX**2)
+    squares = image[: rows * CELL_PX, : columns * CELL_PX].reshape(rows, CELL_PX, columns, CELL_PX).swapaxes(1, 2)
+    return squares.reshape(rows * columns, CELL_PX**2)
 
 
 def _design(image: Array32) -> Array32:
@@ -153,11 +157,13 @@ def find_copied(name: str, view: ViewFrames) -> list[Finding]:
         fits[index] = worst_patches(rendered, truth)
         identical += [index] if np.array_equal(rendered, truth) else []
     instants = [index for index in spread(view.frames, NOISE_INSTANTS) if has_far_frames(view, index)]
-    noise = {index: noise_sums(view, index) for index in instants if index not in identical}
+    ours, theirs = (lru_cache(WINDOW)(partial(_fine, read)) for read in (view.rendered, view.truth))
+    noise = {index: noise_sums(view, ours, theirs, index) for index in instants if index not in identical}
     written = _written_again({index: fit for index, fit in fits.items() if index not in identical}, noise)
     usual = [fit for index, fit in fits.items() if index not in {*identical, *written}]
+    counted = {"n_frames": len(identical)}
     return [
-        *_identical(name, identical, view),
+        *([_finding(name, "certain", f"{_named(identical, view)} captured, bit by bit", counted)] if identical else []),
         *_copies(name, view, {index: fits[index] for index in written}, usual, [noise[i] for i in written if i in noise]),
         *_blend(name, [sums for index, sums in noise.items() if index not in written]),
     ]
@@ -176,12 +182,6 @@ def _written_again(fits: Mapping[int, float], noise: Mapping[int, NoiseSums]) ->
     close -= {index for index in close if index in shares and shares[index].most < NO_COPY}
     noisy = {i for i, one in shares.items() if one.share > max(FRAME_SHARE, 2 * usual) and one.deviations > FRAME_DEVIATIONS}
     return sorted(close | noisy)
-
-
-def _identical(name: str, frames: Sequence[int], view: ViewFrames) -> list[Finding]:
-    if not frames:
-        return []
-    return [_finding(name, "certain", f"{_named(frames, view)} captured, bit by bit", {"n_frames": len(frames)})]
 
 
 def _copies(
@@ -229,11 +229,8 @@ def worst_patches(rendered: Image8, truth: Image8) -> float:
 
 def _patches(image: Image8) -> Array32:
     """Fine detail of the mean of the channels in squares, each without its mean, (patches, pixels)."""
-    grey = image.astype(np.float32).mean(axis=-1)
-    detail = cv2.GaussianBlur(grey, (0, 0), 0.8) - cv2.GaussianBlur(grey, (0, 0), 3.0)
-    rows, columns = (size // PATCH_PX for size in detail.shape)
-    squares = detail[: rows * PATCH_PX, : columns * PATCH_PX].reshape(rows, PATCH_PX, columns, PATCH_PX).swapaxes(1, 2)
-    flat = squares.reshape(-1, PATCH_PX**2)
+    grey = mean_of_channels(image)
+    flat = _cells(np.asarray(cv2.GaussianBlur(grey, (0, 0), 0.8) - cv2.GaussianBlur(grey, (0, 0), 3.0), np.float32))
     return np.asarray(flat - flat.mean(axis=1, keepdims=True), dtype=np.float32)
 
 

@@ -2,16 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32, Image8
+from ggvs_eval.files.images import mean_of_channels
 from ggvs_eval.metrics.image.psnr import PSNR_CEILING_DB, psnr
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
-from ggvs_eval.pipelines.inspection.renders.copied import find_copied
+from ggvs_eval.pipelines.inspection.renders.copied import WINDOW, find_copied
 from ggvs_eval.pipelines.inspection.renders.identity import (
     CameraPictures,
     FrameReader,
@@ -131,14 +133,14 @@ def find_upscaling(name: str, view: ViewFrames) -> list[Finding]:
 
 def period_peaks(image: Image8) -> dict[float, float]:
     """For each period the weaker of its peaks along both axes, relative to the spectrum around it."""
-    grey = image.astype(np.float32).mean(axis=-1)
+    grey = mean_of_channels(image)
     both = [_axis_peaks(plane) for plane in (grey, grey.T)]
     return {period: min(peaks[period] for peaks in both) for period in PERIODS_PX}
 
 
 def fine_energy(image: Image8) -> float:
     """Return the mean squared second difference along both axes, mostly of the finest frequencies."""
-    grey = image.astype(np.float32).mean(axis=-1)
+    grey = mean_of_channels(image)
     return float(np.mean([np.square(np.diff(grey, 2, axis=axis)).mean() for axis in (0, 1)]))
 
 
@@ -197,7 +199,7 @@ def find_flicker(name: str, view: ViewFrames) -> list[Finding]:
 def region_gains(rendered: Image8, truth: Image8) -> NDArray[np.float64]:
     """Return the logarithm of the usual ratio of rendered and true levels in each of 4 x 4 regions, (16,)."""
     ours, theirs = (
-        cv2.resize(image.mean(axis=-1, dtype=np.float32), (CELLS, CELLS), interpolation=cv2.INTER_AREA) + DARK_255
+        cv2.resize(mean_of_channels(image), (CELLS, CELLS), interpolation=cv2.INTER_AREA) + DARK_255
         for image in (rendered, truth)
     )
     side = CELLS // REGIONS
@@ -248,6 +250,7 @@ class _Examined:
 
 
 def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], count: int) -> _Examined:
+    view = replace(view, rendered=lru_cache(WINDOW)(view.rendered), truth=lru_cache(WINDOW)(view.truth))  # asked for often
     scan = scan_frames(name, view)
     usable, whole = longest_run(scan.usable), view
     if not usable:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import read_image
+from ggvs_eval.files.images import mean_of_channels, read_image
 from ggvs_eval.measured_frames import resized_frame
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.protocol import Measurement
@@ -248,7 +248,7 @@ def find_identity(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
 
 def structure(image: Array32) -> Array32:
     """Return the outlines of a picture: mean of the channels, band-passed, (h, w); no cast or tone curve undoes them."""
-    grey = image.mean(axis=-1, dtype=np.float32)
+    grey = mean_of_channels(image)
     wide_px = max(grey.shape) / 20
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), wide_px / 12) - cv2.GaussianBlur(grey, (0, 0), wide_px), dtype=np.float32)
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32, Image8
+from ggvs_eval.files.images import mean_of_channels
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, shrink, spread
 
@@ -197,7 +198,7 @@ def find_placement(name: str, view: ViewFrames) -> Placed:
     placed, factor = [], 1.0
     for rendered, truth in view.pairs(spread(view.frames, INSTANTS)):
         factor = max(max(truth.shape[:2]) / LONGEST_SIDE_PX, 1.0)
-        placed.append(place(_grey(rendered), _grey(truth)))
+        placed.append(place(*(mean_of_channels(shrink(image, LONGEST_SIDE_PX)) for image in (rendered, truth))))
     stretched = _evaluate_scale(name, placed) or _evaluate_zoom(name, placed, view)
     if not stretched:
         x, y = (float(value) for value in np.median([one.shift_px for one in placed], axis=0))
@@ -227,10 +228,6 @@ def _scaled(image: Image8, scale_x: float, scale_y: float) -> Image8:
     matrix = np.array([[scale_x, 0, centre_x * (1 - scale_x)], [0, scale_y, centre_y * (1 - scale_y)]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpAffine(image, matrix, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE), np.uint8)
-
-
-def _grey(image: Image8) -> Array32:
-    return np.asarray(shrink(image, LONGEST_SIDE_PX).mean(axis=-1), dtype=np.float32)
 
 
 def _evaluate_scale(name: str, placed: list[Placement]) -> list[Finding]:

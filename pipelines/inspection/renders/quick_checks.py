@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
+from ggvs_eval.files.images import mean_of_channels
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
 from ggvs_eval.pipelines.inspection.renders.identity import (
@@ -217,7 +218,7 @@ def doubt_numbering(finding: Finding, counted_from: int, start: int) -> Finding:
 
 def _grey(frames: Array32) -> Array32:
     """Return the mean of the channels of each frame, noise smoothed a little, (n, h, w)."""
-    return np.stack([cv2.GaussianBlur(frame.mean(axis=-1, dtype=np.float32), (0, 0), 1.0) for frame in frames])
+    return np.stack([cv2.GaussianBlur(mean_of_channels(frame), (0, 0), 1.0) for frame in frames])
 
 
 def _timing(
@@ -287,8 +288,7 @@ def scan_frames(name: str, view: ViewFrames) -> Scan:
 
 def change(before: Array32, after: Array32) -> Change:
     """Measure how much two pictures (h, w, 3) differ, by the mean of each of 16 x 16 cells."""
-    difference = np.abs(after - before).mean(axis=-1)
-    cells = cv2.resize(difference, (CELLS, CELLS), interpolation=cv2.INTER_AREA)
+    cells = cv2.resize(mean_of_channels(np.abs(after - before)), (CELLS, CELLS), interpolation=cv2.INTER_AREA)
     return Change(float(cells.max()), float(np.median(cells)))
 
 

@@ -67,7 +67,7 @@ class ToneFit:
 
 def find_tone(name: str, sample: Sample) -> list[Finding]:
     """Fit the tone curve of each channel."""
-    curves = [tone_curve(sample, channel) for channel in range(3)]
+    curves = tone_curves(sample)
     if min(len(curve) for curve in curves) < FEWEST_BINS:
         return []
     fits = [fit_tone(curve) for curve in curves]
@@ -85,24 +85,24 @@ def of_all_views(found: Sequence[AnyTold], views: int) -> list[AnyTold]:
     return [one for one in found if one not in likely or 2 * len(likely) > views]
 
 
-def tone_curve(sample: Sample, channel: int) -> Curve:
-    """Return the median true and rendered level of flat pixels, by bins of the true level, (bins, 2)."""
+def tone_curves(sample: Sample) -> list[Curve]:
+    """Return the median true and rendered level of flat pixels in each channel, by bins of the true level, (bins, 2)."""
     kernel = np.ones((FLAT_PX, FLAT_PX), np.uint8)
-    both = [
-        np.stack([cv2.GaussianBlur(image, (0, 0), SMOOTH_PX) for image in images])
-        for images in (sample.truth_now, sample.rendered)
-    ]
+    both = [np.stack([cv2.GaussianBlur(one, (0, 0), SMOOTH_PX) for one in film]) for film in (sample.truth_now, sample.rendered)]
     ranges = [
-        np.stack([(cv2.dilate(image, kernel) - cv2.erode(image, kernel)).max(axis=-1) for image in images]) for images in both
+        np.stack([np.maximum.reduce(cv2.split(cv2.dilate(image, kernel) - cv2.erode(image, kernel))) for image in images])
+        for images in both
     ]
     flat = np.maximum(*ranges) < FLAT_255
-    theirs, ours = (images[..., channel][flat] for images in both)
+    return [_levels(*(images[..., channel][flat] for images in both)) for channel in range(3)]
+
+
+def _levels(theirs: NDArray[np.float32], ours: NDArray[np.float32]) -> Curve:
     bins = (theirs // BIN_255).astype(int)
     members = [bins == number for number in range(256 // BIN_255)]
     points = [(np.median(theirs[one]), np.median(ours[one])) for one in members if np.count_nonzero(one) >= FEWEST_PIXELS]
     curve = np.array(points, dtype=np.float64).reshape(-1, 2)
-    inside = ((curve > LOWEST_255) & (curve < HIGHEST_255)).all(axis=1)
-    return curve[inside]
+    return curve[((curve > LOWEST_255) & (curve < HIGHEST_255)).all(axis=1)]
 
 
 def fit_tone(curve: Curve) -> ToneFit:
