@@ -25,9 +25,9 @@ METRICS = ("PSNR", "SSIM", "LPIPS")
 DECIMALS = {"PSNR": 2, "SSIM": 3, "LPIPS": 3}
 OURS = "ours"
 WAYS: dict[WayName, str] = {
-    "mvsnerf": "MVSNeRF's notebook: both at 960 x 640, central 80 %",
+    "mvsnerf": "MVSNeRF's notebook",
     "enerf": "central 80 %",
-    "as-is": "whole frame; SSIM Gaussian, range 1",
+    "as-is": "whole frame",
 }
 Scores = dict[str, dict[str, np.ndarray]]  # label -> metric -> a value per test view
 
