@@ -9,7 +9,7 @@ from ggvs_eval.reports.model.table import Column, Table
 from ggvs_eval.reports.tables.timing import TOTAL
 
 LINE_PX = 11  # between two names
-NAME_PX = 5.2  # of a sign of a name
+NAME_PX = 5.6  # of a sign of a name, in wide fonts
 Box = tuple[float, float, float, float]  # left, top, right, bottom
 GAP_PX, DOT_PX = 7, 4  # from the middle of a dot to its name and to its rim
 
@@ -87,16 +87,13 @@ def quality_over_time(column: Column, values: Sequence[tuple[str, float]], timin
 def _free_box(x: float, y: float, name: str, boxes: Sequence[Box]) -> Box:
     """Return the place of a name that is nearest to its dot and clear of the other boxes, or the nearest one if none is clear."""
     width = NAME_PX * len(name)
+    last = SIZE[0] - MARGIN[1] - width  # where a name ends that is too long for either side
     lines = (y + 3.5 + side * step * LINE_PX / 2 for step in range(2 * SIZE[1] // LINE_PX) for side in (1, -1))
     inside = [line for line in lines if MARGIN[2] <= line <= SIZE[1] - MARGIN[3]]
-    ends = [left for left in (x + GAP_PX, x - GAP_PX - width) if MARGIN[0] <= left <= SIZE[0] - MARGIN[1] - width] or [x + GAP_PX]
+    ends = [left for left in (x + GAP_PX, x - GAP_PX - width) if MARGIN[0] <= left <= last] or [last]
     places = [(left, line + 2 - LINE_PX, left + width, line + 2) for line in inside for left in ends]
-    clear = (
-        one
-        for one in places
-        if not any(one[0] < box[2] and box[0] < one[2] and one[1] < box[3] and box[1] < one[3] for box in boxes)
-    )
-    return next(clear, places[0])
+    meet = [any(one[0] < box[2] and box[0] < one[2] and one[1] < box[3] and box[1] < one[3] for box in boxes) for one in places]
+    return next((one for one, taken in zip(places, meet, strict=True) if not taken), places[0])
 
 
 def _mean_time(name: str, timings: Sequence[Table]) -> float | None:
