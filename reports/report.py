@@ -1,5 +1,6 @@
 """A report of one or several runs: the page, the tables in four formats, and the figures."""
 
+import operator
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -7,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from ggvs_eval.files.atomic import write_text
-from ggvs_eval.jobs.processes import do_all
+from ggvs_eval.jobs.engine import run_all
 from ggvs_eval.reports.figures.curves import draw_curves
 from ggvs_eval.reports.figures.paper_figures import draw_crops, draw_failures
 from ggvs_eval.reports.figures.regions import RULES, Rule, find_regions
@@ -78,6 +79,7 @@ def write_report(
     with_figures: bool = True,
     standalone: bool = False,
     columns: Sequence[str] = (),
+    jobs: int = 1,
 ) -> Path:
     """Write ``index.html``, ``tables.*``, ``reproduction.*`` (the paper's values next to the run's) and ``figures/*.png``.
 
@@ -92,6 +94,7 @@ def write_report(
         with_figures: also the figures, which the page does without; a page that is going to grow does not need them yet.
         standalone: make a page that loads nothing, also no frames at full size from its run folder.
         columns: metrics of the tables for papers, see `write_tables`.
+        jobs: processes that draw the figures.
 
     Raises:
         ResultsError: no run, a run given twice, or a folder that is not a scored run.
@@ -117,7 +120,7 @@ def write_report(
                 figures.append(partial(draw_k, sweep, out / "figures" / f"k{index or ''}.png", numbers=numbers))
             if swept[index].rates:
                 figures.append(partial(draw_rates, swept[index].rates, out / "figures" / f"stream{index or ''}.png", numbers))
-        do_all(figures, "drawing figures")
+        run_all(operator.call, figures, jobs, "drawing figures")
     return page
 
 

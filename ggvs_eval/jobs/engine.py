@@ -207,7 +207,7 @@ def _errors_into(file: IO[bytes]) -> Iterator[None]:
         os.close(kept)
 
 
-def run_all(work: Callable[[Item], None], items: Sequence[Item], workers: Workers, description: str) -> None:
+def run_all(work: Callable[[Item], object], items: Sequence[Item], workers: Workers, description: str) -> None:
     """Do the work for every item; the first that fails ends it, and a second call does what is missing.
 
     Args:
@@ -226,7 +226,7 @@ def run_all(work: Callable[[Item], None], items: Sequence[Item], workers: Worker
             raise RenderError(f"{description}: {outcome.reason}; {GO_ON}")
 
 
-def _do_one(work: Callable[[Item], None], code: str, item: Item) -> None:
+def _do_one(work: Callable[[Item], object], code: str, item: Item) -> None:
     """Do one item on a worker, which must have the caller's code."""
     if code != package_digest():
         raise RenderError(f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")

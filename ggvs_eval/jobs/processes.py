@@ -158,16 +158,6 @@ def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str)
         raise
 
 
-def do_all(jobs: Sequence[Callable[[], object]], description: str) -> None:
-    """Do jobs with a progress bar: in the processes that are kept, if any are, else here, one after the other."""
-    if _keeper is None:
-        for job in track(jobs, description):
-            job()
-    else:
-        with borrowed_pool(usable_cpus(), usable_cpus()) as pool:
-            finish_all(pool, [pool.submit(job) for job in jobs], description)
-
-
 def share_cpus(threads: int) -> None:
     """Give this process its share of the CPUs, before any library starts its own threads."""
     for name in ("OMP_NUM_THREADS", "GGVS_EVAL_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):

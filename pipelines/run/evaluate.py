@@ -110,6 +110,7 @@ def report(
     with_figures: bool = True,
     standalone: bool = False,
     columns: Sequence[str] = (),
+    jobs: int = 1,
 ) -> Path:
     """Write the page, tables and figures of one or several run folders, see `write_report`; one of the same runs is kept.
 
@@ -134,7 +135,7 @@ def report(
     written = MadeFiles(folder, made_from)
     if written.are_whole():
         return folder / "index.html"
-    page = write_report(roots, out, tables_of, with_figures, standalone, columns)
+    page = write_report(roots, out, tables_of, with_figures, standalone, columns, jobs)
     written.note(file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file() and file.name != DIGESTS)
     return page
 

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
-from ggvs_eval.jobs.engine import Engine, Workers
+from ggvs_eval.jobs.engine import Engine, Workers, as_engine
 from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.jobs.machine import pace
 from ggvs_eval.jobs.processes import kept_workers
@@ -156,7 +156,7 @@ def evaluate_demos(
         has_grown |= not left.is_nothing()
     if not failures:
         drop_found_depth(plans)
-    page = report(roots, tables_of=tables)
+    page = report(roots, tables_of=tables, jobs=as_engine(workers).jobs)
     if failures:
         raise RenderError(f"{k_root(roots[0])}: {len(failures)} failed, first {failures[0]}; run the same command to retry")
     return page

@@ -3,6 +3,7 @@
 import json
 import re
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -25,6 +26,11 @@ def make_camera(name="cam", seed=0, centre=None, width=64, height=48) -> Camera:
     return Camera(name, K, world_to_camera, width, height, 1.0, 9.0)
 
 
+def camera_pose(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and translation as OpenCV takes them."""
+    return cv2.Rodrigues(camera.world_to_camera[:3, :3])[0], camera.world_to_camera[:3, 3]
+
+
 @given(seed=st.integers(0, 1000), depth=st.floats(0.1, 100))
 def test_unproject_inverts_project(seed, depth):
     """A pixel lifted to any depth projects back onto itself with that depth."""
@@ -35,6 +41,9 @@ def test_unproject_inverts_project(seed, depth):
 
     np.testing.assert_allclose(back, uv, atol=1e-8)
     np.testing.assert_allclose(z, depth, rtol=1e-9)
+    points = camera.unproject(uv, np.full(uv.shape[:2], depth))
+    by_opencv, _ = cv2.projectPoints(points.reshape(-1, 1, 3), *camera_pose(camera), camera.K_opencv, None)
+    np.testing.assert_allclose(by_opencv.reshape(uv.shape), np.mgrid[:48, :64][::-1].transpose(1, 2, 0), atol=1e-6)
 
 
 def test_rays_reach_every_depth():

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -208,6 +209,11 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     assert len(shown) == 1 + len(rooms)
     assert page.stat().st_mtime_ns == written_ns
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts} == before
+    monkeypatch.setattr(demo_runs, "PAGE_EVERY_S", 1e9)
+    for name in rooms:
+        shutil.rmtree(demo_root(root, name) / "scores")
+    run()
+    assert len(shown) == 2 + len(rooms)  # both rooms were scored again, and the second page would have come too early
 
 
 def test_learned_baselines_come_last(tmp_path, small_protocols, monkeypatch):
