@@ -5,6 +5,7 @@ from pathlib import Path
 from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE
+from ggvs_eval.pipelines.offline.depth.fill_store import FILLED
 from ggvs_eval.pipelines.offline.export.dense_workspace import write_dense_workspace
 from ggvs_eval.pipelines.offline.export.surfaces import FusedFiles, fuse_instant
 from ggvs_eval.pipelines.offline.sensor.registration import Registration
@@ -27,8 +28,8 @@ def write_prepared_page(prepared: RunPlan, workers: int = 1) -> Path:
 
 def _registration(job: DepthJob, width_px: int) -> str:
     """Describe the registration of a job's sensor depth in words; empty if there was none."""
-    options = job.spec["options"]
-    applied = options.get("registration") if isinstance(options, dict) else None
+    sensor = job.spec.get(FILLED, job.spec["options"])
+    applied = sensor.get("registration") if isinstance(sensor, dict) else None
     return Registration(**applied).describe(width_px) if applied else ""
 
 

@@ -60,7 +60,7 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
         _share_folders(run.root, plan.shared_root)
     claim_folder(run, plan.protocol, plan.original)
     if not run.depth_record.is_file():
-        write_json(run.depth_record, plan.depth.record(plan.depth_device))
+        write_json(run.depth_record, plan.depth.record(plan.depth_device) | plan.compared)
     cache_frames(plan.original, plan.frames_of_cameras(), run.root / "truth", workers)
     store = DepthStore(run.depth)
     _write_path_truth(plan)

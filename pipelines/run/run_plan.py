@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,8 +26,9 @@ from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit, SourcePlan
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DEVICE, DepthRunOptions, default_matcher
+from ggvs_eval.pipelines.offline.depth.depth_choice import DEVICE, UNEXPLAINED, DepthRunOptions, default_matcher
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthPartners, plan_depth
+from ggvs_eval.pipelines.offline.depth.sensor_and_stereo import unexplained
 from ggvs_eval.pipelines.run.claim import require_owner
 from ggvs_eval.pipelines.run.derived_files import cached_capture
 from ggvs_eval.pipelines.run.folds import FitPlan, fill_folds, plan_fits, plan_folds, visible_cameras
@@ -110,6 +112,7 @@ class RunPlan:
         path_frame: the instant at which the camera moves along the path.
         path_images: what a camera would have seen there; None if that is unknown.
         fits: of the methods that are fitted; none if no such method is wanted.
+        compared: by what depth of sensors was chosen, for the record of depth; empty where nothing was compared.
     """
 
     request: RunRequest
@@ -123,6 +126,7 @@ class RunPlan:
     path_frame: int
     path_images: ImageFrames | None
     fits: tuple[FitPlan, ...] = ()
+    compared: dict[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -251,18 +255,24 @@ def plan_run(request: RunRequest) -> RunPlan:
         request, protocol=_state_folds(request.protocol.over(request.capture.n_frames), run, request.capture, bool(fitted))
     )
     protocol = request.protocol
-    capture, (depth, device) = fit_capture(request.capture, protocol), _depth_of(run, request)
+    capture, (depth, device, compared) = fit_capture(request.capture, protocol), _depth_of(run, request)
     require_owner(run, protocol, capture)
-    options, path = depth.options(device), choose_path(capture, protocol)
-    visible = visible_cameras(capture, protocol)
+    visible, path = visible_cameras(capture, protocol), choose_path(capture, protocol)
+    if depth.sensor == "compare" and visible.sensed_cameras and use_depth:
+        depth, compared = _use_sensors(depth, visible, protocol, device)
+    if UNEXPLAINED in compared:
+        how, words = "where stereo finds none" if depth.sensor == "fill" else "alone", "of other cameras' pictures unexplained"
+        sensor, stereo = compared[UNEXPLAINED]
+        capture = capture.noted(f"sensors' depth is used {how}: it leaves {sensor:.1f} levels {words}, stereo's {stereo:.1f}")
+    options = depth.options(device)
     targets = [*(capture.camera(view) for view in protocol.views.test), *path.cameras]
     k, choice = protocol.synthesis.k, protocol.synthesis.sources
     partners = DepthPartners(visible, options)
     chosen = {target.name: partners.sources(target, k, choice) for target in targets}
     sensed = visible.sensed_cameras if options.sensor is not None else frozenset[str]()
-    if sensed and depth.matcher != default_matcher():
+    if sensed and not options.sensor_fills and depth.matcher != default_matcher():
         words = f"--matcher {depth.matcher} has no effect on {counted(len(sensed), 'camera')} whose depth is measured or given"
-        warnings.warn(f"{capture.path}: {words}; use it with --no-sensor", GgvsWarning, stacklevel=2)
+        warnings.warn(f"{capture.path}: {words}; use it with --sensor fill or --sensor no", GgvsWarning, stacklevel=2)
     unseen: dict[str, CameraError] = {}
     for target in targets[: len(protocol.views.test)] if use_depth or not methods else []:
         try:
@@ -295,7 +305,7 @@ def plan_run(request: RunRequest) -> RunPlan:
     chosen_frame = protocol.path.frame if protocol.path.cameras else round(path.time_s * capture.fps)
     frame = min(max(chosen_frame, protocol.frames.start), capture.n_frames - 1)
     poses = tuple(plans[pose.name] for pose in path.cameras)
-    plan = RunPlan(request, run, methods, depth, device, capture, views, poses, frame, path.images)
+    plan = RunPlan(request, run, methods, depth, device, capture, views, poses, frame, path.images, compared=compared)
     if not fitted:
         return plan
     folds = plan_folds(visible, protocol.views.folds, bool(poses), options)
@@ -330,8 +340,23 @@ def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
     return capture
 
 
-def _depth_of(run: RunFolder, request: RunRequest) -> tuple[DepthRunOptions, str]:
-    """Return how this folder's depth is found, or will be, and on which device; methods of one table must be given the same.
+def _use_sensors(
+    depth: DepthRunOptions, capture: Capture, protocol: Protocol, device: str
+) -> tuple[DepthRunOptions, dict[str, Any]]:
+    """Choose how depth of sensors is used, by what explains the pictures of other cameras; test views are not asked.
+
+    Depth that the user gave is used as it is, and so is a sensor's where nothing can be compared.
+    """
+    asked = tuple(name for name in capture.camera_names if name not in protocol.views.test)
+    compared = None if capture.given_depth else unexplained(capture, asked, depth.options(device), protocol.frames.start)
+    fills = compared is not None and compared[1] < compared[0]
+    return replace(depth, sensor="fill" if fills else "alone"), {UNEXPLAINED: list(compared)} if compared else {}
+
+
+def _depth_of(run: RunFolder, request: RunRequest) -> tuple[DepthRunOptions, str, dict[str, Any]]:
+    """Return how this folder's depth is found, or will be, on which device, and by what it was chosen.
+
+    Methods of one table must be given the same.
 
     Reading:
         Learned depth stays on the device that found its first map, regardless of the device of later calls: else a run that
@@ -340,12 +365,12 @@ def _depth_of(run: RunFolder, request: RunRequest) -> tuple[DepthRunOptions, str
     asked = request.depth
     if not run.depth_record.is_file():
         asked = asked or DepthRunOptions()
-        return asked, checked_device(request.networks.device) if asked.is_learned else "cpu"
+        return asked, checked_device(request.networks.device) if asked.is_learned else "cpu", {}
     values = read_json(run.depth_record)
     record = DepthRunOptions.from_record(values)
-    if asked not in (None, record):
+    if asked not in (None, record, replace(record, sensor="compare")):
         raise ProtocolError(
             f"{run.root}: holds a run whose depth is found by {record.options().matcher.name} ({run.depth_record.name}), wanted "
             f"{asked}; choose a new folder"
         )
-    return record, values.get(DEVICE, "cpu")
+    return record, values.get(DEVICE, "cpu"), {name: values[name] for name in values if name == UNEXPLAINED}

@@ -274,14 +274,14 @@ def test_options_change_the_key(plane_capture, tmp_path):
 
     keys = {key_with(OPTIONS)}
     for field, value in vars(OPTIONS).items():
-        if field not in ("matcher", "filler", "sensor", "consistency"):
+        if field not in ("matcher", "filler", "sensor", "sensor_fills", "consistency"):
             keys.add(key_with(replace(OPTIONS, **{field: value + 1})))
     for field, value in vars(OPTIONS.matcher).items():
         changed = replace(OPTIONS, matcher=replace(OPTIONS.matcher, **{field: value + 1}))
         keys.add(key_with(changed))
     keys.add(key_with(replace(OPTIONS, filler=IterMvs(tmp_path / "model.ckpt", "digest"))))
     keys.add(key_with(replace(OPTIONS, filler=SgbmMatcher())))
-    assert len(keys) == len(vars(OPTIONS)) + len(vars(OPTIONS.matcher)) - 1
+    assert len(keys) == len(vars(OPTIONS)) + len(vars(OPTIONS.matcher)) - 2
 
 
 def test_failure_in_a_worker_is_reported(plane_capture, tmp_path):

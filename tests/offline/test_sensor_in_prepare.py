@@ -1,4 +1,4 @@
-"""Measured depth takes the place of stereo where a capture has it."""
+"""Measured depth takes the place of stereo where a capture has it, or fills its gaps."""
 
 import warnings
 from dataclasses import replace
@@ -6,14 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ggvs_eval.capture import Extras
+from ggvs_eval.capture import Extras, GivenDepth
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.errors import GgvsWarning
+from ggvs_eval.errors import GgvsWarning, ProtocolError
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED
 from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.consistency import LEAST_CONFIDENCE
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
+from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views
 from helpers.stereo_scenes import PLANE, plane_depth, write_capture
@@ -43,6 +45,8 @@ HOLE = np.s_[20:44, 30:60]
 class HoledSensor(PlaneSensor):
     """Measures nothing in a part of every image."""
 
+    digest = "holed"
+
     def depths(self, start, stop):
         """Depth of some frames."""
         for depth in super().depths(start, stop):
@@ -59,11 +63,14 @@ def sensed_plane(tmp_path_factory):
 
 
 def test_cameras_with_a_sensor_need_no_partners(sensed_plane):
-    """Sources with measured depth get jobs without partners, the others stereo; --no-sensor is stereo for all."""
+    """Sources with measured depth get jobs without partners, the others stereo; "no" is stereo for all, "fill" for all too."""
     jobs = plan_depth(sensed_plane, [sensed_plane.camera("cam02")], 4, DepthOptions())["cam02"]
     assert {name for name, job in jobs.items() if not job.partner_names} == {"cam00", "cam01"}
-    by_stereo = plan_depth(sensed_plane, [sensed_plane.camera("cam02")], 4, DepthRunOptions(sensor=False).options())["cam02"]
+    by_stereo = plan_depth(sensed_plane, [sensed_plane.camera("cam02")], 4, DepthRunOptions(sensor="no").options())["cam02"]
     assert all(job.partner_names for job in by_stereo.values())
+    filled = plan_depth(sensed_plane, [sensed_plane.camera("cam02")], 4, DepthRunOptions(sensor="fill").options())["cam02"]
+    assert [filled[name].partner_names for name in filled] == [by_stereo[name].partner_names for name in filled]
+    assert {name for name in filled if filled[name].unchecked.spec != by_stereo[name].unchecked.spec} == {"cam00", "cam01"}
 
 
 def test_measured_depth_reaches_the_store(sensed_plane, tmp_path):
@@ -84,8 +91,7 @@ def test_holes_of_measured_depth_are_filled_by_colour(sensed_plane, tmp_path, mo
     """Held against another source, a sensor's hole is filled, under a key that knows how; stereo's key does not."""
     monkeypatch.setattr(consistency, "FILL_SUPPORT", 0)
     store, options = DepthStore(tmp_path), DepthOptions()
-    extras = tuple(replace(each, depth=each.depth and HoledSensor(each.depth.camera)) for each in sensed_plane.extras)
-    holed = replace(sensed_plane, extras=extras)
+    holed = with_sensors(sensed_plane, HoledSensor)
     jobs = plan_depth(holed, [sensed_plane.camera("cam02")], 4, options)["cam02"]
     prepare_depth(holed, [jobs["cam00"]], range(1), store, options, workers=1)
 
@@ -102,12 +108,75 @@ def test_holes_of_measured_depth_are_filled_by_colour(sensed_plane, tmp_path, mo
 def test_a_matcher_without_effect_says_so(sensed_plane, tmp_path):
     """Cameras with a sensor ignore --matcher, which is said with the way to use it; the default is silent."""
     protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=2))
-    request = RunRequest(tmp_path / "run", sensed_plane, protocol, ("ours-geometric",), DepthRunOptions("live"), AS_SHIPPED)
+    request = RunRequest(
+        tmp_path / "run", sensed_plane, protocol, ("ours-geometric",), DepthRunOptions("live", sensor="alone"), AS_SHIPPED
+    )
     with pytest.warns(
-        GgvsWarning, match="--matcher live has no effect on 2 cameras whose depth is measured or given; use it with --no-sensor"
+        GgvsWarning, match="--matcher live has no effect on 2 cameras whose depth is measured or given; use it with --sensor fill"
     ):
         plan_run(request)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         plan_run(replace(request, root=tmp_path / "usual", depth=DepthRunOptions()))
-        plan_run(replace(request, root=tmp_path / "stereo", depth=DepthRunOptions("live", sensor=False)))
+        plan_run(replace(request, root=tmp_path / "stereo", depth=DepthRunOptions("live", sensor="no")))
+        plan_run(replace(request, root=tmp_path / "both", depth=DepthRunOptions("live", sensor="fill")))
+
+
+class FarSensor(HoledSensor):
+    """Measures a twentieth too far."""
+
+    digest = "far"
+
+    def depths(self, start, stop):
+        """Depth of some frames."""
+        yield from (depth * np.float32(1.05) for depth in super().depths(start, stop))
+
+
+def with_sensors(capture, kind):
+    """The capture with sensors of another kind in the places of its own."""
+    return replace(capture, extras=tuple(replace(each, depth=each.depth and kind(each.depth.camera)) for each in capture.extras))
+
+
+@pytest.mark.parametrize(("kind", "chosen"), [(PlaneSensor, "alone"), (FarSensor, "fill")])
+def test_the_better_depth_is_used(sensed_plane, tmp_path, kind, chosen):
+    """A sensor that explains other cameras' pictures better than stereo is used alone, else in its gaps; the folder keeps it."""
+    protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=3))
+    request = RunRequest(tmp_path / "run", with_sensors(sensed_plane, kind), protocol, ("ours-geometric",), None, AS_SHIPPED)
+    plan = plan_run(request)
+    sensor, stereo = plan.compared["unexplained"]
+    assert plan.depth.sensor == chosen, (sensor, stereo)
+    assert (stereo < sensor) == (chosen == "fill")
+
+    again = plan_run(replace(prepare_run(plan).request, depth=DepthRunOptions()))
+
+    assert (again.depth, again.compared, again.original.notes) == (plan.depth, plan.compared, plan.original.notes)
+    assert f"stereo's {stereo:.1f}" in plan.original.notes[-1]
+    with pytest.raises(ProtocolError, match="holds a run whose depth is found by"):
+        plan_run(replace(request, depth=DepthRunOptions(sensor="no")))
+
+
+def test_given_depth_is_used_as_it_is(sensed_plane, tmp_path):
+    """What a user gives is not replaced by stereo, however wrong it is."""
+    protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=3))
+    given = replace(with_sensors(sensed_plane, FarSensor), given_depth=GivenDepth("maps"))
+    plan = plan_run(RunRequest(tmp_path / "run", given, protocol, ("ours-geometric",), None, AS_SHIPPED))
+    assert (plan.depth.sensor, plan.compared) == ("alone", {})
+
+
+def test_a_sensor_fills_what_stereo_does_not_find(sensed_plane, tmp_path):
+    """What stereo finds stays; elsewhere the sensor's depth stands, of little confidence, after the check as well."""
+    store, options = DepthStore(tmp_path), DepthRunOptions(sensor="fill").options()
+    jobs = [plan_depth(sensed_plane, [sensed_plane.camera("cam02")], 4, each)["cam02"]["cam00"]
+            for each in (options, DepthRunOptions(sensor="no").options())]  # fmt: skip
+    for job, each in zip(jobs, (options, DepthRunOptions(sensor="no").options()), strict=True):
+        prepare_depth(sensed_plane, [job], range(1), store, each, workers=1)
+
+    both, stereo = (store.read(job.key, 0) for job in jobs)
+
+    found = stereo.confidence > LEAST_CONFIDENCE
+    assert 0.5 < found.mean() < 1
+    np.testing.assert_array_equal(both.depth[found], stereo.depth[found])
+    truth = plane_depth(sensed_plane.camera("cam00"), PLANE)
+    errors = [np.abs(each.depth / truth - 1)[~found].max() for each in (both, stereo)]
+    assert errors[0] < 0.005 < errors[1]
+    assert (both.confidence[~found] < LEAST_CONFIDENCE).all()

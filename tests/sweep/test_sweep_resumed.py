@@ -198,7 +198,7 @@ def test_status_sees_a_job_that_is_under_way(undisturbed, tmp_path):
 def test_a_plan_lists_commands_that_make_the_whole(words, tmp_path, capsys):
     """Its commands prepare, take each view once, and make the table after all of them; options that were given are in each."""
     run_command(
-        ["sweep", words[0], str(tmp_path / "s"), *words[1:], "--jobs", "3", "--no-sensor", "--plan", str(tmp_path / "p.json")]
+        ["sweep", words[0], str(tmp_path / "s"), *words[1:], "--jobs", "3", "--sensor", "no", "--plan", str(tmp_path / "p.json")]
     )
 
     first, *views, last = json.loads((tmp_path / "p.json").read_text())["jobs"]
@@ -208,7 +208,7 @@ def test_a_plan_lists_commands_that_make_the_whole(words, tmp_path, capsys):
     assert all(job["after"] == ["prepare"] for job in views)
     assert last["after"] == [job["id"] for job in views]
     assert "k3/cam01" in last["after"]
-    assert {"--jobs", "3", "--no-sensor"} < set(last["command"])
+    assert {"--jobs", "3", "--sensor", "no"} < set(last["command"])
     assert "--shard" not in last["command"]
 
 

@@ -54,6 +54,7 @@ class DepthOptions:
             only where the picture changed.
         consistency: depth is checked against that of the other sources of a view.
         sensor: registration of measured depth, which takes the place of stereo where the capture has it; None ignores it.
+        sensor_fills: ... or fills what stereo does not find.
     """
 
     matcher: StereoMatcher | PlaneSweep | IterMvs = field(default_factory=SgbmMatcher)
@@ -63,6 +64,7 @@ class DepthOptions:
     keyframe_every: int = 1
     consistency: bool = True
     sensor: RegistrationName | None = "given"
+    sensor_fills: bool = False
 
     def first_needed(self, frame: int) -> int:
         """Return the keyframe that `frame` goes back to: depth of an instant depends on the instants from there on."""
@@ -83,7 +85,7 @@ class DepthOptions:
             "matcher": matcher,
             "filler": filler,
         }
-        del described["sensor"], described["consistency"]  # they have their own specs
+        del described["sensor"], described["sensor_fills"], described["consistency"]  # they have their own specs
         return described
 
     def _code(self) -> str:

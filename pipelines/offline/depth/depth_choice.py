@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 from ggvs_eval import built_in
 from ggvs_eval.errors import DepthError, did_you_mean
@@ -21,8 +21,9 @@ FREE_MATCHER = "sgbm"  # that needs no file
 LIVE_MATCHER = "live"  # the default of play and view
 MATCHERS: Registry[Callable[..., StereoMatcher | PlaneSweep | IterMvs]] = Registry("matchers", built_in.MATCHERS)
 FORMS = ("raft:CHECKPOINT", "itermvs:CHECKPOINT", "sgbm+raft", "sgbm+itermvs:CHECKPOINT")  # names of others
+SensorUse = Literal["compare", "alone", "fill", "no"]
 KEYFRAME_EVERY = 16  # instants, where instants depend on each other
-DEVICE = "device"  # in a record of depth
+DEVICE, UNEXPLAINED = "device", "unexplained"  # in a record of depth: the latter by sensors and by stereo
 ITERMVS, RAFT = built_in.NETWORK_MATCHERS[::-1]
 FILLER = re.compile(rf"\+(?=(?:{'|'.join(built_in.NETWORK_MATCHERS)})(?::|$))")  # is before a filler's name
 
@@ -64,14 +65,15 @@ class DepthRunOptions:
     Attributes:
         matcher: sgbm, live, sweep, raft[:FILE], itermvs:FILE; sgbm+raft or sgbm+itermvs:FILE fill gaps of sgbm.
         stereo_weights: checkpoint of RAFT-Stereo's authors; the same as --matcher raft:FILE.
-        sensor: filtered depth of a sensor instead of stereo, if the capture has it (RGB-D).
+        sensor: filtered depth of a sensor (RGB-D): alone, filling what stereo does not find, or no use of it; compare: alone if
+            it explains the pictures of other cameras better than stereo, else filling.
         registration: estimated: align sensor depth with colour, if clearly off; given: leave it.
         reuse_static: recompute depth only where the picture changes, and all every 16 instants.
     """
 
     matcher: str = field(default_factory=default_matcher)
     stereo_weights: Path | None = None
-    sensor: bool = True
+    sensor: SensorUse = "compare"
     reuse_static: bool = False
     registration: RegistrationName = "given"
 
@@ -93,8 +95,8 @@ class DepthRunOptions:
             raise DepthError(f"matcher {self.matcher}: wanted sgbm, sweep or raft before the +, got {name}; use one of these")
         filler = cast(IterMvs | StereoMatcher, find_matcher(fillers[0], device, dense=True)) if fillers else None
         keyframe_every = KEYFRAME_EVERY if self.reuse_static else 1
-        sensor = self.registration if self.sensor else None
-        return DepthOptions(matcher, filler, keyframe_every=keyframe_every, sensor=sensor)
+        sensor, fills = None if self.sensor == "no" else self.registration, self.sensor == "fill"
+        return DepthOptions(matcher, filler, keyframe_every=keyframe_every, sensor=sensor, sensor_fills=fills)
 
     def record(self, device: str = "cpu") -> dict[str, Any]:
         """As values that JSON knows; the device of a network is named where it is not the CPU."""
@@ -103,7 +105,8 @@ class DepthRunOptions:
 
     @classmethod
     def from_record(cls, record: dict[str, Any]) -> "DepthRunOptions":
-        """Restore the options that `record` wrote, all except the device."""
+        """Restore the options that `record` wrote, all except what was found where it was written."""
         weights = record.get("stereo_weights")
         values = record | {"stereo_weights": None if weights is None else Path(weights)}
-        return cls(**{name: value for name, value in values.items() if name != DEVICE})
+        values["sensor"] = {True: "alone", False: "no"}.get(values["sensor"], values["sensor"])  # as older folders have it
+        return cls(**{name: value for name, value in values.items() if name not in (DEVICE, UNEXPLAINED)})

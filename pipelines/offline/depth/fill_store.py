@@ -14,10 +14,12 @@ from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, describe_depth
 from ggvs_eval.errors import CameraError, DepthError
 from ggvs_eval.geometry.source_views import ChosenSource, SourceChoice, choose_sources
+from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers, as_engine, run_all
 from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthOptions, check_depth, check_measured_depth, finish
 from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
+from ggvs_eval.pipelines.offline.depth.sensor_and_stereo import fill_by_sensor
 from ggvs_eval.pipelines.offline.sensor.colour_fill import describe_fill
 from ggvs_eval.pipelines.offline.sensor.registered_capture import registered
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
@@ -26,6 +28,7 @@ from ggvs_eval.pipelines.offline.stereo.pairwise import SharedMatches
 
 Item = TypeVar("Item")
 Instants = Mapping[DepthJob, Sequence[int]]  # of each job, ascending
+FILLED = "sensor"  # in a spec: the sensor that fills what stereo does not find
 MOST_TOGETHER = 12  # cameras whose depth one process computes at once: it holds the maps of all their pairs
 
 
@@ -38,20 +41,19 @@ class DepthPartners:
         self.unmatched: dict[str, str] = {}  # camera that none can be matched with -> why
 
     def of(self, source: Camera, target: Camera | None = None) -> tuple[str, ...]:
-        """The partners of a source, never the target; none if a sensor measured its depth, or where it is in `unmatched`."""
+        """The partners of a source, never the target; none if a sensor's depth is used alone, or where it is in `unmatched`."""
         left_out = target.name if target and target.name in self._capture.camera_names else None
         key = source.name, left_out
         if key not in self._found:
+            is_sensed = _sensor(self._capture, source.name, self._options) is not None
             try:
-                others = self._capture.cameras
-                is_sensed = _sensor(self._capture, source.name, self._options) is not None
-                chosen = (
-                    [] if is_sensed else self._options.choose_partners(source, others, () if left_out is None else (left_out,))
-                )
+                others, alone = self._capture.cameras, is_sensed and not self._options.sensor_fills
+                chosen = [] if alone else self._options.choose_partners(source, others, () if left_out is None else (left_out,))
                 self._found[key] = tuple(each.name for each in chosen)
             except DepthError as error:
                 self._found[key] = ()
-                self.unmatched.setdefault(source.name, str(error))
+                if not is_sensed:
+                    self.unmatched.setdefault(source.name, str(error))
         return self._found[key]
 
     def has_depth(self, source: Camera, target: Camera | None = None) -> bool:
@@ -157,17 +159,27 @@ def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEs
     return None if source is None else SensorDepthEstimator(capture.camera(name), source)
 
 
+def _filled(capture: Capture, job: DepthJob, frame: int, found: DepthMap, options: DepthOptions) -> DepthMap:
+    """Return what stereo found, filled by what a sensor measured where the job says so."""
+    if FILLED not in job.spec or (sensor := _sensor(capture, job.camera_name, options)) is None:
+        return found
+    image = capture.frame(job.camera_name, frame)
+    return fill_by_sensor(found, sensor.at(frame, image), image)
+
+
 def depth_job(capture: Capture, camera_name: str, partner_names: Sequence[str], options: DepthOptions) -> DepthJob:
     """Return a job with all that its depth depends on, as it is found.
 
     Args:
-        partner_names: the cameras it is matched with; none if a sensor measured its depth, or nothing did.
+        partner_names: the cameras it is matched with; none if a sensor alone measured its depth, or nothing did.
     """
     names = (camera_name, *partner_names)
     camera, *partners = (capture.camera(name) for name in names)
-    sensor = None if partners else _sensor(capture, camera_name, options)
-    described = (sensor or options).describe() | {"resize_filter": capture.resize_filter}
+    sensor = None if partners and not options.sensor_fills else _sensor(capture, camera_name, options)
+    described = (options if partners or sensor is None else sensor).describe() | {"resize_filter": capture.resize_filter}
     spec = describe_depth(camera, partners, {name: capture.digest(name) for name in names}, described)
+    if partners and sensor is not None:
+        spec[FILLED] = {**sensor.describe(), "fill": describe_fill(), "filled_by": code_identity(fill_by_sensor.__module__)}
     return DepthJob(camera_name, tuple(partner_names), spec=spec)
 
 
@@ -275,7 +287,7 @@ def _run_together(capture: Capture, store: DepthStore, options: DepthOptions, ne
             continue
         for job, depth_map in zip(missing, rig.estimate(dict(zip(names, images, strict=True))), strict=True):
             if frame in missing[job]:
-                store.write(job.key, frame, finish(depth_map, options))
+                store.write(job.key, frame, _filled(capture, job, frame, finish(depth_map, options), options))
 
 
 def _check(capture: Capture, store: DepthStore, options: DepthOptions, item: tuple[DepthJob, Sequence[int]]) -> None:
@@ -289,7 +301,8 @@ def _check(capture: Capture, store: DepthStore, options: DepthOptions, item: tup
         views = [(capture.camera(name), store.read(other, frame)) for name, other in others]
         camera, depth_map = capture.camera(own[0]), store.read(own[1], frame)
         if job.partner_names:
-            checked = check_depth(camera, depth_map, views, options)
+            asked = replace(options, filler_share=0.0) if FILLED in job.spec else options  # whatever the share of gaps
+            checked = check_depth(camera, depth_map, views, asked)
         else:
             checked = check_measured_depth(camera, capture.frame(camera.name, frame), depth_map, views, options)
         store.write(key, frame, checked)
@@ -322,7 +335,7 @@ def _run(capture: Capture, store: DepthStore, options: DepthOptions, needed: Ins
             if options.keyframe_every > 1 or frame in missing[job]:
                 depth_map = stream.step(frame, images[camera.name], [images[name] for name in job.partner_names])
                 if frame in missing[job]:
-                    store.write(job.key, frame, depth_map)
+                    store.write(job.key, frame, _filled(capture, job, frame, depth_map, options))
 
 
 def _missing(store: DepthStore, key: str, frames: Sequence[int]) -> list[int]:

@@ -13,11 +13,20 @@ SEQUENCE_LAYOUT = "rgbd"  # frames of one camera and one sensor; of a rig every 
 
 
 @dataclass(frozen=True)
-class _Sequence:
-    """A capture that is identified by its content."""
+class ByContent:
+    """A capture that is identified by its content, for what is kept of it."""
 
     digest: str
     capture: Capture = field(compare=False)
+
+    @classmethod
+    def of(cls, capture: Capture) -> "ByContent":
+        """Return a capture by its pictures, its depth and its cameras."""
+        total = hashlib.sha256()
+        for camera in capture.cameras:
+            source = capture.extras_of(camera.name).depth
+            total.update(repr([capture.digest(camera.name), source and source.digest, camera.to_json()]).encode())
+        return cls(total.hexdigest(), capture)
 
 
 def is_sequence(capture: Capture) -> bool:
@@ -39,17 +48,9 @@ def registered(capture: Capture, registration: RegistrationName | None) -> Captu
 
 def displacement(capture: Capture) -> Displacement | None:
     """`measure_registration` of all frames, kept for the next question about the same sequence: every depth job asks."""
-    return _measured(_Sequence(_digest(capture), capture))
+    return _measured(ByContent.of(capture))
 
 
 @lru_cache(maxsize=4)
-def _measured(sequence: _Sequence) -> Displacement | None:
+def _measured(sequence: ByContent) -> Displacement | None:
     return measure_registration(sequence.capture)
-
-
-def _digest(capture: Capture) -> str:
-    total = hashlib.sha256()
-    for camera in capture.cameras:
-        source = capture.extras_of(camera.name).depth
-        total.update(repr([capture.digest(camera.name), source and source.digest, camera.to_json()]).encode())
-    return total.hexdigest()

@@ -149,7 +149,7 @@ def test_a_sample_has_the_sensor_s_depth(sequence):
 def test_stereo_where_no_sensor_is_wanted(sequence):
     """Without the sensor the same views get other depth: that of the matcher."""
     target, sources = draw_views(sequence, PLAN, "scene", 4)
-    choices = (DepthRunOptions(), DepthRunOptions(sensor=False))
+    choices = (DepthRunOptions(), DepthRunOptions(sensor="no"))
     makers = (SampleMaker(sequence, each.options()) for each in choices)
     measured, matched = (BlendKind().make(maker, target, sources).views.depths for maker in makers)
     assert not np.array_equal(measured, matched)
