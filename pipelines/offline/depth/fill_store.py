@@ -19,7 +19,7 @@ from ggvs_eval.jobs.engine import Workers, as_engine, run_all
 from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthOptions, check_depth, check_measured_depth, finish
 from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.depth.sensor_and_stereo import fill_by_sensor
+from ggvs_eval.pipelines.offline.depth.sensor_and_stereo import fill_by_sensor, partners_of_sensed
 from ggvs_eval.pipelines.offline.sensor.colour_fill import describe_fill
 from ggvs_eval.pipelines.offline.sensor.registered_capture import registered
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
@@ -47,8 +47,11 @@ class DepthPartners:
         if key not in self._found:
             is_sensed = _sensor(self._capture, source.name, self._options) is not None
             try:
-                others, alone = self._capture.cameras, is_sensed and not self._options.sensor_fills
-                chosen = [] if alone else self._options.choose_partners(source, others, () if left_out is None else (left_out,))
+                others, excluded = self._capture.cameras, () if left_out is None else (left_out,)
+                if not is_sensed:
+                    chosen = self._options.choose_partners(source, others, excluded)
+                else:
+                    chosen = partners_of_sensed(source, others, self._options, excluded) if self._options.sensor_fills else []
                 self._found[key] = tuple(each.name for each in chosen)
             except DepthError as error:
                 self._found[key] = ()
