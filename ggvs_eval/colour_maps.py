@@ -56,7 +56,8 @@ def depth_scale(nearest: float, farthest: float) -> Scale:
 def confidence_colours(confidence: Map, is_known: Mask, is_filled: Mask) -> Image8:
     """Confidence in cividis, 0 = dark blue, 1 = yellow; stripes where depth was filled in, checks if there is none."""
     colours = coloured(confidence, "cividis", is_known)
-    colours[is_filled] = _stripes(confidence.shape)[is_filled]
+    row, column = np.nonzero(is_filled)
+    colours[is_filled] = np.array(STRIPES, np.uint8)[(row + column) // STRIPE_PX % 2]
     return colours
 
 
@@ -102,11 +103,6 @@ def _table(name: str) -> Image8:
 def _checks(shape: tuple[int, ...]) -> Image8:
     row, column = np.indices(shape[:2]) // CHECK_PX
     return np.repeat(np.where((row + column) % 2, *CHECKS).astype(np.uint8)[..., None], 3, axis=-1)
-
-
-def _stripes(shape: tuple[int, ...]) -> Image8:
-    row, column = np.indices(shape[:2])
-    return np.array(STRIPES, np.uint8)[(row + column) // STRIPE_PX % 2]
 
 
 def _gradient(name: str) -> tuple[str, ...]:

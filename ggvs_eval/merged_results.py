@@ -42,7 +42,9 @@ def merge_results(parts: Sequence[Results]) -> Results:
             provenance[name] = joined
     for name in ("versions", "machine"):
         provenance[name] = join_versions(part.provenance.get(name, {}) for part in parts)
-    provenance["partial"] = _merge_marks([part.partial for part in parts] + [_missing_scenes(table)])
+    marks = [*(part.partial for part in parts), _missing_scenes(table)]
+    labels = dict.fromkeys(label for each in marks for label in each)
+    provenance["partial"] = {label: "; ".join(dict.fromkeys(each[label] for each in marks if label in each)) for label in labels}
     provenance["faults"] = [list(one) for part in parts for one in part.faults]
     measured = set(table["metric"])
     lacking = [one for part in parts for one in _absent_everywhere(part, measured)]
@@ -136,9 +138,3 @@ def join_versions(records: Iterable[Mapping[str, str]]) -> dict[str, str]:
         for name, versions in record.items():
             joined.setdefault(name, set()).update(versions.split(BETWEEN))
     return {name: BETWEEN.join(sorted(versions)) for name, versions in joined.items()}
-
-
-def _merge_marks(parts: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Marks of partial methods, those of several scenes behind each other."""
-    labels = dict.fromkeys(label for part in parts for label in part)
-    return {label: "; ".join(dict.fromkeys(part[label] for part in parts if label in part)) for label in labels}

@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, NamedTuple
 
@@ -120,19 +121,14 @@ class _SpacesView(NamedTuple):
     model: CameraModel
 
 
-def refuse_spaces(path: Path) -> str | None:
-    """Return the reason why this folder is not a scene of Spaces, or None if it is one."""
+def _refuse(cameras: str, described: str, path: Path) -> str | None:
+    """Return the reason why this folder is not a scene of a data set, by how that calls its cameras, or None if it is one."""
     if not (path / MODELS).is_file():
         return f"no {MODELS}"
-    return None if any(path.glob("cam_*")) else f"{MODELS}, but no cam_XX/"
+    return None if any(path.glob(cameras)) else f"{MODELS}, but no {described}"
 
 
-def load_spaces(path: Path, units: GivenUnits) -> Capture:
-    """Open a scene with all positions of the rig; see `load_positions`."""
-    return load_positions(path, units, None)
-
-
-def load_positions(path: Path, units: GivenUnits, positions: Sequence[int] | None) -> Capture:
+def load_positions(path: Path, units: GivenUnits, positions: Sequence[int] | None = None) -> Capture:
     """Open a scene; every camera at every chosen position of the rig is one camera of a single instant, ``pos00_cam03``.
 
     Args:
@@ -216,7 +212,9 @@ def _placed(view: _SpacesView) -> Placed:
     return Placed(view.name, K, model.world_to_camera, (width, height))
 
 
-SPACES_LAYOUT = DatasetSpec("models.json with cam_XX/ (Google Spaces)", refuse_spaces, load_spaces, ("models.json",))
+SPACES_LAYOUT = DatasetSpec(
+    "models.json with cam_XX/ (Google Spaces)", partial(_refuse, "cam_*", "cam_XX/"), load_positions, ("models.json",)
+)
 
 
 class _ImmersiveView(NamedTuple):
@@ -224,13 +222,6 @@ class _ImmersiveView(NamedTuple):
     model: CameraModel
     lens: Lens
     K: Array  # of its pinhole image
-
-
-def refuse_immersive(path: Path) -> str | None:
-    """Return the reason why this folder is not a scene of Google Immersive, or None if it is one."""
-    if not (path / MODELS).is_file():
-        return f"no {MODELS}"
-    return None if any(path.glob("camera_*")) else f"{MODELS}, but no camera_XXXX"
 
 
 def load_immersive(path: Path, units: GivenUnits) -> Capture:
@@ -297,5 +288,8 @@ def _read_immersive_view(file: Path, index: int, model: Any) -> _ImmersiveView:
 
 
 IMMERSIVE_LAYOUT = DatasetSpec(
-    "models.json with camera_XXXX.mp4 (Google Immersive)", refuse_immersive, load_immersive, ("models.json",)
+    "models.json with camera_XXXX.mp4 (Google Immersive)",
+    partial(_refuse, "camera_*", "camera_XXXX"),
+    load_immersive,
+    ("models.json",),
 )

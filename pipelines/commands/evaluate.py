@@ -63,8 +63,11 @@ def evaluate(
     """
     if not videos.exists():
         raise CaptureError(no_such_path(videos, "videos, or folders of images, of several cameras"))
+    from ggvs_eval.pipelines.inspection.capture.check import open_uncalibrated
+
     shown = _Steps()
-    capture = out / "capture" if _needs_poses(videos, reading.layout) else videos
+    needs_poses = reading.layout is None and open_uncalibrated(videos) is not None
+    capture = out / "capture" if needs_poses else videos
     if capture != videos and not (capture / CALIBRATED).is_file():
         shown.begin("calibrate", videos, capture, *changed_flags(calibration, CalibrationOptions()))
         captures.calibrate(videos, capture, calibration)
@@ -105,10 +108,3 @@ class _Steps:
 
 def _flag(name: str, value: str | None) -> list[str]:
     return [] if value is None else [name, value]
-
-
-def _needs_poses(path: Path, layout: str | None) -> bool:
-    """Return whether a path holds the frames of several cameras without a calibration."""
-    from ggvs_eval.pipelines.inspection.capture.check import open_uncalibrated
-
-    return layout is None and open_uncalibrated(path) is not None

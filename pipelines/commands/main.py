@@ -161,7 +161,8 @@ def _overview(program: str, commands: Commands) -> str:
     groups: dict[str, dict[str, str]] = {}
     for name in commands:
         verb = VERBS.get(name) if commands is COMMANDS else None
-        groups.setdefault(verb.group if verb else "networks", {})[name] = verb.about if verb else _first_line(commands[name])
+        about = verb.about if verb else (commands[name].__doc__ or "").partition("\n")[0]
+        groups.setdefault(verb.group if verb else "networks", {})[name] = about
     width = min(get_terminal_size().columns, WIDEST)
     column = max(map(len, commands)) + 4
     lines = [f"usage: {program} [-h] COMMAND ...", "", *textwrap.wrap(ABOUT[program], width)]
@@ -170,7 +171,3 @@ def _overview(program: str, commands: Commands) -> str:
         for name, about in abouts.items():
             lines += textwrap.wrap(about, width, initial_indent=f"  {name}".ljust(column), subsequent_indent=column * " ")
     return "\n".join([*lines, "", f"`{program} COMMAND --help` shows the options of a command."])
-
-
-def _first_line(command: "Command | Commands") -> str:
-    return (command.__doc__ or "").partition("\n")[0]

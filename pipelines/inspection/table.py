@@ -46,13 +46,10 @@ def findings_table(
         most_lines: groups that are shown of one question; of the others only their number.
     """
     columns = {heads[0]: 0, "verdict": 0, heads[1]: 0, "measured": 3, "what to do": 2}
-    lines = [line for group in _by_question(findings) for line in _question_lines(group, most_lines)]
+    lines: list[Line] = []
+    for question in dict.fromkeys(finding.question for finding in findings):
+        lines += _question_lines([finding for finding in findings if finding.question == question], most_lines)
     return text_table(columns, _merged(lines), width)
-
-
-def _by_question(findings: Sequence[Finding]) -> list[list[Finding]]:
-    questions = dict.fromkeys(finding.question for finding in findings)
-    return [[finding for finding in findings if finding.question == question] for question in questions]
 
 
 def _merged(lines: Sequence[Line]) -> list[Line]:

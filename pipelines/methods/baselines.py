@@ -7,40 +7,29 @@ from typing import Any
 from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.method import Method
-from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
+from ggvs_eval.pipelines.methods.spec import OnlineMethod, make, shipped
 from ggvs_eval.results import RETRAINED
 
 FIXED = ("ggvs_eval.baselines.fixed_blending",)
 
-
-def _no_blending() -> Method:
-    from ggvs_eval.baselines.fixed_blending import NoBlending
-
-    return NoBlending()
-
-
-def _distance_based() -> Method:
-    from ggvs_eval.baselines.fixed_blending import DistanceBased
-
-    return DistanceBased()
-
-
-def _interpolation() -> Method:
-    from ggvs_eval.baselines.view_interpolation import ViewInterpolation
-
-    return ViewInterpolation()
-
-
 FIXED_BASELINES: dict[str, OnlineMethod] = {
-    "no-blending": OnlineMethod("No Blending", "all Gaussians of the K views in one pass, the nearest wins", FIXED, _no_blending),
+    "no-blending": OnlineMethod(
+        "No Blending",
+        "all Gaussians of the K views in one pass, the nearest wins",
+        FIXED,
+        partial(make, "ggvs_eval.baselines.fixed_blending:NoBlending"),
+    ),
     "distance-based": OnlineMethod(
-        "Distance-based Blending", "splatted views weighted by camera distance (LLFF)", FIXED, _distance_based
+        "Distance-based Blending",
+        "splatted views weighted by camera distance (LLFF)",
+        FIXED,
+        partial(make, "ggvs_eval.baselines.fixed_blending:DistanceBased"),
     ),
     "interpolation": OnlineMethod(
         "View Interpolation",
         "two views warped towards each other by optical flow, where the target is between them",
         ("ggvs_eval.baselines.view_interpolation",),
-        _interpolation,
+        partial(make, "ggvs_eval.baselines.view_interpolation:ViewInterpolation"),
         usual=False,
         uses_depth=False,
     ),

@@ -1,9 +1,10 @@
 """The paper's method and its ablations, with trained and with geometric weights."""
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ggvs_eval.method import Method
-from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
+from ggvs_eval.pipelines.methods.spec import OnlineMethod, make, shipped
 from ggvs_eval.plugins import DEVICE_PARTS, missing_part
 
 if TYPE_CHECKING:
@@ -28,12 +29,6 @@ def _geometric(options: Any = None, background: bool = True, **changed: Any) -> 
     from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 
     return GeometryGuided(options or OnlineOptions(**changed), GeometricBlender(background=background))
-
-
-def _offline() -> Method:
-    from ggvs_eval.pipelines.online.whole_sequence import WholeSequence
-
-    return WholeSequence()
 
 
 def _learned(options: Any = None, guidance: "Guidance" = "registered", device: str = "cpu", **changed: Any) -> Method:
@@ -144,7 +139,7 @@ OURS: dict[str, OnlineMethod] = {
         "GGVS (offline), geometric weights",
         "a reference that uses the whole sequence: depth filtered backwards in time, then forwards",
         OFFLINE,
-        _offline,
+        partial(make, "ggvs_eval.pipelines.online.whole_sequence:WholeSequence"),
         departs=ADDED,
         ours=True,
         online=False,

@@ -51,6 +51,14 @@ def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec
     return _found(label, networks.checkpoints).on(networks.device)
 
 
+def known_method(label: str) -> MethodSpec | None:
+    """Return the method of that label as it ships; None for frames that were rendered elsewhere."""
+    try:
+        return find_method(label)
+    except RenderError:
+        return None
+
+
 def _found(label: str, checkpoints: Mapping[str, Path]) -> MethodSpec:
     """Return the method of a label on the CPU."""
     method, _ = split_label(label)

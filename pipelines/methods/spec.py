@@ -9,6 +9,7 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
+from pkgutil import resolve_name
 from time import perf_counter
 from typing import Any
 
@@ -78,6 +79,12 @@ TAKEN = ("options", "weights", "device")  # keywords that are in a label, or rec
 def shipped(name: str) -> Path:
     """Return a file of trained weights that ships."""
     return Path(str(resources.files("ggvs_eval.pipelines") / "weights" / name))
+
+
+def make(reference: str) -> Method:
+    """Make an object of a class without options, ``module:class``; its module is imported only then."""
+    kind: Callable[[], Method] = resolve_name(reference)
+    return kind()
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,9 @@ def claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
     if run.protocol_file.is_file() and not protocol.views.folds:
         protocol = run.protocol()  # folds that were stated once stay
     run.root.mkdir(parents=True, exist_ok=True)
-    write_json(run.root / "capture.json", _capture_record(capture, run.root) | {"coding": _coding_record(capture, protocol)})
+    codings = {view: coding_of(capture.source(view), protocol.frames.numbers) for view in protocol.views.test}
+    coding = {view: each and asdict(each) for view, each in codings.items()}
+    write_json(run.root / "capture.json", _capture_record(capture, run.root) | {"coding": coding})
     write_text(run.protocol_file, protocol.to_toml())
 
 
@@ -72,9 +74,3 @@ def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
         "cameras": {camera.name: camera.to_json() for camera in capture.cameras},
         "digests": _digests(capture),
     }
-
-
-def _coding_record(capture: Capture, protocol: Protocol) -> dict[str, dict[str, Any] | None]:
-    """Return the coding of each test view's frames; see `coding_of`."""
-    codings = {view: coding_of(capture.source(view), protocol.frames.numbers) for view in protocol.views.test}
-    return {view: None if coding is None else asdict(coding) for view, coding in codings.items()}

@@ -62,7 +62,8 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
     if run.protocol_file.is_file():
         terms = Protocol(NAME, run.protocol().dataset, terms.views, frames, terms.synthesis, measured, terms.path)
         require_protocol(run, terms)
-        _require_own(run)
+        if "truth" not in run.capture_record():
+            raise RenderError(f"{run.root}: holds a run of a capture; choose a new folder by --run")
     with absent_unless_made(run.root):
         if not run.protocol_file.is_file():
             _write_truth(run, stacks, terms, renders[first])
@@ -113,11 +114,6 @@ def _write_truth(run: RunFolder, stacks: Mapping[str, ArrayStack], protocol: Pro
     }
     write_json(run.root / "capture.json", record)
     write_text(run.protocol_file, protocol.to_toml())
-
-
-def _require_own(run: RunFolder) -> None:
-    if "truth" not in run.capture_record():
-        raise RenderError(f"{run.root}: holds a run of a capture; choose a new folder by --run")
 
 
 def _require_same(run: RunFolder, view: str, stack: ArrayStack, frames: range) -> None:

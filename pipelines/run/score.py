@@ -22,8 +22,8 @@ from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.examine import COMPARED
 from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
-from ggvs_eval.pipelines.methods.registry import METHODS, find_method
-from ggvs_eval.pipelines.methods.spec import LEARNED, MethodSpec, OnlineMethod, digest_weights
+from ggvs_eval.pipelines.methods.registry import METHODS, known_method
+from ggvs_eval.pipelines.methods.spec import LEARNED, OnlineMethod, digest_weights
 from ggvs_eval.pipelines.methods.stage_costs import STAGES, score_cost
 from ggvs_eval.pipelines.run.references import ceiling_jobs, find_seen_view, read_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
@@ -40,7 +40,7 @@ GIVEN = "weights that were given"
 
 def write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> None:
     """Write titles of methods, what differs between them by design, and notes on metrics."""
-    specs = {label: spec for label in labels if (spec := _method_of(label))}
+    specs = {label: spec for label in labels if (spec := known_method(label))}
     given = [
         label
         for label, spec in specs.items()
@@ -62,14 +62,6 @@ def write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str])
     )
     notes = metric_notes(protocol.measurement.metrics, metric_options(protocol.measurement))
     write_json(run.root / "metrics.json", notes)
-
-
-def _method_of(label: str) -> MethodSpec | None:
-    """Entry of the registry under a label; None for frames that were rendered elsewhere."""
-    try:
-        return find_method(label)
-    except RenderError:
-        return None
 
 
 def _has_given_weights(run: RunFolder, protocol: Protocol, label: str, spec: OnlineMethod) -> bool:

@@ -49,7 +49,8 @@ def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list
     poses = path_poses(run)
     require_frames({f"{label} along the path": run.path(label) for label in labels if lacks_path(run, label)}, poses)
     rendered = [label for label in (TRUTH, *labels) if not missing_frames(run.path(label), poses)]
-    costly = sorted(name for name in protocol.measurement.metrics if _is_costly(name))
+    metrics = {name: METRICS[name] for name in protocol.measurement.metrics}
+    costly = sorted(name for name, one in metrics.items() if isinstance(one, PathMetric) and one.scorer.wants_images)
     return [_job(run, label, len(poses), costly) for label in rendered]
 
 
@@ -71,11 +72,6 @@ def read_paths(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
         label (or ``truth``) -> ``values``, a list of (measure, pose or -1, value), and ``not_computed``, measure -> reason.
     """
     return {job.folder.name: read_json(job.folder / JOB_FILE) for job in jobs}
-
-
-def _is_costly(name: str) -> bool:
-    metric = METRICS[name]
-    return isinstance(metric, PathMetric) and metric.scorer.wants_images
 
 
 def _job(run: RunFolder, label: str, n_poses: int, costly: Sequence[str]) -> Job:

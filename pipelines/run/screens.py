@@ -8,7 +8,7 @@ import numpy as np
 from ggvs_eval.coverage import Coverage
 from ggvs_eval.errors import RenderError
 from ggvs_eval.metrics.time.on_screen import Screen, on_screen
-from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.pipelines.methods.registry import known_method
 from ggvs_eval.pipelines.offline.depth.depth_choice import finds_live
 from ggvs_eval.protocol import Protocol, Stream
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
@@ -66,10 +66,10 @@ def _clock(run: RunFolder, stream: Stream, views: Sequence[str], label: str) -> 
     if not records or "splats" in records[0]["identity"]:
         return UNTIMED
     fits = [record["fit"] for record in records if "fit" in record]
-    sees_depth, is_online = _nature(label)
-    if not is_online or any(fit["look_ahead"] == "sequence" for fit in fits):
+    spec = known_method(label)  # of an unknown one it is assumed that it looks at depth, and sees nothing of the future
+    if (spec and not spec.online) or any(fit["look_ahead"] == "sequence" for fit in fits):
         return WHOLE_CLIP
-    depth_s = _depth_seconds(run, stream) if sees_depth else 0.0
+    depth_s = _depth_seconds(run, stream) if spec is None or spec.uses_depth else 0.0
     clock = {DEPTH: depth_s} if depth_s else {}
     if fits:
         clock[FIT] = float(np.mean([fit["seconds"] / fit["instants"] for fit in fits]))
@@ -77,15 +77,6 @@ def _clock(run: RunFolder, stream: Stream, views: Sequence[str], label: str) -> 
         each = [record["seconds"][stage] for record in records]
         clock[stage] = float(np.median(np.concatenate([times[1:] or times for times in each])))
     return clock
-
-
-def _nature(label: str) -> tuple[bool, bool]:
-    """Return whether a method looks at depth, and whether it sees nothing of the future; both are assumed of an unknown one."""
-    try:
-        spec = find_method(label)
-    except RenderError:
-        return True, True
-    return spec.uses_depth, spec.online
 
 
 def _depth_seconds(run: RunFolder, stream: Stream) -> float:

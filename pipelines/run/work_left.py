@@ -119,13 +119,18 @@ class Workload:
     @property
     def disk_bytes(self) -> float:
         """Bytes that the runs will still take at once: what is passing makes room for renders."""
-        passing, later, rest = (sum(piece.n_bytes for piece in self.pieces if _turn(piece) == turn) for turn in range(3))
+        passing = sum(piece.n_bytes for piece in self.pieces if piece.passing)
+        later = sum(piece.n_bytes for piece in self.pieces if piece.label and not piece.passing)
+        rest = sum(piece.n_bytes for piece in self.pieces if not piece.label and not piece.passing)
         return rest + max(passing, later)
 
     @property
     def free_bytes(self) -> int:
         """Free on the disk they go to."""
-        return shutil.disk_usage(_existing(self.folder)).free
+        folder = self.folder.resolve()
+        while not folder.is_dir():
+            folder = folder.parent
+        return shutil.disk_usage(folder).free
 
     def is_nothing(self) -> bool:
         """Return whether everything is done."""
@@ -155,7 +160,8 @@ class Workload:
     def _time_lines(self) -> list[str]:
         """A line per stage where it takes a while; on this machine, by a probe and by the frames that are rendered already."""
         known = sum(piece.core_seconds or 0.0 for piece in self.pieces)
-        if max(known, self._rendering_seconds()) < WORTH_A_TABLE_S:
+        rendering = sum(piece.count * self.frame_seconds.get(piece.label, 0.0) for piece in self.pieces if piece.label)
+        if max(known, rendering) < WORTH_A_TABLE_S:
             return []
         stages = [stage for stage in (self._stage(name) for name in STAGES) if stage.count]
         whole_s = sum(stage.seconds for stage in stages)
@@ -167,10 +173,6 @@ class Workload:
             f"{STAGES[longest.name]}",
             *(stage.describe() for stage in stages),
         ]
-
-    def _rendering_seconds(self) -> float:
-        """Of the frames left of methods that have rendered others."""
-        return sum(piece.count * self.frame_seconds.get(piece.label, 0.0) for piece in self.pieces if piece.label)
 
     def _stage(self, name: str) -> "Stage":
         """Return the sum of what is left of a stage; frames of a method take as long as those that it has rendered."""
@@ -194,11 +196,6 @@ class Workload:
                 f"{self.folder}: this run needs about {_size(needed)}, the disk has {_size(free)} free; free the difference, "
                 "choose a folder on another disk, or reduce the run (frames.count, views.test, synthesis.width, methods)"
             )
-
-
-def _turn(piece: Piece) -> int:
-    """Return 0 for what is passing, 1 for what is written after it is gone, and 2 for the rest."""
-    return 0 if piece.passing else 1 if piece.label else 2
 
 
 def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workload:
@@ -311,16 +308,19 @@ def work_left(plan: RunPlan) -> list[Piece]:
             passing = plan.request.shared is None and folder not in kept
             add(kind, folder, count, depth_costs[kind], DEPTH_BYTES, passing=passing)
     if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
-        for view in plan.plans:
-            add("mask", run.disoccluded(view), _masks_left(plan, view), MASK)
-    add("path depth", run.path_depth, _poses_left(plan), PATH_DEPTH, PATH_DEPTH_BYTES)
+        for view, source_plan in plan.plans.items():
+            files = mask_files(run.disoccluded(view), plan.capture, source_plan.target, source_plan.depth_keys)
+            add("mask", run.disoccluded(view), len(files.missing_frames(plan.frames)), MASK)
+    poses = [(pose.target, pose.depth_keys) for pose in plan.path]
+    along_path = path_files(run.path_depth, plan.capture, poses, plan.path_frame)
+    add("path depth", run.path_depth, len(poses_left(along_path, of_path)), PATH_DEPTH, PATH_DEPTH_BYTES)
     for fit in plan.jobs.needed_fits:
         add("fit", fit.folder, int(not fit.is_done()), None)
     missing = [job for job in plan.jobs.render if not job.is_done()]
     for job in missing:
-        along_path = job.units == (PATH,)
-        count = of_path if along_path else len(plan.frames)
-        rendered: Kind = "path render" if along_path else "render"
+        is_path = job.units == (PATH,)
+        count = of_path if is_path else len(plan.frames)
+        rendered: Kind = "path render" if is_path else "render"
         add(rendered, job.folder, count, render_cost(job.label), RENDER_BYTES * (1 + PAGE_SHARE), job.label)
     stale, views = {unit for job in missing for unit in job.units}, plan.request.views
     for view in plan.plans if plan.methods else ():
@@ -337,19 +337,6 @@ def _truth_left(plan: RunPlan) -> dict[Path, int]:
     if images is not None:
         left[folder] = len(path_left(images, plan.path[0].target.size, plan.protocol.synthesis.resize_filter, folder))
     return left
-
-
-def _masks_left(plan: RunPlan, view: str) -> int:
-    """Return the missing or stale masks of one test view."""
-    source_plan = plan.plans[view]
-    files = mask_files(plan.run.disoccluded(view), plan.capture, source_plan.target, source_plan.depth_keys)
-    return len(files.missing_frames(plan.frames))
-
-
-def _poses_left(plan: RunPlan) -> int:
-    """Return the missing or stale depth of poses."""
-    poses = [(pose.target, pose.depth_keys) for pose in plan.path]
-    return len(poses_left(path_files(plan.run.path_depth, plan.capture, poses, plan.path_frame), len(poses)))
 
 
 def _depth_left(plan: RunPlan, store: DepthStore) -> dict[Kind, dict[Path, int]]:
@@ -395,13 +382,6 @@ def _title(plans: Sequence[RunPlan]) -> str:
     every = {each.lpips_every for each in measured if each.lpips_every > 1 and any(COSTLIEST in name for name in each.metrics)}
     lpips = f", {COSTLIEST} of one frame in {' or '.join(map(str, sorted(every)))}" if every else ""
     return f"{many}{len(first.plans)} views x {len(first.frames)} frames{methods} at {width} x {height}, K = {ks}{lpips}"
-
-
-def _existing(folder: Path) -> Path:
-    folder = folder.resolve()
-    while not folder.is_dir():
-        folder = folder.parent
-    return folder
 
 
 def _size(n_bytes: float) -> str:

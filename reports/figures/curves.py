@@ -93,6 +93,12 @@ class Panel:
         first, last = (int(bound) for bound in self.bounds[:2])
         return [(self.x(frame), str(frame)) for frame in dict.fromkeys((first, (first + last) // 2, last))]
 
+    def logarithmic_ticks(self) -> list[tuple[float, str]]:
+        """Return the same of an axis of decimal logarithms: 1, 2, 5, 10, ... within it."""
+        low, high = self.bounds[:2]
+        numbers = (digit * 10.0**power for power in range(math.floor(low), math.ceil(high) + 1) for digit in (1, 2, 5))
+        return [(self.x(math.log10(number)), f"{number:g}") for number in numbers if low <= math.log10(number) <= high]
+
 
 def method_numbers(names: Iterable[str]) -> dict[str, int]:
     """Number of each method by the name that is shown; it chooses the colour on every tab of a page and in its figures."""

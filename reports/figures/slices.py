@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import cv2
 import numpy as np
@@ -327,14 +327,8 @@ def _draw_strip(axis: "Axes", image: Image8, slices: Slices, is_last: bool) -> N
     axis.yaxis.set_major_locator(MaxNLocator(3, integer=True))
     axis.tick_params(labelsize=6, labelbottom=is_last)
     if fps:
-
-        def to_seconds(frames: Any) -> Any:
-            return (frames - first) / fps
-
-        def to_frames(seconds: Any) -> Any:
-            return seconds * fps + first
-
-        seconds = axis.secondary_yaxis("right", functions=(to_seconds, to_frames))
+        to_and_from_seconds = (lambda frames: (frames - first) / fps, lambda seconds: seconds * fps + first)
+        seconds = axis.secondary_yaxis("right", functions=to_and_from_seconds)
         seconds.yaxis.set_major_locator(MaxNLocator(3))
         seconds.set_ylabel("t (s)", fontsize=7)
         seconds.tick_params(labelsize=6)

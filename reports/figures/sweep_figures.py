@@ -164,12 +164,6 @@ class RatePanel:
         """Displayed quality of a method, as the points of an SVG polyline."""
         return " ".join(f"{self.x(mark.per_second)},{self.axes.y(mark.seen)}" for mark in family.marks)
 
-    def rate_ticks(self) -> list[tuple[float, str]]:
-        """Return the places and texts of the horizontal axis: 1, 2, 5, 10, ... within it."""
-        low, high = self.axes.bounds[:2]
-        rates = (digit * 10.0**power for power in range(math.floor(low), math.ceil(high) + 1) for digit in (1, 2, 5))
-        return [(self.x(rate), f"{rate:g}") for rate in rates if low <= math.log10(rate) <= high]
-
 
 def rate_panels(runs: Sequence[MeasuredRun]) -> tuple[RatePanel, ...]:
     """Return a panel per metric of runs that differ in K alone, or of one; none if nothing is on a screen."""
@@ -246,7 +240,7 @@ def draw_rates(panels: Sequence[RatePanel], out: Path, numbers: Mapping[str, int
         unit = f" ({panel.axes.unit})" if panel.axes.unit else ""
         axes.set_ylabel(f"{panel.axes.metric}{unit} as displayed", fontsize=7)
         axes.set_xlabel("pictures per second", fontsize=7)
-        texts = [text for _, text in panel.rate_ticks()]
+        texts = [text for _, text in panel.axes.logarithmic_ticks()]
         axes.set_xticks([float(text) for text in texts], texts)
         axes.set_xticks([], minor=True)
         axes.tick_params(labelsize=6)

@@ -91,12 +91,6 @@ class Reference:
     bounds: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_references(folder: RunFolder) -> tuple[Reference, ...]:
-    """Read the references of the score step; none if it wrote none."""
-    file = folder.root / REFERENCES_FILE
-    return tuple(Reference(**entry) for entry in read_json(file)) if file.is_file() else ()
-
-
 def reference_rows(references: Sequence[Reference], group: str, notes: Sequence[MetricNote]) -> tuple[Row, ...]:
     """Return the rows of one table; a reference without a number in it is left out, see `reference_remarks`."""
     return tuple(
@@ -288,7 +282,9 @@ def read_run(root: Path) -> MeasuredRun:
         raise ResultsError(f"{folder.root}: no frames under renders/ to report on; run `ggvs-eval render` again")
     hidden = {label for others in run.replicas.values() for label in others} | _left_out(run)
     labels = tuple(label for label in folder.labels() if label not in hidden)
-    run = replace(run, labels=labels, references=read_references(folder))
+    references = folder.root / REFERENCES_FILE
+    given = [Reference(**entry) for entry in read_json(references)] if references.is_file() else ()
+    run = replace(run, labels=labels, references=tuple(given))
     for view in run.protocol.views.test:
         named = {f"{run.name(label)} in {view}": path for label, path in run.frame_folders(view).items()}
         require_frames(named, run.frames)

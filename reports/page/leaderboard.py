@@ -7,7 +7,7 @@ from typing import Any
 from ggvs_eval.files.atomic import write_text
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.reports.model.measured import MeasuredRun, distinct_names, read_scores
-from ggvs_eval.reports.page.page import TEMPLATES, page_script, script_digest, template_environment
+from ggvs_eval.reports.page.page import fill_template
 from ggvs_eval.reports.run_groups import runs_by_protocol
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import evaluate_verdict
@@ -27,19 +27,7 @@ def write_leaderboard(runs: Sequence[Path], out: Path) -> Path:
         ResultsError: no run, a run given twice, a folder that is no scored run, or a method that two runs measured on one scene.
     """
     sections = [_section(group) for group in runs_by_protocol(runs, read_scores)]
-    scripts = {"first": page_script(FIRST_SCRIPTS), "last": page_script(SCRIPTS)}
-    text = (
-        template_environment()
-        .get_template("leaderboard.html.j2")
-        .render(
-            sections=sections,
-            css=(TEMPLATES / "page.css").read_text(encoding="utf-8"),
-            dark_css=(TEMPLATES / "dark.css").read_text(encoding="utf-8"),
-            scripts=scripts,
-            script_digests=[script_digest(script) for script in scripts.values()],
-        )
-    )
-    write_text(out, text)
+    write_text(out, fill_template("leaderboard.html.j2", FIRST_SCRIPTS, SCRIPTS, sections=sections))
     return out
 
 

@@ -86,6 +86,14 @@ def script_digest(script: str) -> str:
     return base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
 
 
+def fill_template(name: str, first: Sequence[str], last: Sequence[str], **values: Any) -> str:
+    """Fill a template with the styles, the named scripts, the digests by which its policy allows them, and values."""
+    css, dark_css = ((TEMPLATES / file).read_text(encoding="utf-8") for file in ("page.css", "dark.css"))
+    scripts = {"first": page_script(first), "last": page_script(last)}
+    values |= {"css": css, "dark_css": dark_css, "scripts": scripts}
+    return template_environment().get_template(name).render(script_digests=[*map(script_digest, scripts.values())], **values)
+
+
 def viewer_data(
     run: MeasuredRun,
     comparison: Comparison,
@@ -141,36 +149,30 @@ def render_page(
         The whole page; equal inputs give equal text.
     """
     plot = PLOT | {"numbers": page_numbers(groups, sweeps)}
-    scripts = {"first": page_script(FIRST_SCRIPTS), "last": page_script()}
     contexts = _groups(groups, folder, plot)
-    return (
-        template_environment()
-        .get_template("page.html.j2")
-        .render(
-            title=" · ".join(dict.fromkeys(group.titles for group in groups)),
-            css=(TEMPLATES / "page.css").read_text(encoding="utf-8"),
-            dark_css=(TEMPLATES / "dark.css").read_text(encoding="utf-8"),
-            scripts=scripts,
-            script_digests=[script_digest(script) for script in scripts.values()],
-            groups=contexts,
-            refers=any(section["data"]["full"] for group in contexts for section in group["sections"]),
-            sweeps=[{"id": f"sweep{at}", "title": sweep.title, **vars(sweep)} for at, sweep in enumerate(sweeps)],
-            plot=plot,
-            caveats=CAVEATS,
-            reproduction={
-                "heads": HEADS,
-                "tables": [_without_empty_rows(table) for table in paper_tables(reproduced)],
-                "blocks": blocks(reproduced),
-                "counts": count_words(reproduced),
-                "meaning": MEANING,
-                "values": len(reproduced),
-                "speaks": any(entry.status != "data absent" for entry in reproduced),
-                "map": PAPER_MAP,
-            },
-            error_scale=png_uri(error_scale()),
-            error_full_scale=int(ERROR_FULL_SCALE),
-            heat_scale=png_uri(heat_colours()),
-        )
+    return fill_template(
+        "page.html.j2",
+        FIRST_SCRIPTS,
+        SCRIPTS,
+        title=" · ".join(dict.fromkeys(group.titles for group in groups)),
+        groups=contexts,
+        refers=any(section["data"]["full"] for group in contexts for section in group["sections"]),
+        sweeps=[{"id": f"sweep{at}", "title": sweep.title, **vars(sweep)} for at, sweep in enumerate(sweeps)],
+        plot=plot,
+        caveats=CAVEATS,
+        reproduction={
+            "heads": HEADS,
+            "tables": [_without_empty_rows(table) for table in paper_tables(reproduced)],
+            "blocks": blocks(reproduced),
+            "counts": count_words(reproduced),
+            "meaning": MEANING,
+            "values": len(reproduced),
+            "speaks": any(entry.status != "data absent" for entry in reproduced),
+            "map": PAPER_MAP,
+        },
+        error_scale=png_uri(error_scale()),
+        error_full_scale=int(ERROR_FULL_SCALE),
+        heat_scale=png_uri(heat_colours()),
     )
 
 

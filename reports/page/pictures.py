@@ -138,7 +138,8 @@ def compare_frames(
     inside = {key: key.split("/") for key in next(iter(diagnostics.values()))}
     names |= {key: f"{run.name(label)}: {MEANINGS[kind][0]}" for key, (label, kind) in inside.items()}
     keys = tuple(names)
-    samples = _middle_frames(run)
+    folders = [folder for view in views for folder in run.frame_folders(view).values()]
+    samples = [read_image(frame_path(folder, run.frames[len(run.frames) // 2])) for folder in folders[:24]]  # to try widths on
     stride, width = _fit(run, samples, byte_budget, len(undone or ()))
     frames = run.frames[::stride]
     height, full_size = shrink(samples[0], width).shape[0], (samples[0].shape[1], samples[0].shape[0])
@@ -226,13 +227,6 @@ def error_scale(width: int = 256) -> Image8:
 def _magma(values: NDArray[np.uint8]) -> Image8:
     """Return the colours of 8-bit values, (H, W) -> (H, W, 3)."""
     return np.ascontiguousarray(cv2.applyColorMap(values, cv2.COLORMAP_MAGMA)[..., ::-1], dtype=np.uint8)
-
-
-def _middle_frames(run: MeasuredRun) -> list[Image8]:
-    """Return the middle frame of the first views and methods, to try widths on."""
-    frame = run.frames[len(run.frames) // 2]
-    folders = [folder for view in run.protocol.views.test for folder in run.frame_folders(view).values()]
-    return [read_image(frame_path(folder, frame)) for folder in folders[:24]]
 
 
 @dataclass(frozen=True)

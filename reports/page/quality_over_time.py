@@ -49,12 +49,6 @@ class QualityOverTime:
     dots: tuple[Dot, ...]
     untimed: tuple[str, ...]
 
-    def time_ticks(self) -> list[tuple[float, str]]:
-        """Return the places and texts of the horizontal axis: 1, 2, 5, 10, ... within it, milliseconds."""
-        low, high = self.axes.bounds[:2]
-        times = (digit * 10.0**power for power in range(math.floor(low), math.ceil(high) + 1) for digit in (1, 2, 5))
-        return [(self.axes.x(math.log10(time)), f"{time:g}") for time in times if low <= math.log10(time) <= high]
-
 
 def quality_over_time(column: Column, values: Sequence[tuple[str, float]], timings: Sequence[Table]) -> QualityOverTime | None:
     """Return the place each method that has a value and a time; None where fewer than two do.

@@ -2,7 +2,7 @@
 
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,7 +62,9 @@ def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: boo
     """
     caption = CAPTION + (RUNS_FOLLOW if runs_follow else RUNS_ELSEWHERE.format(shlex.quote(str(sweep))))
     table = _table(sweep, notes, caption)
-    rates = sweep_rates(sweep)
+    streamed = [run for run in sweep_runs(sweep) if RunFolder(run).stream_record.is_file()]
+    is_one_capture = len({run.parent for run in streamed}) == 1
+    rates = rate_panels([read_scores(run) for run in streamed]) if is_one_capture else ()
     try:
         over_k = read_k_table(sweep)
     except ResultsError:  # a sweep over other things than K
@@ -71,12 +73,6 @@ def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: boo
     ks = tuple(sorted({int(k) for k in over_k.index.get_level_values("K")}))
     panels = tuple(_panel(over_k, metric, notes) for metric in metrics)
     return SweepSection(sweep.name, table, panels, ks, _measured_on(sweep), runs_follow, rates)
-
-
-def sweep_rates(sweep: Path) -> tuple[RatePanel, ...]:
-    """Return the quality on the screen over pictures per second, of the runs of a sweep on one capture that have a stream."""
-    streamed = [run for run in sweep_runs(sweep) if RunFolder(run).stream_record.is_file()]
-    return rate_panels([read_scores(run) for run in streamed]) if len({run.parent for run in streamed}) == 1 else ()
 
 
 def _measured_on(sweep: Path) -> str:
@@ -121,12 +117,9 @@ def _panel(over_k: pd.DataFrame, metric: str, notes: Mapping[str, MetricNote]) -
     for method in dict.fromkeys(over_k.index.get_level_values("method")):
         values = over_k.loc[method, metric].dropna()
         curves.append(Curve(str(method), tuple(map(int, values.index)), tuple(map(float, values))))
-    low, high = with_margin(*_ends([value for curve in curves for value in curve.values]))
+    every = [value for curve in curves for value in curve.values]
+    low, high = with_margin(min(every, default=0.0), max(every, default=1.0))
     ks = over_k.index.get_level_values("K")
     bounds = (int(min(ks)), int(max(ks)), 0.0 if metric == SECONDS else low, high)
     better = "higher is better" if column.higher_is_better else "lower is better"
     return Panel(metric, column.unit, better, "", tuple(curves), bounds)
-
-
-def _ends(values: Sequence[float]) -> tuple[float, float]:
-    return (min(values), max(values)) if values else (0.0, 1.0)

@@ -222,12 +222,6 @@ def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     return flat
 
 
-def require_runs(first: str, second: str, run: Path | None) -> None:
-    """Refuse what are neither two run folders nor two methods of a given one."""
-    if run is None and not all(RunFolder(Path(each)).protocol_file.is_file() for each in (first, second)):
-        raise ResultsError(f"wanted two run folders, got {first} and {second}; for two methods of one run add --run RUN")
-
-
 def differences_text(differences: Sequence[Difference]) -> str:
     """Columns under each other; a line per metric, and per view where asked for; all p values after Holm's correction."""
     rows = [HEADS, *map(_line, differences)]
@@ -262,7 +256,8 @@ def write_comparison(first: str, second: str, run: Path | None, views: bool = Fa
     Raises:
         ResultsError: different protocols or captured frames, no such run or method, or nothing in common.
     """
-    require_runs(first, second, run)
+    if run is None and not all(RunFolder(Path(each)).protocol_file.is_file() for each in (first, second)):
+        raise ResultsError(f"wanted two run folders, got {first} and {second}; for two methods of one run add --run RUN")
     pairs = run_sides(Path(first), Path(second)) if run is None else (method_sides(run, first, second),)
     notes = what_else_differs(Path(first), Path(second)) if run is None else []
     by_pair = {

@@ -245,10 +245,6 @@ class PaperTerms:
         }
         return tuple(words for words, applies in departures.items() if applies)
 
-    def missing_scenes(self, scenes: set[str]) -> tuple[str, ...]:
-        """Scenes of the paper that are not among these."""
-        return tuple(scene for scene in self.scenes if scene not in scenes)
-
 
 def read_terms(dataset: str) -> PaperTerms:
     """Return the terms of one of the paper's data sets, see ``data/protocol.csv``."""
@@ -322,7 +318,7 @@ def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> Comparabl
         why = "; ".join(terms.departures(related[0])) or "part of it by its name"
         return NotComparable(f"{_name(related[0])} is not {dataset} on the paper's terms: {why}", related[0])
     alike = [run for run in whole if run.protocol.sha256 == whole[0].protocol.sha256]
-    missing = terms.missing_scenes({run.scene for run in alike})
+    missing = [scene for scene in terms.scenes if scene not in {run.scene for run in alike}]
     if missing:
         return NotComparable(
             f"{_name(alike[0])} is only part of {dataset}; the paper's means also include {' and '.join(missing)}", alike[0]

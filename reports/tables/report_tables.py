@@ -195,7 +195,9 @@ def main_captions(
     whole = without_labels(results, partial)
     lacking = [*_fewer_frames(whole, metrics, protocol), *_fewer_views(whole, metrics, names)]
     marks += [OWN_TRUTH_MEANS] if any(run.has_own_truth for run in runs) else []
-    shared = [INTERCHANGE] if sources and may_interchange(protocol) else []
+    test, chosen = {*protocol.views.test}, {*protocol.views.sources}
+    may_interchange = len(test) > 1 and (not chosen or not chosen.isdisjoint(test))  # a test view is a source of another one
+    shared = [INTERCHANGE] if sources and may_interchange else []
     return [f"{'; '.join(filter(None, (means, sources)))}.", *shared, *lacking, *marks, *_versions(results)]
 
 
@@ -217,12 +219,6 @@ def _sources(runs: Sequence[MeasuredRun], names: Mapping[str, str]) -> str:
     exempt = f", except for {', '.join(others)}" if others else ""
     chosen = "" if synthesis.sources == "nearest" else f", {CHOSEN_AS[synthesis.sources]}"
     return f"K = {synthesis.k} source views{chosen}{exempt}"
-
-
-def may_interchange(protocol: Protocol) -> bool:
-    """Return whether a test view can be a source of another one."""
-    views = protocol.views
-    return len(views.test) > 1 and (not views.sources or bool({*views.sources} & {*views.test}))
 
 
 def _fewer_views(results: Results, metrics: Sequence[str], names: Mapping[str, str]) -> list[str]:

@@ -133,7 +133,8 @@ def to_latex(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
     """``table`` environments for booktabs and xcolor, shaded as the paper's."""
     comments = "".join(f"% {' '.join(note.split())}\n" for note in notes)
     breaks = ["\\clearpage\n" if at and at % HELD_BACK == 0 else "" for at in range(len(tables))]
-    return _latex_head(tables) + comments + "\n" + "\n".join(map("".join, zip(breaks, map(_latex_table, tables), strict=True)))
+    floats = ("\n".join([head, *rows, foot]) + "\n" for head, rows, foot in map(latex_parts, tables))
+    return _latex_head(tables) + comments + "\n" + "\n".join(map("".join, zip(breaks, floats, strict=True)))
 
 
 def _latex_head(tables: Sequence[Table]) -> str:
@@ -163,11 +164,6 @@ def _escape_part(text: str) -> str:
     """Escape a part of a sentence, which keeps the blanks at its ends."""
     ends = " " if text[:1].isspace() else "", " " if text[-1:].isspace() else ""
     return escape_latex(text).join(ends) if text.strip() else " " * bool(text)
-
-
-def _latex_table(table: Table) -> str:
-    head, rows, foot = latex_parts(table)
-    return "\n".join([head, *rows, foot]) + "\n"
 
 
 def latex_parts(table: Table) -> tuple[str, list[str], str]:
@@ -285,8 +281,9 @@ def write_excel(tables: Sequence[Table], values: dict[str, str], out: Path) -> P
             pd.read_csv(io.StringIO(text), keep_default_na=False).to_excel(
                 writer, sheet_name=_sheet_name(name, names), index=False
             )
-        for sheet in writer.sheets.values():
-            _take_text_literally(sheet)
+        for cell in (cell for sheet in writer.sheets.values() for row in sheet.iter_rows() for cell in row):
+            if isinstance(cell.value, str):
+                cell.data_type = "s"  # a method called ``=A1`` is a name, no formula
     write_bytes(out, _without_dates(content.getvalue()))
     return out
 
@@ -342,14 +339,6 @@ def _sheet_name(title: str, taken: Sequence[str]) -> str:
         count += 1
         name = f"{clean[: LONGEST_NAME - len(str(count)) - 1]} {count}"
     return name
-
-
-def _take_text_literally(sheet: Any) -> None:
-    """A method called ``=A1`` is a name, no formula."""
-    for row in sheet.iter_rows():
-        for cell in row:
-            if isinstance(cell.value, str):
-                cell.data_type = "s"
 
 
 def _without_dates(workbook: bytes) -> bytes:

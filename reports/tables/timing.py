@@ -143,18 +143,14 @@ def stream_table(run: MeasuredRun) -> Table | None:
     record = read_json(file)
     rows = [run.row(label, _screen_cells(record["methods"].get(label, {"absent": "not scored"}), stream)) for label in run.labels]
     scored = f"the first {stream.warm_up} not scored" if stream.warm_up else "all scored from a method's first picture on"
+    stages = "stages work on different frames at once" if stream.pipelined else "one frame at a time"
+    late = f" A frame later than {stream.deadline_ms:g} ms is not shown." if stream.policy == "deadline" else ""
     caption = (
-        f"{run.protocol.frames.count} frames of one view at {stream.fps:g} per second, {scored}. {_policy(stream)} "
+        f"{run.protocol.frames.count} frames of one view at {stream.fps:g} per second, {scored}. "
+        f"A method processes the newest frame when it is free ({stages}); skipped frames are dropped.{late} "
         f"Times are medians of this run (stated ones where the protocol states them), {record['depth']}."
     )
     return Table("on_time", "Displayed frames and their delay", caption, SCREEN_COLUMNS, rank(SCREEN_COLUMNS, rows), run.scene)
-
-
-def _policy(stream: Stream) -> str:
-    """Sentence on the order in which frames are worked on."""
-    stages = "stages work on different frames at once" if stream.pipelined else "one frame at a time"
-    late = f" A frame later than {stream.deadline_ms:g} ms is not shown." if stream.policy == "deadline" else ""
-    return f"A method processes the newest frame when it is free ({stages}); skipped frames are dropped.{late}"
 
 
 def _screen_cells(record: dict[str, Any], stream: Stream) -> tuple[Cell, ...]:

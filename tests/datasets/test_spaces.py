@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.google_light_fields import load_positions, refuse_spaces
+from ggvs_eval.datasets.google_light_fields import SPACES_LAYOUT, load_positions
 from ggvs_eval.errors import CaptureError
 from helpers.captures import make_image, refusal
 from helpers.refusals import refused
@@ -215,7 +215,7 @@ def test_images_that_cannot_be_read(scene):
 
 def test_says_why_it_refuses(tmp_path, intact_scene):
     """Files and folders that are no scene are refused with what is lacking."""
-    assert refuse_spaces(intact_scene) is None
-    assert refuse_spaces(intact_scene / "models.json") == refuse_spaces(tmp_path / "nowhere") == "no models.json"
+    assert SPACES_LAYOUT.refuse(intact_scene) is None
+    assert SPACES_LAYOUT.refuse(intact_scene / "models.json") == SPACES_LAYOUT.refuse(tmp_path / "nowhere") == "no models.json"
     (tmp_path / "models.json").write_text("[]")
-    assert refuse_spaces(tmp_path) == "models.json, but no cam_XX/"
+    assert SPACES_LAYOUT.refuse(tmp_path) == "models.json, but no cam_XX/"

@@ -71,7 +71,7 @@ def test_the_figure_joins_the_sizes_of_a_method(run, tmp_path):
         ("NO-BLENDING", [50.0]),
         ("OURS", [15.0]),
     ]
-    assert [text for _, text in panels[0].rate_ticks()] == ["20", "50"]
+    assert [text for _, text in panels[0].axes.logarithmic_ticks()] == ["20", "50"]
     assert draw_rates(panels, tmp_path / "stream.png").stat().st_size > 5000
 
 

@@ -119,7 +119,9 @@ def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = 
     records = record_cameras(capture, workers)
     if uncalibrated:
         findings = examine_frames(capture, records)
-        findings += ask_for_calibration(capture.path, _unanswered(findings))
+        advice = f"ggvs-eval calibrate {capture.path} RIG, then check RIG"
+        unanswered = _unanswered(findings)
+        findings += tuple(Finding(RIG, question, "unknown", "no calibration yet", {}, advice) for question in unanswered)
     else:
         findings = examine(capture, records)
     return CaptureCheck(path, findings, time.perf_counter() - start)
@@ -306,9 +308,3 @@ def placeholder_camera(name: str, width: int, height: int) -> Camera:
     """Return a camera of which only the size is known."""
     K = np.array([[float(width), 0.0, width / 2], [0.0, float(width), height / 2], [0.0, 0.0, 1.0]])
     return Camera(name, K, np.eye(4), width, height, 1.0, 2.0)
-
-
-def ask_for_calibration(path: Path, questions: tuple[str, ...]) -> tuple[Finding, ...]:
-    """Answer the questions that want poses: how to get them."""
-    advice = f"ggvs-eval calibrate {path} RIG, then check RIG"
-    return tuple(Finding(RIG, question, "unknown", "no calibration yet", {}, advice) for question in questions)

@@ -4,14 +4,14 @@ Two cameras see the same surfaces under the same lamps. How the ratio of their c
 lamps fade; what all share is the lamps'.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.geometry.epipolar import Features, MatchedPair
+from ggvs_eval.geometry.epipolar import MatchedPair
 from ggvs_eval.pipelines.inspection.capture.colour import (
     CHANNELS,
     DRIFT,
@@ -47,7 +47,8 @@ def check_drift(
     if len(frames) < 2 or not np.isfinite(logs).any():
         reason = "fewer than two frames" if len(frames) < 2 else "too few matches of medium brightness between neighbours"
         return tuple(Finding(subject, QUESTION, "unknown", reason) for subject in (RIG, *names))
-    flicker = np.array([flicker_of(record.levels) for record in records])
+    levels = [record.levels for record in records]  # logarithms; flicker is what changes from frame to frame and back
+    flicker = np.array([robust_sigma(np.diff(each, 2)) / np.sqrt(6) if len(each) > 2 else np.nan for each in levels])
     usual = float(np.nanmedian(flicker)) if np.isfinite(flicker).any() else float("nan")
     evaluated = [
         _evaluate(name, frames, logs[:, index], errors[:, index], float(flicker[index]), usual, fps)
@@ -80,7 +81,8 @@ def gains_over_time(records: Sequence[CameraRecord], pairs: Sequence[MatchedPair
     if not frames:
         return frames, logs, errors
     colours = [record.colours[np.searchsorted(record.sampled, frames)] for record in records]
-    rows = [_rows_by_place(record.instants.get(0)) for record in records]
+    first = [record.instants[0].uv if 0 in record.instants else () for record in records]
+    rows = [{tuple(at): row for row, at in enumerate(places)} for places in first]
     measured, middles, sigmas = [], [], []
     for pair in pairs:
         own = [
@@ -102,15 +104,6 @@ def gains_over_time(records: Sequence[CameraRecord], pairs: Sequence[MatchedPair
             differences, spread = (np.array([each[place, part] for each in every]) for every in (middles, sigmas))
             logs[place, :, part], errors[place, :, part] = solve_with_errors(count, measured, differences, spread)
     return frames, logs, errors
-
-
-def flicker_of(levels: Array) -> float:
-    """Return the standard deviation of what changes from frame to frame and back, of logarithms of the brightness, (T,)."""
-    return robust_sigma(np.diff(levels, 2)) / np.sqrt(6) if len(levels) > 2 else float("nan")
-
-
-def _rows_by_place(features: Features | None) -> Mapping[tuple[float, ...], int]:
-    return {} if features is None else {tuple(at): row for row, at in enumerate(features.uv)}
 
 
 def _evaluate(name: str, frames: Sequence[int], logs: Array, errors: Array, flicker: float, usual: float, fps: float) -> Finding:

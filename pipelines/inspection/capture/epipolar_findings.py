@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.epipolar import Features, MatchedPair, neighbour_pairs, tolerances
 from ggvs_eval.pipelines.inspection.capture.pairs import (
@@ -68,7 +69,10 @@ def explain_camera(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], inde
         return None
     candidates = [
         *_other_poses(cameras, own, index),
-        *_turned_poses(cameras, own, index),
+        *(
+            Repair("pose", f"its images fit {name}", camera_error(_exchanged(cameras, index, change(cameras[index])), own, index))
+            for name, change in POSE_CHANGES.items()
+        ),
         _best_focal([index], cameras, own, lambda changed: camera_error(changed, own, index)),
     ]
     return _accepted(candidates, before, tolerances(cameras[index])[0])
@@ -117,12 +121,6 @@ def _other_poses(cameras: Sequence[Camera], own: Sequence[MatchedPair], index: i
             yield Repair("swap", meaning, camera_error(_exchanged(cameras, index, moved), kept, index), other=other)
 
 
-def _turned_poses(cameras: Sequence[Camera], own: Sequence[MatchedPair], index: int) -> Iterator[Repair]:
-    for name, change in POSE_CHANGES.items():
-        error_px = camera_error(_exchanged(cameras, index, change(cameras[index])), own, index)
-        yield Repair("pose", f"its images fit {name}", error_px)
-
-
 def _best_focal(
     which: Sequence[int], cameras: Sequence[Camera], pairs: Sequence[MatchedPair], measure: Callable[[list[Camera]], float]
 ) -> Repair:
@@ -150,37 +148,20 @@ def _turned(*signs: float) -> Change:
 
 def _reflected_centre(*signs: float) -> Change:
     """Return the centre reflected in the planes whose sign is -1, the rotation kept."""
-
-    def change(camera: Camera) -> Camera:
-        world_to_camera = camera.world_to_camera.copy()
-        world_to_camera[:3, 3] = -camera.rotation @ (np.array(signs) * camera.centre)
-        return replace(camera, world_to_camera=world_to_camera)
-
-    return change
+    return lambda camera: _posed(camera, camera.rotation, np.array(signs) * camera.centre)
 
 
 def _reflected_world(axis: int, own: int = 0) -> Change:
     """Pose mirrored along a world axis; one of the camera's own axes is reversed too, so that it stays a rotation."""
     mirror, reversed_ = (np.diag(np.where(np.arange(3) == each, -1.0, 1.0)) for each in (axis, own))
-
-    def change(camera: Camera) -> Camera:
-        rotation = reversed_ @ camera.rotation @ mirror
-        world_to_camera = np.eye(4)
-        world_to_camera[:3, :3] = rotation
-        world_to_camera[:3, 3] = -rotation @ (mirror @ camera.centre)
-        return replace(camera, world_to_camera=world_to_camera)
-
-    return change
+    return lambda camera: _posed(camera, reversed_ @ camera.rotation @ mirror, mirror @ camera.centre)
 
 
-def _inverted(camera: Camera) -> Camera:
-    return replace(camera, world_to_camera=np.asarray(np.linalg.inv(camera.world_to_camera), np.float64))
-
-
-def _transposed(camera: Camera) -> Camera:
-    world_to_camera = camera.world_to_camera.copy()
-    world_to_camera[:3, :3] = camera.rotation.T
-    world_to_camera[:3, 3] = -camera.rotation.T @ camera.centre
+def _posed(camera: Camera, rotation: Array, centre: Array) -> Camera:
+    """Return the camera with another rotation of the world's axes to its own, and another centre."""
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = rotation
+    world_to_camera[:3, 3] = -rotation @ centre
     return replace(camera, world_to_camera=world_to_camera)
 
 
@@ -202,8 +183,10 @@ POSE_CHANGES: dict[str, Change] = {
         for own, place in (("y", 1), ("z", 2))
         for axis, word in enumerate("xyz")
     },
-    "the inverse pose (camera-to-world used as world-to-camera?)": _inverted,
-    "the transposed rotation": _transposed,
+    "the inverse pose (camera-to-world used as world-to-camera?)": lambda camera: replace(
+        camera, world_to_camera=np.asarray(np.linalg.inv(camera.world_to_camera), np.float64)
+    ),
+    "the transposed rotation": lambda camera: _posed(camera, camera.rotation.T, camera.centre),
 }
 
 

@@ -43,12 +43,12 @@ def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Fin
         more = f" and of {len(outside) - 1} more" * (len(outside) > 1)
         measured += f"; frames of {name}{more} are outside the capture's folder, in {path}"
     advice = ["check that these files are intended; moving the capture breaks the links"] if outside else []
-    if hdr := hdr_transfers(capture):
+    inner = {name: list(source_chain(source))[-1] for name, source in zip(capture.camera_names, capture.sources, strict=True)}
+    if hdr := {name: video.transfer for name, video in inner.items() if isinstance(video, VideoFrames) and video.transfer}:
         values["transfer"] = hdr
         measured += f"; levels of {', '.join(list(hdr)[:LISTED])}{', ...' * (len(hdr) > LISTED)} are {next(iter(hdr.values()))}"
         measured += " (high dynamic range), not those of a display, which metrics need"
         advice.append(f"convert these videos: {TO_SDR}")
-    inner = {name: list(source_chain(source))[-1] for name, source in zip(capture.camera_names, capture.sources, strict=True)}
     if woven := [name for name, video in inner.items() if isinstance(video, VideoFrames) and video.interlaced]:
         values["interlaced"] = woven
         advice.append(f"part the fields of each of these videos: {DEINTERLACE}")
@@ -63,12 +63,6 @@ def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Fin
         Finding(RIG, FRAMES, "warn" if advice else "ok", measured, values, "; ".join(advice)),
         *(_evaluate_damage(record, capture.n_frames) for record in records),
     )
-
-
-def hdr_transfers(capture: Capture) -> dict[str, str]:
-    """Return the cameras whose videos hold levels of high dynamic range, and which ones."""
-    inner = {name: list(source_chain(source))[-1] for name, source in zip(capture.camera_names, capture.sources, strict=True)}
-    return {name: video.transfer for name, video in inner.items() if isinstance(video, VideoFrames) and video.transfer}
 
 
 def frames_outside(capture: Capture) -> dict[str, Path]:

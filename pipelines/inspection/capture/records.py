@@ -108,7 +108,7 @@ class Recorder:
     def add(self, index: int, image: Image8) -> None:
         """Add a frame; those between the last one and this were not read."""
         colour = shrink(image, LONGEST_SIDE_PX)
-        small, sparse = grey_of(colour), _sparse(image)
+        small, sparse = np.asarray(cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY), np.uint8), _sparse(image)
         missing = index - len(self._change)
         self._change += [np.nan] * (missing + 1)
         self._levels += [np.nan] * (missing + 1)
@@ -332,11 +332,6 @@ def shrink(image: NDArray, longest_side_px: int) -> NDArray:
         return image
     size = (max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
-
-
-def grey_of(image: Image8) -> Image8:
-    """Return the grey picture of an RGB one, or of a grey one."""
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image, np.uint8)
 
 
 def _sparse(image: Image8) -> Image8:

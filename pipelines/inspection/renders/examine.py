@@ -114,7 +114,8 @@ def find_upscaling(name: str, view: ViewFrames) -> list[Finding]:
     peaks: list[dict[float, float]] = []
     shares: list[float] = []
     for rendered, truth in view.pairs(spread(view.frames, INSTANTS)):
-        peaks.append(period_peaks(rendered))
+        grey = mean_of_channels(rendered)
+        peaks += [_axis_peaks(plane) for plane in (grey, grey.T)]  # the weaker of both axes counts
         shares.append(fine_energy(rendered) / max(fine_energy(truth), 1e-9))
     strength = {period: min(peak[period] for peak in peaks) for period in PERIODS_PX}
     period = max(strength, key=lambda key: strength[key])
@@ -129,13 +130,6 @@ def find_upscaling(name: str, view: ViewFrames) -> list[Finding]:
     values = {"period_px": period, "peak": strength[period], "fine_share": share}
     advice = "rendered at a smaller size and enlarged? render at the full size"
     return [Finding(name, "up-scaled", verdict, measured, values, advice)]
-
-
-def period_peaks(image: Image8) -> dict[float, float]:
-    """For each period the weaker of its peaks along both axes, relative to the spectrum around it."""
-    grey = mean_of_channels(image)
-    both = [_axis_peaks(plane) for plane in (grey, grey.T)]
-    return {period: min(peaks[period] for peaks in both) for period in PERIODS_PX}
 
 
 def fine_energy(image: Image8) -> float:

@@ -39,11 +39,6 @@ class Unit:
         return list(_files_below(self.source)) if self.source.is_dir() else [self.source]
 
 
-def plain_units(root: Path, folder: str) -> list[Unit]:
-    """Return every file below a folder of a run."""
-    return [Unit(file.relative_to(root).as_posix(), file) for file in _files_below(root / folder)]
-
-
 def job_units(root: Path, folder: str) -> list[Unit]:
     """Return every folder with the result of a job, or with imported renders, below a folder of a run."""
     imported = sorted(file.parent for file in (root / folder).glob(f"*/{IMPORT_FILE}"))
@@ -103,7 +98,7 @@ def _is_hidden(path: Path, root: Path) -> bool:
 PLAIN_FOLDERS = ("truth", "depth", "disoccluded", "path/truth", "path_depth")
 JOB_FOLDERS = ("renders", "path", "path_scores", "ceilings", FITS)
 SAME_OF_CAPTURE = ("digests", "cameras", "fps", "n_frames", "units_per_metre", "edit", "layout")
-Place = Callable[[Path, Path], None]
+Place = Callable[[Path, Path], object]
 
 
 def merge_runs(
@@ -135,7 +130,7 @@ def merge_runs(
     units = _union([unit for run in runs for unit in _units(run)])
     with atomic_folder(out) as temporary:
         for unit in units.values():
-            _place(unit, temporary / unit.name, _copy if copy else _link)
+            _place(unit, temporary / unit.name, shutil.copy2 if copy else _link)
         for record in {file.relative_to(run.root) for run in runs for file in run.root.rglob(DIGESTS)}:
             if (temporary / record).parent.is_dir():
                 join_records([run.root / record for run in runs], temporary / record)
@@ -151,7 +146,8 @@ def merge_runs(
 
 def _units(run: RunFolder) -> list[Unit]:
     """Everything that a run is put together from, except for its scores."""
-    plain = [unit for folder in PLAIN_FOLDERS for unit in plain_units(run.root, folder)]
+    files = [file for folder in PLAIN_FOLDERS for file in _files_below(run.root / folder)]
+    plain = [Unit(file.relative_to(run.root).as_posix(), file) for file in files]
     path = [Unit("path/path.json", run.path_record)] if run.path_record.is_file() else []
     return [*plain, *path, *(unit for folder in JOB_FOLDERS for unit in job_units(run.root, folder))]
 
@@ -201,10 +197,6 @@ def _place(unit: Unit, target: Path, place: Place) -> None:
         destination = target / file.relative_to(unit.source) if unit.source.is_dir() else target
         destination.parent.mkdir(parents=True, exist_ok=True)
         place(file.resolve(), destination)
-
-
-def _copy(source: Path, destination: Path) -> None:
-    shutil.copy2(source, destination)
 
 
 def _link(source: Path, destination: Path) -> None:
