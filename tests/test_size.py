@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 CORE = ("ggvs_eval", "pipelines", "baselines", "metrics", "reports")
 # Ceilings, which only the owner of the package raises; whoever removes lines lowers them. The aim is 56,000, 71,000 and 400.
-MOST_CORE_LINES, MOST_LINES, MOST_MODULES = 61_960, 83_740, 500
+MOST_CORE_LINES, MOST_LINES, MOST_MODULES = 61_910, 83_676, 500
 WIDTH = 130
 
 if not (ROOT / "setup.cfg").exists():

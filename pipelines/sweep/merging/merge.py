@@ -15,6 +15,7 @@ from ggvs_eval.coverage import IMPORT_FILE
 from ggvs_eval.errors import GgvsError, ProtocolError, ResultsError
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.jobs.ledger import JOBS_FOLDER
+from ggvs_eval.pipelines.offline.depth.depth_choice import UNEXPLAINED
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, join_records
 from ggvs_eval.pipelines.run.render import FITS
 from ggvs_eval.protocol import name_differences
@@ -188,7 +189,7 @@ def _identity(run: RunFolder) -> dict[str, Any]:
     return {
         "protocol": run.protocol().values(),
         "capture": {name: record.get(name) for name in SAME_OF_CAPTURE},
-        "depth": {name: value for name, value in depth.items() if name != "stereo_weights"},
+        "depth": {name: value for name, value in depth.items() if name not in ("stereo_weights", UNEXPLAINED)},
     }
 
 
