@@ -257,7 +257,9 @@ def run(
     print_plan([plan], engine.jobs, root, dry_run)
     if dry_run:
         return
-    for line in measure(plan, engine).fault_lines():
+    results = measure(plan, engine)
+    print(results.text(plan.run.shown_names))
+    for line in results.fault_lines():
         print(line, file=sys.stderr)
     print(report([root]))
 

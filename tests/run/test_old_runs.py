@@ -47,8 +47,10 @@ def test_an_old_run_says_that_its_results_are_outdated_once(words, tmp_path, cap
     """`status`, `report` and `run` name what other code has made; `run` makes it again, with equal numbers; then none does."""
     run = RunFolder(tmp_path / "run")
     run_command(["run", *words])
-    made = Results.read(run.root).summary()
-    assert "another version" not in "".join(capsys.readouterr())
+    results = Results.read(run.root)
+    made, printed = results.summary(), capsys.readouterr()
+    assert printed.out == f"{results.text(run.shown_names)}\n{run.report / 'index.html'}\n"
+    assert "another version" not in printed.err
     assert describe_outdated([run]) == ""
     make_old(run)
     parts = "4 renders (no-blending, distance-based), the depth of renders, 2 scored views"
