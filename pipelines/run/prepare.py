@@ -59,7 +59,7 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
     if plan.shared_root != run.root:
         _share_folders(run.root, plan.shared_root)
     claim_folder(run, plan.protocol, plan.original)
-    if not run.depth_record.is_file():
+    if plan.compared or not run.depth_record.is_file():  # which a run without depth may have left undecided
         write_json(run.depth_record, plan.depth.record(plan.depth_device) | plan.compared)
     cache_frames(plan.original, plan.frames_of_cameras(), run.root / "truth", workers)
     store = DepthStore(run.depth)

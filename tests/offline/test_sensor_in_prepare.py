@@ -180,3 +180,15 @@ def test_a_sensor_fills_what_stereo_does_not_find(sensed_plane, tmp_path):
     errors = [np.abs(each.depth / truth - 1)[~found].max() for each in (both, stereo)]
     assert errors[0] < 0.005 < errors[1]
     assert (both.confidence[~found] < LEAST_CONFIDENCE).all()
+
+
+@pytest.mark.takes(8)
+def test_a_run_without_depth_leaves_the_choice_to_the_first_with_it(sensed_plane, tmp_path):
+    """View interpolation wants no depth; the folder keeps what is chosen once a method does."""
+    protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=2))
+    request = RunRequest(tmp_path / "run", with_sensors(sensed_plane, FarSensor), protocol, ("interpolation",), None, AS_SHIPPED)
+    assert prepare_run(plan_run(request)).depth.sensor == "compare"
+    prepare_run(plan_run(replace(request, labels=("ours-geometric",))))
+    again = plan_run(request)
+    assert again.depth.sensor == "fill"
+    assert again.compared
