@@ -1,14 +1,13 @@
-"""Fixtures that several test files share, and how tests find each other.
+"""Fixtures that several test files share, where each test belongs, and how long it may take.
 
 Folders mirror those of the package; what tests build on is the package `helpers`. Both work in the checkout and beside an
 installed wheel.
 
-Files or tests that take long say ``pytestmark = pytest.mark.slow``, those that throw damaged files ``pytest.mark.fuzz``; what
-opens a browser is `page` by itself, and all others are `quick`, for ``make test-quick``. ``pytest.mark.proof`` does whole, in
-half a minute, what others test in parts: ``make test`` leaves it to ``make validate``. Any other test that takes more than
-`MOST_S` of a core, and fixtures four times as much, is named in a warning; ``pytest.mark.takes(12)`` allows a test more. With
-``GGVS_LONG_TESTS=fail`` such a test fails. It is not the default: on a machine that others share, a sound test was counted three
-times its time, and proofs of the code must not hang on that.
+A test has one home. Without a marker it is of ``make test``; ``pytest.mark.slow`` puts it into ``make test-all`` and
+``pytest.mark.proof`` into ``make validate``. A test of ``make test`` that takes more than a second of a core fails, and so does
+one that is the first to use a shared fixture of more than two; a slow test fails beyond ten. Seconds are processor time of this
+process and of those that it waited for, on the machine that `REFERENCE_S` was measured on; a slower or busier machine is given
+as much more as the work of `_slowness` takes on it at that moment.
 """
 
 import gc
@@ -17,7 +16,6 @@ import shutil
 import statistics
 import sys
 import time
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,24 +31,42 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     share_cpus(max(usable_cpus() // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]), 1))
 
 MARKERS = {
-    "quick": "none of the others; `make test-quick` runs these",
-    "slow": "takes seconds of a core: whole runs, rooms, networks, other processes",
+    "slow": "takes over half a second of a core: `make test-all` runs these",
     "proof": "whole runs, films and trainings that repeat what other tests show in parts: `make validate` runs these",
     "page": "opens a page in a real browser",
     "fuzz": "reads hundreds of damaged files",
     "gpu": "wants a GPU",
+    "takes": "to be removed",
 }
-TAKES = "takes(seconds): may take so many seconds of a core"
-# Of processor time, which a busy machine prolongs less, on a machine that does the work of `_slowness` in so many seconds.
-MOST_S, REFERENCE_S = 5.0, 0.035
+MOST_S, MOST_SLOW_S = 1.0, 10.0  # of a test with the fixtures that are its own
+MOST_SHARED_S = {"whole_run": 20.0}  # by fixture; of all others
+MOST_OTHER_SHARED_S = 2.0
+REFERENCE_S = 0.035
 IMPORT_S = 0.003  # of a module that a test is the first to need
+
+_began = pytest.StashKey[tuple[float, int]]()
+_shared_fixtures: list[tuple[str, float]] = []  # name and seconds of each that was set up so far, others that it uses left out
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let ``--room online`` choose the tests of a room and of the rooms that import it."""
+    parser.addoption("--room", default="", help="run the tests of this room of the package and of the rooms that import it")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Make the markers known; here and not in setup.cfg, which lies in the checkout alone."""
     for name, meaning in MARKERS.items():
         config.addinivalue_line("markers", f"{name}: {meaning}")
-    config.addinivalue_line("markers", TAKES)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out files that use neither the room that is asked for nor one that imports it."""
+    room = config.getoption("--room")
+    if not room or not collection_path.match("test_*.py"):
+        return None
+    from helpers.import_graph import imports_of_test, rooms_that_use
+
+    return None if imports_of_test(collection_path) & rooms_that_use(room) else True
 
 
 @pytest.hookimpl(wrapper=True)
@@ -66,58 +82,64 @@ def pytest_collection() -> Iterator[object]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what opens a browser, and as quick what bears no other marker."""
+    """Mark what opens a browser."""
     for item in items:
         if "started" in getattr(item, "fixturenames", ()):
             item.add_marker("page")
-        if not any(item.get_closest_marker(name) for name in MARKERS):
-            item.add_marker("quick")
 
 
 @pytest.hookimpl(specname="pytest_collection_modifyitems", trylast=True)
-def pytest_slow_files_first(items: list[pytest.Item]) -> None:
+def pytest_long_files_first(items: list[pytest.Item]) -> None:
     """Begin with the files that take long, in their random order: none is left for one process at the end."""
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    long = {item.path for item in items if item.get_closest_marker("slow") or "whole_run" in getattr(item, "fixturenames", ())}
+    items.sort(key=lambda item: item.path not in long)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef: pytest.FixtureDef[object]) -> Iterator[object]:
+    """Count a fixture that tests share apart from the test that happens to be the first to need it."""
+    if fixturedef.scope == "function":
+        return (yield)
+    began_s, n_before = _used_s(), len(_shared_fixtures)
+    try:
+        return (yield)
+    finally:
+        of_others_s = sum(seconds for _, seconds in _shared_fixtures[n_before:])
+        _shared_fixtures.append((fixturedef.argname, _used_s() - began_s - of_others_s))
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
-    """Name fixtures that take long, which others may share."""
-    began = _used_s(), len(sys.modules)
-    result = yield
-    _name_long(item, "its fixtures", began, 4 * _most_s(item))
-    return result
+    """Begin to count the time of a test."""
+    item.stash[_began] = _used_s(), len(_shared_fixtures)
+    return (yield)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """Name a test that takes long."""
-    began = _used_s(), len(sys.modules)
+    """Fail a test that passed and took too long."""
     result = yield
-    _name_long(item, "it", began, _most_s(item))
+    began_s, n_before = item.stash[_began]
+    fixtures = _shared_fixtures[n_before:]
+    own_s = _used_s() - began_s - sum(seconds for _, seconds in fixtures)
+    if not item.get_closest_marker("proof"):
+        is_slow = item.get_closest_marker("slow") is not None
+        _refuse_long(item.nodeid, own_s, MOST_SLOW_S if is_slow else MOST_S)
+        for name, seconds in [] if is_slow else fixtures:
+            _refuse_long(f"fixture {name} of {item.nodeid}", seconds, MOST_SHARED_S.get(name, MOST_OTHER_SHARED_S))
     return result
 
 
-def _most_s(item: pytest.Item) -> float:
-    takes = item.get_closest_marker("takes")
-    return float(takes.args[0]) if takes else MOST_S
-
-
-def _name_long(item: pytest.Item, what: str, began: tuple[float, int], most_s: float) -> None:
-    used_s = _used_s() - began[0] - IMPORT_S * (len(sys.modules) - began[1])
-    if used_s > most_s and not item.get_closest_marker("proof") and used_s > most_s * _slowness():
-        words = f"{item.nodeid}: {what} took {used_s:.1f} s of a core, wanted {most_s:g} at most; do less"
-        if os.environ.get("GGVS_LONG_TESTS") == "fail":
-            pytest.fail(words, pytrace=False)
-        warnings.warn_explicit(words, pytest.PytestWarning, str(item.path), 1)
+def _refuse_long(name: str, used_s: float, most_s: float) -> None:
+    if used_s > most_s and used_s > most_s * _slowness():
+        pytest.fail(f"{name} took {used_s:.1f} s of a core, wanted {most_s:g} at most; do less, or mark it slow", pytrace=False)
 
 
 def _used_s() -> float:
-    """Processor time of this process and of those that it waited for, but for light that many tests share."""
+    """Processor time of this process and of those that it waited for, but for imports and light that many tests share."""
     from helpers import lit_rooms
 
-    return sum(os.times()[:4]) - lit_rooms.lit_s
+    return sum(os.times()[:4]) - lit_rooms.lit_s - IMPORT_S * len(sys.modules)
 
 
 def _slowness() -> float:
@@ -125,10 +147,10 @@ def _slowness() -> float:
     import numpy as np
 
     def work_s() -> float:
-        start = time.process_time()
+        start_s = time.process_time()
         np.sort(np.random.default_rng(0).normal(size=400_000))
         sum(number * number for number in range(200_000))
-        return time.process_time() - start
+        return time.process_time() - start_s
 
     return max(1.0, statistics.median(work_s() for _ in range(7)) / REFERENCE_S)
 

@@ -1,8 +1,5 @@
 """COLMAP sparse models: read as views with pose, pinhole intrinsics, lens and depth range, and written as text files."""
 
-import json
-import subprocess
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +15,11 @@ from ggvs_eval.datasets.depth_range import FAR_MARGIN, NEAR_MARGIN, Placed, rang
 from ggvs_eval.datasets.frames import as_calibrated
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.reader_process import ReaderError, ReaderProcess
 from ggvs_eval.lens import Lens
 
 READER_TIMEOUT_S = 600
+_READER = ReaderProcess(Path(__file__).with_name("colmap_reader.py"))  # by its file: its name would import every other reader
 # COLMAP's camera models: how many focal lengths, and the positions of its further parameters among OpenCV's coefficients.
 OPENCV_MODELS: dict[str, tuple[int, int, tuple[int, ...]]] = {
     "SIMPLE_PINHOLE": (1, 4, ()),
@@ -88,21 +87,16 @@ def read_model(folder: Path) -> list[CalibratedView]:
     Args:
         folder: holds cameras, images and perhaps points3D, as text or binary.
     """
-    # By its file: by its name it would first import every other reader.
-    command = [sys.executable, "-P", str(Path(__file__).with_name("colmap_reader.py")), str(folder)]
     try:
-        done = subprocess.run(
-            command, capture_output=True, encoding="utf-8", errors="replace", check=False, timeout=READER_TIMEOUT_S
-        )
-    except subprocess.TimeoutExpired as error:
+        images = _READER.ask(folder, READER_TIMEOUT_S)
+    except TimeoutError as error:
         raise CaptureError(
             f"{folder}: damaged COLMAP model, reading it took over {READER_TIMEOUT_S} s; export it again"
         ) from error
-    if done.returncode:
-        reason = (done.stderr.strip().splitlines() or [f"the reader ended with {done.returncode}"])[-1]
-        reason = reason.removeprefix("ValueError: ")
-        raise CaptureError(f"{folder}: damaged COLMAP model, the reader reports '{reason:.200}'; copy or export the model again")
-    images = json.loads(done.stdout)
+    except ReaderError as error:
+        raise CaptureError(
+            f"{folder}: damaged COLMAP model, the reader reports '{error!s:.200}'; copy or export the model again"
+        ) from error
     check_rig_size(folder, len(images))
     if not images:
         raise CaptureError(f"{folder}: wanted one registered image per fixed camera, got none; calibrate again")

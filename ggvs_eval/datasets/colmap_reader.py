@@ -1,11 +1,6 @@
-"""Read a COLMAP model in a separate process and print it as JSON: pycolmap, once loaded, breaks the writing of PNG files.
+"""The script of the `ReaderProcess` for COLMAP models: pycolmap, once loaded, breaks the writing of PNG files."""
 
-Command: ``python -P ggvs_eval/datasets/colmap_reader.py MODEL_DIR``; it imports nothing of the package.
-"""
-
-import json
 import os
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from itertools import islice
@@ -17,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.files.plain import check_plain, coding_of, parse_numbers, read_plain_text
+from ggvs_eval.files.reader_process import serve
 
 LARGEST_MODEL_FILE = 512 << 20
 FILES = ("cameras", "images", "points3D")
@@ -204,4 +200,4 @@ def _points_end(content: bytes) -> int:
 
 
 if __name__ == "__main__":
-    print(json.dumps(read_reconstruction(Path(sys.argv[1]))))
+    serve(read_reconstruction)

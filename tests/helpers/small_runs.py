@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.contrib.worlds.demo import write_demo
-from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
+from helpers.packed_films import unpack_film
 
 LABELS = ("no-blending", "distance-based")
 
@@ -30,14 +29,10 @@ def leave_out_figures(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(run_groups, "budget_table", lambda _run: None)
 
 
-def small_options(n_frames: int) -> DemoOptions:
-    """Six cameras of 64 x 48 in two rows."""
-    return DemoOptions(width=64, height=48, n_frames=n_frames, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0)
-
-
-def write_small_capture(folder: Path, n_frames: int) -> Capture:
-    """Film them."""
-    return open_capture(write_demo(folder, small_options(n_frames), workers=1))
+def write_small_capture(folder: Path, n_frames: int = 12) -> Capture:
+    """Six packed cameras of 64 x 48 in two rows, without depth; protocols take as many of their twelve frames as they want."""
+    assert n_frames <= 12
+    return open_capture(unpack_film("small", folder, with_depth=False))
 
 
 def small_protocol(n_frames: int, path_poses: int, metrics: tuple[str, ...]) -> Protocol:
