@@ -13,8 +13,6 @@ import ggvs_eval
 import ggvs_eval.contrib
 from ggvs_eval.jobs.code_identity import ROOMS_APART
 
-pytestmark = pytest.mark.slow
-
 CONTRIB = Path(str(ggvs_eval.contrib.__file__)).parent
 PACKAGES = sorted(file.parent.name for file in CONTRIB.glob("*/__init__.py"))
 # What asks for something of a package, and how the line begins.
@@ -87,7 +85,7 @@ def without(request, installed):
     kept.rename(gone)
 
 
-@pytest.mark.takes(18)
+@pytest.mark.slow
 def test_the_rest_starts_and_scores(without):
     """Help, a score and a plan of the demo; a metric that is not there says so and the others are measured."""
     name, called = without
@@ -105,6 +103,7 @@ def test_the_rest_starts_and_scores(without):
         assert planned.stdout.count("plan: ") == 4, planned.stderr
 
 
+@pytest.mark.slow
 def test_what_is_asked_for_is_one_line(without):
     """Exit code 1, the package, and what to do."""
     name, called = without

@@ -211,7 +211,6 @@ def test_a_method_that_cannot_be_made_is_one_line(offer):
 
 
 @pytest.mark.slow
-@pytest.mark.takes(15)
 def test_a_run_goes_on_without_what_failed(offer, tmp_path):
     """A method that fails in one view and a metric that fails cost these cells; all others have their values."""
     capture = write_small_capture(tmp_path / "room", 2)

@@ -63,6 +63,7 @@ def test_readme_and_docs_have_none_of_the_unwanted_words(pattern):
     assert {file.name: found for file in files if (found := found_in(file.read_text(encoding="utf-8")))} == {}
 
 
+@pytest.mark.slow
 def test_help_has_none_of_the_unwanted_words_and_short_first_lines():
     """The verbs, their options, and the classes of options; a first line fits a terminal."""
     from ggvs_eval.built_in import VERBS
@@ -79,6 +80,7 @@ def test_help_has_none_of_the_unwanted_words_and_short_first_lines():
     assert [verb.about for verb in VERBS.values() if len(verb.about) > 72] == []
 
 
+@pytest.mark.slow
 def test_messages_have_none_of_the_unwanted_words():
     """Errors, warnings, findings and printed lines."""
     said = {f"{file.relative_to(ROOT)}": [word for text in messages(tree) for word in found_in(text)] for file, tree in modules()}

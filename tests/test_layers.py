@@ -132,6 +132,7 @@ def test_every_module_has_a_room():
     assert sorted(room for room in FLOOR_OF if not any(room_of(name) == room for name in MODULES)) == []
 
 
+@pytest.mark.slow
 def test_arrows_go_down():
     """A module imports its own room and rooms of lower floors alone: so there is no circle either."""
     wrong = [
@@ -145,6 +146,7 @@ def test_arrows_go_down():
     assert wrong == []
 
 
+@pytest.mark.slow
 def test_rooms_that_must_not_know_each_other():
     """Metrics know no method, methods no metric, reports neither; pipelines start a report from four doors alone."""
     wrong = [
@@ -158,6 +160,7 @@ def test_rooms_that_must_not_know_each_other():
     assert wrong == []
 
 
+@pytest.mark.slow
 def test_parts_of_contrib_know_no_other():
     """Training builds on others: rooms to learn from, networks that it trains; more_metrics adds conventions to explain's."""
     crossing = {
@@ -178,6 +181,7 @@ def test_what_can_be_taken_away_is_named_in_one_place():
     assert {name for name in naming if not name.startswith("contrib.")} == {"built_in"}
 
 
+@pytest.mark.slow
 def test_modules_of_a_room_make_no_circle():
     """Inside a room, too, imports make no circle."""
     arrows = {module: imported_modules(file) & MODULES.keys() - {module} for module, file in MODULES.items()}

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.slow
-
 TESTS = """
 import time
 import pytest
@@ -29,7 +27,6 @@ def slow_fixture():
 def test_long(): work(0.7)
 def test_short(): pass
 def test_near(): work(0.28)
-@pytest.mark.takes(20)
 def test_allowed(): work(0.7)
 @pytest.mark.proof
 def test_proof(): work(0.7)
@@ -37,7 +34,7 @@ def test_fixture(slow_fixture): pass
 """
 
 
-@pytest.mark.takes(12)
+@pytest.mark.slow
 @pytest.mark.parametrize(("wish", "counts"), [("", ("6 passed",)), ("fail", ("2 failed", "3 passed", "1 error"))])
 def test_a_long_test_is_named(wish, counts, tmp_path):
     """A test and a fixture over the limit are named with their seconds in a warning, and fail where one asks; others pass."""

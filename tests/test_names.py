@@ -58,6 +58,7 @@ def missing(texts: dict[str, str]) -> list[str]:
     return sorted(f"{where}: {name}" for where, text in texts.items() for name in names_in(text) if not exists(name))
 
 
+@pytest.mark.slow
 def test_docstrings_name_what_exists():
     """Every dotted name of a docstring is found in the tree."""
     assert missing({str(file): "\n".join(docstrings(file)) for file in MODULES.values()}) == []

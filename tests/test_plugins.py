@@ -146,7 +146,6 @@ def test_a_method_is_named_by_its_module(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_figures")
-@pytest.mark.takes(25)
 def test_a_metric_of_a_file_is_scored_in_other_processes(tmp_path):
     """It gets its values, the right ones, and its file stands in the record of the results."""
     capture = write_small_capture(tmp_path / "room", 2)
@@ -187,9 +186,8 @@ def write_rig(folder: Path, source: Path) -> None:
     (folder / "rig.json").write_text(json.dumps(rig))
 
 
-@in_checkout
 @pytest.mark.slow
-@pytest.mark.takes(25)
+@in_checkout
 def test_the_example_package_is_installed_and_runs(tmp_path):
     """In an environment of its own: its layout opens, its method renders, its metric has values, column, interval and record."""
     write_rig(tmp_path / "rig", write_small_capture(tmp_path / "room", 2).path)

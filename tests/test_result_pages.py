@@ -14,7 +14,6 @@ from helpers.places import ROOT
 
 pytestmark = [
     pytest.mark.skipif(not (ROOT / "docs").is_dir(), reason="an installed wheel has no pages; a checkout has"),
-    pytest.mark.slow,
 ]
 
 if (ROOT / "tools").is_dir():
@@ -210,6 +209,7 @@ def test_the_readme_shows_the_run_that_the_other_pages_show():
         assert row["PSNR"] == means[name]["PSNR"].partition(" ")[0]
 
 
+@pytest.mark.slow
 def test_the_demo_of_the_plan_is_that_of_the_main_job(tmp_path):
     """Where `make reports` has been, what measures on its capture finds it and goes on."""
     films = {
@@ -263,6 +263,7 @@ def test_an_identity_holds_all_that_makes_its_numbers():
     assert not any("worlds.film" in module for module in counted["real_path"])
 
 
+@pytest.mark.slow
 def test_a_change_of_a_table_makes_it_older(monkeypatch):
     """Another function, or another of its constants, makes the tables of its measurements older than the code, and no others."""
 

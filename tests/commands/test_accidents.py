@@ -24,7 +24,7 @@ from helpers.captures import write_dynerf
 from helpers.command_line import refusal
 from helpers.small_runs import small_protocol
 
-pytestmark = [pytest.mark.slow, pytest.mark.takes(20), pytest.mark.usefixtures("no_figures")]
+pytestmark = [pytest.mark.usefixtures("no_figures")]
 
 COMMAND = [sys.executable, "-m", "ggvs_eval"]
 GO_ON = "finished work is kept; run the same command to resume"
@@ -64,6 +64,7 @@ def wait_for(condition: Callable[[], object]) -> None:
 
 
 # One process alone makes no difference between itself and all.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "to_all", "jobs"),
     [
@@ -123,6 +124,7 @@ def small_disk(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_a_full_disk_is_one_line(jobs, words, small_disk, tmp_path):
     """In a job of a run, with and without processes; room is made, and the same command goes on."""
@@ -164,6 +166,7 @@ def test_weights_and_states_name_a_full_disk(small_disk):
         assert [item.name for item in small_disk.iterdir()] == ["other"]
 
 
+@pytest.mark.slow
 def test_output_onto_a_full_disk_is_one_line(words, tmp_path):
     """`ggvs-eval ... > FILE`: /dev/full is always full."""
     run_command(["run", str(tmp_path / "run"), *words[:4], "--methods", "no-blending", "--jobs", "1"])
@@ -186,6 +189,7 @@ def read_only(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.slow
 def test_a_read_only_folder_is_one_line(words, read_only):
     """Whatever a command wants to write there."""
     end = f"Read-only file system; choose a folder that can be written; {GO_ON}"
@@ -195,6 +199,7 @@ def test_a_read_only_folder_is_one_line(words, read_only):
     assert refusal("check", words[1], "--out", read_only / "check.json").endswith(f"{read_only}/check.json: {end}")
 
 
+@pytest.mark.slow
 def test_a_folder_of_somebody_else_is_one_line(words, tmp_path):
     """As a user who may neither write nor read it."""
     if os.getuid() != 0 or subprocess.run([*AS_NOBODY, sys.executable, "-c", "import ggvs_eval"], check=False).returncode:
@@ -221,6 +226,7 @@ def test_a_file_in_the_place_of_a_folder_is_one_line(place, reason, words, tmp_p
     assert refusal("run", tmp_path / place, *words) == f"ggvs-eval: {tmp_path / place}: {reason}; choose another path; {GO_ON}"
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_dies_is_one_line(words, tmp_path):
     """The client of dask says much about it; we say what to do, and nothing else is shown."""
     pytest.importorskip("distributed")
@@ -249,6 +255,7 @@ def test_a_scheduler_that_dies_is_one_line(words, tmp_path):
     assert "Traceback" not in errors
 
 
+@pytest.mark.slow
 def test_two_sweeps_into_one_folder_share_its_table(words, tmp_path):
     """Lines of both, in the order in which they came; one that is measured again takes its place, digits of the others stay."""
     for name, k, label in (("one", 2, "distance-based"), ("two", 3, "no-blending")):

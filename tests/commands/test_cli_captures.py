@@ -15,6 +15,7 @@ def run(*arguments: object) -> None:
     run_command([str(argument) for argument in arguments])
 
 
+@pytest.mark.slow
 def test_a_capture_that_does_not_open_is_a_bad_verdict(dynerf, tmp_path, capsys):
     """A NaN pose: the table says so, the JSON too, the exit code is 1, and of the rest what frames tell."""
     poses = np.load(dynerf / "poses_bounds.npy")
@@ -33,6 +34,7 @@ def test_a_capture_that_does_not_open_is_a_bad_verdict(dynerf, tmp_path, capsys)
     assert "row 1" in capsys.readouterr().out.replace("\n", " ")
 
 
+@pytest.mark.slow
 def test_units_are_taken_from_the_command_line(dynerf, tmp_path):
     """A number, or a file with a known baseline; the run folder's record says which."""
     distance = float(np.linalg.norm(make_rig()[1].centre - make_rig()[0].centre))
@@ -83,6 +85,7 @@ def test_undistort_and_calibrate_speak_in_one_line(tmp_path):
         assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_traceback():
     """`ggvs-eval ... | head -1` ends quietly."""
     command = f"'{sys.executable}' -m ggvs_eval demo --help | head -1"

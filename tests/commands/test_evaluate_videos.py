@@ -11,7 +11,7 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
+pytestmark = [pytest.mark.usefixtures("no_figures")]
 FAST = ("--methods", "no-blending", "--frames", "2", "--jobs", "1")
 
 

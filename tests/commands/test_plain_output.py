@@ -22,7 +22,6 @@ from helpers.small_runs import write_small_capture
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", ["check", "protocol"])
-@pytest.mark.takes(15)
 def test_tables_are_printed_in_ascii(verb, tmp_path):
     """Where stdout knows ASCII alone, as under cron, rules are hyphens and the verb ends well."""
     capture = write_small_capture(tmp_path / "room", 2)
@@ -35,6 +34,7 @@ def test_tables_are_printed_in_ascii(verb, tmp_path):
     assert ended.returncode == 0 or verb == "check"  # which may find fault with so small a room
 
 
+@pytest.mark.slow
 def test_a_closed_output_is_no_fault(tmp_path):
     """Started with stdout closed, a verb writes its files and ends well."""
     write_small_capture(tmp_path / "room", 2)

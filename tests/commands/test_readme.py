@@ -22,7 +22,6 @@ WHOLE = shipped.quick_protocol
 PAGE, GUIDE = ROOT / "README.md", ROOT / "docs" / "guide.md"
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.takes(20),
     pytest.mark.skipif(not PAGE.is_file(), reason="no README beside an installed wheel"),
 ]
 

@@ -20,7 +20,7 @@ from helpers.small_runs import leave_out_figures
 
 EXAMPLES = ROOT / "examples"
 LIVE_RIG, SCORE_FOLDER, SWEEP = EXAMPLES / "live_rig.py", EXAMPLES / "score_folder.py", EXAMPLES / "sweep.toml"
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not EXAMPLES.is_dir(), reason="no examples/ beside an installed wheel")]
+pytestmark = [pytest.mark.skipif(not EXAMPLES.is_dir(), reason="no examples/ beside an installed wheel")]
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +54,7 @@ def ran(folder, example):
     return done.stdout
 
 
+@pytest.mark.slow
 def test_a_live_rig_gives_a_picture(folder):
     """A line for each picture, and the last one in a file."""
     assert len(ran(folder, LIVE_RIG).splitlines()) == 3
@@ -66,7 +67,7 @@ def test_the_page_shows_the_live_rig():
     assert f"```python\n{code}```" in (ROOT / "docs" / "live_rig.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.takes(15)
+@pytest.mark.slow
 def test_folders_are_scored(folder, monkeypatch, capsys):
     """Both folders have their numbers and intervals, the late one its fault, and the page is there."""
     leave_out_figures(monkeypatch)
@@ -83,6 +84,7 @@ def test_folders_are_scored(folder, monkeypatch, capsys):
     assert (folder / out.splitlines()[-1]).is_file()
 
 
+@pytest.mark.slow
 def test_a_sweep_has_a_line_for_each_k_and_row(folder, monkeypatch):
     """One table of two methods at two K, every cell measured."""
     monkeypatch.chdir(folder)

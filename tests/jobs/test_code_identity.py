@@ -30,8 +30,6 @@ from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher
 from ggvs_eval.pipelines.run.render import method_code
 from ggvs_eval.pipelines.run.score_code import ceilings_code, metric_code, path_code
 
-pytestmark = pytest.mark.slow
-
 ROOT = Path(__file__).resolve().parents[2]
 checkout = pytest.mark.skipif(not (ROOT / "setup.py").exists(), reason="the kernels' sources are in the checkout alone")
 
@@ -223,6 +221,7 @@ def copied(tmp_path_factory) -> CodeTree:
     return copy_package(tmp_path_factory.mktemp("package"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STALE)
 def test_exactly_the_right_jobs_go_stale(name, installed, copied):
     """A changed line makes those methods, scores and depth maps stale that run it, and no other."""
@@ -262,7 +261,7 @@ def test_what_is_said_about_code_does_not_count():
     assert identity.what_runs(text).strip() == 'value = """a\n\n# b\n"""\ncall(\n    "c"\n    "#e",\n)'
 
 
-@pytest.mark.takes(12)
+@pytest.mark.slow
 def test_all_that_runs_counts():
     """Each source of the package is the same program without what is said, by Python's own parser."""
     tree, compared = installed_code(), 0
@@ -455,6 +454,7 @@ def test_a_missing_module_is_named(package):
         package.closure("ggvs_eval.gone")
 
 
+@pytest.mark.slow
 def test_nothing_is_imported():
     """The closure of the heaviest method is found without loading it, or anything else."""
     code = (

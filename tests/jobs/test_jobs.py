@@ -20,8 +20,6 @@ from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.run_folder import JOB_FILE, read_json
 from helpers.refusals import refused
 
-pytestmark = pytest.mark.slow
-
 
 def write_number(number: int, folder: Path) -> dict:
     (folder / "number.txt").write_text(str(number))
@@ -48,6 +46,7 @@ def number_job(root: Path, number: int) -> Job:
     return Job(f"number {number}", root / f"n{number}", {"number": number}, partial(write_number, number))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_job_runs_once(workers, tmp_path):
     """The second call finds every result and runs nothing; the record stands beside it."""
@@ -70,6 +69,7 @@ def test_changed_inputs_run_again(tmp_path):
     assert (tmp_path / "n" / "number.txt").read_text() == "2"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_failed_job_leaves_nothing_and_stops_nobody(workers, tmp_path):
     """The others finish, the failed one leaves no folder, and one error lists what failed."""
@@ -81,6 +81,7 @@ def test_a_failed_job_leaves_nothing_and_stops_nobody(workers, tmp_path):
     assert sorted(item.name for item in tmp_path.iterdir()) == ["n1", "n2"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_bug_is_raised_when_the_others_are_done(workers, tmp_path):
     """What is no mistake of the user's comes with its traceback, after all other jobs."""

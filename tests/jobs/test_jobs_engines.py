@@ -19,8 +19,6 @@ from ggvs_eval.jobs.engine import Engine, start_remedy
 from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
 from ggvs_eval.jobs.processes import kept_workers
 
-pytestmark = pytest.mark.slow
-
 ENGINES = [Engine(2), Engine(2, "dask")]
 
 
@@ -68,6 +66,7 @@ def hasty_dask(dask_or_skip):
         yield
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
 def test_every_engine_gives_the_same_files(engine, dask_or_skip, tmp_path):
     """Byte for byte what one process writes, and nothing twice."""
@@ -78,6 +77,7 @@ def test_every_engine_gives_the_same_files(engine, dask_or_skip, tmp_path):
     assert run_jobs([square_job(tmp_path / "parallel", number) for number in range(5)], engine, "") == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
 def test_a_killed_worker_costs_no_result(engine, dask_or_skip, tmp_path):
     """A job whose process is killed is done again, the others are done once, and nothing half is left."""
@@ -90,8 +90,8 @@ def test_a_killed_worker_costs_no_result(engine, dask_or_skip, tmp_path):
     assert sorted(item.name for item in root.iterdir()) == ["killed", *(f"s{number}" for number in range(6))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
-@pytest.mark.takes(20)
 def test_a_job_that_kills_every_worker_is_given_up(engine, hasty_dask, tmp_path):
     """It is named with a reason; those beside it, whose processes it took along, are done, and lost workers are replaced."""
     root = tmp_path / "root"
@@ -118,6 +118,7 @@ def processes_of(root: Path, names: range) -> set[str]:
     return {(job.folder / "process.txt").read_text() for job in jobs}
 
 
+@pytest.mark.slow
 def test_stages_can_share_their_processes(tmp_path):
     """Inside the block two stages have the same processes, before and after it others, and none outlives it."""
     before = processes_of(tmp_path, range(4))
@@ -134,6 +135,7 @@ def test_stages_can_share_their_processes(tmp_path):
     assert not any(Path(f"/proc/{pid}").exists() for pid in first)
 
 
+@pytest.mark.slow
 def test_kept_processes_that_die_are_replaced(tmp_path):
     """A killed worker costs no result of its stage, and the next stage has workers too."""
     with kept_workers():
@@ -174,6 +176,7 @@ def test_the_memory_of_processes_is_read():
     assert machine.resident_bytes([2**22 + 1]) == (0, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("engine", "message"),
     [
@@ -205,6 +208,7 @@ run_all(math.sqrt, [1.0, 2.0, 3.0], Engine(2, {engine!r}), "roots")
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
 def test_workers_that_cannot_start_are_not_out_of_memory(engine, dask_or_skip, tmp_path):
     """A script that starts processes at its top level learns why they died, and what to write instead."""
@@ -227,6 +231,7 @@ def give_up(number: int, folder: Path) -> dict:
     return write_square(number, folder)
 
 
+@pytest.mark.slow
 def test_a_process_that_ends_by_itself_says_its_last_line(tmp_path):
     """Its status and what it printed last, not that it may need more memory; the other jobs are done."""
     jobs = [Job(f"{n}", tmp_path / f"s{n}", {"number": n}, partial(give_up, n)) for n in range(3)]
@@ -238,6 +243,7 @@ def test_a_process_that_ends_by_itself_says_its_last_line(tmp_path):
     assert "memory" not in failure.message
 
 
+@pytest.mark.slow
 def test_peak_memory_is_of_the_block_alone():
     """What a block holds for a moment counts, what was held before it does not, and a system that tells nothing gives nothing."""
     before = np.ones(40_000_000)  # 320 MB

@@ -112,7 +112,6 @@ def test_what_does_not_compare_is_withheld():
     assert said.endswith("not shown: they are of the fisheye images, and frames are undistorted here.")
 
 
-@pytest.mark.slow
 def test_the_row_stands_in_the_quality_table(tmp_path):
     """In a report the row is grey, takes no part in the ranking, and the caption names its source."""
     shape = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0, scene="flame_steak")

@@ -134,6 +134,7 @@ def test_what_is_not_there_is_refused(runs):
     assert "wanted two methods" in refusal("compare", "no-blending", "no-blending", "--run", runs["plain"])
 
 
+@pytest.mark.slow
 def test_command_line_tells_what_differs(runs, tmp_path, capsys):
     """The table has a line per metric, the CSV one per view besides, unrounded; equal versions are not worth a line."""
     run_command(["compare", str(runs["plain"]), str(runs["better"]), "--csv", str(tmp_path / "out" / "d.csv")])

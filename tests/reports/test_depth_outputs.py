@@ -17,8 +17,6 @@ from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthe
 from helpers.refusals import refused
 from helpers.stereo_scenes import PLANE, write_capture
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory) -> RunPlan:
@@ -29,6 +27,7 @@ def prepared(tmp_path_factory) -> RunPlan:
     return prepare(folder / "run", write_capture(folder / "capture"), protocol, 1)
 
 
+@pytest.mark.slow
 def test_page_shows_every_source_at_the_instants_that_it_has(prepared):
     """First, middle and last frame of the cameras that views are made of; those of the path alone at its instant."""
     page = write_prepared_page(prepared)
@@ -43,6 +42,7 @@ def test_page_shows_every_source_at_the_instants_that_it_has(prepared):
     assert all(pair["row_px"] < 0.3 for pair in told["pairs"])
 
 
+@pytest.mark.slow
 def test_instant_is_fused(prepared):
     """The fused cloud of the second prepared frame is the plane where it was then, within a hundredth of its depth."""
     fused = fuse_prepared(prepared, 2)

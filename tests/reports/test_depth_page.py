@@ -34,8 +34,6 @@ from helpers.page_reader import PageReader
 from helpers.refusals import refused
 from helpers.stereo_scenes import FOCAL, PLANE, look_from, plane_depth, see_plane, write_capture
 
-pytestmark = pytest.mark.slow
-
 FILLED = 0.02
 PAIRED = (("cam00", ("cam01", "cam03")), ("cam00", ("cam02",)), ("cam02", ("cam00", "cam01")))
 JOBS = tuple(DepthJob(name, partners, spec={"number": number}) for number, (name, partners) in enumerate(PAIRED))
@@ -167,6 +165,7 @@ def test_sound_capture_raises_no_alarm(record):
     assert find_notes(record) == ["No camera is matched with cam04."]
 
 
+@pytest.mark.slow
 def test_wrong_calibration_is_told(plane_capture, stored, tmp_path):
     """A camera that is written down tilted by 3 px is 3 px off the rows of those beside it, and the page says so first."""
     store, depths = stored
@@ -351,6 +350,7 @@ def test_world_units_are_told_in_metres_too(record):
     assert not re.search(r"\d m</span>", render_depth_page(record))
 
 
+@pytest.mark.slow
 def test_page_does_not_depend_on_workers(page, plane_capture, stored, tmp_path):
     """Two processes write the same bytes as one."""
     store, depths = stored
@@ -360,6 +360,7 @@ def test_page_does_not_depend_on_workers(page, plane_capture, stored, tmp_path):
     assert all((page.parent / file).read_bytes() == (again.parent / file).read_bytes() for file in files)
 
 
+@pytest.mark.slow
 def test_complete_page_is_kept_and_a_damaged_one_written_again(page, plane_capture, stored, tmp_path):
     """A page of the same depth is left alone; one that lost a picture is written again, without its old pictures."""
     store, depths = stored

@@ -82,6 +82,7 @@ def test_a_texture_in_the_wrong_place_is_misplaced(photograph):
     assert noisy.misplaced < 0.01 * noisy.total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["astronaut", "coffee", "chelsea"])
 def test_a_region_ends_where_its_fault_belongs(name):
     """A region moved by 1 or 8 pixels is above 65 % misplaced, a blurred one above 80 % detail, other content a wrong surface."""
@@ -103,6 +104,7 @@ def test_a_region_ends_where_its_fault_belongs(name):
     assert other.misplaced < 0.15 * other.total
 
 
+@pytest.mark.slow
 def test_wrong_depth_is_told_from_blur():
     """Of the error that depth 2 % wrong adds to a rendered wall 90 % is misplaced, of what blur adds nothing."""
     K = np.array([[400.0, 0, 240], [0, 400, 180], [0, 0, 1]])

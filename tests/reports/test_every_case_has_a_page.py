@@ -20,8 +20,6 @@ from ggvs_eval.results import Results
 from helpers.run_folders import RunShape, write_run
 from helpers.small_runs import leave_out_pixels
 
-pytestmark = [pytest.mark.slow, pytest.mark.takes(12)]
-
 LABELS = ("late", "ours-geometric")
 NAMES = (("late", "late"), ("ours-geometric", "GGVS (online), geometric weights"))
 WHOLE = RunShape(frames=Frames(0, 4), labels=LABELS, names=NAMES, metrics=("PSNR", "SSIM", "TCC", "SDT", "SDV"))
@@ -75,6 +73,7 @@ STILLS = [("one frame", "one view", "one method", "no path", *each) for each in 
 PAIRS = [pair for pair in combinations(CASES, 2) if not {*pair} <= {*EDITS}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("drawn", "names"),
     [

@@ -109,6 +109,7 @@ def test_regions_rows_and_failures_lie_where_all_methods_have_pixels_and_texture
     assert most_different_row(run.frame_folders("cam00"), run.frames) in range(6, 45)
 
 
+@pytest.mark.slow
 def test_the_figure_of_failures_is_about_our_method_itself(tmp_path, monkeypatch):
     """An ablation that stands first in the run is not taken for ours, by the command or by the report."""
     labels = ("ours-geometric+no-temporal", "ours-geometric", "no-blending")
@@ -250,6 +251,7 @@ def test_a_video_shows_all_beside_each_other(planted, tmp_path):
         write_figure(planted, "video", tmp_path / "side.avi")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["crops", "failures", "epi", "time"])
 def test_a_name_without_suffix_writes_png_and_pdf(planted, tmp_path, kind):
     """Each figure of a run is written as both, under one name."""
@@ -310,6 +312,7 @@ def test_k_figure_needs_a_sweep_over_k(planted, tmp_path):
     assert "at least two numbers of source views, got 1" in refusal("figure", "k", tmp_path, tmp_path / "k.png")
 
 
+@pytest.mark.slow
 def test_command_line_writes_the_figures(planted, sweep, tmp_path, capsys):
     """`ggvs-eval figure KIND RUN OUT` prints the files that it has written."""
     run_command(["figure", "crops", str(planted), str(tmp_path / "c"), "--rule", "worst", "--boxes", "1"])

@@ -20,8 +20,6 @@ from ggvs_eval.run_folder import read_json, write_json
 from helpers.run_folders import RunShape, write_run
 from helpers.tidy_tables import autoregressive, make_results, make_rows, make_spread_rows
 
-pytestmark = pytest.mark.slow
-
 FITS = tuple(f"4dgs+steps={steps}" for steps in (100, 200, 400, 800))
 EQUALS = ("ours", *FITS)
 
@@ -72,11 +70,11 @@ def winners(run: MeasuredRun) -> set[str]:
     return {place for place, says in named.items() if says}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sets", [10, pytest.param(40, marks=pytest.mark.proof)])
 @pytest.mark.parametrize(
     ("frames", "correlation", "views"), [(12, 0.9, 3), (24, 0.0, 3), (24, 0.8, 3), (24, 0.8, 9), (60, 0.9, 5)]
 )
-@pytest.mark.takes(10)
 def test_of_equal_methods_none_wins_anywhere(tmp_path, frames, correlation, views, sets):
     """Five methods equal but for correlated errors: in 5 % of data sets, and what chance adds, any place names one."""
     run, random = write_equals(tmp_path / "run", views, frames), np.random.default_rng(8)
@@ -90,7 +88,7 @@ def test_of_equal_methods_none_wins_anywhere(tmp_path, frames, correlation, view
         assert wrong["budget"] == 0
 
 
-@pytest.mark.takes(20)
+@pytest.mark.slow
 def test_every_place_says_the_same(tmp_path):
     """Winner, ties and what is too short to call are the judgement's in headline, leaders, bold, compare and budget."""
     run = write_equals(tmp_path / "run", 6, 40, ("PSNR", "SSIM", "L1", "LPIPS", "SDT", "SDV"))

@@ -18,8 +18,6 @@ from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
 from helpers.run_folders import RunShape, make_fitted, write_run
 
-pytestmark = pytest.mark.slow
-
 Shown = list[tuple[str, bool]]  # what stands in the cells of a row, and whether it is bold
 Rows = dict[str, Shown]
 LABELS = ("no-blending", "ours-geometric", "4dgs", "4dgs+seed=1", "theirs")
@@ -211,6 +209,7 @@ def read_page(report: Path, table: Table) -> Rows:
     return max(candidates, key=lambda rows: len(rows.keys() & names))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("read", [read_page, read_markdown, read_csv, read_latex, read_excel])
 def test_a_cell_is_the_same_in_every_format(read: Callable[[Path, Table], Rows], report, tables):
     """Digits, words before and behind them, intervals, words for what is absent, and bold of each cell of each table."""

@@ -89,6 +89,7 @@ FREE = """(strips => Math.max(...[...document.querySelectorAll('.cuts canvas')].
     document.querySelector('.cuts'))"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shape",
     [
@@ -119,6 +120,7 @@ def test_poor_runs_have_a_working_page(started, tmp_path, shape):
     assert started.complaints() == []
 
 
+@pytest.mark.slow
 def test_each_group_of_a_page_has_a_viewer_of_its_own(started, tmp_path):
     """Two protocols on one page: a tab leads to each, its controls and the keys move its viewer and not the other's."""
     shapes = (replace(SHAPE, metrics=("PSNR",), poses=2), replace(SHAPE, frames=Frames(0, 3), metrics=("PSNR",), poses=2))

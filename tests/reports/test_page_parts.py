@@ -87,6 +87,7 @@ def test_path_pictures_hold_every_pose(measured_run, tmp_path):
     assert path_pictures(read_run(write_run(tmp_path / "run", RunShape(poses=0, metrics=("PSNR",))))) is None
 
 
+@pytest.mark.slow
 def test_path_pictures_are_bounded(tmp_path):
     """A long path is thinned out until its pictures stay below the bound, and they keep within their budget."""
     shape = RunShape(width=480, height=48, poses=150, views=("cam00",), metrics=("PSNR",))
@@ -145,6 +146,7 @@ def test_video_shows_every_view_and_frame(measured_run):
         assert abs(picture[16, column, 0] - picture[16, column, 1]) > 100
 
 
+@pytest.mark.slow
 def test_long_runs_give_short_videos(tmp_path):
     """Of a run longer than the bound the beginning of one view is shown; one frame gives no video."""
     shape = RunShape(
@@ -157,6 +159,7 @@ def test_long_runs_give_short_videos(tmp_path):
     assert method_videos(read_run(write_run(tmp_path / "single", single)), 30.0) == ()
 
 
+@pytest.mark.slow
 def test_every_script_is_in_the_page(measured_run, tmp_path):
     """All JavaScript files among the templates are inlined, in full, under a policy that allows exactly these two scripts."""
     used = {*FIRST_SCRIPTS, *SCRIPTS, *leaderboard.SCRIPTS}

@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pytest
 
 from ggvs_eval.pipelines.commands.main import run_command
 from helpers.browser import PHONE
@@ -208,6 +209,7 @@ def test_pictures_beside_each_other_and_error_maps_take_the_pointer(shown):
 SHOWN = "document.querySelector('.stage [data-role=under]').src"
 
 
+@pytest.mark.slow
 def test_frames_at_full_size_lie_beside_the_page(started, tmp_path):
     """Where the screen has more pixels than the page's own picture, the frame on disk is shown; of a page alone, its own."""
     run = write_run(tmp_path / "run", SHAPE, paint)

@@ -28,8 +28,6 @@ from helpers.page_reader import PageReader
 from helpers.refusals import refused
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
-pytestmark = pytest.mark.slow  # two reports with every figure, a report of three runs
-
 SMALL = RunShape(metrics=("PSNR", "TCC"), poses=2)
 SHAPES = {
     "room": replace(SMALL, scene="room"),
@@ -75,6 +73,7 @@ def test_groups_alike_in_name_are_told_apart_by_hash(tmp_path):
     assert len({group.name for group in groups}) == 2
 
 
+@pytest.mark.slow
 def test_a_demo_is_called_by_its_data_set(tmp_path):
     """A demo whose scene is named like a file is headed by its data set; the file's name heads its files alone."""
     demo = write_run(tmp_path / "demo", replace(SMALL, scene="scene000", dataset="Demo room, D3DMV's layout"))
@@ -89,6 +88,7 @@ def test_a_demo_is_called_by_its_data_set(tmp_path):
     assert "Demo room, D3DMV's layout</h1>" in html.unescape(render_page(read_groups([demo])))
 
 
+@pytest.mark.slow
 def test_no_value_of_one_protocol_stands_among_anothers(report, runs):
     """Each group's main table is what a report of its runs alone holds; the CSV names protocol, K and hash in every line."""
     together = rows_of(report)
@@ -115,6 +115,7 @@ def test_page_has_a_part_for_each_protocol(report):
     assert re.findall(r'data-address="([^"]*)"', text) == ["room", "kitchen", "street"]
 
 
+@pytest.mark.slow
 def test_captures_of_one_name_have_an_address_each(tmp_path):
     """Names that are alike, or alike in an address, are told apart by scene, by protocol, and at last by their number."""
     shapes = (replace(SMALL, scene="a b"), replace(SMALL, scene="a-b"), replace(SMALL, scene="a b", k=3))
@@ -146,6 +147,7 @@ def test_files_tell_the_groups_apart(report):
     assert len(pd.ExcelFile(report / "tables.xlsx").sheet_names) == len(titles) + 2
 
 
+@pytest.mark.slow
 def test_captures_of_one_name_are_two_scenes(tmp_path):
     """Two captures whose folders are called alike count as two scenes in every table, told apart by what was captured."""
     shapes = [replace(SMALL, scene="room", content=content) for content in ("one", "other")]
@@ -189,6 +191,7 @@ def test_two_values_in_one_run_are_refused(tmp_path):
         write_report([run])
 
 
+@pytest.mark.slow
 def test_means_over_other_scenes_are_not_ranked(tmp_path):
     """A method that lacks a scene is shown, never best and in no headline, though its number is; every format says so."""
     frames = Frames(0, 24)
@@ -206,6 +209,7 @@ def test_means_over_other_scenes_are_not_ranked(tmp_path):
     assert verdict.headline.startswith(NAMES[LABELS[1]])
 
 
+@pytest.mark.slow
 def test_versions_that_a_table_mixes_are_named(tmp_path):
     """Values made under two versions of a library are said to be, in the caption; one version of each is not worth a word."""
     runs = [write_run(tmp_path / scene, replace(SMALL, scene=scene)) for scene in ("room", "hall")]

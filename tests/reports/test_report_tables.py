@@ -27,8 +27,6 @@ from ggvs_eval.statistics.intervals import intervals
 from helpers.page_reader import PageReader
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
-pytestmark = pytest.mark.slow
-
 SMALL = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
 
 
@@ -274,6 +272,7 @@ def test_empty_table_formats():
     assert all("PSNR in dB." in text for text in (to_markdown([table]), to_latex([table])))
 
 
+@pytest.mark.slow
 def test_a_paper_chooses_its_columns(tmp_path):
     """One table of the columns named, in their order, from whatever tables; its notes say nothing of any other column."""
     run = write_run(tmp_path / "run")

@@ -22,8 +22,6 @@ from helpers.page_reader import PageReader
 from helpers.refusals import refused
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
-pytestmark = pytest.mark.slow
-
 SMALL = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
 NASTY = '<script>alert("x")</script> & | _100%_ $x^2$ {y} \\z #1 ~'
 
@@ -70,6 +68,7 @@ def test_places_linked_in_the_page_exist(report):
     assert all(f'id="{link}"' in text or link.partition("/")[0] in rooms for link in links)
 
 
+@pytest.mark.slow
 def test_names_are_harmless(tmp_path):
     """Markup in the names of methods and scenes is shown, not obeyed, in every format."""
     names = tuple((NAMES | {"ours-geometric": NASTY}).items())
@@ -99,6 +98,7 @@ def test_stale_results_are_refused(tmp_path):
         write_report([run])
 
 
+@pytest.mark.slow
 def test_two_scenes_share_one_page(tmp_path):
     """Two scenes under one protocol have one main table, the mean over both, and a viewer, heat maps and linked slices each."""
     shapes = (replace(SMALL, scene=scene, poses=2) for scene in ("room", "kitchen"))
@@ -125,6 +125,7 @@ def test_missing_frame_is_named(tmp_path):
         write_report([run])
 
 
+@pytest.mark.slow
 def test_single_frame_is_enough(tmp_path):
     """A run of one frame has a report that says once that nothing is drawn over time: no curves, heat maps, slices or videos."""
     run = write_run(
@@ -138,6 +139,7 @@ def test_single_frame_is_enough(tmp_path):
     assert "of the only frame of each view" in text
 
 
+@pytest.mark.slow
 def test_run_without_path_says_so(tmp_path):
     """Without frames along a camera path the page says that there is no epipolar plane image, and the rest is there."""
     report = write_report([write_run(tmp_path / "run", SMALL)]).parent
@@ -145,7 +147,7 @@ def test_run_without_path_says_so(tmp_path):
     assert not (report / "figures" / "epi.png").exists()
 
 
-@pytest.mark.takes(10)
+@pytest.mark.slow
 def test_equal_inputs_give_equal_bytes(whole_run, report, tmp_path):
     """A second report of the same run is the same to the bit, wherever it is written."""
     again = write_report([whole_run], tmp_path / "again").parent
@@ -195,6 +197,7 @@ def test_frame_of_another_size_is_refused(tmp_path):
         compare_frames(read_run(run))
 
 
+@pytest.mark.slow
 def test_pictures_shrink_to_their_budget(tmp_path):
     """With less room the frames get narrower, and their bytes stay within the budget."""
     run = read_run(write_run(tmp_path / "run", RunShape(width=480, height=96)))

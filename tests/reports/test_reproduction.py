@@ -36,8 +36,6 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json
 from ggvs_eval.statistics.pooling import MEAN
 from helpers.run_folders import RunShape, write_run
 
-pytestmark = pytest.mark.slow
-
 ANY_FRAME = np.zeros((1014, 1352, 3), np.uint8)
 PSNR_DB = {"ours": 31.2, "distance-based": 29.0, "fwd": 17.3}
 

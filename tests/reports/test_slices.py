@@ -118,6 +118,7 @@ def test_missing_pose_is_named(tmp_path):
         path_slices(run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["epi", "time"])
 def test_figure_is_written_twice_alike(tmp_path, kind):
     """A figure of slices is a picture, and equal inputs give equal bytes."""

@@ -17,8 +17,6 @@ from ggvs_eval.results import PROVENANCE_FILE
 from ggvs_eval.run_folder import RunFolder, write_json
 from helpers.run_folders import RunShape, make_protocol, write_run
 
-pytestmark = pytest.mark.slow
-
 LABELS = ("no-blending", "ours", "ours+scale=0.5", "4dgs")
 METRICS = ("PSNR", "LPIPS", "TCC", "PSNR_stream", "LPIPS_stream", "TCC_stream")
 FAST = {"shown": 3, "repeated": 0, "dropped": 0, "dark": 1, "latency_ms": 20.0, "latency_p95_ms": 25.0, "per_second": 50.0}
@@ -101,6 +99,7 @@ def test_the_caption_counts_the_instants_that_are_scored(run, warm_up, instants)
     assert instants.replace("of 2", f"of {count}") in caption
 
 
+@pytest.mark.slow
 def test_it_is_on_the_page_and_in_the_files(run, tmp_path, monkeypatch):
     """The part is there, its numbers once; Markdown, CSV and LaTeX have both tables; without a stream there is no such part."""
     for others in ("draw_slices", "draw_crops", "draw_failures", "draw_curves"):

@@ -23,8 +23,6 @@ from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.run_folders import RunShape, write_run
 
-pytestmark = pytest.mark.slow
-
 ENGINE = next(filter(None, map(shutil.which, ("pdflatex", "lualatex", "xelatex", "tectonic"))), None)
 NASTY = "_100%_ & $x^2$ {y} \\z #1 ~ < > ± − ∞"
 MANY = 60  # more tables than LaTeX holds back before it has to place one

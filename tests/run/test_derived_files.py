@@ -17,8 +17,6 @@ from ggvs_eval.pipelines.run.work_left import work_left
 from ggvs_eval.run_folder import frame_path
 from helpers.small_runs import small_protocol, write_small_capture
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory) -> RunPlan:

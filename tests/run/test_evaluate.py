@@ -25,7 +25,7 @@ from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 from helpers.refusals import refused
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
+pytestmark = [pytest.mark.usefixtures("no_figures")]
 
 LABELS = ("no-blending", "ours-geometric")
 REGIONAL = ("PSNR_static", "PSNR_disoccluded")
@@ -148,7 +148,7 @@ def test_a_lost_view_is_rendered_again_with_the_same_bits(finished_copy, demo_ca
         np.testing.assert_array_equal(read_image(frame_path(folder, t)), wanted[t])
 
 
-@pytest.mark.takes(15)
+@pytest.mark.slow
 def test_what_an_earlier_call_left_unfinished_is_named_and_left_out(finished_copy, demo_capture, protocol, capsys):
     """A call for other methods scores them; the one that was stopped comes back when it is asked for."""
     frame_path(finished_copy.renders("ours-geometric", "cam01"), 2).unlink()
@@ -231,6 +231,7 @@ def test_a_folder_belongs_to_one_protocol(finished_copy, demo_capture, protocol)
         prepare(finished_copy.root, demo_capture, other)
 
 
+@pytest.mark.slow
 def test_the_path_may_show_another_instant_than_the_protocol(demo_capture, protocol, tmp_path):
     """A true camera path at an instant beyond the protocol's frames has its depth computed and is rendered."""
     shutil.copytree(demo_capture.path, tmp_path / "late")

@@ -77,7 +77,6 @@ def test_each_certain_fault_is_kept_with_the_scores(run):
     assert all("t-1" in one.measured and "-1" in one.advice for one in results.faults if one.label == "late")
 
 
-@pytest.mark.takes(20)
 def test_a_spoilt_row_says_so_and_is_compared_with_no_other(run, monkeypatch):
     """In the name of its row, below the table and in the headline; nothing is bold, shaded or better because of it."""
     leave_out_figures(monkeypatch)
@@ -118,7 +117,6 @@ def test_the_faults_survive_a_merge_and_a_score_that_finds_nothing_new(run, monk
     assert merged.spoilt == SPOILT
 
 
-@pytest.mark.takes(12)
 def test_checks_of_other_code_measure_no_metric_again(own_run, monkeypatch):
     """When the checks' code changes they alone are done again; when a frame changes, all is."""
     checked: list[range] = []
@@ -139,7 +137,6 @@ def test_checks_of_other_code_measure_no_metric_again(own_run, monkeypatch):
     assert score(own_run).spoilt == SPOILT
 
 
-@pytest.mark.takes(10)
 def test_a_mild_gamma_is_told_of_a_method_and_not_of_a_camera(own_run, monkeypatch):
     """What one of three views seems to have is its camera's; what two of them have was written so."""
 
@@ -164,7 +161,6 @@ def test_honest_renders_of_few_frames_hold_no_copy(run, count):
         assert find_copied(name, replace(view, frames=frames, truth_frames=frames)) == []
 
 
-@pytest.mark.takes(25)
 def test_renders_better_than_a_perfect_one_have_seen_the_view(quick, tmp_path):
     """Nine tenths captured, one tenth ours lies above the ceiling of every view: `score` says so, and `doctor` by itself."""
     protocol = quick_protocol()

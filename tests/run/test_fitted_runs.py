@@ -34,8 +34,6 @@ from helpers.nearest_camera import LABEL
 from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
-pytestmark = pytest.mark.slow
-
 TWIN, HELD_OUT = "cam05", "cam00"  # the twin sees what cam01 sees, pixel for pixel
 PROTOCOL = Protocol(
     "folded",
@@ -281,6 +279,7 @@ def test_what_is_fitted_cannot_be_shown_frame_by_frame():
     assert find_method("4dgs+motion=linear+steps=3000").title == "4DGS (compact), linear motion, 3,000 steps"
 
 
+@pytest.mark.slow
 def test_variants_of_a_sweep_share_their_fits(finished, twin_plane, tmp_path):
     """K moves no fit: two runs of a sweep, one scene per fold beside them; each has its row, and a shard fits what it renders."""
     rows = (SweepRow("Nearest", LABEL), SweepRow("No Blending", "no-blending"))

@@ -14,14 +14,12 @@ from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 from helpers.small_runs import small_protocol, write_small_capture
 
-pytestmark = pytest.mark.slow
-
 LABELS = ("no-blending", "ours-geometric")
 METRICS = ("PSNR", "PSNR_cc", "SSIM", "L1", "TCC", "STED", "Flicker", "SDT", "SDV", "PSNR_static", "PSNR_moving")
 FIRST, ALL = 2, 4
 
 
-@pytest.mark.takes(8)
+@pytest.mark.slow
 def test_it_goes_on_with_the_same_bits(tmp_path, monkeypatch):
     """Frames and values of all metrics are those of one go; a method steps once an instant, and frames are measured once."""
     capture = write_small_capture(tmp_path / "room", ALL)
@@ -61,6 +59,7 @@ def test_it_goes_on_with_the_same_bits(tmp_path, monkeypatch):
     assert Results.read(grown.root).table.equals(Results.read(whole.root).table)
 
 
+@pytest.mark.slow
 def test_other_first_frames_are_measured_anew(tmp_path, monkeypatch):
     """Where a rendered frame is another one by then, nothing of the state that it was measured in is used."""
     capture = write_small_capture(tmp_path / "room", ALL)

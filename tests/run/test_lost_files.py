@@ -13,7 +13,6 @@ from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.refusals import refused
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
-pytestmark = pytest.mark.slow
 POSES = 5
 FILES = {
     "a picture": lambda run: frame_path(run.renders(LABELS[0], "cam01"), 1),

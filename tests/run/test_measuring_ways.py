@@ -43,6 +43,7 @@ def by_hand(rendered, truth, resized):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("way", "resized"), [("mvsnerf", True), ("enerf", False)])
 def test_ten_pictures_have_the_values_of_the_authors_steps(way, resized):
     """PSNR to 1e-6 dB and SSIM to 1e-5 of the same steps by scikit-image."""

@@ -10,7 +10,7 @@ from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
+pytestmark = [pytest.mark.usefixtures("no_figures")]
 
 OTHER_CODE = "0" * 64
 
@@ -42,7 +42,7 @@ def make_old(run: RunFolder) -> None:
         file.parent.rename(file.parent.with_name(f"old-{file.parent.name}"))
 
 
-@pytest.mark.takes(10)
+@pytest.mark.slow
 def test_an_old_run_says_that_its_results_are_outdated_once(words, tmp_path, capsys):
     """`status`, `report` and `run` name what other code has made; `run` makes it again, with equal numbers; then none does."""
     run = RunFolder(tmp_path / "run")
@@ -70,6 +70,7 @@ def test_an_old_run_says_that_its_results_are_outdated_once(words, tmp_path, cap
     assert "another version" not in "".join(capsys.readouterr())
 
 
+@pytest.mark.slow
 def test_what_this_version_lacks_is_not_outdated(words, tmp_path):
     """Nothing here would make again the renders of a method that is gone, nor anything that is no run."""
     run = RunFolder(tmp_path / "run")

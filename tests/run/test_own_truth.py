@@ -16,7 +16,6 @@ from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path
 from ggvs_eval.synthetic.shipped import FIXED, LATE, PROTOCOL, QUICK_ROOM, quick_protocol
 
-pytestmark = pytest.mark.slow
 VIEW, FRAMES = "cam00", 4
 
 
@@ -62,7 +61,7 @@ def write_archive(quick: Path, file: Path, **changed: np.ndarray) -> Path:
     return file
 
 
-@pytest.mark.takes(10)
+@pytest.mark.slow
 def test_the_same_scores_with_and_without_the_capture(quick, tmp_path, capsys):
     """A compressed archive whose truth is the captured frames has the scores of its renders with the capture, to the last bit."""
     archive = write_archive(quick, tmp_path / f"{VIEW}.npz")
@@ -77,7 +76,7 @@ def test_the_same_scores_with_and_without_the_capture(quick, tmp_path, capsys):
     assert Results.read(tmp_path / "with").table["value"].tolist() == with_capture["value"].tolist()
 
 
-@pytest.mark.takes(10)
+@pytest.mark.slow
 def test_own_truth_is_said_everywhere(quick, tmp_path, capsys):
     """Results, rows, tables for papers and the page say that the truth came with the renders; nothing is rendered there."""
     archive = write_archive(quick, tmp_path / f"{VIEW}.npz")
@@ -96,6 +95,7 @@ def test_own_truth_is_said_everywhere(quick, tmp_path, capsys):
         call("render", run, "--methods", "no-blending")
 
 
+@pytest.mark.slow
 def test_a_wrong_number_of_the_authors_is_told(quick, tmp_path, capsys):
     """One value in `metrics` that is not what the pictures give is named with its frame."""
     metrics = np.load(write_archive(quick, tmp_path / "a.npz"))["metrics"]
@@ -125,6 +125,7 @@ def test_other_archives_are_refused_and_leave_nothing(quick, tmp_path, change, w
     assert not (tmp_path / "scores").exists()
 
 
+@pytest.mark.slow
 def test_two_methods_share_one_truth(quick, tmp_path):
     """A second archive with the same truth becomes a second row; one with another truth is refused."""
     first = write_archive(quick, tmp_path / "a" / f"{VIEW}.npz")
@@ -138,6 +139,7 @@ def test_two_methods_share_one_truth(quick, tmp_path):
     assert RunFolder(run).labels() == ["a", "b"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "renders", [("x=/nowhere",), (), ("truth=/tmp",)], ids=["no such renders", "none", "a name that is taken"]
 )
@@ -158,7 +160,7 @@ def test_a_failed_call_leaves_no_folder(quick, tmp_path, monkeypatch, verb, rend
     assert sorted((quick / "run").rglob("*")) == before
 
 
-@pytest.mark.takes(15)
+@pytest.mark.slow
 def test_doctor_leaves_nothing_where_scores_are_kept(quick, tmp_path, monkeypatch, capsys):
     """Without --run neither `scores/` nor anything else is written, where there are scores too."""
     monkeypatch.chdir(tmp_path)

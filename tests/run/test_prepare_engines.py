@@ -17,8 +17,6 @@ from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.protocol import Protocol
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
-pytestmark = pytest.mark.slow
-
 ENGINES = [Engine(2), Engine(2, "dask")]
 CLOCKED = {"job.json", "results.json", "references.json", DIGESTS}  # hold times or hosts beside the results
 
@@ -74,8 +72,8 @@ def note_who(diary: Path, number: int) -> None:
     (diary / f"{number}").write_text(str(os.getpid()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
-@pytest.mark.takes(12)
 def test_the_work_is_done_elsewhere_and_survives_a_kill(engine, tmp_path):
     """Every item is done by a worker and none by this process, though one of the workers is killed."""
     if engine.engine == "dask":
@@ -93,8 +91,8 @@ def refuse(number: int) -> None:
     raise RenderError(f"item {number} cannot be done")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
-@pytest.mark.takes(8)
 def test_what_the_work_raises_comes_through(workers):
     """The error of the first item that fails is raised as it is; no items are no work."""
     with pytest.raises(RenderError, match=r"item [0-2] cannot be done"):

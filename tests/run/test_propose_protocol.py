@@ -57,6 +57,7 @@ def test_test_views_may_be_chosen():
         hold_out(propose_protocol(rig), rig, ("cam9",), {})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [21, 60, 240])
 def test_nine_of_many_cameras_are_spread_over_the_rig(count):
     """One of each ninth of the cameras; the reason of the others is true of all of them, and said once."""
@@ -70,6 +71,7 @@ def test_nine_of_many_cameras_are_spread_over_the_rig(count):
     assert others == {f"stays a source: nine of {count} cameras, spread evenly, are held out"}
 
 
+@pytest.mark.slow
 def test_a_doubtful_camera_among_many_gives_its_place_to_a_neighbour():
     """The ninth of the rig that it lies in keeps a test view."""
     names = [f"{number:06d}" for number in range(90)]

@@ -27,6 +27,7 @@ def partial_run(tmp_path) -> RunFolder:
     return run
 
 
+@pytest.mark.slow
 def test_a_partial_row_is_marked_and_not_ranked(partial_run):
     """The row's name and the caption say that it is partial; though its numbers are best, it is not bold."""
     write_report([partial_run.root])
@@ -40,6 +41,7 @@ def test_a_partial_row_is_marked_and_not_ranked(partial_run):
     assert any("Nothing is bold in " in line for line in lines)  # a and b are the same frames
 
 
+@pytest.mark.slow
 def test_a_run_of_partial_renders_alone_has_a_page(partial_run, tmp_path):
     """With nothing to compare with there is still a table and a page."""
     for label in ("a", "b"):
@@ -51,6 +53,7 @@ def test_a_run_of_partial_renders_alone_has_a_page(partial_run, tmp_path):
     assert "c (partial)" in page.read_text()
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_images_that_nobody_knows(partial_run):
     """Frames that others rendered are not said to be made from the protocol's sources, in tables or on the page."""
     page = write_report([partial_run.root], with_figures=False).read_text()

@@ -30,7 +30,7 @@ from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_folders
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
+pytestmark = [pytest.mark.usefixtures("no_figures")]
 
 METRICS = ("PSNR", "L1", "TCC", "SDT", "SDV")
 
@@ -234,7 +234,7 @@ def test_one_command_scores_renders_of_a_capture(coffee_folder, protocol_path, t
     assert Results.read(run.root).summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
 
 
-@pytest.mark.takes(10)
+@pytest.mark.slow
 def test_the_commands_of_the_page_repeat_a_run_of_renders(coffee_folder, protocol_path, theirs, tmp_path, capsys, monkeypatch):
     """Pasted where the run was made they make it again, without depth; no report of it states a K that nobody knows."""
     monkeypatch.chdir(tmp_path)
@@ -259,7 +259,7 @@ def test_the_commands_of_the_page_repeat_a_run_of_renders(coffee_folder, protoco
     assert not [text for text in texts if re.search(r"\bK = \d", text)]
 
 
-@pytest.mark.takes(10)
+@pytest.mark.slow
 def test_a_run_goes_on_with_its_own_protocol(coffee_folder, protocol_path, theirs, tmp_path, capsys):
     """Further renders need neither capture nor protocol, and can be given without a name; what is there stays."""
     command(
@@ -287,6 +287,7 @@ def test_the_numbering_is_printed_and_can_be_said(coffee_folder, protocol_path, 
     assert Results.read(tmp_path / "run").summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "label"), [("enerf", "enerf-renders"), ("truth", "truth-renders"), ("my renders (2)", "my-renders-2")]
 )
@@ -366,6 +367,7 @@ def test_linked_renders_that_were_moved_are_named(tmp_path):
     assert score(run).table.equals(table)
 
 
+@pytest.mark.slow
 def test_doctor_leaves_no_trace(coffee_folder, protocol_path, theirs, tmp_path, monkeypatch):
     """Without --run nothing is written where `score` writes, be it that the call fails; a run there lends its protocol."""
     monkeypatch.chdir(tmp_path)

@@ -6,11 +6,10 @@ from ggvs_eval.pipelines.run.evaluate import report
 from ggvs_eval.reports.tables import table_formats
 from helpers.run_folders import RunShape, write_run
 
-pytestmark = pytest.mark.slow
-
 SMALL = RunShape(views=("cam00",), metrics=("PSNR", "TCC"), poses=0)
 
 
+@pytest.mark.slow
 def test_every_file_that_is_lost_or_changed_comes_back(tmp_path):
     """The page and each table, deleted in turn; nothing is written where nothing is missing."""
     run = write_run(tmp_path / "run", SMALL)
@@ -29,6 +28,7 @@ def test_every_file_that_is_lost_or_changed_comes_back(tmp_path):
     assert (folder / "tables.tex").read_bytes() == files[folder / "tables.tex"]
 
 
+@pytest.mark.slow
 def test_a_workbook_comes_once_it_can_be_written(tmp_path, monkeypatch, capsys):
     """Where openpyxl was installed after the first report, the next one has a workbook."""
     pytest.importorskip("openpyxl")

@@ -35,7 +35,7 @@ from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
+pytestmark = [pytest.mark.usefixtures("no_figures")]
 
 Usage = namedtuple("Usage", "total used free")
 
@@ -154,6 +154,7 @@ def test_nothing_is_said_where_everything_is_done(demo_capture, protocol, finish
     assert "time:" not in more.describe()
 
 
+@pytest.mark.slow
 def test_a_source_frame_that_was_changed_is_work(demo_capture, protocol, finished, tmp_path, capsys):
     """`run --dry-run` names it, `run` writes it again as captured, and nothing is left then; its renders stay."""
     shutil.copytree(finished, tmp_path / "run")
@@ -203,6 +204,7 @@ def test_a_plan_names_the_jobs_that_are_then_done(demo_capture, protocol, finish
     }
 
 
+@pytest.mark.slow
 def test_a_dry_run_says_what_the_run_then_does(demo_capture, protocol, tmp_path, capsys, monkeypatch):
     """The counts of the plan are the frames that the run renders, the maps that it makes and the views that it scores."""
     maps, write = [], DepthStore.write

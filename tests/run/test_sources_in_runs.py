@@ -19,8 +19,6 @@ from helpers.refusals import refused
 from helpers.scenes import camera_at, look
 from helpers.stereo_scenes import write_capture
 
-pytestmark = pytest.mark.slow
-
 LABELS = ("no-blending", "distance-based")
 
 
@@ -37,6 +35,7 @@ def chosen_protocol(sources: str) -> Protocol:
     return Protocol("tiny", "plane", views, Frames(0, 2), synthesis, measurement, CameraPath(poses=6))
 
 
+@pytest.mark.slow
 def test_a_run_takes_the_chosen_sources(plane_capture, tmp_path):
     """Views and path are synthesised from what `choose_sources` gives; the record of the path says so; scores come out."""
     protocol = chosen_protocol("coverage")

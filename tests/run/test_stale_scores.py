@@ -17,8 +17,6 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json
 from helpers.refusals import refused
 from helpers.render_folders import make_run, write_folders
 
-pytestmark = pytest.mark.slow
-
 METRICS = ("PSNR", "L1", "TCC", "STED", "STED_ssn", "SDT", "PSNR_static")
 MEASURED = ("PSNR", "L1", "TCC", "STED", "STED_ssn", "PSNR_static")  # SDT is made of L1
 VIEW = "cam00"

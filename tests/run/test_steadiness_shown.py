@@ -25,8 +25,6 @@ from ggvs_eval.run_folder import frame_path
 from helpers.command_line import refusal
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, write_folders
 
-pytestmark = pytest.mark.slow
-
 
 def test_sharpness_stands_beside_what_blur_would_win(tmp_path):
     """The protocol asks for mTV alone: its sharpness is the next column of the table in every format, and has its curves."""

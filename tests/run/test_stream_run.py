@@ -17,8 +17,6 @@ from ggvs_eval.sweep import Sweep, SweepRow, load_sweep
 from helpers.itermvs_weights import write_checkpoint
 from helpers.small_runs import small_protocol, write_small_capture
 
-pytestmark = pytest.mark.slow
-
 STREAM = Stream(fps=1.0)  # slow enough for any machine
 LABELS = ("distance-based", "distance-based+scale=0.5")
 
@@ -37,6 +35,7 @@ def evaluated(root, capture: Capture, matcher: str, device: str = "cpu") -> RunF
     return RunFolder(root)
 
 
+@pytest.mark.slow
 def test_live_depth_counts_and_is_timed_once(capture, tmp_path):
     """Its median is the first stage of every method that looks at depth; a second call measures nothing again."""
     run = evaluated(tmp_path / "live", capture, "live")
@@ -56,6 +55,7 @@ def test_live_depth_counts_and_is_timed_once(capture, tmp_path):
     assert (summary["PSNR_stream"] < summary["PSNR"]).all()  # a frame late
 
 
+@pytest.mark.slow
 def test_depth_of_a_network_counts_on_a_device_alone(capture, tmp_path):
     """A GPU finds it as frames arrive; the CPU has computed it before. ``cpu:0`` goes the GPU's way."""
     matcher = f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}"
@@ -68,6 +68,7 @@ def test_depth_of_a_network_counts_on_a_device_alone(capture, tmp_path):
     assert "depth" not in read_json(here.stream_record)["methods"][LABELS[0]]["stages_ms"]
 
 
+@pytest.mark.slow
 def test_depth_that_was_computed_before_takes_no_time(capture, tmp_path):
     """No stage of depth, no record, and the table's caption can say so."""
     run = evaluated(tmp_path / "before", capture, "sgbm")

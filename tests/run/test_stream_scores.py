@@ -18,8 +18,6 @@ from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
 from helpers.render_folders import VIEWS, make_run, rendered, truth, write_folders
 
-pytestmark = pytest.mark.slow
-
 OF_SCREEN = ("PSNR_stream", "SSIM_stream", "TCC_stream", "STED_stream")
 METRICS = ("PSNR", "SSIM", "TCC", "STED", *OF_SCREEN)
 FRAMES = range(0, 7)
@@ -123,6 +121,7 @@ def test_scores_are_stale_when_the_screen_changes_and_not_when_a_time_does(tmp_p
     assert not score(run).table.duplicated(["view", "frame", "metric"]).any()
 
 
+@pytest.mark.slow
 def test_a_metric_of_every_so_many_frames_that_meets_no_instant_says_so(tmp_path):
     """LPIPS at every eighth frame looks at the first alone, which has no picture yet."""
     run = run_of(tmp_path, Stream(fps=FPS), {"slow": (100.0,)})

@@ -15,7 +15,6 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 from helpers.refusals import refused
 from helpers.render_folders import VIEWS, make_run, write_folders
 
-pytestmark = pytest.mark.slow
 SCORE = """
 import sys
 from pathlib import Path
@@ -39,7 +38,7 @@ def methods(run: RunFolder, view: str) -> set[str]:
     return set(read_json(file)["methods"]) if file.is_file() else set()
 
 
-@pytest.mark.takes(10)
+@pytest.mark.slow
 def test_no_update_is_lost(run, tmp_path, monkeypatch):
     """The second process adds a method while the first measures its last view: both methods have values in both views."""
     original, begun = stream.score_views, []

@@ -44,6 +44,7 @@ def test_intervals_hold_no_drift_where_there_is_none(frames, correlation):
     assert 0.9 <= np.mean([abs(drift.slope) <= drift.half_width for drift in drifts]) <= 0.985
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frames", "correlation", "count"),
     [(100, 0.0, 1000), (100, 0.8, 1000), (100, 0.9, 1000), (100, 0.95, 4000), (300, 0.95, 1000)],

@@ -110,6 +110,7 @@ def test_decomposition_reads_the_table_and_refuses_holes(matrix):
         decompose([[1.0, 2.0]]).sdv()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("views", "view_effect", "time_effect"), [(3, 0.0, 0.0), (9, 0.0, 0.0), (9, 1.0, 0.0), (9, 0.3, 0.5)])
 def test_intervals_cover(views, view_effect, time_effect):
     """The 95 % interval holds the true mean 91 to 98 % of the time, whether views differ, flicker together, or neither."""

@@ -69,6 +69,7 @@ def test_best_and_ties(results):
     assert judgement.having("worse") == ("c",)
 
 
+@pytest.mark.slow
 def test_false_alarms_are_as_rare_as_promised():
     """Of two methods equal but for autocorrelated noise, one is called better in 1 to 9 % of the cases, naively in a third."""
     wrong = naive = 0

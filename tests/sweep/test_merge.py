@@ -26,8 +26,6 @@ from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
-pytestmark = pytest.mark.slow
-
 METRICS = ("PSNR", "L1", "SDT", "SDV")
 
 
@@ -213,6 +211,7 @@ def test_one_run_is_not_merged(runs):
     assert "at least two" in refusal("merge", runs / "out", runs / "a")
 
 
+@pytest.mark.slow
 def test_live_depth_and_fits_are_merged(demo_capture, protocol, tmp_path):
     """The seconds of live depth and the fitted scenes of the first run that has them come along: the stream has its table."""
     streamed = protocol.streamed(Stream(fps=1.0))

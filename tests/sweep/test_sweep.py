@@ -23,8 +23,6 @@ from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps
 from helpers.gaussian_clouds import random_cloud
 from helpers.refusals import refused
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def demo_capture(tmp_path_factory):
@@ -86,6 +84,7 @@ def test_a_row_may_stand_at_the_protocols_own_k_alone(protocol):
     assert [row.title for row in sweep.rows(variants["k2"], protocol)] == ["b"]
 
 
+@pytest.mark.slow
 def test_every_variant_is_a_line_and_absent_methods_are_named(demo_capture, protocol, tmp_path):
     """K = 2 and 3 give two lines that differ, in run folders that share frames and depth; a method to come is not computed."""
     rows = (
@@ -107,6 +106,7 @@ def test_every_variant_is_a_line_and_absent_methods_are_named(demo_capture, prot
     assert (tmp_path / "sweep" / "sweep.csv").is_file()
 
 
+@pytest.mark.slow
 def test_frames_rendered_elsewhere_are_a_row(demo_capture, protocol, tmp_path, capsys):
     """``rendered:PATH`` is scored as the method whose frames it holds, without a time; a wrong path stops nothing else.
 
@@ -143,6 +143,7 @@ def test_frames_rendered_elsewhere_are_a_row(demo_capture, protocol, tmp_path, c
     assert not failure.traceback
 
 
+@pytest.mark.slow
 def test_frames_of_several_captures_are_told_apart(demo_capture, protocol, tmp_path):
     """One folder for two captures is refused before anything is rendered; titles that make one folder name are too."""
     noisy = perturb_capture(demo_capture, CaptureEdit(hold_frames=2, sensor_noise_255=20.0))
@@ -159,6 +160,7 @@ def test_frames_of_several_captures_are_told_apart(demo_capture, protocol, tmp_p
         load_sweep(str(file))
 
 
+@pytest.mark.slow
 def test_several_captures_are_averaged(demo_capture, protocol, tmp_path):
     """Two captures: a table of each, and the mean of the lines that both have; measured differently they have no mean."""
     sweep = Sweep("pair", "test", (SweepRow("Distance", "distance-based"), SweepRow("None", "no-blending")))

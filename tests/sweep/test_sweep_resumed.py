@@ -28,8 +28,6 @@ from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
 from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.sweep import load_sweep
 
-pytestmark = pytest.mark.slow
-
 VIEWS = ("cam00", "cam01")
 LABELS = ("distance-based", "no-blending")
 JOBS = 2 * len(VIEWS) * len(LABELS)  # at K = 2 and 3
@@ -90,6 +88,7 @@ def outcome(sweep: Path) -> dict[str, object]:
     return frames | values | {"table": table}
 
 
+@pytest.mark.slow
 def test_a_sweep_killed_at_random_ends_like_an_undisturbed_one(words, undisturbed, tmp_path):
     """After kill -9 of the main process and its workers, at random, the same call ends with the same bytes and values."""
     (tmp_path / "main.py").write_text(SWEEP_SCRIPT)
@@ -111,6 +110,7 @@ def test_a_sweep_killed_at_random_ends_like_an_undisturbed_one(words, undisturbe
     assert outcome(out) == outcome(undisturbed)
 
 
+@pytest.mark.slow
 def test_shards_on_their_own_disks_are_the_whole_when_merged(words, undisturbed, tmp_path):
     """Two machines that share nothing render different views; copied together the last call renders nothing."""
     renders = []

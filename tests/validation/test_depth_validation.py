@@ -34,8 +34,6 @@ from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from helpers.refusals import refused
 from helpers.stereo_scenes import PLANE, look_from, plane_depth, random_texture, see_plane, write_capture
 
-pytestmark = pytest.mark.slow
-
 CAMERA = look_from(0, 0, "camera")
 
 
@@ -214,6 +212,7 @@ def test_a_room_is_judged_region_by_region(tmp_path):
     assert "depth.demo.thin.median_error_percent.sgbm" not in figures
 
 
+@pytest.mark.slow
 def test_reuse_saves_what_stands_still(tmp_path):
     """Of a plane at rest only the first frame is computed, and its depth stays as good; of one that moves, every frame is."""
     saved = {}

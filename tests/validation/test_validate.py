@@ -11,13 +11,12 @@ from ggvs_eval.contrib.worlds.demo import DEMO_ROOMS, MAIN, write_demo
 validate = pytest.importorskip("benchmarks.validate", reason="benchmarks lie beside the package")
 rooms = pytest.importorskip("benchmarks.depth_validation.rooms", reason="benchmarks lie beside the package")
 
-pytestmark = pytest.mark.slow
-
 
 class Begun(Exception):
     """The demo capture has been taken; what follows is a run like any other."""
 
 
+@pytest.mark.slow
 def test_the_room_of_the_reports_is_validated(tmp_path, monkeypatch):
     """The capture that `make reports` has unpacked is taken as it is: another one in its place would be refused."""
     shipped = write_demo(tmp_path / "demo-capture", DEMO_ROOMS[MAIN])
