@@ -195,6 +195,7 @@ def test_frames_of_other_names_are_named(tmp_path):
         open_capture(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not POSE2SIM.is_dir(), reason="the shared capture pose2sim_single_person is not on this machine")
 def test_a_real_calibration(tmp_path):
     """pose2sim's own file: four cameras at the height of a tripod look at one place in the room, and two of its videos open."""

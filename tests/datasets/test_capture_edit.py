@@ -20,8 +20,6 @@ from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protoc
 from ggvs_eval.run_folder import frame_path, read_json
 from helpers.captures import N_FRAMES, NAMES, make_image, make_rig, write_folders, write_poses
 
-pytestmark = pytest.mark.slow
-
 HELD = CaptureEdit(hold_frames=6, hold_frame=2, sensor_noise_255=1.5, noise_seed=7)
 
 
@@ -178,6 +176,7 @@ def protocol(tmp_path):
     return changed
 
 
+@pytest.mark.slow
 def test_a_run_picks_up_the_same_frames_again(room, protocol, tmp_path):
     """A run prepared with held frames and noise, opened again from its folder alone, has the same cameras, frames and depth."""
     arguments = ("--hold-frames", "4", "--hold-frame", "1", "--sensor-noise", "1.5", "--noise-seed", "3", "--jobs", "1")
@@ -200,6 +199,7 @@ def test_a_run_picks_up_the_same_frames_again(room, protocol, tmp_path):
         prepare(tmp_path / "run", perturb_capture(open_capture(room), CaptureEdit(4, 1, 1.5, 4)), protocol)
 
 
+@pytest.mark.slow
 def test_the_true_path_is_left_away_where_it_shows_another_instant(room, protocol, tmp_path):
     """The demo's path is rendered at one instant: held still there it is the truth along the path, held elsewhere it is not."""
     demo = open_capture(room)

@@ -31,6 +31,7 @@ def place(tmp_path, monkeypatch):
     return folder
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_from_any_folder(place, tmp_path, monkeypatch):
     """A capture that was named relative to one folder is found from another, and is the same."""
     before = recorded_capture(RunFolder(Path("runs/one")))

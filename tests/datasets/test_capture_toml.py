@@ -255,6 +255,7 @@ def cap_centre(image: np.ndarray) -> np.ndarray:
     return 4 * (centres[1 + np.argmax(boxes[1:, cv2.CC_STAT_AREA])] + 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not POSE2SIM.is_dir(), reason="the shared capture pose2sim_single_person is not on this machine")
 def test_a_real_rig(tmp_path):
     """Four cameras around a person agree, to 1 % of the image, on where his cap is: at the height of a head.

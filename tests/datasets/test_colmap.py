@@ -31,8 +31,6 @@ from helpers.captures import (
 from helpers.lens_pictures import psnr, straight, through_lens
 from helpers.places import SHARED
 
-pytestmark = pytest.mark.slow
-
 FLAME_STEAK = SHARED / "data" / "n3v_flame_steak"
 
 
@@ -296,6 +294,7 @@ def test_several_images_of_one_camera(colmap):
     assert "got several images of cam00, cam01; calibrate with one instant" in refusal(colmap)
 
 
+@pytest.mark.slow
 def test_png_can_be_written_after_reading_a_model(colmap):
     """Reading a model leaves the process able to write PNG files, which pycolmap in the same process would not."""
     code = (
@@ -309,6 +308,7 @@ def test_png_can_be_written_after_reading_a_model(colmap):
     assert (colmap / "out.png").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not FLAME_STEAK.is_dir(), reason="the shared capture n3v_flame_steak is not on this machine")
 def test_real_capture():
     """The real frame of flame_steak has 21 cameras, f about 730 px at half size, and a guess of 7.3 units per metre."""

@@ -75,6 +75,7 @@ def test_a_missing_image_is_named(scene):
     assert "000001.png" in refusal(scene)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not REAL.is_dir(), reason="the real capture is not here")
 def test_the_real_capture_opens():
     """31 cameras of 640 x 360; the protocol's test views are those of the second file."""

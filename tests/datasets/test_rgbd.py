@@ -407,6 +407,7 @@ def agreement(capture, first: int, second: int, row_offset: int = 0) -> float:
     return float((np.abs(warped[seen] - found)[found > 0] < 0.05 * found[found > 0]).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HOLOLENS.is_dir(), reason="the shared sequence hololens_rgbd is not on this machine")
 def test_real_sequence():
     """Depth of a real frame, warped 3 frames ahead, agrees with the depth there; with the poses one row further it does not."""

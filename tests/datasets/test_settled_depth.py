@@ -75,6 +75,7 @@ def test_a_straight_rig_is_measured_and_planned(straight, tmp_path):
     assert len(planned(capture, tmp_path).plans) == 2
 
 
+@pytest.mark.slow
 def test_a_dome_is_measured_and_planned(dome, tmp_path):
     """The ball and the far wall lie within each camera's range, and every view has depth."""
     capture = open_capture(dome)
@@ -93,6 +94,7 @@ def test_depth_range_toml_counts_in_every_layout(tmp_path, write):
     assert "depth range 0.9 .. 35, by depth_range.toml" in capture.notes
 
 
+@pytest.mark.slow
 def test_known_poses_want_no_points(tmp_path):
     """A model of known poses before triangulation opens, and `calibrate` reads its poses; one without points3D too."""
     folder = write_colmap(tmp_path / "scene")

@@ -87,7 +87,6 @@ def test_the_foreground_wins_and_what_the_sensor_does_not_see_is_unknown():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(240, 180), pytest.param((320, 240), marks=pytest.mark.proof)])
-@pytest.mark.takes(12)
 def test_a_room_seen_by_a_sensor_beside_the_camera(size):
     """Within 0.5 % of the true depth on 95 % of what both see, with the sensor's own focal length, pose and resolution."""
     room, colour = lit_room(101).at(0.0), hand_held_poses(101, 480, 360, 1, 30.0)[0]

@@ -16,8 +16,6 @@ from ggvs_eval.geometry.source_views import LEAST_SHARE, choose_sources, sample_
 from ggvs_eval.pipelines.play.playback import camera_loop
 from helpers.refusals import refused
 
-pytestmark = pytest.mark.slow
-
 CHOICES = ("nearest", "coverage")
 ALL = (*CHOICES, "triplet")
 SIZE, NEAR, FAR = (64, 48), 10.0, 32.0

@@ -49,6 +49,7 @@ def test_agrees_with_its_twin(seed, source_size, target_size, channels, count, n
     )
 
 
+@pytest.mark.slow
 def test_large_gaussians_agree_with_their_twin():
     """Gaussians that cover several tiles are blended in all of them."""
     random = np.random.default_rng(5)

@@ -119,6 +119,7 @@ def test_rays_hit_what_is_nearest():
         np.testing.assert_array_equal(tree.blocks(origins, directions, 0.0, far), hit & (distance <= far))
 
 
+@pytest.mark.slow
 def test_rays_agree_with_embree():
     """Open3D's Embree, in its robust mode, sees the same triangles at the same distances."""
     core, geometry = pytest.importorskip("open3d").core, pytest.importorskip("open3d").t.geometry

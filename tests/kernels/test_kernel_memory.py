@@ -51,6 +51,7 @@ def test_results_that_live_keep_their_memory():
     assert all((each == 2.0 + n).all() for n, each in enumerate(later))
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_bounded():
     """No more stays than was in use at once, or half a gibibyte, and what nobody asked for again goes in the end."""
     depth = np.ones((SIDE, 120 * SIDE), np.float32)  # 120 MiB
@@ -67,6 +68,7 @@ def test_what_is_kept_is_bounded():
     assert all((each == 1).all() for each in held)
 
 
+@pytest.mark.slow
 def test_a_large_step_keeps_its_memory_however_many_small_results_come_between():
     """Results of 600 MiB in all lie where they lay 200 results before, whenever the count of what is in use begins anew."""
     depth, small = np.ones((SIDE, 120 * SIDE), np.float32), np.ones((SIDE, SIDE), np.float32)

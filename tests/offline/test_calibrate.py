@@ -31,8 +31,6 @@ from helpers.calibration_files import write_qualisys
 from helpers.captures import make_image, make_rig, write_colmap_model, write_folders, write_videos
 from helpers.refusals import refused
 
-pytestmark = [pytest.mark.slow, pytest.mark.takes(12)]
-
 DEMO = DemoOptions(
     width=640, height=480, n_frames=1, cameras_per_row=4, supersampling=1, path_poses=0, depth_stride=0, noise_sigma_255=0
 )
@@ -69,6 +67,7 @@ def write_stills(demo: Path, folder: Path, names: tuple[str, ...]) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_all_cameras_are_found_near_the_truth(demo, calibrated):
     """All 8 cameras, below 1 px, centres within 1 % of the rig's extent and 1 degree of the truth, focal length within 2 %;
     reached: 0.38 px, 0.31 %, 0.44 degrees (all cameras alike: two short rows leave their common tilt weak) and 0.4 %.
@@ -97,6 +96,7 @@ def test_one_lens_per_camera(demo, tmp_path):
     assert len({camera.focal_px for camera in found.cameras.values()}) == 8
 
 
+@pytest.mark.slow
 def test_result_opens_at_once(demo, calibrated):
     """The written folder is a capture with the cameras that were returned, the frames of the source and a record."""
     capture = open_capture(calibrated.path)
@@ -130,6 +130,7 @@ def test_equal_frames_give_equal_models(demo, calibrated, tmp_path):
     assert open_capture(again.path).camera_names == NAMES
 
 
+@pytest.mark.slow
 def test_known_intrinsics_stay_fixed(demo, tmp_path):
     """With the lenses given only poses are estimated, each camera keeps its own K to the last digit."""
     truth = open_capture(demo)
@@ -145,6 +146,7 @@ def test_known_intrinsics_stay_fixed(demo, tmp_path):
     assert measured["rotation_error_deg_max"] < 1
 
 
+@pytest.mark.slow
 def test_known_poses_stay_fixed(demo, tmp_path):
     """With lenses and poses given, cameras stay in their world and only points are found, at their true depth."""
     truth = open_capture(demo)
@@ -175,6 +177,7 @@ def test_a_studios_poses_stay_fixed_and_metric(demo, tmp_path):
     assert open_capture(tmp_path / "out").units_origin.startswith("units.toml")
 
 
+@pytest.mark.slow
 def test_swapped_poses_do_not_fit(demo, calibrated, tmp_path):
     """Known poses of two swapped cameras leave these two less than a tenth of the points that every other camera sees."""
     shutil.copytree(calibrated.path, tmp_path / "swapped", symlinks=True)
@@ -215,6 +218,7 @@ def test_lens_distortion_is_found(demo, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_camera_that_sees_nothing_is_named(demo, tmp_path):
     """A camera that cannot be registered is refused by name, with its features and the mend, or left out if that is allowed."""
     stills = write_stills(demo, tmp_path / "stills", ("cam00", "cam01", "cam02", "cam05"))
@@ -232,6 +236,7 @@ def test_camera_that_sees_nothing_is_named(demo, tmp_path):
     assert json.loads((found.path / "calibration.json").read_text())["missing"] == dict(found.missing)
 
 
+@pytest.mark.slow
 def test_too_little_texture(tmp_path):
     """Smooth pictures give no features; all cameras are named and leaving them out is not offered."""
     write_videos(tmp_path / "smooth")
@@ -320,6 +325,7 @@ def test_frames_are_found_in_every_arrangement(tmp_path, write, names):
     assert tuple(find_rig_frames(tmp_path)) == names
 
 
+@pytest.mark.slow
 def test_poses_are_refined_in_their_world(demo, tmp_path):
     """Poses and lenses that are a little off agree with each other afterwards; the world and its scale stay."""
     truth = open_capture(demo)

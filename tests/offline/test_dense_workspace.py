@@ -110,6 +110,7 @@ def test_depth_is_written_as_it_is(workspace):
         assert (found == np.where(depth_map.confidence > 0.5, depth_map.depth, 0)).all()
 
 
+@pytest.mark.slow
 def test_colmap_reads_the_maps(by_colmap):
     """COLMAP's own readers find our depth to the last bit, and the normal of the plane, towards the camera."""
     normal = np.array([PLANE[0], PLANE[1], -1.0]) / np.linalg.norm([PLANE[0], PLANE[1], 1.0])

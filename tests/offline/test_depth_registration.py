@@ -23,8 +23,6 @@ from ggvs_eval.pipelines.offline.sensor.registration import Registration, pose_a
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from helpers.lit_rooms import light_by_few_rays
 
-pytestmark = pytest.mark.slow
-
 WIDTH, HEIGHT = 240, 180
 
 
@@ -56,6 +54,7 @@ def depth_of(capture, index: int) -> np.ndarray:
     return next(iter(capture.extras_of(capture.cameras[index].name).depth.depths(0, 1)))
 
 
+@pytest.mark.slow
 def test_depth_that_fits_is_left_alone(room):
     """Of the room as it was rendered nothing is mended, and the check has nothing against it."""
     capture = open_capture(room)
@@ -70,6 +69,7 @@ def test_depth_that_fits_is_left_alone(room):
     assert depth_job(capture, name, (), estimated).spec == depth_job(capture, name, (), DepthOptions()).spec
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("right_px", "down_px", "roll_deg", "scale"), [(4, -2, 0, 1), (-2, 3, 0.8, 1.04)])
 def test_planted_errors_are_recovered(room, tmp_path, right_px, down_px, roll_deg, scale):
     """Offsets come back within half a pixel, a roll within 0.2 degrees, a scale within 0.5 %; mended depth is nearly the true."""
@@ -94,6 +94,7 @@ def test_planted_errors_are_recovered(room, tmp_path, right_px, down_px, roll_de
     assert spec["options"]["registration"]["scale"] == applied.scale
 
 
+@pytest.mark.slow
 def test_the_command_line_asks_for_it(room, tmp_path):
     """`--registration estimated` prepares mended depth, says so beside it, and keeps the choice."""
     capture = planted(room, tmp_path / "planted", 4, -2, 0, 1)

@@ -17,8 +17,6 @@ from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from helpers.refusals import refused
 from helpers.stereo_scenes import look_from, paint, plane_depth, random_texture, write_capture
 
-pytestmark = pytest.mark.slow
-
 CAMERA = look_from(0, 0, "camera").resized(600, 450)
 ROW = [look_from(0.5 * index, 0, f"row{index:+d}").resized(600, 450) for index in (-1, 1)]
 CARD_DEPTH = 4.8
@@ -56,6 +54,7 @@ def test_what_stands_still_keeps_its_depth():
     assert np.array_equal(first.depth, second.depth)
 
 
+@pytest.mark.slow
 def test_what_moves_is_computed_again():
     """Depth is new where the card is and was, right there, and untouched far from it."""
     stream = DepthStream(CAMERA, ROW, REUSE)
@@ -69,6 +68,7 @@ def test_what_moves_is_computed_again():
     assert (first.depth != second.depth).mean() > 0.05
 
 
+@pytest.mark.slow
 def test_keyframes_are_computed_from_nothing():
     """At a keyframe the stream says what a fresh estimator says, whatever came before."""
     stream = DepthStream(CAMERA, ROW, REUSE)
@@ -79,6 +79,7 @@ def test_keyframes_are_computed_from_nothing():
     assert np.array_equal(step(stream, 4, 0.4).depth, fresh.depth)
 
 
+@pytest.mark.slow
 def test_by_default_instants_do_not_know_each_other():
     """Without reuse every instant is what an estimator of its own would say."""
     options = replace(REUSE, keyframe_every=1)
@@ -89,6 +90,7 @@ def test_by_default_instants_do_not_know_each_other():
     assert np.array_equal(step(stream, 1, 0.2).depth, alone.depth)
 
 
+@pytest.mark.slow
 def test_a_lost_instant_comes_back_with_equal_bits(tmp_path):
     """Depth between keyframes that was lost is computed again from its keyframe: the same bits, and nothing else is touched."""
     capture = write_capture(tmp_path / "capture", n_frames=6)
@@ -128,6 +130,7 @@ def test_unknown_matchers_and_weights_are_refused(tmp_path):
         DepthRunOptions("sweep", tmp_path / "weights.pth").options()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("left", [20, 560])
 def test_a_window_too_narrow_for_its_disparities_is_no_error(left):
     """On a wide baseline what changes at a border is not rectified alone: the whole image is computed again, by new depth."""

@@ -19,8 +19,6 @@ from ggvs_eval.pipelines.offline.export.surfaces import fuse_instant, surface_no
 from helpers.refusals import refused
 from helpers.stereo_scenes import look_from
 
-pytestmark = pytest.mark.slow
-
 WALL_Z, BALL, RADIUS = 7.0, np.array([0.3, -0.2, 5.0]), 0.8
 RED, BLUE = (220, 40, 30), (20, 60, 200)
 VOXEL = 0.04
@@ -133,6 +131,7 @@ def test_mesh_has_colours_and_faces_the_cameras(fused):
     assert facing.mean() > 0.98
 
 
+@pytest.mark.slow
 def test_far_from_the_origin(scene, tmp_path):
     """A world whose origin is ten million units away gives the same surfaces; 32 bits alone would lose them."""
     rig, images, depths = scene
@@ -178,6 +177,7 @@ def test_debris_is_left_out(scene, tmp_path):
     assert not [file for file in tmp_path.iterdir() if file.name.startswith(".")]
 
 
+@pytest.mark.slow
 def test_equal_inputs_give_equal_bytes(fused, tmp_path):
     """Another process, with a single thread, writes the very same files."""
     code = """

@@ -124,6 +124,7 @@ def test_depth_is_the_authors(weights, golden):
     assert golden["depth"].std() > 0.3
 
 
+@pytest.mark.slow
 def test_a_batch_finds_what_its_maps_find_one_by_one(weights):
     """Three maps of three and two partners; then other pictures, cameras and partners on the same buffers, with equal bits."""
     rig, (cameras, images) = IterMvsRig(IterMvs(weights, "")), rig_of_four()
@@ -206,6 +207,7 @@ def test_half_precision_is_close(weights):
     assert 0 < np.median(off) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not PUBLISHED_FILE.is_file(), reason="no ../shared/weights beside this checkout")
 def test_the_published_weights_find_the_plane():
     """By the authors' weights the median error on a slanted plane is below 2 %, in a batch, alone and in half precision."""

@@ -189,6 +189,7 @@ def nearing_plane(tmp_path_factory):
     return write_capture(tmp_path_factory.mktemp("plane"))
 
 
+@pytest.mark.slow
 def test_a_store_is_filled_alike_however_it_is_done(nearing_plane, tmp_path, monkeypatch):
     """All together, one by one and an instant alone: equal files, and what is there is not made again."""
     jobs = plan_rig_depth(nearing_plane, OPTIONS)

@@ -240,6 +240,7 @@ def stored_files(store):
     return {path.relative_to(store.root): path.read_bytes() for path in sorted(store.root.rglob("*.*")) if path.is_file()}
 
 
+@pytest.mark.slow
 def test_prepare_resumes_and_does_not_depend_on_workers(plane_capture, jobs, tmp_path):
     """A second call touches nothing, a lost frame alone is computed again, and one worker gives the bits of two."""
     two, one = DepthStore(tmp_path / "two"), DepthStore(tmp_path / "one")
@@ -291,6 +292,7 @@ def test_failure_in_a_worker_is_reported(plane_capture, tmp_path):
         prepare_depth(plane_capture, [job], range(1), DepthStore(tmp_path), OPTIONS, workers=2)
 
 
+@pytest.mark.slow
 def test_missing_frames_in_a_worker_are_reported(plane_capture, jobs, tmp_path):
     """Frames that the capture does not have end the run with a message that says which there are."""
     with refused(CaptureError, "2..4", "has 3"):
@@ -307,6 +309,7 @@ def test_sources_of_a_view_are_held_against_each_other(plane_capture):
     assert unchecked == {name: job.unchecked for name, job in jobs.items()}
 
 
+@pytest.mark.slow
 def test_checked_depth_has_a_key_of_its_own_and_comes_back(plane_capture, tmp_path):
     """Checked depth of a plane is no worse than what was found, lies beside it, and a lost instant comes back with equal bits."""
     store, job = DepthStore(tmp_path), plan_depth(plane_capture, [plane_capture.camera("cam01")], 3, OPTIONS)["cam01"]["cam00"]
@@ -357,6 +360,7 @@ def wide_arc(seed: int) -> list[Camera]:
     return cameras
 
 
+@pytest.mark.slow
 def test_chosen_pairs_can_be_matched():
     """No pair that was chosen is refused when it is rectified, in the camera's role or, live, in either."""
     pairs = 0

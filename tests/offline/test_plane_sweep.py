@@ -19,8 +19,6 @@ from ggvs_eval.pipelines.offline.plane_sweep.views import find_hidden, turn_part
 from helpers.refusals import refused
 from helpers.stereo_scenes import PLANE, look_from, paint, plane_depth, random_texture, see_plane, write_capture
 
-pytestmark = pytest.mark.slow
-
 CAMERA = look_from(0, 0, "camera")
 PARTNERS = [look_from(x, y, f"{x:+.1f}{y:+.1f}", turn=0.06) for x, y in ((0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5))]
 INNER = np.s_[12:-12, 12:-12]

@@ -46,6 +46,7 @@ def test_what_fits_stays():
     np.testing.assert_allclose(most_likely(rig, points)[0], 0, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_the_minimum_is_that_of_a_general_optimiser(seed):
     """Noisy features, one grossly wrong: BFGS does not get below our minimum, neither from it nor from the start."""

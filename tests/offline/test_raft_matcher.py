@@ -27,7 +27,6 @@ from ggvs_eval.raft_config import COMPACT
 from helpers.seeded_networks import seeded_state
 from helpers.stereo_scenes import look_from, random_texture, see_plane
 
-pytestmark = pytest.mark.slow
 OTHER_PAIRS = range(VALIDATION_SEED + 1024, VALIDATION_SEED + 1048, 4)  # six of one scene that nothing else uses
 
 
@@ -94,6 +93,7 @@ def test_a_warm_start_is_where_it_begins(standing):
     np.testing.assert_allclose(found[8:-8, 8:-8], 14, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_equal_inputs_give_equal_bits(tmp_path):
     """Whatever the number of threads, with a network that takes steps."""
     network = RaftStereo(COMPACT)
@@ -131,6 +131,7 @@ def test_the_shipped_network_improves_on_what_it_starts_from():
     assert network < 0.9 * matching
 
 
+@pytest.mark.slow
 def test_a_dense_matcher_keeps_what_is_not_confirmed(standing):
     """It says what the network says wherever that lies within the search range, all of it as sure."""
     right, left = shifted_pair(14)
@@ -157,6 +158,7 @@ def test_wide_pairs_are_moved_together(tmp_path, before):
     assert not wide[:, :48].any()
 
 
+@pytest.mark.slow
 def test_the_shipped_network_fills_a_rig(tmp_path):
     """`sgbm+raft` takes the network's depth where the pairs do not confirm any; a weights file's name may hold a plus."""
     camera, others = look_from(0, 0, "camera"), [look_from(x, 0, f"at{x}") for x in (-0.2, 0.2)]

@@ -71,6 +71,7 @@ def test_a_pair_is_matched_as_on_the_cpu(changes):
     assert ((there[0] > 0) == (there[1] > 0)).all()
 
 
+@pytest.mark.slow
 def test_a_warm_start_is_that_of_the_cpu():
     """With the disparity of the frame before, the pair takes fewer updates than its mirror image, as on the CPU."""
     matchers = [find_matcher("raft", device) for device in ("cpu", "cpu:0")]
@@ -182,6 +183,7 @@ def test_a_plan_takes_depth_to_the_device(request_for):
         plan_run(request_for(RAFT, NetworkOptions(device="gpu")))
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_where_its_depth_was_begun(request_for, monkeypatch):
     """Its record names the device; later calls find its maps from anywhere, and miss the device only where a map is missing."""
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)

@@ -18,8 +18,6 @@ from helpers.places import DATA_FOLDER
 from helpers.refusals import refused
 from helpers.seeded_networks import seeded_pair, seeded_state
 
-pytestmark = pytest.mark.slow
-
 DATA = DATA_FOLDER
 ORACLE_NAMES = {"default": "default(middlebury/eth3d/sceneflow)", "realtime": "realtime", "rvc": "iraftstereo_rvc"}
 
@@ -44,6 +42,7 @@ def test_names_and_shapes_are_those_of_the_checkpoints(published):
     assert sum(parameter.numel() for parameter in network.parameters()) == oracle["n_params"]
 
 
+@pytest.mark.slow
 def test_outputs_are_the_authors(published):
     """Flow from zero and from a given flow agrees with the authors' code on the same weights (tests/data/ORACLES.md)."""
     title, network = published
@@ -157,6 +156,7 @@ def test_residual_block_follows_its_definition():
     torch.testing.assert_close(block(image), torch.relu(second + shortcut))
 
 
+@pytest.mark.slow
 def test_published_checkpoints_load_strictly(published, tmp_path):
     """A file in the authors' format, names behind ``module.``, becomes the network of its configuration, bit for bit."""
     title, network = published

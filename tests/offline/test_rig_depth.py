@@ -35,6 +35,7 @@ def one_by_one(rig, options: DepthOptions, finder: RigDepth, maps=None):
     return {name: check_depth(cameras[name], maps[name], others[name], options) for name in NAMES}
 
 
+@pytest.mark.slow
 def test_a_network_finds_all_maps_in_one_batch(rig, tmp_path):
     """Finished and checked on the device: nearly everywhere what the CPU's own way finds map by map."""
     options = DepthRunOptions(f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}").options("cpu:0")

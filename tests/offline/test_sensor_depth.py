@@ -382,6 +382,7 @@ def agreement(first, first_depth, second, second_depth):
     return (np.abs(found / expected[inside] - 1) < 0.01)[found > 0].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HOLOLENS.is_dir(), reason=f"the HoloLens sequence is not at {HOLOLENS}")
 def test_real_frames_agree_better():
     """Filtered depth of a HoloLens sequence agrees with that of near frames more often, and there is more of it."""

@@ -20,8 +20,6 @@ from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views
 from helpers.stereo_scenes import PLANE, plane_depth, write_capture
 
-pytestmark = pytest.mark.slow
-
 
 class PlaneSensor:
     """Measures the plane before a camera, which comes nearer from frame to frame, with a millimetre of noise."""
@@ -137,6 +135,7 @@ def with_sensors(capture, kind):
     return replace(capture, extras=tuple(replace(each, depth=each.depth and kind(each.depth.camera)) for each in capture.extras))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "chosen"), [(PlaneSensor, "alone"), (FarSensor, "fill")])
 def test_the_better_depth_is_used(sensed_plane, tmp_path, kind, chosen):
     """A sensor that explains other cameras' pictures better than stereo is used alone, else in its gaps; the folder keeps it."""
@@ -182,7 +181,7 @@ def test_a_sensor_fills_what_stereo_does_not_find(sensed_plane, tmp_path):
     assert (both.confidence[~found] < LEAST_CONFIDENCE).all()
 
 
-@pytest.mark.takes(8)
+@pytest.mark.slow
 def test_a_run_without_depth_leaves_the_choice_to_the_first_with_it(sensed_plane, tmp_path):
     """View interpolation wants no depth; the folder keeps what is chosen once a method does."""
     protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=2))

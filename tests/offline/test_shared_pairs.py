@@ -16,7 +16,6 @@ from ggvs_eval.protocol import load_protocol
 from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
-pytestmark = pytest.mark.slow
 FRAMES = range(2)
 OPTIONS = DepthOptions(partners=3)
 
@@ -46,6 +45,7 @@ def filled(store, planned, monkeypatch, workers=1, shares=True, options=OPTIONS,
     return {(job.key, frame): store.read(job.key, frame) for job in jobs for frame in frames}, len(pairs)
 
 
+@pytest.mark.slow
 def test_a_pair_is_matched_once(planned, tmp_path, monkeypatch):
     """As many matchings as there are ordered pairs, fewer than job by job, and the same maps; nothing at a second call."""
     _, jobs = planned
@@ -62,6 +62,7 @@ def test_a_pair_is_matched_once(planned, tmp_path, monkeypatch):
     assert filled(DepthStore(tmp_path / "together"), planned, monkeypatch)[1] == 0
 
 
+@pytest.mark.slow
 def test_an_instant_of_dynerf_is_98_matchings(tmp_path, monkeypatch):
     """The packaged protocol on 21 cameras in two rows needs 36 maps of 98 ordered pairs; stores are equal byte by byte."""
     rows = ((11, 0.0), (10, 0.2))
@@ -84,6 +85,7 @@ def test_an_instant_of_dynerf_is_98_matchings(tmp_path, monkeypatch):
     assert made("together")[0] == 0
 
 
+@pytest.mark.slow
 def test_what_is_missing_alone_is_computed(planned, tmp_path, monkeypatch):
     """Of a store that lacks one map of one job, that map; in two processes the same."""
     store = DepthStore(tmp_path / "store")

@@ -18,7 +18,7 @@ from helpers.blender_inputs import inputs_of
 from helpers.scenes import camera_at, instant
 from helpers.small_runs import small_protocol, write_small_capture
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
+pytestmark = pytest.mark.usefixtures("no_figures")
 
 TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.3)]

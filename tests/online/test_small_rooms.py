@@ -16,7 +16,6 @@ from ggvs_eval.pipelines.methods.registry import find_method
 from helpers.photographs import psnr_db
 from helpers.scenes import camera_at, instant, render_view
 
-pytestmark = pytest.mark.slow
 SMALL = DemoOptions(seed=101, width=160, height=120, n_frames=1, cameras_per_row=3, path_poses=0, noise_sigma_255=1.5)
 
 
@@ -44,7 +43,6 @@ def score(method: str, number: int, blind: bool = False) -> float:
     return psnr_db(made.image, room[target][0])
 
 
-@pytest.mark.takes(12)
 def test_small_pictures_are_no_worse_than_geometric_weights():
     """At 160 x 120 the network is at most .2 dB behind geometric weights in the mean of two views."""
     ours, geometric = (np.mean([score(method, number) for number in (1, 4)]) for method in ("ours", "ours-geometric"))
@@ -71,6 +69,7 @@ def near_source(share: float) -> tuple[Instant, np.ndarray]:
     return Instant(0, target, tuple(views), UNITS_PER_METRE), truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["ours", "ours-geometric"])
 def test_a_source_next_to_the_target_is_shown(method):
     """Whatever its depth: the source itself at its own place, next to it no worse than Distance-based Blending by .1 dB."""

@@ -20,8 +20,6 @@ from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protoc
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from helpers.scenes import SQUARE_Z, camera_at, instant
 
-pytestmark = pytest.mark.slow
-
 TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.15)]
 OFFLINE = "ours-geometric+offline"
@@ -90,6 +88,7 @@ def test_nothing_is_left_behind():
     assert not folder.exists()
 
 
+@pytest.mark.slow
 def test_a_run_shows_it_the_whole_sequence(tmp_path):
     """Rendered in a run it has looked at every frame of the protocol, and the time that took is told."""
     options = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=3, path_poses=0, supersampling=1)
