@@ -110,6 +110,7 @@ def test_a_static_capture_gives_next_to_no_deformation(still_footage, tmp_path):
     assert float(travelled.max()) < 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", ["hexplane", "linear"])
 def test_a_killed_fit_goes_on_with_equal_bits(motion, sliding_footage, tmp_path, kernel_settings):
     """A fit that was killed after a checkpoint, and goes on with another number of threads, leaves the same bytes and curve."""
@@ -138,6 +139,7 @@ def test_a_killed_fit_goes_on_with_equal_bits(motion, sliding_footage, tmp_path,
     assert whole.size_bytes == (tmp_path / "whole" / SCENE).stat().st_size
 
 
+@pytest.mark.slow
 def test_each_instant_alone_depends_on_no_other(sliding_footage, tmp_path):
     """`3dgs-per-instant` gives an instant the same bytes, whatever the others are; it works on a single one."""
     fitter = PerInstant(**SHORT | {"steps": 12})
@@ -162,7 +164,6 @@ def test_each_instant_alone_depends_on_no_other(sliding_footage, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.takes(15)
 def test_a_stream_goes_from_instant_to_instant(sliding_footage, tmp_path):
     """`3dgstream` follows what moves, goes on after a kill with equal bytes, and renders its instants in any order."""
     fitter = Stream(steps=60, transforming=40, spawning=8, spawned=40, points=400, most=500)

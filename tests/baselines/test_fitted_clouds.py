@@ -31,6 +31,7 @@ def footage(tmp_path_factory):
     return footage_of(lambda _: cloud, tmp_path_factory.mktemp("still"), instants=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("label", FITTERS)
 def test_clouds_are_those_of_the_renders(label, footage, tmp_path):
     """Every instant of every fitter, asked for in any order; a fit that is not finished is refused."""

@@ -28,8 +28,6 @@ from helpers.hostile import Hostile
 from helpers.refusals import refused
 from helpers.scenes import camera_at, instant, look
 
-pytestmark = pytest.mark.slow
-
 
 def seeded(completes_depth=False):
     """A network with seeded weights in evaluation mode."""
@@ -195,6 +193,7 @@ def test_completion_gives_positive_depth_everywhere():
     assert 0 < float(completed.min()) <= float(completed.max()) <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["safetensors", "pth"])
 @pytest.mark.parametrize("completes_depth", [False, True])
 def test_weights_come_back_bit_for_bit(tmp_path, suffix, completes_depth):
@@ -233,6 +232,7 @@ def test_what_are_no_weights_is_refused(tmp_path):
     assert not (tmp_path / "touched").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("completes_depth", [False, True])
 def test_every_parameter_can_be_trained(completes_depth):
     """The error of a view reaches each parameter through decoder, fusion and splat, the completion's by the points' positions."""
@@ -254,6 +254,7 @@ def rig(count):
     return [camera_at(x, y, width=59, height=43) for x, y in places]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 5])
 def test_a_step_gives_an_image(weights, count):
     """A finite image of the target's odd size, in [0, 1], the same bits from a fresh object and whatever the threads."""
@@ -271,6 +272,7 @@ def test_a_step_gives_an_image(weights, count):
     np.testing.assert_array_equal(first.image, again.image)
 
 
+@pytest.mark.slow
 def test_neither_unit_nor_axes_of_the_world_matter(weights):
     """The same scene in a turned world of units four times as small gives the same image."""
     moment = instant(0, camera_at(0.05, width=56, height=40), rig(2))

@@ -25,8 +25,6 @@ from helpers.refusals import refused
 from helpers.scenes import WALL_Z, camera_at, instant, look, texture
 from helpers.seeded_networks import seeded_pair, seeded_state
 
-pytestmark = pytest.mark.slow
-
 GOLDEN = DATA_FOLDER
 SCALES = "gs_parm_regresser.scale_head.2.weight"
 
@@ -294,6 +292,7 @@ def plain_render(gaussians, camera, near):
     return sums
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 def test_gaussians_are_rendered_by_the_published_formulas(seed):
     """Colour, coverage and depth of anisotropic Gaussians are those of a loop over pixels, tile borders included."""
@@ -308,6 +307,7 @@ def test_gaussians_are_rendered_by_the_published_formulas(seed):
     assert expected[..., 4].max() > 0.9
 
 
+@pytest.mark.slow
 def test_round_opaque_gaussians_are_those_of_the_kernel():
     """Pixel-sized Gaussians look as the kernel that every other method splats with makes them look."""
     random = np.random.default_rng(3)

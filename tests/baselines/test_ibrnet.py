@@ -181,6 +181,7 @@ def test_a_step_gives_a_picture(weights, views):
     assert set(rendering.seconds) == {"features", "rays"}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("torch_threads")
 def test_a_step_is_the_same_again(weights):
     """Equal bits from a second object and with another number of threads, close ones with other chunks."""

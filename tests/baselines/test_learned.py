@@ -33,8 +33,6 @@ from helpers.filled_pools import fill
 from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
-pytestmark = pytest.mark.slow
-
 WIDTH, HEIGHT = 400, 300  # of domain plain
 START = torch.tensor([0.25, 0.5, 0.75])
 REQUEST = TrainingOptions(steps=1, views=2, rooms=1, targets=1, domains=("plain",), device="cpu", workers=0)

@@ -125,7 +125,6 @@ def test_equal_bits_whatever_the_threads_and_the_order():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_figures")
-@pytest.mark.takes(12)
 def test_a_view_at_the_end_of_the_row_has_a_cell_that_says_so(tmp_path):
     """In a run the views between cameras are rendered and scored; the others say why not.
 

@@ -133,7 +133,6 @@ def test_a_zoom_in_mid_clip_is_told_from_a_push(filmed):
     assert "zoomed by x 1.03" in still.measured
 
 
-@pytest.mark.takes(12)
 def test_a_rig_that_moves_as_a_whole_is_said_of_the_rig(filmed):
     """All cameras pushed at once have another cause than one tripod."""
     check = spoilt(filmed, dict.fromkeys(NAMES, bump(4, 0, 10)))
@@ -168,7 +167,6 @@ def test_a_white_balance_that_jumps_is_found_with_its_time(filmed):
     assert abs(drift.values["first_frame"] - 14) <= 1
 
 
-@pytest.mark.takes(10)
 def test_lamps_that_fade_for_all_are_no_fault_of_a_camera(filmed):
     """Half the light over the clip: nobody is minded, and the rig's line gives the change."""
     check = spoilt(filmed, dict.fromkeys(NAMES, expose(0.5)))
@@ -177,7 +175,6 @@ def test_lamps_that_fade_for_all_are_no_fault_of_a_camera(filmed):
     assert check.of("colour over time")[0].values["common_change"] == pytest.approx(np.log(2), abs=0.15)
 
 
-@pytest.mark.takes(10)
 def test_lamps_that_flicker_are_said_of_the_rig(filmed):
     """5 % up and down from frame to frame in all cameras: one warning, of the rig."""
 
@@ -295,7 +292,6 @@ def test_a_shared_lens_that_fits_all_is_not_questioned(calibrated):
     assert (rig.verdict, rig.measured) == ("ok", "one for all cameras; 0 disagree")
 
 
-@pytest.mark.takes(25)
 def test_one_zoom_under_a_shared_lens_is_named_and_can_be_freed(filmed, tables, tmp_path):
     """8 %: that camera and no other, the factor within its interval; freed, the common focal length is right again."""
     options = SHARED

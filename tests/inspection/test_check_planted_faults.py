@@ -187,7 +187,6 @@ def test_a_rig_without_fault_has_no_bad_line_and_no_camera_to_look_at(clean, cle
     assert answer(check, "time offset", "rig").values["largest_frames"] < 0.3
 
 
-@pytest.mark.takes(10)
 def test_swapped_cameras_are_named_with_the_mend(rig):
     """Two exchanged videos are both bad by epipolar error, said to fit each other's poses, and nobody else is blamed."""
     (rig / "cam01.mp4").rename(rig / "spare")

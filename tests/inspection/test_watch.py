@@ -50,7 +50,6 @@ def test_a_push_turns_one_light_within_two_rounds_and_says_when(filmed, tmp_path
     assert (lights["cam16"].time, lights["cam05"].time, lights["cam16"].n_frames) == (10.0, 0.0, 18)
 
 
-@pytest.mark.takes(10)
 def test_an_exposure_that_drifts_wants_the_rig_and_lamps_turn_no_light(filmed, tmp_path):
     """With the poses of the rig a camera that grows brighter is named, while lamps that fade for all leave every light ok."""
     brighter = dict(filmed[1], cam05=expose(1.3)(filmed[1]["cam05"]))

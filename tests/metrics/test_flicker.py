@@ -25,6 +25,7 @@ def measure(rendered, truth):
     return flicker(zip(rendered, truth, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [1.3, 4.0, shot_noise], ids=["white 1.3", "white 4", "shot"])
 def test_the_perfect_rendering_is_best_and_each_defect_has_its_sign(sigma):
     """Against a noisy capture the perfect rendering has about 0 in both numbers; flicker and noise are above 0, frozen, blurred
@@ -76,6 +77,7 @@ def test_a_second_recording_is_zero_with_noise_and_flickers_without():
     assert perfect.with_noise < -2.5
 
 
+@pytest.mark.slow
 def test_a_codec_does_not_change_the_order(tmp_path):
     """Against a capture stored as H.264 the perfect rendering still has the least error, and the signs are the same."""
     clean = clean_video(FRAMES)

@@ -82,6 +82,7 @@ def test_frames_too_small_for_five_scales():
         ms_ssim(rendered, truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("metric", [metric.name for metric in OF_PARTS if metric.name != "LPIPS_cc"])
 def test_a_part_is_the_whole_where_it_is_everything_and_blind_to_the_rest(metric):
     """With all pixels inside a part has the value of the whole; errors far outside it change nothing."""

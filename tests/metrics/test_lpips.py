@@ -34,8 +34,6 @@ from ggvs_eval.metrics.stream import score_views
 from helpers.places import SHARED
 from helpers.refusals import refused
 
-pytestmark = pytest.mark.slow
-
 OFFICIAL_IMAGES = SHARED / "oracles/lpips"
 needs_weights = pytest.mark.skipif(
     not all(weights_path(net).is_file() for net in NETS), reason=f"no LPIPS weights here; run `{fetch_lpips.FETCH_COMMAND}`"
@@ -311,6 +309,7 @@ def test_lpips_may_look_at_some_frames(first, looked_at):
     assert metric_notes(["LPIPS"], options)["LPIPS"]["describe"].endswith("of one frame in 3")
 
 
+@pytest.mark.slow
 @needs_weights
 def test_bfloat16_is_a_variant_of_its_own():
     """Near single precision and not equal to it, by weights of the same file; the tables say how it was computed."""
@@ -343,6 +342,7 @@ def test_truths_are_remembered_up_to_a_size(monkeypatch):
     assert len(passes) == 4
 
 
+@pytest.mark.slow
 @needs_weights
 def test_large_frames_are_compared_in_bands_all_methods_at_once(monkeypatch):
     """Frames too large to remember their features have the values of others, of all and of parts, by one pass an instant."""
@@ -364,6 +364,7 @@ def test_large_frames_are_compared_in_bands_all_methods_at_once(monkeypatch):
     assert passes[8:] == [2, 2, 2, 2]
 
 
+@pytest.mark.slow
 @needs_weights
 def test_large_frames_take_little_memory():
     """A pair of 900 x 700 pixels, whose features are 310 MB a frame: less than 220 MB on top of the filters; reached: 175."""

@@ -24,8 +24,6 @@ from ggvs_eval.statistics.pooled import PooledScene
 from ggvs_eval.statistics.pooling import powers_of_means
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_folders
 
-pytestmark = pytest.mark.slow
-
 PARTS = ("sum_of_errors", "sum_of_values")  # what a part is called is up to the metric
 SORTED_VIEWS = tuple(sorted(VIEWS))
 
@@ -159,6 +157,7 @@ def test_what_has_no_parts_gets_no_interval_by_a_guess(scored_run):
     assert (found.half_width, found.note.partition(";")[0]) == (None, "one value for each of 2 views")
 
 
+@pytest.mark.slow
 def test_it_stands_in_its_tables(scored_run, tmp_path):
     """The report has its column in the table of its group, with unit, direction, digits and interval."""
     page = write_report([scored_run.root], tmp_path / "report", with_figures=False)

@@ -24,6 +24,7 @@ def grainy(clean, seed, grain_px=0.0, kept=0.0, sigma=3.0):
     return np.rint(np.clip(clean + sigma * noise / noise.std(), 0, 255)).astype(np.uint8), noise / noise.std()
 
 
+@pytest.mark.slow
 def test_strength_of_white_noise_is_found():
     """Noise of 0.6 to 4 grey levels is found within 10 % at every brightness, beside a face that moves, and is white."""
     clean = clean_video(FRAMES)
@@ -45,6 +46,7 @@ def test_strength_follows_brightness():
     assert noise.sigma_at(grey) == pytest.approx(shot_noise(grey), rel=0.1)
 
 
+@pytest.mark.slow
 def test_grain_of_smoothed_noise_is_found_and_drawn():
     """Noise smoothed over 1.2 pixels has its neighbours' correlation found; drawn noise has its strength alone and in squares."""
     clean = clean_video(FRAMES)
@@ -72,6 +74,7 @@ def test_noise_that_is_held_over_frames_is_found_and_drawn():
     assert changes[0] == pytest.approx(changes[1], rel=0.05)
 
 
+@pytest.mark.slow
 def test_noise_of_a_codec_is_drawn_with_its_change(tmp_path):
     """What H.264 leaves of white noise is no longer white, and drawn noise changes from frame to frame as much within 15 %."""
     clean = clean_video(FRAMES)

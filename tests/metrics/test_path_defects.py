@@ -19,8 +19,6 @@ from ggvs_eval.metrics.path_scores import score_path
 from helpers.epi_scenes import POSES, SCENES, changed, exact, path, rendered, sources_of
 from helpers.refusals import refused
 
-pytestmark = pytest.mark.slow
-
 SWITCHES = np.array(switch_steps([sources_of(camera) for camera in path()]))
 EVERY_SCENE = pytest.mark.parametrize("name", SCENES)
 
@@ -90,6 +88,7 @@ def test_a_jump_at_the_switches_leaves_the_other_measures(name):
         assert at_switches[measure] == pytest.approx(elsewhere[measure], abs=tolerance)
 
 
+@pytest.mark.slow
 @EVERY_SCENE
 def test_wobbling_depth_bends_the_lines(name):
     """Poses rendered with depths that wobble by up to 3 % lose coherence and slope agreement and gain reprojection error."""
@@ -103,6 +102,7 @@ def test_wobbling_depth_bends_the_lines(name):
     assert wobbling["EPI_line_texture"] < truth["EPI_line_texture"]
 
 
+@pytest.mark.slow
 def test_more_wobble_is_worse():
     """Coherence falls and reprojection error rises steadily with the wobble."""
     series = [measured(rendered(SCENES["two planes"], depth_factors=wobble(share))) for share in (0.0, 0.01, 0.02, 0.04)]
@@ -225,7 +225,6 @@ def room():
     return poses
 
 
-@pytest.mark.takes(15)
 def test_true_path_of_the_demo_scores_as_true_images_do(room):
     """Ray-cast pictures of the furnished room, aliasing, shadows and gloss included: slopes agree and nothing jumps."""
     values = measured(room)
@@ -236,6 +235,7 @@ def test_true_path_of_the_demo_scores_as_true_images_do(room):
     assert values["switch_ratio"] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_defects_show_on_the_demo_too(room):
     """On the room's pictures a jump at the switch, a frozen image and blur are found by the measures meant for them."""
     truth = measured(room)

@@ -108,6 +108,7 @@ def test_times_are_percentiles_without_the_first_frame():
     assert "8.33 frames per second of synthesis, 8.00 with reading and encoding" in timing.table()
 
 
+@pytest.mark.slow
 def test_a_capture_is_played(nearing_plane, tmp_path):
     """The video shows what a camera on the way would see; every step is timed; a second playback finds frames and depth there."""
     options = PlayOptions(k=2, frames=3)
@@ -129,6 +130,7 @@ def test_a_capture_is_played(nearing_plane, tmp_path):
     assert again.depth_keys == playback.depth_keys
 
 
+@pytest.mark.slow
 def test_the_video_is_what_the_synthesizer_gives(nearing_plane, tmp_path):
     """Each frame is a step of OnlineSynthesizer, but for the encoder's loss."""
     playback = playback_of_capture(nearing_plane, PlayOptions(k=2, frames=2, width=120), DEPTH, tmp_path / "cache")
@@ -143,6 +145,7 @@ def test_the_video_is_what_the_synthesizer_gives(nearing_plane, tmp_path):
         assert np.abs(image.astype(float) - expected).mean() < 4
 
 
+@pytest.mark.slow
 def test_depth_of_a_network_on_a_device_is_found_as_pictures_are_shown(nearing_plane, tmp_path):
     """Nothing is stored before; each frame is a step of OnlineSynthesizer without depth. ``cpu:0`` goes the GPU's way."""
     matcher = DepthRunOptions(f"itermvs:{write_checkpoint(tmp_path / 'model.ckpt')}")

@@ -24,8 +24,6 @@ from helpers.places import ROOT
 from helpers.refusals import refused
 from helpers.scenes import camera_at, instant, look
 
-pytestmark = pytest.mark.slow
-
 RIG = [camera_at(x) for x in (-0.45, -0.15, 0.15, 0.45)]
 UNITS_PER_METRE = 2.5  # of `scenes.instant`
 DOCUMENT = ROOT / "docs" / "online.md"
@@ -77,6 +75,7 @@ class Kept:
         return Rendering(np.zeros((4, 4, 3), np.float32))
 
 
+@pytest.mark.slow
 def test_depth_stays_on_the_device_for_a_method_that_takes_it_there(tmp_path):
     """IterMVS' depth as tensors, of the same numbers as the arrays that any other method is given."""
     checkpoint, (images, _), shown = write_checkpoint(tmp_path / "model.ckpt"), seen(), {}
@@ -306,8 +305,8 @@ def test_too_few_cameras_beside_the_target():
         synthesizer(k=4).step(*seen(), RIG[0])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DOCUMENT.is_file(), reason="reads the checkout")
-@pytest.mark.takes(12)
 def test_the_example_of_the_page_works(tmp_path, monkeypatch):
     """The code of docs/online.md, run as it stands on a small demo capture, writes views that resemble what is rendered there."""
     from ggvs_eval.contrib.worlds.demo import write_demo

@@ -195,6 +195,7 @@ def test_easyvolcap_with_several_tags_is_asked_for_one(truth_run, tmp_path):
         import_renders(truth_run, "mine", tmp_path / "theirs")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frames", [FRAMES, range(N_FRAMES)], ids=["the protocol's frames", "the whole capture"])
 def test_a_video_per_view_is_decoded_to_its_frames(frames, truth_run, tmp_path):
     """A video of the protocol's frames or of the whole capture gives each frame at its instant, but for its coding."""
@@ -277,6 +278,7 @@ def test_a_changed_file_is_noticed(suffix, truth_run, tmp_path):
     np.testing.assert_array_equal(read_image(frame_path(truth_run.renders("mine", "cam00"), 3)), truth("cam00", 3))
 
 
+@pytest.mark.slow
 def test_one_frame_of_a_large_stack_is_noticed(tmp_path):
     """An uncompressed array keeps its size when a frame in its middle is replaced; the import is made again all the same."""
     frames = range(480)

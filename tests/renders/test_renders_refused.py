@@ -318,6 +318,7 @@ def test_the_command_line_names_renders():
         named_renders(("a=x", "a=y"))
 
 
+@pytest.mark.slow
 def test_an_error_of_one_view_reaches_the_caller_from_a_worker(truth_run, tmp_path):
     """What a worker cannot decode is an error of the import, and nothing stays."""
     folder = write_array(tmp_path / "theirs", np.full((len(FRAMES), 48, 64, 3), 7.0))

@@ -36,7 +36,7 @@ from ggvs_eval.run_folder import RunFolder, read_json
 from helpers.captures import make_rig
 from helpers.refusals import refused
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
+pytestmark = pytest.mark.usefixtures("no_figures")
 
 SMALL_ROOMS = [name for name in DEMO_ROOMS if name != MAIN]
 TINY = DemoOptions(width=64, height=48, n_frames=2, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0)
@@ -47,7 +47,6 @@ def camera_names(options: DemoOptions) -> list[str]:
     return [name.removeprefix("cam") if options.layout == "enerf-outdoor" else name for name in options.camera_names]
 
 
-@pytest.mark.takes(12)
 def test_the_main_demo_is_as_it_always_was(tmp_path):
     """24 cameras of DyNeRF's layout, 24 frames, seed 0; demo.json of such a rig does not speak of other rigs."""
     assert DEMO_ROOMS[MAIN] == DemoOptions(depth_stride=0)
@@ -121,6 +120,7 @@ def test_the_grid_looks_almost_straight_ahead():
     assert (np.argsort([c.centre[0] for c in grid[:5]]) == np.argsort([c.centre[0] for c in rows[:5]])).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SMALL_ROOMS)
 def test_cameras_stand_in_the_free(name):
     """No camera of a demo room stands within 15 cm of furniture or of what moves."""
@@ -216,6 +216,7 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     assert len(shown) == 2 + len(rooms)  # both rooms were scored again, and the second page would have come too early
 
 
+@pytest.mark.slow
 def test_learned_baselines_come_last(tmp_path, small_protocols, monkeypatch):
     """They are rendered after the runs over K; a dry run plans each room once."""
     monkeypatch.setattr(demo_runs, "load_protocol", small_protocols)
@@ -246,7 +247,7 @@ def test_methods_are_shown_in_the_order_of_the_call_that_names_all(tmp_path):
     assert orders == ["ac", "abc", "abc", "abcd"]
 
 
-@pytest.mark.takes(12)
+@pytest.mark.slow
 def test_a_dry_run_leaves_nothing(tmp_path, capsys):
     """Without a capture the plan says for each room how much is to be done; nothing is written."""
     run_command(["run", str(tmp_path / "out"), "--dry-run"])

@@ -1,6 +1,7 @@
 """The demo of a first evaluation: its renders are those of a run, once as they are and once a frame late."""
 
 import numpy as np
+import pytest
 
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.protocol import load_protocol
@@ -9,6 +10,7 @@ from ggvs_eval.synthetic import shipped
 from helpers.packing import pack_renders
 
 
+@pytest.mark.slow
 def test_renders_of_a_run_are_packed_and_come_back(tmp_path, monkeypatch):
     """What a run rendered is what ``fixed`` shows at its number and ``late`` one frame later, within the video's coding."""
     monkeypatch.setattr(shipped, "RENDERS", tmp_path / "shipped")

@@ -40,6 +40,7 @@ def test_it_is_a_whole_capture(demo):
     assert (demo / shipped.DEMO_NOTES).stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_what_is_lost_is_said(demo, tmp_path):
     """A demo that has lost a camera is refused, like one that was filmed."""
     damaged = write_room(tmp_path / "demo")
@@ -60,6 +61,7 @@ def content(folder):
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROOMS)
 def test_packing_what_was_unpacked_changes_nothing(name, tmp_path, monkeypatch):
     """A camera path and D3DMV's frames go through their videos without loss; what is unpacked is the whole room."""
@@ -81,7 +83,6 @@ def test_small_rooms_are_filmed_to_the_byte(name, tmp_path):
 
 
 @pytest.mark.slow  # lights the room
-@pytest.mark.takes(10)
 def test_it_is_what_is_filmed(demo, tmp_path):
     """The path's images to the bit; a camera's first frames but for what the code takes."""
     shots = rig_and_path_shots(SHIPPED)

@@ -7,8 +7,6 @@ import pytest
 
 from ggvs_eval.contrib.cluster import dask_engine
 
-pytestmark = pytest.mark.slow
-
 
 def listening() -> list[tuple[str, int]]:
     """Addresses and ports at which this process and its children listen."""
@@ -18,6 +16,7 @@ def listening() -> list[tuple[str, int]]:
     return [tuple(each.laddr) for each in sockets if each.status == psutil.CONN_LISTEN]
 
 
+@pytest.mark.slow
 def test_a_local_cluster_obeys_its_own_process_alone():
     """Every port that it opens is of this machine, wants our certificate or answers nothing; none is dask's well-known one."""
     distributed = pytest.importorskip("distributed")

@@ -32,8 +32,6 @@ from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Measurement
 
-pytestmark = pytest.mark.slow
-
 SHAPE, N_FRAMES = (72, 96), 5
 VIEWS = ("cam00", "cam01", "cam02")
 
@@ -295,6 +293,7 @@ def _ssim_computed() -> None:
     recomputed("ssim", VIEWS)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_ssim_computed")
 @pytest.mark.parametrize("name", SSIM)
 def test_conventions_of_ssim(name):
@@ -319,6 +318,7 @@ def test_enerfs_and_mvsnerfs_ssim_is_that_of_float_pictures_without_a_range():
         assert found == pytest.approx(known, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_ssim_after_box_averages_is_that_of_matlab_and_piq():
     """From 384 pixels on, frames are averaged over N x N pixels in floats first; smaller ones have no such convention."""
     import torch
@@ -498,6 +498,7 @@ def test_conventions_of_the_spreads(metric, name):
     assert explained(metric, float(SPREADS[metric, name]), 7) == {name}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not all(weights_path(net).is_file() for net in NETS), reason="no LPIPS weights here")
 def test_conventions_of_lpips():
     """Networks and input ranges are told apart; feeding [0, 1] equals halving the contrast about mid-grey in [-1, 1]."""
@@ -541,6 +542,7 @@ def test_a_wrong_value_is_explained_by_nothing():
     assert max(map(len, text.splitlines())) <= 130
 
 
+@pytest.mark.slow
 def test_the_chance_of_a_match_is_the_share_of_random_numbers_that_match():
     """Of numbers drawn near the quoted one as many match something as is told; digits make a match rare."""
     values = [one.value for one in explain("psnr", "30", views_of())]
@@ -568,6 +570,7 @@ def test_a_match_that_chance_would_give_as_well_is_none():
 OURS = {"ssim": "Gaussian 11 x 11", "dssim": "DSSIM = (1 - SSIM) / 2", "l1": "mean over pixels and channels", "rmse": None}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("metric", OURS)
 def test_only_the_convention_of_the_metric_in_question_is_ours(metric):
     """A dissimilarity is not this tool's SSIM, nor the reverse; of a metric that it lacks none is its own."""
@@ -576,6 +579,7 @@ def test_only_the_convention_of_the_metric_in_question_is_ours(metric):
     assert marked == {OURS[metric]} - {None}
 
 
+@pytest.mark.slow
 def test_masked_conventions():
     """With masks, PSNR inside the mask is told from frames that are black outside of it, which inflates."""
     rendered, truth = FRAMES[0]

@@ -125,6 +125,7 @@ def test_what_is_no_table_is_one_line(name, content, message, tmp_path):
         read_quoted(tmp_path / name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("to", ["latex", "markdown", "csv"])
 def test_the_tools_own_table_is_reproduced(to, run, tmp_path):
     """Every cell, by the titles of its rows, in each format that `table` writes."""
@@ -139,6 +140,7 @@ def test_the_tools_own_table_is_reproduced(to, run, tmp_path):
     assert tail < 1e-3
 
 
+@pytest.mark.slow
 def test_each_planted_error_has_its_verdict(run):
     """A shifted number, one inside the interval, and what the runs do not have."""
     psnr = measured(run, "PSNR")
@@ -211,6 +213,7 @@ def test_equal_methods_are_not_distinguished(run):
     assert one.neighbour == other.neighbour == ""  # a method has no difference to itself
 
 
+@pytest.mark.slow
 def test_the_command_writes_page_table_and_badge(run, tmp_path, capsys):
     """`explain --table` is the same verb; it ends with 1 where a cell is not reproduced, and equal inputs give equal bytes."""
     psnr = measured(run, "PSNR")

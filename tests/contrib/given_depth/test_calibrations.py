@@ -16,7 +16,6 @@ from ggvs_eval.errors import CommandError
 from ggvs_eval.pipelines.commands.main import run_command
 from helpers.refusals import refused
 
-pytestmark = pytest.mark.slow
 OPTIONS = DemoOptions(width=128, height=96, n_frames=2, cameras_per_row=3, path_poses=0, depth_stride=1, supersampling=1)
 PROTOCOL = '[views]\ntest = ["cam01"]\n[measurement]\nmetrics = ["PSNR"]\nceilings = false\n[path]\nposes = 0\n'
 COMMAND = ("calibrations", "out", "given=room")
@@ -38,6 +37,7 @@ def rooms(tmp_path_factory):
     return root
 
 
+@pytest.mark.slow
 def test_planted_errors_of_depth_cost_quality(rooms, monkeypatch, capsys):
     """A scale 2 % off costs some, lengths of rays taken as z cost more, each against the exact depth of the first variant."""
     monkeypatch.chdir(rooms)

@@ -19,7 +19,7 @@ from ggvs_eval.pipelines.offline.export.dense_workspace import write_array
 from ggvs_eval.results import Results
 from helpers.refusals import refused
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("no_figures")]
+pytestmark = pytest.mark.usefixtures("no_figures")
 SIZE, FRAMES = (160, 120), 2
 
 
@@ -74,6 +74,7 @@ def test_a_planted_error_of_scale_shows(room, exact, tmp_path):
     assert abs(float(note.rpartition(", ")[2].removesuffix(" %"))) < 0.5
 
 
+@pytest.mark.slow
 def test_lengths_of_rays_are_told_from_z(room, exact, tmp_path):
     """Distances taken for z are named with the option that mends it, which gives exact z; z is not suspected."""
 
@@ -137,7 +138,7 @@ def test_what_cannot_be_used_is_refused(room, exact, tmp_path):
         notes_of(room, text)
 
 
-@pytest.mark.takes(10)
+@pytest.mark.slow
 def test_a_run_renders_from_it_and_is_resumed(room, exact, tmp_path, capsys):
     """With exact depth a run is better than by stereo, its folder knows where the depth is, and a later verb uses it again."""
     folder = written(tmp_path / "d", exact, 2.0)

@@ -21,8 +21,6 @@ from helpers.places import DATA_FOLDER, SHARED
 from helpers.scenes import WALL_Z, camera_at, look
 from helpers.seeded_baselines import seed_weights, turned_rig
 
-pytestmark = pytest.mark.slow
-
 NEAR, FAR = 0.8 * 2.0, 1.2 * 8.0
 PUBLISHED = SHARED / "weights" / "mvsnerf-v0.tar"
 STATES = ("network_mvs_state_dict", "network_fn_state_dict")
@@ -89,6 +87,7 @@ def test_names_and_shapes_are_those_of_the_checkpoint():
     assert {name: shapes_of(state) for name, state in checkpoint(Networks()).items() if name in STATES} == oracle
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not PUBLISHED.is_file(), reason=f"the published checkpoint is not there: {PUBLISHED.name}")
 def test_the_published_checkpoint_loads_and_renders():
     """The authors' own file loads strictly, by `--weights` too, and shows a rig that it has never seen better than grey."""
@@ -179,6 +178,7 @@ def odd_rig(views):
     return replace(instant, target=instant.target.resized(19, 25), sources=(first, *others[:1], larger, *others[2:]))
 
 
+@pytest.mark.slow
 def test_a_step_gives_a_picture(weights):
     """Finite, of the target's size, not flat, in [0, 1]; the depth lies before the last plane; a fourth view changes nothing."""
     rendering = MvsNerf(weights).step(odd_rig(3))

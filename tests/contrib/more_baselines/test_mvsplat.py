@@ -103,6 +103,7 @@ def test_names_and_shapes_are_those_of_the_checkpoint():
     assert sum(parameter.numel() for parameter in network.parameters()) == oracle["n_params"] == 11_955_734
 
 
+@pytest.mark.slow
 def test_gaussians_are_the_authors(full, golden):
     """Features, depth, and the Gaussians of two views, in their own conventions, agree with the authors' to 1e-4."""
     views = golden_views(2)
@@ -123,11 +124,13 @@ def test_gaussians_are_the_authors(full, golden):
     assert golden["harmonics"][..., 9:].std() > 1e-4
 
 
+@pytest.mark.slow
 def test_depth_of_three_views_is_the_authors(full, golden):
     """With more than two views attention and cost volumes see all others; their mask put into the order of its keys."""
     close(1 / full(golden_views(3)).disparity.flatten()[::11], golden["depth_of_three"])
 
 
+@pytest.mark.slow
 def test_a_published_checkpoint_loads_strictly(full, tmp_path):
     """A file in the authors' format becomes the network, bit for bit."""
     names = {f"encoder.{name}": tensor for name, tensor in full.state_dict().items()}
@@ -139,6 +142,7 @@ def test_a_published_checkpoint_loads_strictly(full, tmp_path):
     assert all(torch.equal(tensor, network.state_dict()[name]) for name, tensor in full.state_dict().items())
 
 
+@pytest.mark.slow
 def test_what_is_no_checkpoint_is_refused(compact, tmp_path):
     """Absent, damaged, hostile, without its state dict, with a wrong name or shape: refused in one line, and no code is run."""
     with torch.device("meta"):
@@ -208,6 +212,7 @@ def moved(instant, motion, scale=1.0):
     return replace(instant, target=carried(instant.target), sources=sources, units_per_metre=scale * instant.units_per_metre)
 
 
+@pytest.mark.slow
 def test_a_rotated_rig_sees_the_same(compact, weights):
     """Turned, moved, and measured in other units, the world gives the same picture: harmonics turn with the cameras."""
     instant = turned_rig(2, 44, 36)
@@ -254,6 +259,7 @@ def test_cost_volumes_are_highest_where_the_surface_is():
     assert int(middle.argmax()) == 2
 
 
+@pytest.mark.slow
 def test_depth_is_taught_first_then_pictures():
     """At first the loss is that of coarse depth, and the heads stay as they were; later a step on the whole loss lowers it."""
     instant = turned_rig(2, 48, 40)

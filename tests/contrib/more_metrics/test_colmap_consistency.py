@@ -12,8 +12,6 @@ from ggvs_eval.metrics.path_scores import score_path
 from helpers.epi_scenes import Plane, look
 from helpers.refusals import refused
 
-pytestmark = pytest.mark.slow
-
 SIZE, FOCAL, VIEWS, SPAN = (160, 120), 80.0, 9, 2.5
 SHUFFLED = np.random.default_rng(1).permutation(VIEWS)
 
@@ -27,6 +25,7 @@ def path() -> list[PathPose]:
     return [PathPose(camera, quantise(look(planes, camera)[0])) for camera in cameras]
 
 
+@pytest.mark.slow
 def test_a_true_path_is_found_again_and_shuffled_frames_are_not(path):
     """Of the true views all stand where their cameras do; of the same views in another order, a third at most."""
     true = {name: value for name, pose, value in score_path(path, metrics=NAMES[:1]).values if pose is None}
@@ -39,6 +38,7 @@ def test_a_true_path_is_found_again_and_shuffled_frames_are_not(path):
     assert shuffled.matches < 0.85 * true["COLMAP_matches"]
 
 
+@pytest.mark.slow
 def test_noise_and_a_frozen_image_do_not_score_high(path):
     """Noise has features and no match; a frozen image matches itself and shows nothing from two places."""
     noise = [np.random.default_rng(index).integers(0, 256, (*SIZE[::-1], 3), dtype=np.uint8) for index in range(VIEWS)]

@@ -53,6 +53,7 @@ def test_iv_psnr_of_the_older_matrix_is_told():
     assert "YCbCr of BT.601 without headroom, full chroma" in matching("iv-psnr", mean_over_frames(iv_psnr_of_jpegs_colours), 1)
 
 
+@pytest.mark.slow
 def test_either_dssim_is_ours():
     """D-SSIM 1 and 2 are told apart, and both stand in our tables."""
     for data_range in (1, 2):
@@ -77,7 +78,6 @@ def test_flips_median_is_told_from_its_mean():
     assert [one.name for one in conventions if one.matches] == ["median, 67 pixels per degree"]
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not (dists_weights_path().is_file() and weights_path("vgg").is_file()), reason="no weights of DISTS")
 def test_dists_of_half_size_is_told():
     """A number of smaller frames is recognised as that."""
@@ -99,7 +99,6 @@ def test_vmafs_models_and_averages_are_told_apart():
     assert "vmaf_v0.6.1, BT.709, harmonic mean over frames" in matching("vmaf", harmonic)
 
 
-@pytest.mark.slow
 def test_the_display_of_colour_video_vdp_is_told():
     """Ours is the 4K display at 30 frames per second; the others have other values."""
     try:

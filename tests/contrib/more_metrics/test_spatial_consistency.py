@@ -20,8 +20,6 @@ from ggvs_eval.metrics.path_scores import score_path
 from helpers.epi_scenes import Plane, look
 from helpers.refusals import refused
 
-pytestmark = pytest.mark.slow
-
 SIZE, VIEWS = (320, 240), 5
 QUARTER = np.s_[SIZE[1] // 2 :, SIZE[0] // 2 :]
 QUARTER_WINDOWS = np.zeros(WINDOWS, bool)
@@ -77,7 +75,7 @@ def scores(poses, names=METRICS):
     return score_path([PathPose(*pose) for pose in poses], metrics=names)
 
 
-@pytest.mark.takes(10)
+@pytest.mark.slow
 def test_regions_of_a_true_path_agree():
     """The room rendered exactly: within 0.15 degrees and 0.15 of a step, a tenth of a pixel on the map."""
     assert 0 < exact().rotation < 0.15**2
@@ -86,6 +84,7 @@ def test_regions_of_a_true_path_agree():
     assert np.nanmedian(exact().bend_px) < 0.15
 
 
+@pytest.mark.slow
 def test_a_board_that_moves_unlike_the_wall_has_the_variance_of_two_numbers():
     """Steps 1.2 times the wall's differ by 0.1 of a step from the mean; turns by 0.5 degrees a pose by 0.25."""
 
@@ -114,6 +113,7 @@ def test_a_bent_quarter_raises_it_by_how_much_it_bends_and_is_on_the_map():
         assert np.nanmedian(each.bend_px[QUARTER_WINDOWS]) > 3 * np.nanmedian(each.bend_px[~QUARTER_WINDOWS])
 
 
+@pytest.mark.slow
 def test_what_is_wrong_everywhere_alike_does_not_bend():
     """Cameras noted with steps too long and turned agree as before; pictures that come late bend less than a bend."""
     true = [room()[4 * index] for index in range(VIEWS)]
@@ -131,6 +131,7 @@ def test_what_is_wrong_everywhere_alike_does_not_bend():
     assert spatial_consistency(late).translation < spatial_consistency(bent(1)).translation
 
 
+@pytest.mark.slow
 def test_what_moves_has_no_vote_where_its_depth_is_unknown():
     """A quarter that stands still, with depth 0: what is left is the true path."""
     poses = [(camera, image, depth.copy()) for camera, image, depth in bent(4)]
@@ -142,6 +143,7 @@ def test_what_moves_has_no_vote_where_its_depth_is_unknown():
     assert np.isnan(static.bend_px[QUARTER_WINDOWS]).all()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_compared_has_a_reason_and_no_value():
     """Never 0: a frozen picture, no texture, one layer of depth, no parallax, no depth, one pose."""
     camera, image, depth = bent()[0]
@@ -174,6 +176,7 @@ def test_it_is_measured_only_where_it_is_named():
     ]
 
 
+@pytest.mark.slow
 def test_cameras_that_only_turn_have_no_translation():
     """The rotations of their regions are compared; of translations it says why there are none."""
     poses = []

@@ -77,7 +77,6 @@ def test_vmaf_that_cannot_run_says_why(monkeypatch):
     assert {name for name, _, _ in scores.values} == {"PSNR"}
 
 
-@pytest.mark.slow
 def test_colour_video_vdp_equals_its_package():
     """9.0416346 JOD of three frames.
 

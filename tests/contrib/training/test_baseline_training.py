@@ -25,8 +25,6 @@ from helpers.filled_pools import fill
 from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
-pytestmark = pytest.mark.slow
-
 WIDTH, HEIGHT = 100, 75
 PLAN = RoomPlan(rooms=1, targets=2, views=3, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = domain_validation_plan(PLAIN, views=3, targets=1, size=(WIDTH, HEIGHT))
@@ -131,6 +129,7 @@ def test_focused_sources_show_all_that_the_window_can(cache):
     assert cut.instant.sources[0].image.size < whole.instant.sources[0].image.size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", TRAINED_BASELINES)
 def test_a_batch_is_learned(what, cache):
     """Some steps on one batch lower its loss; the same step draws the same crops, another one others."""
@@ -151,6 +150,7 @@ def test_a_batch_is_learned(what, cache):
     assert all(np.isfinite(value) for value in figures.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["enerf", "fwd"])
 def test_trained_weights_learn_under_the_statistics_that_they_are_used_with(what, cache):
     """Those of whole views are settled at the end of a first training, and stay where trained weights go on."""
@@ -170,6 +170,7 @@ def statistics_of(network):
     return {name: tensor.clone() for name, tensor in network.named_buffers() if "running" in name}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", TRAINED_BASELINES)
 def test_what_a_training_writes_renders(what, cache, tmp_path):
     """The file says its configuration and renders by the method's label; its picture is the one that was validated."""
@@ -229,6 +230,7 @@ def test_a_window_that_no_depth_reaches_teaches_nothing(what, cache):
             replace(task, training=Blind(cache, kind, [PLAN])).loss(network, ONE_CROP)
 
 
+@pytest.mark.slow
 def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
     """GPS-Gaussian finds no stereo pair in a corridor: it learns from the next view, and the card says what is left out."""
     task = small_task("gps-gaussian", cache)

@@ -39,8 +39,6 @@ from helpers.filled_pools import fill
 from helpers.refusals import refused
 from helpers.stereo_scenes import HEIGHT, WIDTH, plane_depth, write_capture
 
-pytestmark = pytest.mark.slow
-
 PLAN = RoomPlan(rooms=1, targets=2, views=2, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = domain_validation_plan(PLAIN, views=2, targets=1, size=(WIDTH, HEIGHT))
 CONFIG = BlendNetworkShape(views=3, width=4)  # one more than the samples have
@@ -277,6 +275,7 @@ def test_recoloured_crops_are_those_of_recoloured_pictures(task):
     assert not np.array_equal(found["channels"], arrays["channels"])
 
 
+@pytest.mark.slow
 def test_a_real_training_learns(task, tmp_path):
     """Twenty steps move every tensor and lower the loss; the validation stands beside the geometric blender; the file loads."""
     options = TrainingOptions(steps=20, device="cpu", precision="float32", validate_every=20, workers=0)

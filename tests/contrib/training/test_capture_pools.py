@@ -27,8 +27,6 @@ from helpers.places import SHARED
 from helpers.refusals import refused
 from helpers.stereo_scenes import HEIGHT, WIDTH, look_from, plane_depth, see_plane, write_capture
 
-pytestmark = pytest.mark.slow
-
 HOLOLENS = SHARED / "data" / "hololens_rgbd"
 NUMBERS = [*range(10, 20), *range(22, 40), *range(43, 46)]
 PLAN = CapturePlan(targets=3, views=3, span=12, gap=2, width=WIDTH, height=HEIGHT)
@@ -91,6 +89,7 @@ def test_every_frame_has_its_turn(sequence):
     ]
 
 
+@pytest.mark.slow
 def test_all_that_is_allowed_is_drawn(sequence):
     """Over many samples every distance that the rule allows occurs, before and after, about equally often: not the nearest."""
     drawn = [draw_views(sequence, PLAN, "scene", number) for number in range(200)]
@@ -146,6 +145,7 @@ def test_a_sample_has_the_sensor_s_depth(sequence):
     assert psnr(sample.geometric[inside], sample.truth[inside]) > 25
 
 
+@pytest.mark.slow
 def test_stereo_where_no_sensor_is_wanted(sequence):
     """Without the sensor the same views get other depth: that of the matcher."""
     target, sources = draw_views(sequence, PLAN, "scene", 4)
@@ -155,6 +155,7 @@ def test_stereo_where_no_sensor_is_wanted(sequence):
     assert not np.array_equal(measured, matched)
 
 
+@pytest.mark.slow
 def test_samples_are_kept_and_read(sequence, rig, tmp_path):
     """One file per capture and target; what is there stays; equal plans give equal bytes of pixels, whatever the workers."""
     samples = SamplePool(tmp_path, BlendKind(), [CaptureSource(sequence, PLAN)])
@@ -262,6 +263,7 @@ def test_a_demo_capture_without_a_seed_is_refused(rig, tmp_path):
         CaptureSource(replace(rig, path=tmp_path), RIG_PLAN)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HOLOLENS.is_dir(), reason="wants the HoloLens sequence")
 def test_a_real_sequence_gives_samples(tmp_path):
     """A sample of the HoloLens sequence by the paper's rule: most of the view is fused, and it resembles the target's frame."""

@@ -70,7 +70,6 @@ def evenly_lit(*surfaces: Surface) -> Instant:
 
 
 @pytest.mark.proof
-@pytest.mark.slow
 def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
     """A sample is a function of its arguments alone: also where its scene is laid out and lit anew."""
     threads = cv2.getNumThreads()
@@ -87,7 +86,6 @@ def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
 
 
 @pytest.mark.slow
-@pytest.mark.takes(20)
 def test_seeds_give_different_pairs():
     """Another seed is another picture, of the same scene and of another one."""
     pictures = [stereo_sample(seed, 96, 64).left for seed in SEEDS[:4]]
@@ -141,7 +139,6 @@ def test_disparity_is_that_of_projection(seed):
     np.testing.assert_allclose(projected[0][:, 0] - projected[1][:, 0], disparity.ravel(), atol=1e-3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS[:4])
 def test_visible_is_what_rays_from_the_right_meet(seed):
     """A ray of the right camera through the match meets the point where it is visible, and something nearer where hidden."""
@@ -254,7 +251,6 @@ def test_the_two_cameras_differ():
     assert max(noises) > 2.5
 
 
-@pytest.mark.slow
 def test_paint_is_changed_but_for_what_shines():
     """No share leaves all materials, the whole share replaces those that send out no light."""
     lamp = Material(plain((0.9, 0.9, 0.9)), emission=1.0)
@@ -267,7 +263,6 @@ def test_paint_is_changed_but_for_what_shines():
     assert len({skin.texture.tobytes() for skin in stereo_pairs.skins()}) > 0.8 * stereo_pairs.SKINS
 
 
-@pytest.mark.slow
 def test_pairs_are_of_many_kinds():
     """Among a dozen pairs: small and large disparities, shallow and deep views, much and little that is hidden."""
     taken = [clean_sample(seed) for seed in SEEDS]

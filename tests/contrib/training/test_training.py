@@ -21,8 +21,6 @@ from ggvs_eval.files.weights_file import read_notes
 from ggvs_eval.raft_config import COMPACT
 from helpers.refusals import refused
 
-pytestmark = pytest.mark.slow
-
 
 @dataclass(frozen=True)
 class LineTask:
@@ -79,6 +77,7 @@ def assert_equal_states(one, other):
         assert one == other or isinstance(one, (list, tuple))
 
 
+@pytest.mark.slow
 def test_it_learns(tmp_path):
     """The averaged weights end near the line, and the validation log says so."""
     weights = load_file(train(LineTask(), tmp_path, OPTIONS))
@@ -105,6 +104,7 @@ class DyingTask(LineTask):
         return super().batch(step)
 
 
+@pytest.mark.slow
 def test_a_killed_training_goes_on_with_equal_bits(tmp_path):
     """Weights, averages, moments and logs of a killed and resumed training are those of an undisturbed one."""
     train(LineTask(), tmp_path / "whole", OPTIONS)
@@ -119,6 +119,7 @@ def test_a_killed_training_goes_on_with_equal_bits(tmp_path):
     assert logs[0] == logs[1]  # but for the seconds, those of the clock and those of the processor
 
 
+@pytest.mark.slow
 def test_trained_weights_can_be_the_beginning(tmp_path):
     """Without a state a training begins with given weights; weights of another network, or none, are refused."""
     weights = train(LineTask(), tmp_path / "first", OPTIONS)
@@ -132,6 +133,7 @@ def test_trained_weights_can_be_the_beginning(tmp_path):
         train(LineTask(), tmp_path / "third", replace(OPTIONS, start_from=tmp_path / "wrong.safetensors"))
 
 
+@pytest.mark.slow
 def test_pixels_are_counted_over_all_trainings(tmp_path):
     """The header of the weights says how many they have learned from, with those of the weights that they began with."""
     first = train(LineTask(), tmp_path / "first", OPTIONS)
@@ -169,6 +171,7 @@ def train_nothing_from(folder, weights):
     return network
 
 
+@pytest.mark.slow
 def test_more_steps_go_on_with_a_finished_training(tmp_path):
     """A finished training is not run again; with more steps it goes on."""
     train(LineTask(), tmp_path, OPTIONS)
@@ -199,6 +202,7 @@ class BrokenTask(LineTask):
         return {name: tensor * (float("inf") if step == 5 else 1) for name, tensor in points.items()}
 
 
+@pytest.mark.slow
 def test_one_bad_batch_does_not_spoil_the_weights(tmp_path):
     """A gradient that is not finite moves nothing, and the log shows it."""
     weights = load_file(train(BrokenTask(), tmp_path, OPTIONS))
@@ -206,6 +210,7 @@ def test_one_bad_batch_does_not_spoil_the_weights(tmp_path):
     assert "nan" in (tmp_path / "log.csv").read_text() or "inf" in (tmp_path / "log.csv").read_text()
 
 
+@pytest.mark.slow
 def test_a_training_is_drawn(tmp_path):
     """The picture beside the logs follows them: losses and validations, the same bytes for the same logs."""
     train(LineTask(), tmp_path, OPTIONS)
@@ -229,6 +234,7 @@ def test_a_log_keeps_the_columns_that_it_began_with(tmp_path):
     assert (tmp_path / "validation.csv").read_text().split() == ["step,psnr_db", "2,20"]
 
 
+@pytest.mark.slow
 def test_the_card_tells_cost_and_quality(tmp_path):
     """The model card names the command, the steps, the data, the hash of the weights and the last validation."""
     train(LineTask(), tmp_path, OPTIONS)
@@ -263,7 +269,7 @@ def test_weights_that_have_learned_are_moved_more_gently(tmp_path):
     assert fresh.batch_size == tuned.batch_size
 
 
-@pytest.mark.takes(15)
+@pytest.mark.slow
 def test_a_stereo_step_moves_the_weights(tmp_path):
     """Two steps of the real task run through: finite loss, gradients in features, recurrent unit and heads."""
     network = SMALL.network()

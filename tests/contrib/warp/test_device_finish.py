@@ -15,7 +15,6 @@ pytest.importorskip("warp", reason="depth by kernels wants NVIDIA Warp: pip inst
 
 from ggvs_eval.contrib.warp import depth as kernels
 
-pytestmark = pytest.mark.slow
 CHECKED = DepthOptions()
 
 

@@ -24,8 +24,6 @@ pytest.importorskip("warp", reason="samples on a device want NVIDIA Warp: pip in
 
 from ggvs_eval.contrib.warp import sampling
 
-pytestmark = pytest.mark.slow
-
 DEVICE = "cpu:0"  # the CPU as one device of several: Warp's, where a plain ``cpu`` is the compiled path
 PLAN = RoomPlan(rooms=1, targets=2, views=2, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = domain_validation_plan(PLAIN, views=2, targets=1, size=(WIDTH, HEIGHT))

@@ -55,8 +55,6 @@ from ggvs_eval.contrib.warp.constants import Remembered
 from ggvs_eval.contrib.warp.step import DeviceGuided, Program
 from ggvs_eval.contrib.warp.tables import Sizes, masked_median
 
-pytestmark = pytest.mark.slow
-
 CPU = torch.device("cpu")
 LEVEL = 1 / 255
 VIEWS = ((40, 30), (33, 26), (40, 30))  # sizes of sources beside each other
@@ -321,7 +319,6 @@ def test_the_demo_room_is_rendered_alike(on_device, compiled):
     assert not np.array_equal(on_device[0].image, on_device[1].image)
 
 
-@pytest.mark.takes(10)
 def test_half_precision_is_within_a_tenth_of_a_level(on_device):
     """What a GPU computes by default, in the network alone; depth is not touched."""
     for half, single in zip(rendered(DeviceGuided(precision="half"), room_instants()), on_device, strict=True):

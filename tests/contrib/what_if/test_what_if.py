@@ -119,7 +119,6 @@ def test_a_fault_undone_gives_back_the_score(planted, soft, truth):
         assert gain.low > 0
 
 
-@pytest.mark.takes(10)
 def test_what_is_interpolated_is_also_undone_on_the_side_of_the_truth(soft, truth):
     """A shift by part of a pixel has a row in which the truth moves the other way, a whole pixel has none."""
     part, whole = (examined(views_of(soft, truth, moved(x, 0))) for x in (0.3, 1))

@@ -26,8 +26,6 @@ from ggvs_eval.synthetic.d3dmv_scene import MEDIAN_FRAMES, median_background
 from helpers.photographs import psnr_db
 from helpers.scenes import render_view
 
-pytestmark = pytest.mark.slow
-
 TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_poses=2)
 # One instant; rgbd has two poses of it.
 QUICK = replace(TINY, width=32, height=24, n_frames=1, supersampling=1, path_poses=1, noise_sigma_255=0.0)
@@ -99,6 +97,7 @@ def contents(folder):
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_reading_back_gives_the_same_cameras_and_units(demo, layout):
     """`open_capture` detects the layout and gives the cameras of the rig to 1e-6, in metres where the layout is metric."""
@@ -109,6 +108,7 @@ def test_reading_back_gives_the_same_cameras_and_units(demo, layout):
     assert_same_cameras(capture.cameras, noted_cameras(tiny_options(layout)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("layout", "loss"),
     [
@@ -129,6 +129,7 @@ def test_reading_back_gives_the_same_images(demo, layout, loss):
             assert mean_difference(image, frame.image) <= loss
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_reading_back_gives_the_wrong_calibration_that_was_asked_for(quick, layout):
     """A planted error of focal length and rotation is in what every layout's adapter reads."""
@@ -140,6 +141,7 @@ def test_reading_back_gives_the_wrong_calibration_that_was_asked_for(quick, layo
     assert np.abs(cameras[0].rotation - true.rotation).max() > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_same_options_give_same_bytes_in_every_layout(quick, tmp_path, layout):
     """Written twice, all files are the same, and none is left that only the writing needed."""
@@ -200,6 +202,7 @@ def test_easymocap_images_read_back_undistorted(demo):
             assert mean_difference(image, frame.image) < 0.5 * mean_difference(on_disk, frame.image)
 
 
+@pytest.mark.slow
 def test_fisheye_videos_read_back_undistorted(demo):
     """The adapter's images are nearer to those of a pinhole than the fisheye's on disk are, at every camera and frame."""
     capture = open_capture(demo("immersive"))
@@ -225,6 +228,7 @@ def test_rays_of_the_lens_are_exact(lens_camera, model, coefficients):
     np.testing.assert_allclose(lens.distort(uv, lens_camera.K), lens_camera.pixel_centres().reshape(-1, 2), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_undistorted_picture_is_that_of_a_pinhole(lens_camera):
     """Looked up where the lens puts each pinhole pixel, the distorted picture is the pinhole's but for resampling."""
     instant, lens = recall(0), Lens(lens_camera.K, "opencv", LENS, *lens_camera.size)
@@ -317,6 +321,7 @@ def depth_at(instant, camera: Camera, uv):
     return float(render_depth(instant, camera.cropped(uv[0] - 0.5, uv[1] - 0.5, 1, 1))[0, 0])
 
 
+@pytest.mark.slow
 def test_colmap_points_are_seen_where_the_model_says(demo):
     """Hundreds of points, each in at least two tracks; sightings are exact, and what is not sighted is hidden."""
     cameras, points = read_model(demo("colmap") / "sparse" / "0")

@@ -43,8 +43,6 @@ from helpers.lit_rooms import light_by_few_rays
 from helpers.refusals import refused
 from helpers.scenes import render_view
 
-pytestmark = [pytest.mark.slow, pytest.mark.takes(10)]
-
 SMALL = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=2, path_poses=0, supersampling=1, depth_stride=0)
 # At 3326e7f, before there were domains.
 PLAIN_NOISE, PLAIN_SPREAD = 0.7496200160267352, 0.012452947166492987
@@ -105,6 +103,7 @@ def test_an_unknown_domain_is_refused() -> None:
         domain_options("fog", 101)
 
 
+@pytest.mark.slow
 def test_options_that_came_later_do_not_change_the_description_of_old_demos(tmp_path: Path) -> None:
     """demo.json of usual options names none of them, of others those that differ."""
     tiny = replace(SMALL, width=32, height=24, n_frames=1)
@@ -263,6 +262,7 @@ def test_noise_of_measured_depth_grows_with_its_square_and_edges_are_lost() -> N
     assert (measured(WALK, wall, 0) == wall).all()
 
 
+@pytest.mark.slow
 def test_a_sequence_with_a_misplaced_sensor_has_the_same_pictures_and_poses(tmp_path: Path) -> None:
     """Only depth differs, and the reader is told nothing."""
     usual, wrong = WALK, replace(WALK, depth_offset_px=4.0, depth_noise=0.004)
@@ -275,6 +275,7 @@ def test_a_sequence_with_a_misplaced_sensor_has_the_same_pictures_and_poses(tmp_
     assert not np.array_equal(*depths)
 
 
+@pytest.mark.slow
 def test_a_garden_has_thin_foliage_before_a_far_background() -> None:
     """Depth spans more than a factor of eight, near things are thin, and every ray ends somewhere."""
     camera = rig_of(replace(SMALL, width=160, height=120))[0]
@@ -308,6 +309,7 @@ def test_samples_of_many_domains_are_one_lot(tmp_path: Path) -> None:
     assert "domain handheld" in pool.data
 
 
+@pytest.mark.slow
 def test_of_large_images_a_window_is_kept(tmp_path: Path) -> None:
     """It shows what the whole sample shows there, for the network and for the baselines, whose sources are cut to it."""
     whole = replace(domain_plans(["large"], rooms=1, targets=1)[0], width=96, height=72, window=None)
@@ -326,6 +328,7 @@ def test_of_large_images_a_window_is_kept(tmp_path: Path) -> None:
     assert part.least_size == (64, 48)
 
 
+@pytest.mark.slow
 def test_sources_of_a_hand_held_camera_follow_the_rule_of_sequences(tmp_path: Path) -> None:
     """They lie within the domain's span, beyond its gap, and equal seeds give equal views."""
     plan = RoomPlan(width=64, height=48, views=3, other_share=0.0, domain="misplaced_depth")
@@ -353,6 +356,7 @@ def test_a_sequence_is_split_so_that_no_view_is_in_both_parts(tmp_path: Path) ->
         held_back_halves(capture, span=6)
 
 
+@pytest.mark.slow
 def test_what_the_camera_comes_back_to_is_not_held_back(tmp_path: Path) -> None:
     """Frames of which a learned frame sees more than the share are in neither part; a walk around one place has no other."""
     capture = open_capture(write_demo(tmp_path / "walk", replace(WALK, width=32, height=24, n_frames=12), workers=1))

@@ -72,7 +72,6 @@ def test_what_is_filmed_asks_no_library_for_products_or_functions(module):
 
 
 @pytest.mark.proof
-@pytest.mark.slow  # two processes film, some eight seconds of a core each
 def test_films_have_the_same_bits_on_every_processor(tmp_path):
     """Three layouts have the golden pictures, depth and cameras, and equal files, under the settings of other processors too."""
     ruled = {name for setting in PROCESSORS.values() for name in setting}

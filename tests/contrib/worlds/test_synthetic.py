@@ -20,8 +20,6 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import VideoFrames
 from helpers.scenes import render_view
 
-pytestmark = pytest.mark.slow
-
 TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_poses=2)
 CLEAN = replace(TINY, noise_sigma_255=0.0, exposure_spread=0.0)
 
