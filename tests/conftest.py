@@ -186,6 +186,20 @@ def quick_demo(shared_folder) -> Path:
         return folder if folder.is_dir() else write_quick(folder)
 
 
+@pytest.fixture(scope="session")
+def whole_run(shared_folder) -> Path:
+    """A finished run with its page, once for all processes; nobody changes it, `copy_of` it."""
+    from ggvs_eval.files.atomic import locked
+    from helpers.whole_run import make_whole_run
+
+    folder, began_s = shared_folder / "whole", _used_s()
+    with locked(folder.with_name("whole.lock")):
+        run = folder / "run" if folder.is_dir() else make_whole_run(folder)
+    # Pytest asks the hook above, of a folder below its root, about no fixture of a whole session.
+    _shared_fixtures.append(("whole_run", _used_s() - began_s))
+    return run
+
+
 @pytest.fixture(scope="module")
 def no_figures() -> Iterator[None]:
     """A module's reports are written without what takes longer than all else of them."""
