@@ -124,6 +124,7 @@ def test_colmap_reads_the_maps(by_colmap):
         assert not normals[~known].any()
 
 
+@pytest.mark.slow
 def test_colmap_reads_the_cameras(by_colmap):
     """COLMAP's model has our cameras, and its points lie on the plane and where it says that each camera sees them."""
     model = json.loads((by_colmap / "model.json").read_text())
@@ -139,6 +140,7 @@ def test_colmap_reads_the_cameras(by_colmap):
         assert np.abs(camera.project(sights[:, 2:])[0] - sights[:, :2]).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_colmap_fuses_the_workspace(by_colmap):
     """COLMAP's stereo fusion, which wants consistent depth, normals and overlapping images, finds the plane.
 
@@ -199,10 +201,6 @@ def test_malformed_maps_are_refused(tmp_path, content, message):
         read_array(path)
     assert str(path) in str(caught.value)
     assert message in str(caught.value)
-
-
-def test_absent_map_is_refused(tmp_path):
-    """A map that is not there is refused with what to do."""
     with pytest.raises(DepthError, match="export the workspace again"):
         read_array(tmp_path / "none.bin")
 

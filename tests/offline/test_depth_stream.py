@@ -1,7 +1,6 @@
 """Depth over time: only what changes is computed again, keyframes make it restartable, the default forgets everything."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,6 +46,7 @@ def step(stream, frame, card_x, noise_seed=None):
     return stream.step(frame, images[0], images[1:])
 
 
+@pytest.mark.slow
 def test_what_stands_still_keeps_its_depth():
     """With sensor noise alone nothing is computed again: the depth of the keyframe comes back, bit for bit."""
     stream = DepthStream(CAMERA, ROW, REUSE)
@@ -77,17 +77,6 @@ def test_keyframes_are_computed_from_nothing():
     images = [see(camera, 0.4)[0] for camera in (CAMERA, *ROW)]
     fresh = DepthEstimator(CAMERA, ROW, REUSE).estimate(images[0], images[1:])
     assert np.array_equal(step(stream, 4, 0.4).depth, fresh.depth)
-
-
-@pytest.mark.slow
-def test_by_default_instants_do_not_know_each_other():
-    """Without reuse every instant is what an estimator of its own would say."""
-    options = replace(REUSE, keyframe_every=1)
-    stream = DepthStream(CAMERA, ROW, options)
-    step(stream, 0, -0.4)
-    images = [see(camera, 0.2)[0] for camera in (CAMERA, *ROW)]
-    alone = DepthEstimator(CAMERA, ROW, options).estimate(images[0], images[1:])
-    assert np.array_equal(step(stream, 1, 0.2).depth, alone.depth)
 
 
 @pytest.mark.slow

@@ -1,10 +1,6 @@
 """An instant as point cloud and mesh: where the surfaces are, in their colours, whatever took part in vain."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -175,26 +171,6 @@ def test_debris_is_left_out(scene, tmp_path):
     clean = fuse_instant(rig[:1], images[:1], maps[:1], tmp_path, fewest_triangles=500)
     assert np.asarray(trimesh.load(clean.mesh).vertices)[:, 2].min() > 4.19
     assert not [file for file in tmp_path.iterdir() if file.name.startswith(".")]
-
-
-@pytest.mark.slow
-def test_equal_inputs_give_equal_bytes(fused, tmp_path):
-    """Another process, with a single thread, writes the very same files."""
-    code = """
-import sys
-from pathlib import Path
-sys.path[:0] = sys.argv[2:]
-from test_fuse import cameras, confident, see
-from ggvs_eval.pipelines.offline.export.surfaces import fuse_instant
-rig = cameras()
-seen = [see(camera) for camera in rig]
-fuse_instant(rig, [image for image, _ in seen], [confident(depth) for _, depth in seen], Path(sys.argv[1]))
-"""
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "TBB_NUM_THREADS": "1"}
-    command = [sys.executable, "-c", code, str(tmp_path), *map(str, Path(__file__).parents[:2])]
-    subprocess.run(command, check=True, env=environment, timeout=120)
-    for path in (fused.points, fused.mesh):
-        assert (tmp_path / path.name).read_bytes() == path.read_bytes()
 
 
 def test_what_cannot_be_fused(scene, tmp_path):

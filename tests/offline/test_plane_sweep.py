@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 
 from ggvs_eval import kernels
-from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_depth
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator, SweepLevel
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep, plan_planes
 from ggvs_eval.pipelines.offline.plane_sweep.views import find_hidden, turn_partner
 from helpers.refusals import refused
-from helpers.stereo_scenes import PLANE, look_from, paint, plane_depth, random_texture, see_plane, write_capture
+from helpers.stereo_scenes import PLANE, look_from, paint, plane_depth, random_texture, see_plane
 
 CAMERA = look_from(0, 0, "camera")
 PARTNERS = [look_from(x, y, f"{x:+.1f}{y:+.1f}", turn=0.06) for x, y in ((0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5))]
@@ -210,20 +208,7 @@ def test_the_pipeline_takes_it():
         estimator.estimate(see_plane(CAMERA), images[1:])
 
 
-def test_prepared_depth_is_right(tmp_path):
-    """Depth that workers prepare into a store is that of the planes, and its key is not that of another matcher."""
-    capture = write_capture(tmp_path / "capture", 2)
-    store, options = DepthStore(tmp_path / "depth"), DepthOptions(matcher=PlaneSweep())
-    jobs = [depth_job(capture, "cam00", ("cam01", "cam02", "cam03"), options)]
-    prepare_depth(capture, jobs, range(2), store, options, workers=1)
-    key = jobs[0].key
-    camera = capture.cameras[0]
-    for frame in range(2):
-        truth = plane_depth(camera, PLANE - [0, 0, 0.2 * frame])
-        assert np.quantile(np.abs(store.read(key, frame).depth / truth - 1)[INNER], 0.99) < 0.005
-    assert key != depth_job(capture, "cam00", jobs[0].partner_names, DepthOptions()).key
-
-
+@pytest.mark.slow
 def test_windows_of_a_stream():
     """Where only a part of the picture changes, only its window is swept again; its depth is right."""
     reuse = DepthOptions(matcher=PlaneSweep(), keyframe_every=4)

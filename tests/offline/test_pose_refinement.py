@@ -47,10 +47,9 @@ def test_what_fits_stays():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
-def test_the_minimum_is_that_of_a_general_optimiser(seed):
+def test_the_minimum_is_that_of_a_general_optimiser():
     """Noisy features, one grossly wrong: BFGS does not get below our minimum, neither from it nor from the start."""
-    rig, points = seen_rig(np.random.default_rng(seed), 10, noise_px=0.5, knock=1.0)
+    rig, points = seen_rig(np.random.default_rng(0), 10, noise_px=0.5, knock=1.0)
     rig.uv[5] += (40.0, -25.0)
     shape = len(rig.lenses), FREEDOMS
 

@@ -31,10 +31,17 @@ OTHER_PAIRS = range(VALIDATION_SEED + 1024, VALIDATION_SEED + 1048, 4)  # six of
 
 
 @pytest.fixture(scope="module")
+def moving(tmp_path_factory):
+    """Weights of a network that takes steps."""
+    path = tmp_path_factory.mktemp("weights") / "moving.safetensors"
+    save_file(seeded_state({name: tuple(tensor.shape) for name, tensor in RaftStereo(COMPACT).state_dict().items()}), path)
+    return path
+
+
+@pytest.fixture(scope="module")
 def standing(tmp_path_factory):
     """Weights of a network that never takes a step: its flow is what it starts from."""
-    network = RaftStereo(COMPACT)
-    state = seeded_state({name: tuple(tensor.shape) for name, tensor in network.state_dict().items()})
+    state = seeded_state({name: tuple(tensor.shape) for name, tensor in RaftStereo(COMPACT).state_dict().items()})
     for name in state:
         if name.startswith(("update_block.flow_head.conv2", "update_block.mask.2")):
             state[name] = torch.zeros_like(state[name])
@@ -69,14 +76,6 @@ def test_a_known_shift_is_found(standing, largest_side_px):
     assert confidence.max() <= 1
 
 
-@pytest.mark.proof
-def test_what_the_right_image_denies_is_rejected(standing):
-    """Against a right image of something else hardly anything survives the left-right check."""
-    left, right = (stereo_sample(seed, 192, 128).left for seed in OTHER_PAIRS[:2])
-    found, _ = matcher(standing).match(left, right, 2, 60)
-    assert (found > 0).mean() < 0.4
-
-
 def test_the_range_is_kept(standing):
     """Disparities outside [d_min, d_max] are rejected."""
     right, left = shifted_pair(14)
@@ -94,25 +93,17 @@ def test_a_warm_start_is_where_it_begins(standing):
 
 
 @pytest.mark.slow
-def test_equal_inputs_give_equal_bits(tmp_path):
+@pytest.mark.usefixtures("kernel_settings", "torch_threads")
+def test_equal_inputs_give_equal_bits(moving):
     """Whatever the number of threads, with a network that takes steps."""
-    network = RaftStereo(COMPACT)
-    save_file(
-        seeded_state({name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}), tmp_path / "any.safetensors"
-    )
     right, left = shifted_pair(14)
-    threads = torch.get_num_threads(), kernels.get_threads()
-    try:
-        results = []
-        for count in (1, 2):
-            torch.set_num_threads(count)
-            kernels.set_threads(count)
-            results.append(matcher(tmp_path / "any.safetensors").disparity(left, right, 2, 40))
-    finally:
-        torch.set_num_threads(threads[0])
-        kernels.set_threads(threads[1])
+    results = []
+    for count in (1, 2):
+        torch.set_num_threads(count)
+        kernels.set_threads(count)
+        results.append(matcher(moving).disparity(left, right, 2, 40))
+        assert torch.get_num_threads() == count
     assert np.array_equal(results[0], results[1])
-    assert torch.get_num_threads() == threads[0]
 
 
 @pytest.mark.proof
@@ -145,11 +136,9 @@ def test_a_dense_matcher_keeps_what_is_not_confirmed(standing):
 
 
 @pytest.mark.parametrize("before", [None, 64.0])
-def test_wide_pairs_are_moved_together(tmp_path, before):
+def test_wide_pairs_are_moved_together(moving, before):
     """What the smallest disparity leaves is matched as if it were a narrow pair, and columns without a match are told by 0."""
-    shapes = {name: tuple(tensor.shape) for name, tensor in RaftStereo(COMPACT).state_dict().items()}
-    save_file(seeded_state(shapes), tmp_path / "any.safetensors")
-    network = matcher(tmp_path / "any.safetensors", warm_iterations=5)
+    network = matcher(moving, warm_iterations=5)
     right, left = shifted_pair(64)
     previous = [None if before is None else np.full((120, 200 - cut), before - cut, np.float32) for cut in (0, 48)]
     wide = network.disparity(left, right, 48, 80, previous[0])

@@ -18,7 +18,7 @@ NAMES = ["cam0", "cam1", "cam2"]
 def rig():
     """Five cameras, and what they see of a plane."""
     places = ((0, 0.03, 0.01), (0.43, -0.05, 0.02), (-0.37, 0.07, 0.03), (0.11, 0.41, 0.02), (0.8, 0.1, 0.05))
-    cameras = [look_from(x, y, f"cam{index}", turn) for index, (x, y, turn) in enumerate(places)]
+    cameras = [look_from(x, y, f"cam{index}", turn).resized(128, 96) for index, (x, y, turn) in enumerate(places)]
     return cameras, {camera.name: see_plane(camera) for camera in cameras}
 
 
