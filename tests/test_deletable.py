@@ -1,6 +1,7 @@
 """Each package of contrib can be deleted: the rest starts, scores, and says in one line what is not there."""
 
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
@@ -15,11 +16,18 @@ from ggvs_eval.jobs.code_identity import ROOMS_APART
 
 CONTRIB = Path(str(ggvs_eval.contrib.__file__)).parent
 PACKAGES = sorted(file.parent.name for file in CONTRIB.glob("*/__init__.py"))
+# Parts that others build on are taken away while these are there, see test_parts_of_contrib_know_no_other.
+GONE = [
+    ["worlds", "explain", "cluster", "given_depth"],
+    ["more_baselines", "export", "study", "view", "what_if", "warp"],
+    ["more_metrics", "training"],
+    PACKAGES,
+]
 # What asks for something of a package, and how the line begins.
 ASKED = {
-    "cluster": ("run OUT --capture ROOM --protocol QUICK --methods no-blending --engine dask", "dask is part of"),
+    "cluster": ("run OUT --capture ROOM --protocol demo --methods no-blending --engine dask", "dask is part of"),
     "export": ("export splats out.glb", "export is part of"),
-    "more_baselines": ("run OUT --capture ROOM --protocol QUICK --methods mvsplat", "mvsplat is part of"),
+    "more_baselines": ("run OUT --capture ROOM --protocol demo --methods mvsplat", "mvsplat is part of"),
     "more_metrics": ("explain OUT vmaf 90", "vmaf is part of"),
     "study": ("metric-study OUT", "metric-study is part of"),
     "explain": ("explain OUT psnr 30", "explain is part of"),
@@ -29,19 +37,24 @@ ASKED = {
     "worlds": ("demo OUT --seed 3", "film is part of"),
 }
 # In a checkout an editable install would find again what was taken away.
-STARTED = """
-import runpy, sys
+DONE = """
+import contextlib, io, json, sys
 sys.meta_path[:] = [finder for finder in sys.meta_path if not getattr(finder, "__module__", "").startswith("__editable__")]
-"""
-COMMAND = "runpy.run_module('ggvs_eval', run_name='__main__')"
-SCORES = """
 import numpy as np
 from ggvs_eval.metrics import score_view
+from ggvs_eval.pipelines.commands.main import run_command
 frame = np.zeros((48, 64, 3), np.uint8)
 scores = score_view([(frame, frame)], ("PSNR", "FLIP", "L1"))
-print(sorted({name for name, _, _ in scores.values}), scores.not_computed.get("FLIP", ""))
-import ggvs_eval.pipelines.run.evaluate, ggvs_eval.pipelines.commands.runs, ggvs_eval.pipelines.methods.registry
-print(len(ggvs_eval.pipelines.methods.registry.METHODS))
+done = {"scores": sorted({name for name, _, _ in scores.values}), "not computed": scores.not_computed}
+for command in json.loads(sys.argv[1]):
+    output, code = io.StringIO(), 0
+    with contextlib.redirect_stdout(output):
+        try:
+            run_command(command.split())
+        except SystemExit as ended:
+            code = ended.code
+    done[command] = [code, output.getvalue()]
+print(json.dumps(done))
 """
 
 
@@ -64,60 +77,35 @@ def installed(tmp_path_factory) -> Path:
     return root
 
 
-@pytest.fixture(params=[*PACKAGES, "all of it"])
-def without(request, installed):
-    """The package without one part of contrib; its name, and what calls Python there."""
-    gone = installed / "contrib" if request.param == "all of it" else installed / "contrib" / request.param
-    kept = gone.rename(installed.parent / "kept")
+@pytest.mark.slow
+@pytest.mark.parametrize("gone", GONE, ids=lambda gone: gone[0] if len(gone) < len(PACKAGES) else "all of it")
+def test_the_rest_starts_and_scores(gone, installed, tmp_path):
+    """What remains has its help and scores, and a demo unpacks; what is asked for and gone is one line that names it."""
+    wanted = {ASKED[name][0]: ASKED[name][1] for name in gone if name in ASKED}
+    if "worlds" in gone:
+        wanted["train stereo OUT"] = "train is part of" if "training" in gone else "train: wanted"
+    if {"explain", "more_metrics"} <= {*gone}:
+        wanted["explain OUT vmaf 90"] = "explain is part of"
+    for name in gone:
+        (installed / "contrib" / name).rename(tmp_path / name)
     environment = os.environ | {"PYTHONPATH": str(installed.parent), "PYTHONSAFEPATH": "1"}
+    commands = json.dumps(["--help", *wanted, f"demo --quick {tmp_path / 'quick'}"])
+    ended = subprocess.run(
+        [sys.executable, "-c", DONE, commands], capture_output=True, text=True, env=environment, check=False, cwd=tmp_path
+    )
+    for name in gone:
+        (tmp_path / name).rename(installed / "contrib" / name)
 
-    def called(code: str, *words: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-c", STARTED + code, *words],
-            capture_output=True,
-            text=True,
-            env=environment,
-            check=False,
-            cwd=installed.parent,
-        )
-
-    yield request.param, called
-    kept.rename(gone)
-
-
-@pytest.mark.slow
-def test_the_rest_starts_and_scores(without):
-    """Help, a score and a plan of the demo; a metric that is not there says so and the others are measured."""
-    name, called = without
-    overview = called(COMMAND, "--help")
-    assert overview.returncode == 0, overview.stderr
-    assert ("export" in overview.stdout.split()) == (name not in ("export", "all of it"))
-    scored = called(SCORES)
-    assert scored.returncode == 0, scored.stderr
-    assert "'L1', 'PSNR'" in scored.stdout
-    is_gone = name in ("more_metrics", "all of it")
-    assert ("FLIP is part of ggvs_eval.contrib" in scored.stdout) == is_gone
-
-    if name in ("worlds", "all of it"):
-        planned = called(COMMAND, "run", "OUT", "--dry-run")
-        assert planned.stdout.count("plan: ") == 4, planned.stderr
-
-
-@pytest.mark.slow
-def test_what_is_asked_for_is_one_line(without):
-    """Exit code 1, the package, and what to do."""
-    name, called = without
-    for package in ASKED if name == "all of it" else [name] if name in ASKED else []:
-        words, begins = ASKED[package]
-        if (name, package) == ("all of it", "more_metrics"):
-            begins = ASKED["explain"][1]  # which asks for it
-        quick = str(Path(str(ggvs_eval.__file__)).parent / "protocols" / "demo.toml")
-        asked = called(COMMAND, *words.replace("QUICK", quick).split())
-        assert asked.returncode == 1, asked.stderr
-        (line,) = asked.stderr.strip().splitlines()
+    assert ended.returncode == 0, ended.stderr
+    done = json.loads(ended.stdout)
+    assert done["scores"] == (["L1", "PSNR"] if "more_metrics" in gone else ["FLIP", "L1", "PSNR"])
+    assert ("FLIP is part of ggvs_eval.contrib" in done["not computed"].get("FLIP", "")) == ("more_metrics" in gone)
+    help_code, overview = done["--help"]
+    assert not help_code
+    assert ("export" in overview.split()) == ("export" not in gone)
+    assert done[f"demo --quick {tmp_path / 'quick'}"][0] == 0
+    for command, begins in wanted.items():
+        line = done[command][0]
         assert line.startswith(f"ggvs-eval: {begins} ggvs_eval.contrib"), line
-        assert line.endswith("which is not installed; reinstall ggvs-eval or omit it")
-        if package == "worlds":  # and what builds on it
-            asked = called(COMMAND, "train", "stereo", "OUT")
-            begins = "train: wanted" if name == "worlds" else "train is part of"
-            assert asked.stderr.startswith(f"ggvs-eval: {begins} ggvs_eval.contrib"), asked.stderr
+        assert "; reinstall ggvs-eval" in line
+        assert "\n" not in line

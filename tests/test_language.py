@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from helpers.import_graph import parsed
+from helpers.places import ROOT
+
 ROOMS = ("ggvs_eval", "pipelines", "baselines", "metrics", "reports", "contrib")
 # Old words for: is, reported, not significantly different, next to, fix, checked against, except, which, no one, job log.
 UNWANTED = re.compile(
@@ -31,14 +33,14 @@ def modules() -> Iterator[tuple[Path, ast.Module]]:
     """The modules of all rooms, parsed."""
     for room in ROOMS:
         for file in sorted((ROOT / room).rglob("*.py")):
-            yield file, ast.parse(file.read_text(encoding="utf-8"))
+            yield file, parsed(file)
 
 
 def literals(node: ast.AST) -> Iterator[str]:
     """The texts written below a node: of f-strings the fixed parts, of subscripts and keywords of code nothing."""
-    for each in ast.walk(node):
-        if isinstance(each, ast.Constant) and isinstance(each.value, str) and " " in each.value:
-            yield each.value
+    for literal in ast.walk(node):
+        if isinstance(literal, ast.Constant) and isinstance(literal.value, str) and " " in literal.value:
+            yield literal.value
 
 
 def messages(tree: ast.Module) -> Iterator[str]:

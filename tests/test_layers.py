@@ -1,16 +1,17 @@
 """The plan of the tree: rooms stand on floors, and imports go down. docs/architecture.md draws it."""
 
 import ast
-import importlib.util
-from pathlib import Path
+import subprocess
+import sys
 
 import pytest
 
-import ggvs_eval
+from helpers.import_graph import imported_modules, imports_of_test, modules, parsed, rooms_that_use
 
+MODULES = modules()
 # Each learned baseline is a folder of its own, and knows no other.
-BASELINES = Path(importlib.util.find_spec("ggvs_eval.baselines").origin).parent  # type: ignore[union-attr, arg-type]
-LEARNED = tuple(f"baselines.{folder.name}" for folder in sorted(BASELINES.iterdir()) if (folder / "__init__.py").is_file())
+IN_BASELINES = {name for name, file in MODULES.items() if name.startswith("baselines.") and file.name == "__init__.py"}
+LEARNED = tuple(sorted(IN_BASELINES))
 
 # Rooms from the ground up; rooms of one floor do not import each other. A module of the package itself, e.g.
 # `ggvs_eval.camera`, is a room of its own; what stands in a folder belongs to the longest name listed here.
@@ -82,42 +83,6 @@ MAY_START_REPORTS = {
 }
 
 
-def modules() -> dict[str, Path]:
-    """Dotted name without `ggvs_eval.` -> file, of every module of the package."""
-    spec = importlib.util.find_spec("ggvs_eval")
-    assert spec is not None
-    assert spec.origin is not None
-    folders = {"": Path(spec.origin).resolve().parent}
-    for name in ("pipelines", "baselines", "contrib", "metrics", "reports"):
-        inner = importlib.util.find_spec(f"ggvs_eval.{name}")
-        assert inner is not None
-        assert inner.origin is not None
-        folders[name] = Path(inner.origin).resolve().parent
-    found = {}
-    for name, folder in folders.items():
-        for file in folder.rglob("*.py"):
-            if not name and any(other in file.parents for key, other in folders.items() if key):
-                continue
-            parts = [*name.split("."), *file.relative_to(folder).with_suffix("").parts]
-            found[".".join(part for part in parts if part and part != "__init__")] = file
-    return found
-
-
-MODULES = modules()
-
-
-def imported_modules(file: Path) -> set[str]:
-    """Modules of the package that a file imports, at its head or inside functions, without `ggvs_eval.`."""
-    found = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        if isinstance(node, ast.ImportFrom) and node.module:
-            inner = [f"{node.module}.{alias.name}" for alias in node.names]
-            names = [name if name.removeprefix("ggvs_eval.") in MODULES else node.module for name in inner]
-        found |= {name.removeprefix("ggvs_eval.") for name in names if name.startswith("ggvs_eval.")}
-    return found
-
-
 def room_of(module: str) -> str:
     """The longest room whose name the module's begins with."""
     parts = module.split(".")
@@ -132,7 +97,6 @@ def test_every_module_has_a_room():
     assert sorted(room for room in FLOOR_OF if not any(room_of(name) == room for name in MODULES)) == []
 
 
-@pytest.mark.slow
 def test_arrows_go_down():
     """A module imports its own room and rooms of lower floors alone: so there is no circle either."""
     wrong = [
@@ -146,7 +110,6 @@ def test_arrows_go_down():
     assert wrong == []
 
 
-@pytest.mark.slow
 def test_rooms_that_must_not_know_each_other():
     """Metrics know no method, methods no metric, reports neither; pipelines start a report from four doors alone."""
     wrong = [
@@ -160,7 +123,6 @@ def test_rooms_that_must_not_know_each_other():
     assert wrong == []
 
 
-@pytest.mark.slow
 def test_parts_of_contrib_know_no_other():
     """Training builds on others: rooms to learn from, networks that it trains; more_metrics adds conventions to explain's."""
     crossing = {
@@ -181,7 +143,6 @@ def test_what_can_be_taken_away_is_named_in_one_place():
     assert {name for name in naming if not name.startswith("contrib.")} == {"built_in"}
 
 
-@pytest.mark.slow
 def test_modules_of_a_room_make_no_circle():
     """Inside a room, too, imports make no circle."""
     arrows = {module: imported_modules(file) & MODULES.keys() - {module} for module, file in MODULES.items()}
@@ -192,22 +153,40 @@ def test_modules_of_a_room_make_no_circle():
     assert sorted(arrows.keys() - cleared) == []
 
 
+@pytest.mark.slow
 def test_importing_the_package_loads_nothing_heavy():
     """`import ggvs_eval` and its words stay light: torch, Open3D, pycolmap, PyAV and matplotlib load when they are used."""
-    import subprocess
-    import sys
-
     code = (
         "import sys, ggvs_eval.camera, ggvs_eval.capture, ggvs_eval.protocol, ggvs_eval.datasets;"
         "import ggvs_eval.pipelines.methods.registry;"
         "print([name for name in ('torch', 'open3d', 'pycolmap', 'av', 'matplotlib') if name in sys.modules])"
     )
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
-
-    assert loaded == "[]", ggvs_eval.__file__
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("module", ["metrics.image.psnr", "reports.report"])
-def test_plan_reads_the_tree(module):
-    """The plan is of the real tree: known modules are found, and import something."""
-    assert imported_modules(MODULES[module])
+@pytest.mark.slow
+def test_lines_of_imports_are_those_of_the_syntax_trees():
+    """What the plan is read from are the real imports, of every module."""
+    for module, file in MODULES.items():
+        names = set()
+        for node in ast.walk(parsed(file)):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                inner = {f"{node.module}.{alias.name}" for alias in node.names}
+                names |= {name if name.removeprefix("ggvs_eval.") in MODULES else node.module for name in inner}
+        wanted = {name.removeprefix("ggvs_eval.") for name in names if name.startswith("ggvs_eval.")}
+        assert imported_modules(file) == wanted, module
+
+
+def test_a_room_names_the_rooms_that_import_it(tmp_path):
+    """So `--room` chooses tests: those of the room and of its users, by what a test or a helper of it imports."""
+    assert rooms_that_use("online") == rooms_that_use("pipelines.online")
+    assert rooms_that_use("online") >= {"pipelines.online", "pipelines.methods"}
+    assert not rooms_that_use("online") & {"reports", "geometry", "metrics.image"}
+    with pytest.raises(KeyError, match="no room is called 'onlin'"):
+        rooms_that_use("onlin")
+    file = tmp_path / "test_x.py"
+    file.write_text("from helpers.small_runs import LABELS\nimport ggvs_eval.lens\n")
+    assert imports_of_test(file) >= {"lens", "capture", "protocol", "reports.report"}
+    assert "pipelines.online" not in imports_of_test(file)

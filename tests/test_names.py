@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from test_layers import MODULES
+from helpers.import_graph import modules, parsed
+from helpers.places import ROOT
 
-ROOT = Path(__file__).parents[1]
+MODULES = modules()
 ROOMS = "|".join(sorted({name.partition(".")[0] for name in MODULES if name}))
 NAME = re.compile(rf"`(?:ggvs_eval\.)?((?:{ROOMS})(?:\.\w+)+)(?:\([^`]*\))?`")
 FILE_ENDS = ("py", "toml", "md", "json", "csv", "png", "npz", "txt", "html", "safetensors", "csl")
@@ -18,7 +19,7 @@ FILE_ENDS = ("py", "toml", "md", "json", "csv", "png", "npz", "txt", "html", "sa
 
 def docstrings(file: Path) -> Iterator[str]:
     """Docstrings of a module, of its classes and of its functions."""
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(file)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
             yield ast.get_docstring(node) or ""
 
@@ -32,7 +33,7 @@ def names_in(text: str) -> set[str]:
 def defined(module: str) -> set[str]:
     """Names that a module defines or takes from another, its modules if it is a package; methods and fields too."""
     found = {name.rpartition(".")[2] for name in MODULES if name.rpartition(".")[0] == module}
-    for node in ast.walk(ast.parse(MODULES[module].read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(MODULES[module])):
         if isinstance(node, ast.Assign | ast.AnnAssign):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             found |= {each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)}
