@@ -1,17 +1,16 @@
 """One instant held still, sensor noise added: bits that a seed decides, statistics in closed form, runs that pick it up again."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
 from ggvs_eval.capture import CaptureEdit, Extras
-from ggvs_eval.contrib.worlds.demo import write_demo
-from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import HeldDepths, perturb_capture
 from ggvs_eval.errors import CaptureError, ProtocolError
-from ggvs_eval.files.images import read_image
+from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.commands.flags import CaptureOptions
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.evaluate import reopen
@@ -154,12 +153,6 @@ def test_the_command_line_says_what_it_did(folder, capsys):
     assert "frame 2 held still for 6 instants, sensor noise of 1.5/255" in capsys.readouterr().err
 
 
-@pytest.fixture(scope="module")
-def room(tmp_path_factory):
-    options = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=3, path_poses=5, supersampling=1)
-    return write_demo(tmp_path_factory.mktemp("room") / "demo", options, workers=1)
-
-
 @pytest.fixture
 def protocol(tmp_path):
     base = load_protocol("demo")
@@ -167,7 +160,7 @@ def protocol(tmp_path):
     changed = dataclasses.replace(
         base,
         views=Views(("cam00",), "test"),
-        frames=Frames(0, 4),
+        frames=Frames(0, 2),
         synthesis=Synthesis(2),
         path=CameraPath(3),
         measurement=measurement,
@@ -176,36 +169,36 @@ def protocol(tmp_path):
     return changed
 
 
-@pytest.mark.slow
-def test_a_run_picks_up_the_same_frames_again(room, protocol, tmp_path):
+def test_a_run_picks_up_the_same_frames_again(folder, protocol, tmp_path):
     """A run prepared with held frames and noise, opened again from its folder alone, has the same cameras, frames and depth."""
-    arguments = ("--hold-frames", "4", "--hold-frame", "1", "--sensor-noise", "1.5", "--noise-seed", "3", "--jobs", "1")
+    arguments = ("--hold-frames", "2", "--hold-frame", "1", "--sensor-noise", "1.5", "--noise-seed", "3", "--jobs", "1")
     run_command(
-        ["prepare", str(tmp_path / "run"), "--capture", str(room), "--protocol", str(tmp_path / "protocol.toml"), *arguments]
+        ["prepare", str(tmp_path / "run"), "--capture", str(folder), "--protocol", str(tmp_path / "protocol.toml"), *arguments]
     )
-    wanted = perturb_capture(open_capture(room), CaptureEdit(4, 1, 1.5, 3))
-    first = read_image(frame_path(tmp_path / "run" / "truth" / "cam00", 3))
+    wanted = perturb_capture(open_capture(folder), CaptureEdit(2, 1, 1.5, 3))
+    first = read_image(frame_path(tmp_path / "run" / "truth" / "cam00", 1))
     depth = sorted((tmp_path / "run" / "depth").rglob("*.np*"))
 
-    frame_path(tmp_path / "run" / "truth" / "cam00", 3).unlink()
+    frame_path(tmp_path / "run" / "truth" / "cam00", 1).unlink()
     again = reopen(tmp_path / "run", workers=1)
 
     assert again.capture.edit == wanted.edit
     assert "noise" in read_json(tmp_path / "run" / "capture.json")["notes"][-1]
-    np.testing.assert_array_equal(first, wanted.frame("cam00", 3))
-    np.testing.assert_array_equal(read_image(frame_path(tmp_path / "run" / "truth" / "cam00", 3)), first)
+    np.testing.assert_array_equal(first, wanted.frame("cam00", 1))
+    np.testing.assert_array_equal(read_image(frame_path(tmp_path / "run" / "truth" / "cam00", 1)), first)
     assert sorted((tmp_path / "run" / "depth").rglob("*.np*")) == depth
     with pytest.raises(ProtocolError, match="other frames"):
-        prepare(tmp_path / "run", perturb_capture(open_capture(room), CaptureEdit(4, 1, 1.5, 4)), protocol)
+        prepare(tmp_path / "run", perturb_capture(open_capture(folder), CaptureEdit(2, 1, 1.5, 4)), protocol)
 
 
-@pytest.mark.slow
-def test_the_true_path_is_left_away_where_it_shows_another_instant(room, protocol, tmp_path):
-    """The demo's path is rendered at one instant: held still there it is the truth along the path, held elsewhere it is not."""
-    demo = open_capture(room)
-    at = round(read_json(room / "demo.json")["path_time_s"] * demo.fps)
-    there = prepare(tmp_path / "there", perturb_capture(demo, CaptureEdit(4, at)), protocol)
-    elsewhere = prepare(tmp_path / "elsewhere", perturb_capture(demo, CaptureEdit(4, (at + 1) % 3)), protocol)
+def test_the_true_path_is_left_away_where_it_shows_another_instant(folder, protocol, tmp_path):
+    """A path rendered at one instant is the truth where that is held still, and none where another is."""
+    write_poses(folder / "path", make_rig())
+    for pose in range(4):
+        write_image(folder / "path" / "images" / f"{pose:04d}.png", make_image(pose, 2))
+    (folder / "demo.json").write_text(json.dumps({"units_per_metre": 1.0, "path_time_s": 2 / 30}))
+    capture = open_capture(folder)
+    there, elsewhere = (prepare(tmp_path / f"held{at}", perturb_capture(capture, CaptureEdit(2, at)), protocol) for at in (2, 1))
 
     assert there.path_images is not None
     assert elsewhere.path_images is None

@@ -1,26 +1,19 @@
 """capture.toml: a rig of one's own, by hand and from a real one."""
 
 import re
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.units import triangulate
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import write_video
 from ggvs_eval.lens import Lens
 from helpers.captures import FPS, HEIGHT, NAMES, WIDTH, make_image, make_rig, mean_colours, refusal
 from helpers.lens_pictures import psnr, straight, through_lens
-from helpers.places import SHARED
 from helpers.small_layouts import N_INSTANTS, camera_toml, write_capture_toml, write_frames
-
-POSE2SIM = SHARED / "data" / "pose2sim_single_person"
 
 
 @pytest.fixture
@@ -40,10 +33,8 @@ def one_image_rig(folder: Path, more: str = "", head: str = "", images: list | N
 
 def test_a_folder_called_capture_has_the_name_of_its_parent(tmp_path):
     """`evaluate VIDEOS OUT` writes OUT/capture, which says nothing to a reader; every other folder is a name."""
-    shown = [
-        open_capture(write_capture_toml(tmp_path / name)).scene for name in ("dome/capture", "capture/dome", "dome/capture2")
-    ]
-    assert shown == ["dome", "dome", "capture2"]
+    for name, scene in (("dome/capture", "dome"), ("capture/dome", "dome"), ("dome/capture2", "capture2")):
+        assert open_capture(write_capture_toml(tmp_path / name)).scene == scene
 
 
 @pytest.mark.parametrize("named", ["folder", "file"])
@@ -131,7 +122,7 @@ def test_smaller_frames(tmp_path):
     assert psnr(read.frame("cam00", 0), straight(lens.resized(WIDTH * 2, HEIGHT * 2), read.cameras[0].K)) > 42
 
 
-REPLACED_POSE = make_rig()[1].world_to_camera
+POSE = make_rig()[1].world_to_camera
 
 
 @pytest.mark.parametrize(
@@ -147,7 +138,6 @@ REPLACED_POSE = make_rig()[1].world_to_camera
         (r"\A", "[", "not valid TOML"),
         (r"\A(.|\n)*", "", "missing key camera"),
         (r"\A(.|\n)*", "camera = []", "wanted at least one [[camera]], got none; describe the rig"),
-        (r"\A(.|\n)*", "camera = 3", "camera must be a list of a table, got 3"),
         (r"\A(.|\n)*", f"a = {'[' * 5000}", "not valid TOML"),
         ("width = 64", "width = 64.5", "camera[0].width must be a whole number, got 64.5"),
         ("width = 64", "width = 0", "the size must be positive, got 0 x 48"),
@@ -155,10 +145,8 @@ REPLACED_POSE = make_rig()[1].world_to_camera
         ("height = 48", "", "missing key camera[0].height; add it"),
         ('cam01"', 'cam00"', "wanted cameras of different names, got several called cam00"),
         ('name = "cam01"', 'name = "../cam01"', "wanted camera names that can be file names, got '../cam01'"),
-        ('name = "cam01"', 'name = ".."', "wanted camera names that can be file names, got '..'"),
         ('name = "cam01"', 'name = ""', "wanted camera names that can be file names, got ''"),
         (r'"cam01\.png"', '"cam07.png"', "wanted frames in 'cam07.png', there is no such file or folder; correct the path"),
-        (r'"cam01\.png"', '""', "wanted frames in '', there is no such file"),
         (r'"cam01\.png"', f'"{"x" * 5000}"', "there is no such file or folder"),
         (r'"cam01\.png"', r'"a\\u0000b"', "there is no such file or folder"),
         (r'"cam01\.png"', '"capture.toml"', "capture.toml: wanted an image"),
@@ -167,16 +155,11 @@ REPLACED_POSE = make_rig()[1].world_to_camera
         (r"K = \[\[57.6", "K = [[nan", "camera[0].K[0][0] must be a finite number, got nan"),
         (r"world_to_camera = .*", "", "camera cam00 wants one of world_to_camera and camera_to_world, got 0"),
         (r"\Z", f"\ncamera_to_world = {np.eye(4).tolist()}\n", "cam03 wants one of world_to_camera and camera_to_world, got 2"),
+        (re.escape(str(POSE.tolist())), str(POSE.T.tolist()), "the last row of the pose of cam01 must be 0 0 0 1, got [-0.3"),
         (
-            re.escape(str(REPLACED_POSE.tolist())),
-            str(REPLACED_POSE.T.tolist()),
-            "the last row of the pose of cam01 must be 0 0 0 1, got [-0.3",
-        ),
-        (re.escape(str(REPLACED_POSE.tolist())), str(np.diag([1.0, 1, -1, 1]).tolist()), "determinant +1, got determinant -1"),
-        (
-            "world_to_camera = " + re.escape(str(REPLACED_POSE.tolist())),
+            f"world.*{re.escape(str(POSE.tolist()))}",
             f"camera_to_world = {np.diag([0.0, 1, 1, 1]).tolist()}",
-            "camera_to_world of cam01 cannot be inverted",
+            "cannot be inverted",
         ),
         (r"\Z", "\nnear = 2.0\n", "camera cam03 wants near and far or neither; add the other"),
         (r"\Z", "\nnear = 5.0\nfar = 4.0\n", "camera cam03: depth range must satisfy 0 < near < far"),
@@ -217,66 +200,3 @@ def test_another_file_is_no_capture(toml_rig):
     """A TOML file of another name is not taken for a rig."""
     (toml_rig / "capture.toml").rename(toml_rig / "rig.toml")
     assert "wanted a capture's folder or capture.toml, got another file" in refusal(toml_rig / "rig.toml")
-
-
-def qualisys_rig(folder: Path, *, transposed: bool = False, mirrored: bool = False, scale: float = 64.0, more: str = "") -> Path:
-    """The real rig as capture.toml: rotations are rows of axes right, up, backwards, positions mm, intrinsics 1/64 px.
-
-    `more` is written of each camera; the other keyword arguments are ways of reading the calibration wrongly.
-    """
-    text = 'pixel_centre = "whole"\nunits_per_metre = 1.0\n'
-    for entry in ElementTree.parse(POSE2SIM / "Calib.qca.txt").getroot().iter("camera"):
-        name = entry.attrib["serial"]
-        pose = {key: float(value) for key, value in entry.find("transform").attrib.items()}  # type: ignore[union-attr]
-        inner = {key: float(value) for key, value in entry.find("intrinsic").attrib.items()}  # type: ignore[union-attr]
-        rotation = np.array([[pose[f"r{row}{column}"] for column in (1, 2, 3)] for row in (1, 2, 3)])
-        rotation = rotation.T if transposed else rotation
-        rotation = rotation if mirrored else np.diag([1.0, -1.0, -1.0]) @ rotation
-        world_to_camera = np.eye(4)
-        world_to_camera[:3, :3] = rotation
-        world_to_camera[:3, 3] = -rotation @ [pose[axis] / 1000 for axis in "xyz"]
-        fx, fy, cx, cy = (inner[f"{key}"] / scale for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV"))
-        width = 1080 if name in ("cam01", "cam02") else 1088
-        camera = Camera(name, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), world_to_camera, width, 1920, 1.0, 9.0)
-        bent = [inner[f"{kind}Distortion{index}"] for kind in ("radial", "tangental") for index in (1, 2)]
-        lens = f'distortion = {{ model = "opencv", coefficients = {bent} }}'
-        text += camera_toml(camera, str(POSE2SIM / "videos" / f"{name}.mp4"), f"{lens}\n{more}")
-    folder.mkdir()
-    (folder / "capture.toml").write_text(text)
-    return folder
-
-
-def cap_centre(image: np.ndarray) -> np.ndarray:
-    """Where the person's teal swimming cap is, (2,), pixels: the only thing of that colour in the upper half."""
-    small = cv2.resize(image, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA).astype(np.float64)
-    red, green, blue = np.moveaxis(small[: len(small) // 2], -1, 0)
-    teal = (green > 1.5 * red) & (blue < 1.5 * green) & (blue > 0.85 * green) & (green > 60)
-    _, _, boxes, centres = cv2.connectedComponentsWithStats(teal.astype(np.uint8))
-    return 4 * (centres[1 + np.argmax(boxes[1:, cv2.CC_STAT_AREA])] + 0.5)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not POSE2SIM.is_dir(), reason="the shared capture pose2sim_single_person is not on this machine")
-def test_a_real_rig(tmp_path):
-    """Four cameras around a person agree, to 1 % of the image, on where his cap is: at the height of a head.
-
-    Rotations transposed, axes not flipped or focal lengths 6 % off make the rays miss; positions in other units or below the
-    floor would put the head elsewhere.
-    """
-    read = open_capture(qualisys_rig(tmp_path / "rig"))
-    assert (read.camera_names, read.n_frames, read.fps) == (("cam01", "cam02", "cam03", "cam04"), 100, 60.0)
-    assert [camera.size for camera in read.cameras] == [(1080, 1920)] * 2 + [(1088, 1920)] * 2
-    readings = {"transposed": {"transposed": True}, "mirrored": {"mirrored": True}, "scale": {"scale": 60.0}}
-    given = "near = 1.0\nfar = 9.0"  # which is not guessed again from the points that pictures share
-    wrong = {key: open_capture(qualisys_rig(tmp_path / key, more=given, **reading)) for key, reading in readings.items()}
-    for instant in (0, 20):
-        uv = np.stack([cap_centre(read.frame(name, instant)) for name in read.camera_names])
-        head, missed = triangulate(read.cameras, uv)
-        assert missed < 25
-        assert 1.3 < head[2] < 1.9
-        assert np.linalg.norm(head[:2]) < 2.0
-        assert all(camera.near < camera.project(head)[1] < camera.far for camera in read.cameras)
-        others = {key: triangulate(capture.cameras, uv)[1] for key, capture in wrong.items()}
-        assert others["transposed"] > 500
-        assert others["mirrored"] > 200
-        assert others["scale"] > 1.5 * missed

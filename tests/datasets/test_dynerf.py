@@ -98,12 +98,6 @@ def test_truncated_video(dynerf):
     assert "0 frames can be decoded" in message
 
 
-def test_videos_of_different_length(dynerf):
-    """Cameras that differ in length are listed; nothing is cut silently."""
-    write_videos(dynerf, ("cam03",), n_frames=4)
-    assert "got cam00 5, cam01 5, cam02 5, cam03 4; cut them to a common length" in refusal(dynerf)
-
-
 def test_names_of_different_length(dynerf):
     """Names without leading zeros have no safe order and are refused."""
     (dynerf / "cam03.mp4").rename(dynerf / "cam3.mp4")
@@ -138,10 +132,3 @@ def test_pose_file_that_is_no_array(dynerf):
     """A pose file that is no npy file is not unpickled but refused."""
     (dynerf / "poses_bounds.npy").write_text("not an array")
     assert "wanted an N x 17 array of numbers saved by numpy.save" in refusal(dynerf)
-
-
-def test_frames_of_another_shape(tmp_path):
-    """Cropped frames do not fit their calibration and are refused."""
-    write_videos(tmp_path)
-    write_poses(tmp_path, make_rig(height=HEIGHT + 10))
-    assert "frames of 64 x 48 have another shape than the 64 x 58" in refusal(tmp_path)

@@ -119,15 +119,7 @@ def test_half_size_frames(actor_folder):
             write_image(file, make_image(index, 0, WIDTH // 2, HEIGHT // 2))
     assert open_capture(actor_folder).cameras[0].K[0, 0] == pytest.approx(0.9 * WIDTH / 2)
     rewrite(actor_folder, drop=tuple(f"{key}_{name}" for key in "HW" for name in NUMBERS))
-    assert "intri.yml: 00: K is of about 64 x 48 images, by its principal point (32, 24), these have 32 x 24" in refusal(
-        actor_folder
-    )
-
-
-def test_frames_of_another_shape(actor_folder):
-    """Cropped frames are refused rather than squeezed."""
-    rewrite(actor_folder, {f"H_{name}": 2 * HEIGHT for name in NUMBERS})
-    assert "frames of 64 x 48 have another shape than the 64 x 96 that 00 is calibrated for" in refusal(actor_folder)
+    assert "00: K is of about 64 x 48 images, by its principal point (32, 24), these have 32 x 24" in refusal(actor_folder)
 
 
 def write_extras(folder: Path, lens: Lens | None = None) -> None:
@@ -231,19 +223,13 @@ def test_damaged_hulls(actor_folder, array, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            lambda f: [shutil.rmtree(f / "images" / name) for name in ("01", "02")],
-            "images/XX/ or videos/XX.mp4, got 00 (01, 02 left",
-        ),
+        (lambda f: [shutil.rmtree(f / "images" / name) for name in ("01", "02")], "got 00 (01, 02 left"),
         (lambda f: (f / "images" / "01" / "000001.png").unlink(), "wanted one frame count for all cameras, got 00 2, 01 1, 02 2"),
         (lambda f: (f / "images" / "01" / "000001.png").write_bytes(b"x"), "000001.png: wanted an image"),
         (lambda f: (f / "extri.yml").unlink(), "not enerf-outdoor: no extri.yml"),
         (lambda f: shutil.rmtree(f / "images"), "not enerf-outdoor: no folders images/XX/"),
         (lambda f: write_extras(f) or (f / "bkgd" / "01.png").unlink(), "wanted a background of every camera, none of 01"),
-        (
-            lambda f: write_extras(f) or (f / "mask" / "02" / "000000.png").unlink(),
-            "wanted one mask of 02 per frame, got 1 for 2",
-        ),
+        (lambda f: write_extras(f) or (f / "mask" / "02" / "000000.png").unlink(), "one mask of 02 per frame, got 1 for 2"),
     ],
 )
 def test_files_that_do_not_fit(actor_folder, change, message):
@@ -263,10 +249,8 @@ def test_files_that_do_not_fit(actor_folder, change, message):
         ({"K_01": np.full((3, 3), np.nan)}, {}, (), "intri.yml: wanted finite numbers in K_01"),
         ({"K_01": np.eye(3).T * 5}, {}, (), "intri.yml: 01: lens: K must be fx 0 cx / 0 fy cy / 0 0 1"),
         ({"K_01": "text"}, {}, (), "wanted !!opencv-matrix with rows, cols, dt and data in K_01, got"),
-        ({"K_01": 5.0}, {}, (), "wanted 3 x 3 numbers in K_01, got 1"),
         ({"dist_01": np.zeros((1, 3))}, {}, (), "intri.yml: 01: lens: the opencv model wants 4 or 5"),
         ({"W_01": -4}, {}, (), "wanted a positive number W_01, got -4"),
-        ({"W_01": "wide"}, {}, (), "wanted a positive number W_01, got"),
         ({}, {"R_01": np.array([[np.inf], [0], [0]])}, (), "extri.yml: wanted finite numbers in R_01"),
         ({}, {"R_01": np.zeros((4, 1))}, (), "extri.yml: wanted 3 x 1 numbers in R_01, got 4 x 1"),
         ({}, {"Rot_01": 2 * np.eye(3)}, ("R_01",), "extri.yml: camera 01: the rotation must be orthonormal"),
@@ -284,12 +268,10 @@ def test_damaged_entries(actor_folder, intri, extri, drop, message):
         ("%YAML.*", "%JSON", "wanted OpenCV YAML, which begins with %YAML:1.0, got '%JSON'"),
         ("names:(.|\n)*?K_00", "K_00", "wanted names: a sequence of different camera names, got none"),
         ('- "01"', '- "00"', "wanted names: a sequence of different camera names, got 00, 00, 02"),
-        ('- "01"', '- ""', "wanted names: a sequence of different camera names"),
         ("rows: 3", "rows: 2000000000", "wanted rows and cols of K_00, got 2000000000 x 3"),
         ("rows: 3", "rows: -3", "wanted rows and cols of K_00, got -3 x 3"),
         ("rows: 3", "rows: 4", "wanted 4 x 3 numbers in K_00, got 9"),
         ("dt: d", "dt: q", "wanted one number per element in K_00, such as dt: d, got dt: q"),
-        ("dt: d", 'dt: "3d"', "wanted one number per element in K_00, such as dt: d, got dt: "),
         ("data: .*", "data: !!binary |", "wanted !!opencv-matrix with rows, cols, dt and data in K_00"),
         ("!!opencv-matrix", "!!python/object/apply:os.system", "wanted !!opencv-matrix with rows, cols, dt and data in K_00"),
         ("K_01", "K_00", "wanted every key once, got K_00 twice"),

@@ -147,12 +147,9 @@ def test_junk_is_no_camera(tmp_path):
 # Where the frames of a camera lie
 
 
-def to_suffix(suffix: str) -> Callable[[Path], None]:
-    def change(folder: Path) -> None:
-        for video in list(folder.rglob("*.mp4")):
-            video.rename(video.with_suffix(suffix))
-
-    return change
+def to_avi(folder: Path) -> None:
+    for video in list(folder.rglob("*.mp4")):
+        video.rename(video.with_suffix(".avi"))
 
 
 def one_each(folder: Path) -> None:
@@ -186,12 +183,11 @@ RIGS = {
 }
 
 
-@pytest.mark.parametrize("change", [to_suffix(".MP4"), to_suffix(".mov"), to_suffix(".MOV"), to_suffix(".m4v"), one_each])
 @pytest.mark.parametrize("rig", RIGS)
-def test_videos_are_found_under_any_suffix(rig, change, tmp_path):
+def test_videos_are_found_under_any_suffix(rig, tmp_path):
     """What one layout reads every layout reads, in any case; so do the commands that know nothing of the cameras."""
     folder = RIGS[rig](tmp_path / "room")
-    change(folder)
+    one_each(folder)
 
     assert_rig(folder)
     assert tuple(find_rig_frames(folder)) == NAMES
@@ -201,7 +197,7 @@ def test_videos_are_found_under_any_suffix(rig, change, tmp_path):
 def test_videos_that_are_not_read_are_named_with_the_command(rig, tmp_path):
     """An .avi is there: the message says so and what makes an .mp4 of it."""
     folder = RIGS[rig](tmp_path / "room")
-    to_suffix(".avi")(folder)
+    to_avi(folder)
 
     message = refusal(folder)
 
@@ -335,9 +331,7 @@ TEXTS: dict[str, tuple[Callable[[Path], Path], tuple[str, ...]]] = {
 }
 
 
-@pytest.mark.parametrize(
-    "change", [remarked(codecs.BOM_UTF8, "utf-8"), remarked(codecs.BOM_UTF16_LE, "utf-16-le"), remarked(b"", "utf-8", "\r\n")]
-)
+@pytest.mark.parametrize("change", [remarked(codecs.BOM_UTF8, "utf-8"), remarked(codecs.BOM_UTF16_LE, "utf-16-le")])
 @pytest.mark.parametrize("case", TEXTS)
 def test_texts_of_windows_are_read(case, change, tmp_path):
     """With a byte order mark of UTF-8 or UTF-16 and lines of Windows the same cameras come out, to the last bit."""
@@ -429,6 +423,7 @@ def test_phones_of_one_rate_are_one_rig(tmp_path):
     times = np.array([[round(20 * t + jitter(i, t)) for t in range(60)] for i in range(4)])
     apart_ms = np.ptp(times - times[:, :1], axis=0).max() / 0.6
     assert f"differ by up to {apart_ms:.1f} ms" in note
+    assert "variable frame rate" in check_capture(folder).of("frames")[0].measured
 
 
 def test_phones_that_drift_apart_are_refused(tmp_path):
@@ -448,10 +443,3 @@ def test_two_constant_rates_stay_two(tmp_path):
         write_video(tmp_path / f"{name}.mp4", (make_image(index, t) for t in range(4)), 30 if index else 30000 / 1001)
 
     assert "wanted one frame rate for all cameras, got cam00 29.97, cam01 30" in refusal(tmp_path)
-
-
-def test_check_says_that_rates_vary(tmp_path):
-    """As every note of a capture."""
-    check = check_capture(phones(tmp_path / "room", jitter))
-
-    assert "variable frame rate" in check.of("frames")[0].measured

@@ -1,7 +1,6 @@
 """Google Spaces: models.json with the cameras of a rig at several positions, one image each."""
 
 import json
-import pickle
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -129,12 +128,6 @@ def test_paths_are_optional(scene):
     assert [open_capture(scene).digest(name) for name in NAMES] == expected
 
 
-def test_travels_to_other_processes(scene):
-    """A capture can be pickled."""
-    capture = pickle.loads(pickle.dumps(open_capture(scene)))
-    assert np.array_equal(capture.frame("pos01_cam02", 0), open_capture(scene).frame("pos01_cam02", 0))
-
-
 @pytest.mark.parametrize(
     "path",
     ["../other/image.JPG", "cam_00/../../secret.JPG", "/etc/hostname", "", 7, None, "C:image.JPG", "..\\image.JPG", "cam_00/\0"],
@@ -151,14 +144,8 @@ def test_paths_out_of_the_scene(scene, path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            lambda models: models[0][1].update(focal_length=None),
-            "a finite number as focal_length of camera 1 of rig position 0, got None",
-        ),
-        (
-            lambda models: models[0][1].update(position=[0, 0]),
-            "wanted 3 finite numbers as position of camera 1 of rig position 0",
-        ),
+        (lambda models: models[0][1].update(focal_length=None), "focal_length of camera 1 of rig position 0, got None"),
+        (lambda models: models[0][1].update(position=[0, 0]), "3 finite numbers as position of camera 1 of rig position 0"),
         (lambda models: models[0][1].update(orientation=[0, "1", 0]), "3 finite numbers as orientation"),
         (lambda models: models[0][1].update(orientation=[0, float("nan"), 0]), "3 finite numbers as orientation"),
         (lambda models: models[0][1].update(width=True), "a finite number as width"),

@@ -55,7 +55,7 @@ def test_rays_reach_every_depth():
     np.testing.assert_allclose(points, camera.unproject(camera.pixel_centres(), np.full((48, 64), 4.0)), atol=1e-12)
 
 
-@given(scale=st.sampled_from([(32, 24), (128, 96), (640, 480)]), seed=st.integers(0, 50))
+@given(scale=st.sampled_from([(32, 96), (128, 24), (640, 480)]), seed=st.integers(0, 50))
 def test_resizing_keeps_relative_position(scale, seed):
     """A point seen at a share of the image is seen at the same share of the resized image."""
     camera, points = make_camera(seed=seed), np.random.default_rng(seed).normal(size=(20, 3))

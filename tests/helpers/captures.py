@@ -1,12 +1,9 @@
 """Tiny valid captures of every layout, written as their authors lay them out."""
 
-import subprocess
-import sys
+import struct
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -114,23 +111,35 @@ def write_colmap(folder: Path, names: Sequence[str] = NAMES) -> Path:
     return folder
 
 
+MODEL_NUMBERS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4}
+
+
 def make_binary(model_folder: Path) -> None:
-    """Turn a text model into a binary one, by pycolmap in a process of its own; each model once."""
-    texts = sorted(model_folder.glob("*.txt"))
-    for name, content in _binary_files(tuple((file.name, file.read_bytes()) for file in texts)).items():
-        (model_folder / name).write_bytes(content)
-    for file in texts:
+    """Turn a text model into a binary one."""
+    rows = {}
+    for name in ("cameras", "images", "points3D"):
+        file = model_folder / f"{name}.txt"
+        rows[name] = [line.split() for line in file.read_text().splitlines() if not line.startswith("#")]
         file.unlink()
-
-
-@cache
-def _binary_files(texts: tuple[tuple[str, bytes], ...]) -> dict[str, bytes]:
-    code = "import pycolmap, sys; pycolmap.Reconstruction(sys.argv[1]).write_binary(sys.argv[1])"
-    with TemporaryDirectory() as folder:
-        for name, content in texts:
-            (Path(folder) / name).write_bytes(content)
-        subprocess.run([sys.executable, "-c", code, folder], check=True)
-        return {file.name: file.read_bytes() for file in Path(folder).glob("*.bin")}
+    content = struct.pack("<Q", len(rows["cameras"]))
+    for number, model, width, height, *params in rows["cameras"]:
+        content += struct.pack("<iiQQ", int(number), MODEL_NUMBERS[model], int(width), int(height))
+        content += struct.pack(f"<{len(params)}d", *map(float, params))
+    (model_folder / "cameras.bin").write_bytes(content)
+    content = struct.pack("<Q", len(rows["images"]) // 2)
+    for image, sights in zip(rows["images"][::2], rows["images"][1::2], strict=True):
+        content += struct.pack("<i7di", int(image[0]), *map(float, image[1:8]), int(image[8])) + image[9].encode() + b"\0"
+        content += struct.pack("<Q", len(sights) // 3)
+        for u, v, point in zip(sights[::3], sights[1::3], sights[2::3], strict=True):
+            content += struct.pack("<ddq", float(u), float(v), int(point))
+    (model_folder / "images.bin").write_bytes(content)
+    content = struct.pack("<Q", len(rows["points3D"]))
+    for point in rows["points3D"]:
+        content += struct.pack(
+            "<Q3d3BdQ", int(point[0]), *map(float, point[1:4]), *map(int, point[4:7]), float(point[7]), len(point[8:]) // 2
+        )
+        content += struct.pack(f"<{len(point[8:])}i", *map(int, point[8:]))
+    (model_folder / "points3D.bin").write_bytes(content)
 
 
 def _quaternion_wxyz(camera: Camera) -> np.ndarray:

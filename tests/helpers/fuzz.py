@@ -1,4 +1,4 @@
-"""Inputs to damage: a small valid capture of every layout, renders of every kind, and what is done to their files."""
+"""Inputs to damage: a small valid capture of every layout, and what is done to their files."""
 
 import json
 import os
@@ -12,10 +12,8 @@ import numpy as np
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
-from ggvs_eval.errors import CaptureError, GgvsError
+from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
-from ggvs_eval.pipelines.run.import_renders import import_renders
-from ggvs_eval.run_folder import RunFolder
 from helpers.calibration_files import turned_rig, write_anipose, write_opencv, write_qualisys
 from helpers.captures import make_binary, make_image, make_rig, write_colmap, write_dynerf
 from helpers.community_layouts import (
@@ -24,19 +22,6 @@ from helpers.community_layouts import (
     write_meetroom,
     write_panoptic,
     write_technicolor_with_depth,
-)
-from helpers.render_folders import (
-    VIEWS,
-    make_run,
-    pack,
-    stack,
-    view_major,
-    write_4dgaussians,
-    write_easyvolcap,
-    write_flat,
-    write_folders,
-    write_nerfbaselines,
-    write_videos,
 )
 from helpers.small_layouts import NUMBERS, write_capture_toml, write_easymocap, write_frames, write_multipleview, write_nerfstudio
 
@@ -134,46 +119,6 @@ CAPTURES: dict[str, Callable[[Path], Path]] = {
 }
 
 
-def write_arrays(folder: Path, suffix: str) -> Path:
-    """A stack of frames per view."""
-    folder.mkdir()
-    for view in VIEWS:
-        if suffix == ".npy":
-            np.save(folder / f"{view}.npy", stack(view))
-        else:
-            np.savez_compressed(folder / f"{view}.npz", frames=stack(view, "float32"))
-    return folder
-
-
-def write_packed(folder: Path, suffix: str) -> Path:
-    """An archive of folders of pictures, alone in a folder."""
-    folder.mkdir()
-    pack(write_folders(folder.with_name(f"{folder.name}_unpacked")), folder / f"theirs{suffix}")
-    return folder
-
-
-def write_other_run(folder: Path) -> Path:
-    """Another run folder with a method of somebody's."""
-    write_folders(make_run(folder).root / "renders" / "theirs")
-    return folder
-
-
-RENDERS: dict[str, Callable[[Path], Path]] = {
-    "folders": write_folders,
-    "folders of JPEG": lambda folder: write_folders(folder, pattern="{view}/{number:04d}.jpg"),
-    "run": write_other_run,
-    "nerfbaselines": write_nerfbaselines,
-    "easyvolcap": write_easyvolcap,
-    "flat": lambda folder: write_flat(folder, view_major()),
-    "4dgaussians": lambda folder: write_4dgaussians(folder) / "test",
-    "videos": write_videos,
-    "npy": lambda folder: write_arrays(folder, ".npy"),
-    "npz": lambda folder: write_arrays(folder, ".npz"),
-    "zip": lambda folder: write_packed(folder, ".zip"),
-    "tar.gz": lambda folder: write_packed(folder, ".tar.gz"),
-}
-
-
 def read_everything(path: Path) -> str:
     """Open a capture and read all that is in it; its layout, or the line with which it was refused."""
     try:
@@ -193,18 +138,6 @@ def read_everything(path: Path) -> str:
         message = str(error)
         assert message.isprintable()
         assert 20 < len(message) < 4000
-        return message
-
-
-def import_everything(path: Path, run: RunFolder) -> str:
-    """Import renders into a run; ``imported``, or the line with which they were refused."""
-    archives = [item for item in path.iterdir() if item.name.startswith("theirs.")] if path.is_dir() else []
-    try:
-        import_renders(run, "mine", archives[0] if archives else path)
-        return "imported"
-    except GgvsError as error:
-        message = str(error)
-        assert message.isprintable()
         return message
 
 
