@@ -1,6 +1,6 @@
 # Every target makes the virtual environment it needs; nothing has to be installed by hand but Python 3.11 or 3.12, make and g++.
 # Folders bear some of these names too: without .PHONY `make reports` would say "up to date" and do nothing.
-.PHONY: reports results test test-quick check bench bench-device validate docs wheel-test view view-demo clean
+.PHONY: reports results test test-all check bench bench-device validate worth docs wheel wheel-test view view-demo clean
 
 PYTHON ?= $(shell for p in python3.11 python3.12 python3; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' 2>/dev/null && echo $$p && break; done)
@@ -21,18 +21,20 @@ results: $(READY)
 
 # One process per core. Neighbours stay together, as the tests of a file share what takes long to make; who is done early helps.
 # The order is shuffled, by the same seed for everybody: `make test SEED=$RANDOM` looks for tests that depend on their order.
+# `make test ROOM=online` runs the tests of a room of the package and of the rooms that import it.
 SEED ?= 1
-# Tests start dozens of processes, each of which would compile the package again.
-test test-quick validate wheel-test: export PYTHONDONTWRITEBYTECODE :=
-PYTEST := -m pytest -n auto --dist worksteal --randomly-seed=$(SEED)
+ROOM ?=
+# Tests start processes, each of which would compile the package again.
+test test-all validate wheel-test: export PYTHONDONTWRITEBYTECODE :=
+PYTEST := -m pytest -n auto --dist worksteal --randomly-seed=$(SEED) $(ROOM:%=--room %)
 
-# All tests but those that take half a minute to do whole what others show in parts; these are of `make validate`.
+# Every test has one home (tests/conftest.py): what takes up to a second of a core is here,
 test: $(READY)
-	$(BIN)/python $(PYTEST) -m "not proof"
+	$(BIN)/python $(PYTEST) -m "not slow and not proof and not wheel"
 
-# Without what takes seconds, a browser or hundreds of damaged files.
-test-quick: $(READY)
-	$(BIN)/python $(PYTEST) -m quick
+# what takes seconds here, to be run once before a change lands, and what takes longer in `validate`.
+test-all: $(READY)
+	$(BIN)/python $(PYTEST) -m slow
 
 check: $(READY) view
 	$(BIN)/ruff check .
@@ -61,11 +63,17 @@ bench-device: view
 	$(PYTHON) setup.py -q build_ext --inplace
 	PYTHONPATH=build/view:.:build/wheels $(PYTHON) -P -m benchmarks.bench_device_step $(BENCH_OPTIONS)
 
-validate: $(READY)
+validate: $(READY) wheel
 	$(BIN)/python $(PYTEST) -m proof
+	cd build/wheel && venv/bin/python $(PYTEST) $(OF_WHEEL) -m "not proof" tests
+	$(BIN)/python -m benchmarks.worth_of_tests
 	$(BIN)/python -m benchmarks.validate $(if $(DATA),--data $(DATA))
 	$(BIN)/python -m benchmarks.domain_validation $(if $(DATA),--data $(DATA))
 	$(BIN)/python -m benchmarks.refinement_validation
+
+# Which of the faults in benchmarks/worth_of_tests.toml `make test` would find; ONLY=name,name chooses.
+worth: $(READY)
+	$(BIN)/python -m benchmarks.worth_of_tests $(if $(ONLY),--only $(ONLY))
 
 # The site in build/site: the pages of docs/ and the docstrings of the public interface; a warning is an error.
 docs: .venv/.docs view
@@ -76,15 +84,21 @@ docs: .venv/.docs view
 	$(BIN)/pip install --disable-pip-version-check -q -e '.[docs]'
 	touch $@
 
-# What users get: the wheel, built from the source distribution, with no checkout in sight; its dependencies are those of .venv.
-wheel-test: $(READY)
-	rm -rf build/wheel && $(BIN)/python -m build --outdir build/wheel . > build.log 2>&1 || { tail -20 build.log; exit 1; }
-	rm build.log
-	$(BIN)/python -m venv build/wheel/venv && build/wheel/venv/bin/pip install -q --no-deps build/wheel/*.whl
+# What users get: the wheel, built from the source distribution, with no checkout in sight; its dependencies are those of .venv, and
+# kernels of the same sources are not compiled again. The whole suite runs against it in `make validate`.
+OF_WHEEL := -q -c /dev/null --rootdir . -p no:cacheprovider
+wheel-test: wheel
+	cd build/wheel && GGVS_EVAL_CHECKOUT=$(CURDIR) venv/bin/python $(PYTEST) $(OF_WHEEL) -m "not slow and not proof" \
+		tests/wheel tests/kernels tests/test_doctests.py
+
+wheel: $(READY)
+	rm -rf build/wheel && mkdir -p build/wheel
+	GGVS_EVAL_BUILT=$(CURDIR)/ggvs_eval/kernels $(BIN)/python -m build --outdir build/wheel . > build/wheel/build.log 2>&1 || \
+		{ tail -20 build/wheel/build.log; exit 1; }
+	$(BIN)/python -m venv --without-pip build/wheel/venv && $(BIN)/pip --python build/wheel/venv install -q --no-deps build/wheel/*.whl
 	$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
 		> "$$(echo build/wheel/venv/lib/python3*/site-packages)/dependencies.pth"
 	cp -r tests build/wheel/tests
-	cd build/wheel && venv/bin/python $(PYTEST) -m "not proof" -q -c /dev/null --rootdir . -p no:cacheprovider tests
 
 # The package as setup.cfg installs it, in links, for the type checker.
 view:

@@ -5,17 +5,13 @@ installed wheel.
 
 A test has one home. Without a marker it is of ``make test``; ``pytest.mark.slow`` puts it into ``make test-all`` and
 ``pytest.mark.proof`` into ``make validate``. A test of ``make test`` that takes more than a second of a core fails, and so does
-one that is the first to use a shared fixture of more than two; a slow test fails beyond ten. Seconds are processor time of this
-process and of those that it waited for, on the machine that `REFERENCE_S` was measured on; a slower or busier machine is given
-as much more as the work of `_slowness` takes on it at that moment.
+one that is the first to use a shared fixture of more than two; a slow test fails beyond ten (`helpers.time_limits`).
 """
 
 import gc
 import os
 import shutil
-import statistics
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -36,16 +32,9 @@ MARKERS = {
     "page": "opens a page in a real browser",
     "fuzz": "reads hundreds of damaged files",
     "gpu": "wants a GPU",
+    "wheel": "looks at the installed package: `make wheel-test` runs these",
     "takes": "to be removed",
 }
-MOST_S, MOST_SLOW_S = 1.0, 10.0  # of a test with the fixtures that are its own
-MOST_SHARED_S = {"whole_run": 20.0}  # by fixture; of all others
-MOST_OTHER_SHARED_S = 2.0
-REFERENCE_S = 0.035
-IMPORT_S = 0.003  # of a module that a test is the first to need
-
-_began = pytest.StashKey[tuple[float, int]]()
-_shared_fixtures: list[tuple[str, float]] = []  # name and seconds of each that was set up so far, others that it uses left out
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -55,8 +44,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Make the markers known; here and not in setup.cfg, which lies in the checkout alone."""
+    from helpers.time_limits import TimeLimits
+
     for name, meaning in MARKERS.items():
         config.addinivalue_line("markers", f"{name}: {meaning}")
+    config.pluginmanager.register(TimeLimits(), "time_limits")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -93,66 +85,6 @@ def pytest_long_files_first(items: list[pytest.Item]) -> None:
     """Begin with the files that take long, in their random order: none is left for one process at the end."""
     long = {item.path for item in items if item.get_closest_marker("slow") or "whole_run" in getattr(item, "fixturenames", ())}
     items.sort(key=lambda item: item.path not in long)
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_fixture_setup(fixturedef: pytest.FixtureDef[object]) -> Iterator[object]:
-    """Count a fixture that tests share apart from the test that happens to be the first to need it."""
-    if fixturedef.scope == "function":
-        return (yield)
-    began_s, n_before = _used_s(), len(_shared_fixtures)
-    try:
-        return (yield)
-    finally:
-        of_others_s = sum(seconds for _, seconds in _shared_fixtures[n_before:])
-        _shared_fixtures.append((fixturedef.argname, _used_s() - began_s - of_others_s))
-
-
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
-    """Begin to count the time of a test."""
-    item.stash[_began] = _used_s(), len(_shared_fixtures)
-    return (yield)
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """Fail a test that passed and took too long."""
-    result = yield
-    began_s, n_before = item.stash[_began]
-    fixtures = _shared_fixtures[n_before:]
-    own_s = _used_s() - began_s - sum(seconds for _, seconds in fixtures)
-    if not item.get_closest_marker("proof"):
-        is_slow = item.get_closest_marker("slow") is not None
-        _refuse_long(item.nodeid, own_s, MOST_SLOW_S if is_slow else MOST_S)
-        for name, seconds in [] if is_slow else fixtures:
-            _refuse_long(f"fixture {name} of {item.nodeid}", seconds, MOST_SHARED_S.get(name, MOST_OTHER_SHARED_S))
-    return result
-
-
-def _refuse_long(name: str, used_s: float, most_s: float) -> None:
-    if used_s > most_s and used_s > most_s * _slowness():
-        pytest.fail(f"{name} took {used_s:.1f} s of a core, wanted {most_s:g} at most; do less, or mark it slow", pytrace=False)
-
-
-def _used_s() -> float:
-    """Processor time of this process and of those that it waited for, but for imports and light that many tests share."""
-    from helpers import lit_rooms
-
-    return sum(os.times()[:4]) - lit_rooms.lit_s - IMPORT_S * len(sys.modules)
-
-
-def _slowness() -> float:
-    """By which factor this machine is slower now than the one that limits are meant for, at least 1."""
-    import numpy as np
-
-    def work_s() -> float:
-        start_s = time.process_time()
-        np.sort(np.random.default_rng(0).normal(size=400_000))
-        sum(number * number for number in range(200_000))
-        return time.process_time() - start_s
-
-    return max(1.0, statistics.median(work_s() for _ in range(7)) / REFERENCE_S)
 
 
 @pytest.fixture(scope="session")
@@ -192,12 +124,9 @@ def whole_run(shared_folder) -> Path:
     from ggvs_eval.files.atomic import locked
     from helpers.whole_run import make_whole_run
 
-    folder, began_s = shared_folder / "whole", _used_s()
+    folder = shared_folder / "whole"
     with locked(folder.with_name("whole.lock")):
-        run = folder / "run" if folder.is_dir() else make_whole_run(folder)
-    # Pytest asks the hook above, of a folder below its root, about no fixture of a whole session.
-    _shared_fixtures.append(("whole_run", _used_s() - began_s))
-    return run
+        return folder / "run" if folder.is_dir() else make_whole_run(folder)
 
 
 @pytest.fixture(scope="module")
