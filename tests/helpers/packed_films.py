@@ -16,6 +16,8 @@ FILMS: dict[str, dict[str, object]] = {
     "small": {"width": 64, "height": 48, "n_frames": 12, "cameras_per_row": 3, "depth_stride": 1},
     # The same rig, four frames, and a camera path with its true pictures.
     "path": {"width": 64, "height": 48, "n_frames": 4, "cameras_per_row": 3, "path_poses": 5},
+    # Four cameras without noise, coded without loss: faults of renders are planted in it.
+    "plain": {"width": 192, "height": 144, "n_frames": 12, "cameras_per_row": 2, "noise_sigma_255": 0, "crf": 0},
 }
 
 

@@ -8,31 +8,18 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.datasets import open_capture
 from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, ViewFrames
+from helpers.packed_films import unpack_film
 
 Spoil = Callable[[ViewFrames], FrameReader]
 SEED = 1
-SIZE = 192, 144  # pixels of what `film_without_noise` films
+SIZE = 192, 144  # pixels of what `film_without_noise` gives
 
 
 def film_without_noise(folder: Path, n_frames: int) -> dict[str, np.ndarray]:
-    """Film what four cameras of the demo room see without noise, each (T, H, W, 3); honest renders are made of it."""
-    from ggvs_eval.contrib.worlds.demo import write_demo
-    from ggvs_eval.contrib.worlds.film.options import DemoOptions
-    from ggvs_eval.datasets import open_capture
-
-    options = DemoOptions(
-        width=SIZE[0],
-        height=SIZE[1],
-        n_frames=n_frames,
-        cameras_per_row=2,
-        path_poses=0,
-        depth_stride=0,
-        supersampling=1,
-        noise_sigma_255=0,
-        crf=0,
-    )
-    capture = open_capture(write_demo(folder, options, workers=1))
+    """What four cameras of the demo room see without noise, each (T, H, W, 3); honest renders are made of it."""
+    capture = open_capture(unpack_film("plain", folder))
     return {name: np.stack(list(capture.frames(name, 0, n_frames))) for name in capture.camera_names}
 
 

@@ -26,6 +26,7 @@ from ggvs_eval.contrib.training.samples.training_data import RoomPlan, choose_vi
 from ggvs_eval.contrib.worlds.domains import PLAIN
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image.ssim import ssim
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.online.blend_network import (
     WIDTHS,
     BlendNetwork,
@@ -127,7 +128,7 @@ def test_the_loss_weighs_its_terms(tsdf_guidance, perceptual):
 def test_a_sample_is_what_the_method_would_see(plane_capture):
     """Depth from stereo without the target, fused to the plane; sources nearest first; the target's own picture as truth."""
     target, sources = plane_capture.camera("cam00"), [plane_capture.camera(name) for name in ("cam01", "cam03")]
-    sample = BlendKind().make(SampleMaker(plane_capture, depth_options()), target, sources)
+    sample = BlendKind().make(SampleMaker(plane_capture, DepthRunOptions(PLAN.matcher).options()), target, sources)
     exact = plane_depth(target)
     known = sample.views.fused_depth > 0
     error = np.abs(sample.views.fused_depth - exact)[known]
@@ -138,18 +139,11 @@ def test_a_sample_is_what_the_method_would_see(plane_capture):
     np.testing.assert_array_equal(sample.truth, plane_capture.frame("cam00", 0))
 
 
-def depth_options():
-    """The depth that plans ask for."""
-    from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-
-    return DepthRunOptions(PLAN.matcher).options()
-
-
 def test_a_stored_sample_reads_back(plane_capture, cache):
     """Cameras and fused depth exactly, colours and coverage to 8 bit, splatted depth to half precision."""
     target, sources = choose_views(plane_capture, PLAN, PLAN.first_room, 1)
     made, read = (
-        BlendKind().make(SampleMaker(plane_capture, depth_options()), target, sources),
+        BlendKind().make(SampleMaker(plane_capture, DepthRunOptions(PLAN.matcher).options()), target, sources),
         SamplePool(cache, BlendKind(), [PLAN]).read(1),
     )
     for name in ("splats", "warps", "alphas", "visibilities"):
@@ -190,8 +184,8 @@ def test_more_targets_change_no_sample(plane_capture):
         assert len({source.name for source in sources}) == 2
 
 
-def test_one_network_sees_every_number_of_views(plane_capture):
-    """Some samples have other numbers of views than the usual one, as often as the plan says."""
+def test_some_samples_have_other_numbers_of_views(plane_capture):
+    """As often as the plan says."""
     plan = replace(PLAN, other_views=(1, 3), other_share=0.4)
     counts = [len(choose_views(plane_capture, plan, 1000, number)[1]) for number in range(300)]
     assert plan.most_views == 3

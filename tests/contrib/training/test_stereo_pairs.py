@@ -27,7 +27,7 @@ from ggvs_eval.errors import DepthError
 from helpers.refusals import refused
 
 WIDTH, HEIGHT = 224, 144
-SEEDS = [stereo_pairs.SCENES_AT_A_TIME * turn + lane for turn in range(6) for lane in (1, 3)]  # of two scenes
+SEEDS = [stereo_pairs.SCENES_AT_A_TIME * turn + 1 for turn in range(6)]  # of one scene
 WHITE, GREY, BLACK = (Material(plain((tone,) * 3)) for tone in (0.9, 0.5, 0.02))
 
 
@@ -85,44 +85,19 @@ def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-@pytest.mark.slow
-def test_seeds_give_different_pairs():
-    """Another seed is another picture, of the same scene and of another one."""
-    pictures = [stereo_sample(seed, 96, 64).left for seed in SEEDS[:4]]
-    differences = [np.abs(a.astype(int) - b).mean() for k, a in enumerate(pictures) for b in pictures[:k]]
-    assert min(differences) > 5
-
-
 def test_neighbouring_seeds_take_turns_among_scenes():
     """Seeds of a batch show several scenes, and each scene serves as many pairs as are meant before others are lit."""
     per_scene, at_a_time = stereo_pairs.PAIRS_PER_SCENE, stereo_pairs.SCENES_AT_A_TIME
     numbers = [stereo_pairs.scene_number(seed) for seed in range(2 * per_scene * at_a_time)]
     assert numbers[: at_a_time + 1] == [*range(at_a_time), 0]
     assert {number: numbers.count(number) for number in numbers} == dict.fromkeys(range(2 * at_a_time), per_scene)
-
-
-def test_rooms_of_pairs_are_nobody_elses():
-    """No demo, no validation room and no room that views are learned from is among them."""
-    assert stereo_pairs.FIRST_SEED > 100 * FIRST_TRAINING_SEED
+    assert stereo_pairs.FIRST_SEED > 100 * FIRST_TRAINING_SEED  # nobody else's rooms
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", SEEDS)
-def test_every_pixel_has_a_possible_disparity(seed):
-    """Shapes and types are as promised; disparities are finite, positive and below the limit, hidden pixels included."""
-    pair = stereo_sample(seed, 160, 96)
-    assert pair.left.shape == pair.right.shape == (96, 160, 3)
-    assert pair.left.dtype == pair.right.dtype == np.uint8
-    assert pair.visible.shape == pair.disparity.shape == (96, 160)
-    assert pair.visible.dtype == bool
-    assert pair.disparity.dtype == np.float32
-    assert 0 < pair.disparity.min() <= pair.disparity.max() <= 0.42 * 160 * (1 + 1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", SEEDS[:4])
-def test_disparity_is_that_of_projection(seed):
-    """Points of the left picture, projected into both cameras by `Camera`, lie on one row and a disparity apart."""
+@pytest.mark.parametrize("seed", SEEDS[:2])
+def test_a_rig_sees_what_cameras_see(seed):
+    """Points of the left picture lie on one row and a disparity apart by `Camera`; rays of the right eye meet what is visible."""
     scene = stereo_pairs.scene_of(seed)
     rig, depth = place_rig(scene, np.random.default_rng(seed), 96, 64)
     x, y = rig.positions()
@@ -137,16 +112,8 @@ def test_disparity_is_that_of_projection(seed):
     np.testing.assert_allclose(projected[1][:, 1], y.ravel(), atol=1e-3)
     disparity = rig.focal_px * rig.baseline_m / depth
     np.testing.assert_allclose(projected[0][:, 0] - projected[1][:, 0], disparity.ravel(), atol=1e-3)
-
-
-@pytest.mark.parametrize("seed", SEEDS[:4])
-def test_visible_is_what_rays_from_the_right_meet(seed):
-    """A ray of the right camera through the match meets the point where it is visible, and something nearer where hidden."""
-    scene = stereo_pairs.scene_of(seed)
-    rig, depth = place_rig(scene, np.random.default_rng(seed), 96, 64)
     visible = find_visible(scene.static, rig, depth)
-    x, y = rig.positions()
-    match = x - rig.focal_px * rig.baseline_m / depth
+    match = x - disparity
     hits = scene.static.cast(rig.right_eye.astype(np.float32), rig.rays(match, y))
     met = np.full(depth.size, np.inf)
     met[hits.ray] = hits.distance
@@ -181,34 +148,17 @@ def test_a_card_hides_as_many_columns_as_the_disparities_differ():
 
 
 @pytest.mark.slow
-def test_the_warped_right_image_is_the_left_image():
-    """Where the right eye sees a point it shows the left eye's colour, but for gloss; one pixel aside it does not."""
-    close, at_match, beside = [], [], []
-    for seed in SEEDS:
-        pair = clean_sample(seed)
-        inner = cv2.erode(pair.visible.astype(np.uint8), np.ones((3, 3))) > 0
-        error = np.abs(warped_right(pair) - pair.left).mean(2)[inner]
-        assert np.median(error) < 1.5
-        close.append(np.mean(error < 15))
-        at_match.append(np.mean(error))
-        beside.append(np.mean(np.abs(warped_right(pair, 1.0) - pair.left).mean(2)[inner]))
-    assert np.mean(close) > 0.93
-    assert np.mean(beside) > 2 * np.mean(at_match)
-
-
-@pytest.mark.slow
-def test_the_disparity_is_exact_to_a_fraction_of_a_pixel():
-    """The best match of the images lies at the stated disparity, not beside it, on whatever side."""
-    for shift in (-0.25, 0.25):
-        better = []
-        for seed in SEEDS:
-            pair = clean_sample(seed)
-            inner = cv2.erode(pair.visible.astype(np.uint8), np.ones((5, 5))) > 0
-            textured = inner & (np.abs(cv2.Sobel(pair.left.mean(2), cv2.CV_64F, 1, 0)) > 16)
-            exact, aside = (np.abs(warped_right(pair, s) - pair.left).mean(2)[textured] for s in (0.0, shift))
-            better.append(np.mean(exact < aside))
-        assert np.mean(better) > 0.67
-        assert np.min(better) > 0.55
+def test_the_right_image_is_the_left_image_at_the_disparity():
+    """Where the right eye sees a point it shows the left eye's colour, better than a quarter of a pixel aside on either side."""
+    for pair in map(clean_sample, SEEDS):
+        visible = pair.visible.astype(np.uint8)
+        error = np.abs(warped_right(pair) - pair.left).mean(2)
+        assert np.median(error[cv2.erode(visible, np.ones((3, 3))) > 0]) < 1.5
+        inner = cv2.erode(visible, np.ones((5, 5))) > 0
+        textured = inner & (np.abs(cv2.Sobel(pair.left.mean(2), cv2.CV_64F, 1, 0)) > 16)
+        for shift in (-0.25, 0.25):
+            aside = np.abs(warped_right(pair, shift) - pair.left).mean(2)
+            assert np.mean(error[textured] < aside[textured]) > 0.55
 
 
 def test_edges_are_smoothed_by_their_coverage():
@@ -263,18 +213,26 @@ def test_paint_is_changed_but_for_what_shines():
     assert len({skin.texture.tobytes() for skin in stereo_pairs.skins()}) > 0.8 * stereo_pairs.SKINS
 
 
+@pytest.mark.slow
 def test_pairs_are_of_many_kinds():
-    """Among a dozen pairs: small and large disparities, shallow and deep views, much and little that is hidden."""
-    taken = [clean_sample(seed) for seed in SEEDS]
-    nearest = np.array([pair.disparity.max() for pair in taken])
-    ratio = nearest / np.array([pair.disparity.min() for pair in taken])
-    hidden = np.array([np.mean(~pair.visible) for pair in taken])
-    assert nearest.min() < 14
-    assert nearest.max() > 40
+    """Small and large disparities, shallow and deep views, much and little that is hidden; all of the promised types."""
+    pairs = [clean_sample(seed) for seed in SEEDS]
+    for pair in pairs:
+        assert pair.left.shape == pair.right.shape == (HEIGHT, WIDTH, 3)
+        assert pair.left.dtype == pair.right.dtype == np.uint8
+        assert pair.visible.shape == pair.disparity.shape == (HEIGHT, WIDTH)
+        assert (pair.visible.dtype, pair.disparity.dtype) == (bool, np.float32)
+        assert 0 < pair.disparity.min() <= pair.disparity.max() <= 0.42 * WIDTH * (1 + 1e-6)
+    assert all(np.abs(pair.left.astype(int) - pairs[0].left).mean() > 5 for pair in pairs[1:])
+    nearest = np.array([pair.disparity.max() for pair in pairs])
+    ratio = nearest / np.array([pair.disparity.min() for pair in pairs])
+    hidden = np.array([np.mean(~pair.visible) for pair in pairs])
+    assert nearest.min() < 10
+    assert nearest.max() > 25
     assert ratio.min() < 4
-    assert ratio.max() > 6
-    assert hidden.min() < 0.08
-    assert hidden.max() > 0.2
+    assert ratio.max() > 7
+    assert hidden.min() < 0.05
+    assert hidden.max() > 0.15
 
 
 def test_a_scene_without_a_place_for_cameras_says_so():

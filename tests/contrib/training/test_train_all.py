@@ -20,8 +20,6 @@ from helpers.filled_pools import fill
 from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
-pytestmark = pytest.mark.slow
-
 REQUEST = TrainingOptions(
     steps=2, views=2, size="small", rooms=1, targets=1, domains=("plain", "narrow"), device="cpu", workers=0
 )
@@ -63,6 +61,7 @@ def test_every_network_learns_from_the_same_views(plane_capture, tmp_path, monke
         sample_pools(tmp_path, TrainingOptions(rooms=0), InstantKind())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["blend", "enerf"])
 def test_weights_that_have_learned_are_moved_more_gently(what, cache, tmp_path):
     """A training that starts from weights has a third of the rate."""
@@ -70,6 +69,7 @@ def test_weights_that_have_learned_are_moved_more_gently(what, cache, tmp_path):
     assert tuned.schedule.rate(400, 2000) == pytest.approx(0.3 * fresh.schedule.rate(400, 2000))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", TRAINED_BASELINES)
 def test_crops_lie_within_samples_of_any_size(what, cache):
     """Each sample's own size decides where windows may be: first and last place fit, whatever was drawn."""

@@ -1,7 +1,9 @@
 """Training: a killed run goes on as if nothing was, batches depend on the step alone, what is written is readable."""
 
 import csv
+import shutil
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +12,10 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from ggvs_eval.baselines.fitted.training_log import TrainingLog, draw_curves
+from ggvs_eval.contrib.training import stereo_task
 from ggvs_eval.contrib.training.loop import train, write_card
 from ggvs_eval.contrib.training.request import TrainingOptions
+from ggvs_eval.contrib.training.stereo_pairs import StereoSample
 from ggvs_eval.contrib.training.stereo_task import StereoTask, matching_loss, sequence_loss
 from ggvs_eval.contrib.training.task import Schedule, freeze_statistics, recompute_statistics
 from ggvs_eval.contrib.training.train_one import planned_task
@@ -57,7 +61,7 @@ class LineTask:
         return {"distance": float(network(torch.tensor([[0.5]])).detach().abs())}
 
 
-OPTIONS = TrainingOptions(steps=120, device="cpu", precision="float32", save_every=10, validate_every=40, workers=0)
+OPTIONS = TrainingOptions(steps=120, device="cpu", precision="float32", save_every=50, validate_every=40, workers=0)
 
 
 def state_of(folder):
@@ -77,16 +81,25 @@ def assert_equal_states(one, other):
         assert one == other or isinstance(one, (list, tuple))
 
 
-@pytest.mark.slow
-def test_it_learns(tmp_path):
-    """The averaged weights end near the line, and the validation log says so."""
-    weights = load_file(train(LineTask(), tmp_path, OPTIONS))
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """The folder of a finished training; nobody changes it."""
+    return train(LineTask(), tmp_path_factory.mktemp("trained"), OPTIONS).parent
+
+
+def test_it_learns(trained):
+    """The averaged weights end near the line, the validation log says so, and the card names command, data, cost and quality."""
+    weights = load_file(trained / "line.safetensors")
     assert abs(float(weights["weight"]) - 2) < 0.1
     assert abs(float(weights["bias"]) + 1) < 0.1
-    with (tmp_path / "validation.csv").open() as file:
+    with (trained / "validation.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["step"]) for row in rows] == [40, 80, 120]
     assert float(rows[-1]["distance"]) < 0.1
+    text = write_card(LineTask(), trained, "ggvs-eval train line", device="cuda: NVIDIA H100").read_text()
+    for part in ("`ggvs-eval train line`", "Steps: 120", "points on a line", "| 120 |", "sha256"):
+        assert part in text
+    assert text.count(", cuda: NVIDIA H100\n") == 1
 
 
 class Killed(Exception):
@@ -105,43 +118,33 @@ class DyingTask(LineTask):
 
 
 @pytest.mark.slow
-def test_a_killed_training_goes_on_with_equal_bits(tmp_path):
+def test_a_killed_training_goes_on_with_equal_bits(trained, tmp_path):
     """Weights, averages, moments and logs of a killed and resumed training are those of an undisturbed one."""
-    train(LineTask(), tmp_path / "whole", OPTIONS)
     with pytest.raises(Killed):
-        train(DyingTask(), tmp_path / "killed", OPTIONS)
-    train(LineTask(), tmp_path / "killed", OPTIONS)
-    assert_equal_states(state_of(tmp_path / "whole"), state_of(tmp_path / "killed"))
-    logs = [
-        [line.rsplit(",", 2)[0] for line in (tmp_path / each / "log.csv").read_text().splitlines()]
-        for each in ("whole", "killed")
-    ]
+        train(DyingTask(), tmp_path, OPTIONS)
+    train(LineTask(), tmp_path, OPTIONS)
+    assert_equal_states(state_of(trained), state_of(tmp_path))
+    texts = [(folder / "log.csv").read_text().splitlines() for folder in (trained, tmp_path)]
+    logs = [[line.rsplit(",", 2)[0] for line in text] for text in texts]
     assert logs[0] == logs[1]  # but for the seconds, those of the clock and those of the processor
 
 
-@pytest.mark.slow
-def test_trained_weights_can_be_the_beginning(tmp_path):
-    """Without a state a training begins with given weights; weights of another network, or none, are refused."""
-    weights = train(LineTask(), tmp_path / "first", OPTIONS)
-    before = LineTask().validate(train_nothing_from(tmp_path / "second", weights))
-    assert before["distance"] < 0.1
-    (tmp_path / "other.safetensors").write_bytes(b"no tensors")
-    with refused(WeightsError, "other.safetensors", "damaged"):
-        train(LineTask(), tmp_path / "third", replace(OPTIONS, start_from=tmp_path / "other.safetensors"))
+def test_trained_weights_can_be_the_beginning(trained, tmp_path):
+    """Without a state a training begins with given weights, whose pixels count; those of another network are refused."""
+    weights = trained / "line.safetensors"
+    still = LineTask(Schedule(learning_rate=0.0))
+    moved = load_file(train(still, tmp_path / "still", replace(OPTIONS, steps=1, start_from=weights)))
+    assert abs(float(moved["weight"]) - 2) < 0.1
+    assert abs(float(moved["bias"]) + 1) < 0.1
+    further = train(LineTask(), tmp_path / "further", replace(OPTIONS, steps=20, start_from=weights))
+    assert (read_notes(weights)["pixels"], read_notes(further)["pixels"]) == (str(120 * 16), str(140 * 16))
+    train(LineTask(), tmp_path / "further", replace(OPTIONS, steps=30))
+    assert read_notes(further)["pixels"] == str(150 * 16)
+    (tmp_path / "no.safetensors").write_bytes(b"no tensors")
     save_file({"weight": torch.zeros(2, 2)}, tmp_path / "wrong.safetensors")
-    with refused(WeightsError, "wrong.safetensors", "2 tensors"):
-        train(LineTask(), tmp_path / "third", replace(OPTIONS, start_from=tmp_path / "wrong.safetensors"))
-
-
-@pytest.mark.slow
-def test_pixels_are_counted_over_all_trainings(tmp_path):
-    """The header of the weights says how many they have learned from, with those of the weights that they began with."""
-    first = train(LineTask(), tmp_path / "first", OPTIONS)
-    second = train(LineTask(), tmp_path / "second", replace(OPTIONS, steps=20, start_from=first))
-    assert read_notes(first)["pixels"] == str(120 * 16)
-    assert read_notes(second)["pixels"] == str(140 * 16)
-    train(LineTask(), tmp_path / "second", replace(OPTIONS, steps=30))
-    assert read_notes(second)["pixels"] == str(150 * 16)
+    for name, word in (("no.safetensors", "damaged"), ("wrong.safetensors", "2 tensors")):
+        with refused(WeightsError, name, word):
+            train(LineTask(), tmp_path / "third", replace(OPTIONS, start_from=tmp_path / name))
 
 
 def test_statistics_are_those_of_whole_views():
@@ -162,24 +165,20 @@ def test_statistics_are_those_of_whole_views():
     assert torch.equal(norm.running_mean, before)
 
 
-def train_nothing_from(folder, weights):
-    """The network after one step of no length that began with some weights."""
-    still = LineTask(Schedule(learning_rate=0.0))
-    trained = load_file(train(still, folder, replace(OPTIONS, steps=1, start_from=weights)))
-    network = LineTask().network()
-    network.load_state_dict(trained)
-    return network
-
-
-@pytest.mark.slow
-def test_more_steps_go_on_with_a_finished_training(tmp_path):
-    """A finished training is not run again; with more steps it goes on."""
-    train(LineTask(), tmp_path, OPTIONS)
-    before = (tmp_path / "state.pt").stat().st_mtime_ns
-    train(LineTask(), tmp_path, OPTIONS)
-    assert (tmp_path / "state.pt").stat().st_mtime_ns == before
-    train(LineTask(), tmp_path, replace(OPTIONS, steps=130))
-    assert state_of(tmp_path)["step"] == 130
+def test_more_steps_go_on_with_a_finished_training(trained, tmp_path):
+    """A finished training is not run again; with more steps it goes on, and its picture follows the logs, byte for byte."""
+    folder = Path(shutil.copytree(trained, tmp_path / "more"))
+    before = (folder / "state.pt").stat().st_mtime_ns
+    train(LineTask(), folder, OPTIONS)
+    assert (folder / "state.pt").stat().st_mtime_ns == before
+    picture = folder / "line.png"
+    drawn = picture.read_bytes()
+    assert read_image(picture).std() > 10
+    assert draw_curves(folder, "line") == picture
+    assert picture.read_bytes() == drawn
+    train(LineTask(), folder, replace(OPTIONS, steps=130))
+    assert state_of(folder)["step"] == 130
+    assert picture.read_bytes() != drawn
 
 
 def test_a_state_of_another_network_is_refused(tmp_path):
@@ -202,26 +201,11 @@ class BrokenTask(LineTask):
         return {name: tensor * (float("inf") if step == 5 else 1) for name, tensor in points.items()}
 
 
-@pytest.mark.slow
 def test_one_bad_batch_does_not_spoil_the_weights(tmp_path):
     """A gradient that is not finite moves nothing, and the log shows it."""
-    weights = load_file(train(BrokenTask(), tmp_path, OPTIONS))
-    assert abs(float(weights["weight"]) - 2) < 0.1
-    assert "nan" in (tmp_path / "log.csv").read_text() or "inf" in (tmp_path / "log.csv").read_text()
-
-
-@pytest.mark.slow
-def test_a_training_is_drawn(tmp_path):
-    """The picture beside the logs follows them: losses and validations, the same bytes for the same logs."""
-    train(LineTask(), tmp_path, OPTIONS)
-    picture = tmp_path / "line.png"
-    drawn = picture.read_bytes()
-    assert read_image(picture).std() > 10
-    assert draw_curves(tmp_path, "line") == picture
-    assert picture.read_bytes() == drawn
-    log = (tmp_path / "log.csv").read_text().splitlines()
-    (tmp_path / "log.csv").write_text("\n".join(log[: len(log) // 2]) + "\n")
-    assert draw_curves(tmp_path, "line").read_bytes() != drawn
+    weights = load_file(train(BrokenTask(), tmp_path, replace(OPTIONS, steps=60, validate_every=60)))
+    assert abs(float(weights["weight"]) - 2) < 0.2
+    assert {"nan", "inf"} & set((tmp_path / "log.csv").read_text().replace("\n", ",").split(","))
 
 
 def test_a_log_keeps_the_columns_that_it_began_with(tmp_path):
@@ -234,30 +218,7 @@ def test_a_log_keeps_the_columns_that_it_began_with(tmp_path):
     assert (tmp_path / "validation.csv").read_text().split() == ["step,psnr_db", "2,20"]
 
 
-@pytest.mark.slow
-def test_the_card_tells_cost_and_quality(tmp_path):
-    """The model card names the command, the steps, the data, the hash of the weights and the last validation."""
-    train(LineTask(), tmp_path, OPTIONS)
-    text = write_card(LineTask(), tmp_path, "ggvs-eval train line", device="cuda: NVIDIA H100").read_text()
-    assert "`ggvs-eval train line`" in text
-    assert "Steps: 120" in text
-    assert text.count(", cuda: NVIDIA H100\n") == 1
-    assert "points on a line" in text
-    assert "| 120 |" in text
-    assert "sha256" in text
-
-
 SMALL = StereoTask(width=128, height=96, batch_size=1, iterations=2, validation_pairs=1)
-
-
-@pytest.mark.proof
-def test_stereo_batches_depend_on_the_step_alone():
-    """The same step gives the same bits, another one other pairs; starts have the size of the network's cells."""
-    once, again, other = SMALL.batch(3), SMALL.batch(3), SMALL.batch(7)
-    assert all(torch.equal(once[name], again[name]) for name in once)
-    assert not torch.equal(once["left"], other["left"])
-    assert once["left"].shape == (1, 3, 96, 128)
-    assert once["initial"].shape == (1, 1, 24, 32)
 
 
 def test_weights_that_have_learned_are_moved_more_gently(tmp_path):
@@ -269,11 +230,23 @@ def test_weights_that_have_learned_are_moved_more_gently(tmp_path):
     assert fresh.batch_size == tuned.batch_size
 
 
+def shifted_noise(seed, width, height):
+    """A pair that is all of one disparity, of a seed."""
+    picture = np.random.default_rng(seed).integers(0, 256, (height, width + 6, 3), np.uint8)
+    disparity, visible = np.full((height, width), 6, np.float32), np.ones((height, width), bool)
+    return StereoSample(picture[:, :-6], picture[:, 6:], disparity, visible)
+
+
 @pytest.mark.slow
-def test_a_stereo_step_moves_the_weights(tmp_path):
-    """Two steps of the real task run through: finite loss, gradients in features, recurrent unit and heads."""
+def test_a_stereo_step_moves_the_weights(monkeypatch):
+    """A step gives equal bits again, another one other pairs; gradients reach features, recurrent unit and heads."""
+    monkeypatch.setattr(stereo_task, "stereo_sample", shifted_noise)
+    once, again, other = SMALL.batch(3), SMALL.batch(3), SMALL.batch(7)
+    assert all(torch.equal(once[name], again[name]) for name in once)
+    assert not torch.equal(once["left"], other["left"])
+    assert (once["left"].shape, once["initial"].shape) == ((1, 3, 96, 128), (1, 1, 24, 32))
     network = SMALL.network()
-    loss, figures = SMALL.loss(network, SMALL.batch(3))
+    loss, figures = SMALL.loss(network, once)
     loss.backward()
     assert torch.isfinite(loss)
     assert figures["epe_px"] > 0
