@@ -169,6 +169,7 @@ def protocol(tmp_path):
     return changed
 
 
+@pytest.mark.slow
 def test_a_run_picks_up_the_same_frames_again(folder, protocol, tmp_path):
     """A run prepared with held frames and noise, opened again from its folder alone, has the same cameras, frames and depth."""
     arguments = ("--hold-frames", "2", "--hold-frame", "1", "--sensor-noise", "1.5", "--noise-seed", "3", "--jobs", "1")
@@ -202,4 +203,5 @@ def test_the_true_path_is_left_away_where_it_shows_another_instant(folder, proto
 
     assert there.path_images is not None
     assert elsewhere.path_images is None
+    assert reopen(tmp_path / "held1", workers=1).capture.edit == CaptureEdit(2, 1)
     assert elsewhere.path

@@ -15,6 +15,7 @@ from ggvs_eval.geometry import source_views
 from ggvs_eval.geometry.source_views import LEAST_SHARE, choose_sources, sample_view, sees, turn_rad
 from ggvs_eval.pipelines.play.playback import camera_loop
 from helpers.refusals import refused
+from helpers.scenes import camera_at
 
 CHOICES = ("nearest", "coverage")
 ALL = (*CHOICES, "triplet")
@@ -96,13 +97,20 @@ def test_nearest_are_the_nearest():
         assert names(choose_sources(target, cameras, 3)) == [each.name for each in nearest_cameras(target, cameras, 3)]
 
 
-@pytest.mark.parametrize("k", [1, 2, 4])
+def test_nearest_shares_fall_towards_the_first_camera_that_is_not_chosen():
+    """Of cameras 1, 2.8, 3 and 9 away the second has (3 - 2.8) / (0.3 * 3) of its weight: the third decides."""
+    cameras = [camera_at(x) for x in (1.0, 2.8, 3.0, 9.0)]
+    chosen = choose_sources(camera_at(0.0, name="target"), cameras[::-1], 2)
+    assert shares(chosen) == {"x+1.00": 1.0, "x+2.80": pytest.approx(0.2 / 0.9, abs=1e-6)}
+
+
+@pytest.mark.parametrize("k", [2, 4])
 def test_coverage_covers_what_nearest_covers(k):
     """By the measure that it maximises it is never worse; by the plain one it is better on average and never much worse."""
     plain = []
     for shape in ("rows", "arc", "grid", "walk"):
         cameras = make_rig(shape, 102)
-        for target in cameras[::2]:
+        for target in cameras[::4]:
             near, chosen = ([each.camera for each in choose_sources(target, cameras, k, how)] for how in ("nearest", "coverage"))
             assert value(target, chosen) >= value(target, near) - 1e-9
             plain.append(covered_share(target, chosen) - covered_share(target, near))
@@ -161,7 +169,7 @@ def test_the_world_may_be_turned_shifted_and_scaled(how, turn, shift, scale, ind
 
 @pytest.mark.parametrize("how", ALL)
 @given(shape=st.sampled_from(["rows", "arc", "grid"]), start=st.integers(0, 58), part=st.floats(0, 0.99), k=st.integers(2, 4))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_shares_are_continuous_as_the_target_moves(how, shape, start, part, k):
     """In 1/6000 of the way round no share changes much, that of a camera that comes or goes included."""
     cameras = make_rig(shape)
@@ -178,7 +186,7 @@ def test_a_view_has_no_share_at_its_exchange(how):
     poses = camera_loop(cameras, 60)
     start = next(i for i in range(59) if {*names(at(poses[i], cameras, how))} != {*names(at(poses[i + 1], cameras, how))})
     low, high = 0.0, 1.0
-    for _ in range(40):
+    for _ in range(16):
         middle = (low + high) / 2
         same = {*names(at(between(poses[start], poses[start + 1], middle), cameras, how))} == {
             *names(at(poses[start], cameras, how))

@@ -63,6 +63,7 @@ def test_one_view_alone_shows_its_colour():
     np.testing.assert_array_equal(drawn[2:], [[0, 0, 0], VIEW_COLOURS[0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("label", "names"),
     [
@@ -81,18 +82,14 @@ def test_a_job_writes_what_its_method_tells(reported_run, label, names):
             assert read_image(diagnostics_path(frames, name, 1)).shape == (12, 16, 3)
 
 
+@pytest.mark.slow
 def test_the_page_can_choose_them(reported_run):
     """The maps of ours, not of its variants, stand beside the frames of every view, named and explained; they have no errors."""
     measured = read_run(reported_run.root)
     shown = compare_frames(measured)
     inside = [f"ours/{name}" for name in MEANINGS]
     assert list(shown.keys) == ["truth", *LABELS, *inside]
-    assert shown.names[-4:] == (
-        "GGVS (online): depth",
-        "GGVS (online): weights",
-        "GGVS (online): coverage",
-        "GGVS (online): motion",
-    )
+    assert shown.names[-4:] == tuple(f"GGVS (online): {name}" for name in ("depth", "weights", "coverage", "motion"))
     for view in shown.views:
         assert [len(shown.images[view][key]) for key in inside] == [2] * 4
         assert set(shown.errors[view]) == set(LABELS)
@@ -102,6 +99,7 @@ def test_the_page_can_choose_them(reported_run):
     assert "Intermediate results of GGVS" in page
 
 
+@pytest.mark.slow
 def test_a_run_without_them_has_the_methods_alone(reported_run):
     """Renders of an earlier version, or of others, tell nothing: the page shows their frames."""
     measured = read_run(reported_run.root)

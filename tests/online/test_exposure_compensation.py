@@ -46,14 +46,10 @@ def test_planted_gains_are_found():
     np.testing.assert_allclose(estimated(ExposureCompensation(), planted(0)), anchored(GAINS), atol=0.005)
 
 
-def test_equal_cameras_keep_their_colours():
-    """Without gains every factor is 1 within a thousandth or two."""
-    np.testing.assert_allclose(estimated(ExposureCompensation(), planted(0, gains=np.ones_like(GAINS))), 1, atol=0.002)
-
-
-def test_the_common_gain_stays():
-    """A gain that all sources share cannot be told from brightness and is left alone."""
-    np.testing.assert_allclose(estimated(ExposureCompensation(), planted(0, gains=np.full_like(GAINS, 0.9))), 1, atol=0.002)
+@pytest.mark.parametrize("gain", [1.0, 0.9])
+def test_the_common_gain_stays(gain):
+    """A gain that all sources share cannot be told from brightness and is left alone: every factor is 1."""
+    np.testing.assert_allclose(estimated(ExposureCompensation(), planted(0, gains=np.full_like(GAINS, gain))), 1, atol=0.002)
 
 
 def test_the_order_of_sources_does_not_matter():
@@ -79,11 +75,8 @@ def test_sources_may_come_and_go():
 
 def test_ratios_are_remembered():
     """When a gain jumps, a memory of ten instants follows by a third at the third instant; without one it follows at once."""
-    jumped, calm, quick = (
-        GAINS * np.array([[1.1], [1], [1], [1]], np.float32),
-        ExposureCompensation(),
-        ExposureCompensation(memory=1),
-    )
+    jumped, calm, quick = GAINS.copy(), ExposureCompensation(), ExposureCompensation(memory=1)
+    jumped[0] *= 1.1
     for compensation in (calm, quick):
         for index in range(2):
             before = estimated(compensation, planted(index))
@@ -104,13 +97,13 @@ def test_nothing_in_common_changes_nothing():
 
 def test_what_is_clipped_does_not_count():
     """White says nothing of a gain: a picture that is half white gives the gains of the other half."""
-    seen, gains = planted(0), GAINS
+    seen = planted(0)
     white = [view.image.copy() for view in seen.sources]
     for image in white:
         image[:36] = 255
     half = replace(seen, sources=tuple(replace(view, image=image) for view, image in zip(seen.sources, white, strict=True)))
 
-    np.testing.assert_allclose(estimated(ExposureCompensation(), half), anchored(gains), atol=0.01)
+    np.testing.assert_allclose(estimated(ExposureCompensation(), half), anchored(GAINS), atol=0.01)
 
 
 def test_images_stay_in_8_bit():
@@ -120,19 +113,6 @@ def test_images_stay_in_8_bit():
 
     np.testing.assert_array_equal(gained_image(image, np.array([1.1, 0.5, 1.2], np.float32)), [[[110, 100, 255]]])
     np.testing.assert_array_equal(ExposureCompensation().step(plain, TOLERANCE).sources[0].image, plain.sources[0].image)
-
-
-def test_the_picture_is_better_for_it():
-    """With gains whose weighted mean is 1, the compensated picture is more than a decibel nearer to the truth."""
-    weights, truth = view_weights(TARGET, SOURCES).astype(float) ** GAUGE_POWER, look(TARGET)[0]
-    gains = GAINS / np.exp(weights @ np.log(GAINS) / weights.sum()).astype(np.float32)
-
-    scores = {
-        on: psnr_db(GeometryGuided(OnlineOptions(compensated=on)).step(planted(0, gains=gains)).image, truth)
-        for on in (True, False)
-    }
-
-    assert scores[True] > scores[False] + 1.0
 
 
 def test_without_temporal_filtering_nothing_is_remembered():

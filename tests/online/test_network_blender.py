@@ -18,7 +18,6 @@ from ggvs_eval.pipelines.online.blend_network import (
     shipped_blend_weights,
 )
 from ggvs_eval.pipelines.online.blending import GeometricBlender
-from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import blend_maps, input_channels
 from helpers.blender_inputs import inputs_of
@@ -156,14 +155,6 @@ def test_the_order_of_the_sources_does_not_matter(weights):
     np.testing.assert_allclose(first, second, atol=1e-5)  # the ray march sums its views in the order it gets them
 
 
-def test_the_blender_is_a_part_of_the_method(weights):
-    """The online method takes it: image of the target's size, in [0, 1]."""
-    rendering = GeometryGuided(blender=NetworkBlender(weights)).step(instant(0, TARGET, SOURCES))
-    assert rendering.image.shape == (TARGET.height, TARGET.width, 3)
-    assert rendering.image.dtype == np.float32
-    assert 0 <= rendering.image.min() <= rendering.image.max() <= 1
-
-
 def test_another_number_of_views_is_refused(weights):
     """A network for two views says so when it is given three; one view is fine."""
     alone = NetworkBlender(weights).blend(inputs_of(instant(0, TARGET, SOURCES[:1])))
@@ -193,27 +184,19 @@ def test_weights_of_something_else_are_refused(network, tmp_path):
     missing = tmp_path / "missing.safetensors"
     with refused(WeightsError, "missing.safetensors", "blending network"):
         load_blend_network(missing)
-    for name, content, message in (
-        ("damaged", b"no tensors", "damaged, or not safetensors"),
-        ("pickle", b"\x80\x04K\x01.", "damaged, or not safetensors"),
-    ):
-        path = tmp_path / f"{name}.safetensors"
-        path.write_bytes(content)
-        with pytest.raises(WeightsError, match=rf"{name}\.safetensors: {message}"):
-            load_blend_network(path)
+    for content in (b"no tensors", b"\x80\x04K\x01."):
+        (tmp_path / "damaged.safetensors").write_bytes(content)
+        with refused(WeightsError, "damaged.safetensors", "not safetensors"):
+            load_blend_network(tmp_path / "damaged.safetensors")
     tensors = dict(network.state_dict())
     for name, changed, message in (
         ("other", {"weight": torch.zeros(2, 2)}, "1 tensors of no blending network"),
         (
             "inputs",
             tensors | {"unet.down.0.0.weight": torch.zeros(4, 17, 3, 3)},
-            "want 21 inputs, 19 as printed, 16 without TSDF guidance or 12",
+            "want 21 inputs, 19 as printed, 16 without TSDF",
         ),
-        (
-            "shape",
-            tensors | {"unet.up.0.0.bias": torch.zeros(7)},
-            r"1 tensors differ .*unet\.up\.0\.0\.bias: .*got \(7,\)",
-        ),
+        ("shape", tensors | {"unet.up.0.0.bias": torch.zeros(7)}, r"1 tensors differ .*unet\.up\.0\.0\.bias: .*got \(7,\)"),
         ("views", tensors | {"unet.last.weight": torch.zeros(7, 4, 1, 1)}, "7 outputs, 0 views"),
     ):
         path = tmp_path / f"{name}.safetensors"

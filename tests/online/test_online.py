@@ -12,7 +12,7 @@ from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod
 from ggvs_eval.pipelines.online import geometry_guided
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
-from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
+from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.temporal_filters import TemporalDepthFilter, filter_depth
 from ggvs_eval.results import split_label
 from helpers.photographs import psnr_db
@@ -85,16 +85,6 @@ def test_ours_beats_the_baselines_where_depth_is_noisy():
     assert min(scores["ours"], scores["ours-geometric"]) > scores["distance-based"] > scores["no-blending"]
 
 
-def flicker(label: str) -> float:
-    images = np.stack(play(label, [0.0] * 8, depth_noise=0.03))
-    return float(images[3:].std(axis=0).mean())
-
-
-def test_temporal_filtering_calms_a_still_scene():
-    """In a still scene with depth that is noisy anew at each instant the temporal terms reduce the flicker of the image."""
-    assert flicker("ours-geometric") < 0.8 * flicker("ours-geometric+no-temporal")
-
-
 def test_a_moving_target_keeps_its_history_in_place():
     """When the target camera moves, the previous depth takes part at its own pose: the fused depth stays exact."""
     method = GeometryGuided()
@@ -103,16 +93,6 @@ def test_a_moving_target_keeps_its_history_in_place():
         depth = method.step(instant(t, target, SOURCES)).depth
 
     assert np.quantile(np.abs(depth - look(target)[1]), 0.9) < 0.1 * 0.02 * 2.5
-
-
-def test_sources_may_change_midway():
-    """Another set of source views, and another number of them, is taken without a restart."""
-    method = GeometryGuided()
-    method.step(instant(0, TARGET, SOURCES))
-
-    rendering = method.step(instant(1, TARGET, SOURCES[1:]))
-
-    assert psnr_db(rendering.image, look(TARGET)[0]) > 25
 
 
 def test_a_skipped_instant_starts_history_anew():
@@ -147,15 +127,6 @@ def test_filtered_depth_mixes_by_the_mask():
     np.testing.assert_allclose(filter_depth(depth, history, mask, np.inf), [[2.5, 4.0, 0.0, 2.0]])
 
 
-def test_two_surfaces_are_not_mixed():
-    """Depth that differs from its history by more than the tolerance is another surface and passes as it is."""
-    depth, history = np.array([[2.0, 2.0]], np.float32), np.array([[2.08, 2.12]], np.float32)
-
-    filtered = filter_depth(depth, history, np.full((1, 2), 0.6, np.float32), 0.05)
-
-    np.testing.assert_allclose(filtered, [[0.6 * 2.0 + 0.4 * 2.08, 2.0]], rtol=1e-6)
-
-
 def test_the_filter_converges_on_the_mean_of_noisy_depth():
     """In a still scene the filtered depth has less noise than what goes in: by sqrt(beta / (2 - beta)) in the steady state."""
     random = np.random.default_rng(0)
@@ -167,13 +138,15 @@ def test_the_filter_converges_on_the_mean_of_noisy_depth():
     assert filtered.std() == pytest.approx(0.02 * np.sqrt(0.6 / 1.4), rel=0.1)
 
 
-def test_switched_off_the_filter_passes_depth_through():
-    """Without temporal filtering depth is untouched and the mask is one."""
-    method = GeometryGuided(OnlineOptions(temporal=False))
-    method.step(instant(0, TARGET, SOURCES, depth_noise=0.05))
-    second = instant(1, TARGET, SOURCES, depth_noise=0.05)
-
-    np.testing.assert_array_equal(method.step(second).image, GeometryGuided().step(second).image)
+@pytest.mark.parametrize("gap", [0, 2])
+def test_the_filter_knows_the_instant_before_alone(gap):
+    """Depth of two instants ago, or of the same one, is no history: the new depth passes as it is, and no change is known."""
+    filters, image, ones = TemporalDepthFilter(), np.full((8, 12, 3), 90, np.uint8), np.ones((8, 12), np.float32)
+    filters.step(3, SourceView(TARGET, image, 2.0 * ones, ones))
+    source, change = filters.step(3 + gap, SourceView(TARGET, image, 2.05 * ones, ones))
+    np.testing.assert_array_equal(source.depth, 2.05 * ones)
+    assert change is None
+    np.testing.assert_allclose(filters.step(4 + gap, SourceView(TARGET, image, 2.0 * ones, ones))[0].depth, 2.02, rtol=1e-6)
 
 
 def test_an_unknown_method_names_the_nearest():

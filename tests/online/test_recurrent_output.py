@@ -12,13 +12,11 @@ from ggvs_eval import kernels
 from ggvs_eval.errors import RenderError
 from ggvs_eval.kernels import _core
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.temporal_filters import RecurrentOutput, agreement
 from helpers.geometry_scenes import seeds
-from helpers.photographs import psnr_db
 from helpers.refusals import refused
-from helpers.scenes import camera_at, instant, look
+from helpers.scenes import camera_at, instant
 from helpers.twins.enlarging import recur_twin
 
 TARGET = camera_at(0.0, name="target")
@@ -29,30 +27,24 @@ NOTHING_MOVES = np.ones(CELLS, np.float32)
 NOISE = 2 / 255
 
 
-def noisy(index: int, target=TARGET, square_x: float = 0.0, sigma: float = NOISE) -> Instant:
+def noisy(index: int) -> Instant:
     """An instant whose sources have sensor noise and noisy depth, new at each index."""
-    plain, random = instant(index, target, SOURCES, square_x, depth_noise=0.02), np.random.default_rng([7, index])
-    grain = [random.normal(0, 255 * sigma, (*SIZE, 3)) for _ in SOURCES]
+    plain, random = instant(index, TARGET, SOURCES, depth_noise=0.02), np.random.default_rng([7, index])
+    grain = [random.normal(0, 255 * NOISE, (*SIZE, 3)) for _ in SOURCES]
     images = [
         np.clip(np.rint(view.image + each), 0, 255).astype(np.uint8) for view, each in zip(plain.sources, grain, strict=True)
     ]
     return replace(plain, sources=tuple(replace(view, image=image) for view, image in zip(plain.sources, images, strict=True)))
 
 
-def play(limit: float, positions: list[float]) -> np.ndarray:
-    method = GeometryGuided(OnlineOptions(recurrent_limit=limit))
-    return np.stack([method.step(noisy(t, square_x=x)).image for t, x in enumerate(positions)])
-
-
-def test_four_still_instants_are_their_mean():
-    """Below its limit the weight of the past makes a plain mean: four outputs of independent noise leave half of it."""
-    random, recurrent = np.random.default_rng(0), RecurrentOutput(0.85)
-
-    for index in range(4):
+@pytest.mark.parametrize(("limit", "instants", "left"), [(0.85, 4, 0.5), (0.5, 12, np.sqrt(0.5 / 1.5))])
+def test_noise_averages_out_up_to_the_limit(limit, instants, left):
+    """Below its limit the weight of the past makes a plain mean; in the long run it is a first-order filter of that weight."""
+    random, recurrent = np.random.default_rng(0), RecurrentOutput(limit)
+    for index in range(instants):
         noise = random.normal(0.5, NOISE, (*SIZE, 3)).astype(np.float32)
         output = recurrent.step(index, TARGET, noise, NOTHING_MOVES)
-
-    assert output.std() == pytest.approx(NOISE / 2, rel=0.06)
+    assert output.std() == pytest.approx(NOISE * left, rel=0.06)
 
 
 @settings(deadline=None, max_examples=40)
@@ -73,16 +65,6 @@ def test_cells_that_do_not_fit_are_refused():
     for shape in ((3, 2, 2), (4, 0, 2), (4, 9, 2)):
         with refused(TypeError, "cells", "four maps"):
             _core.recur(image, image, np.zeros(shape, np.float32), 1)
-
-
-def test_the_limit_bounds_the_past():
-    """In the long run a first-order filter of weight 0.5 leaves 0.577 of the noise, not less."""
-    random, recurrent = np.random.default_rng(0), RecurrentOutput(0.5)
-
-    for index in range(12):
-        output = recurrent.step(index, TARGET, random.normal(0.5, NOISE, (*SIZE, 3)).astype(np.float32), NOTHING_MOVES)
-
-    assert output.std() == pytest.approx(NOISE * np.sqrt(0.5 / 1.5), rel=0.06)
 
 
 def test_what_moves_is_shown_as_it_is():
@@ -140,47 +122,14 @@ def test_the_mean_of_noise_agrees_with_what_is_new_and_one_that_drags_does_not()
     assert agreement(new, mean, last, few).max() == 0
 
 
-def test_a_still_scene_is_calmer_and_no_worse():
-    """With noise of sensors and depth, the recurrent output halves the flicker of a still scene and comes nearer to the truth."""
-    truth, still = look(TARGET)[0], [0.0] * 10
-    with_past, without = play(0.85, still), play(0.0, still)
-
-    assert with_past[4:].std(axis=0).mean() < 0.5 * without[4:].std(axis=0).mean()
-    assert psnr_db(with_past[-1], truth) > psnr_db(without[-1], truth)
-
-
-def test_a_moving_square_leaves_no_ghost():
-    """Behind and on a square that moves, the recurrent output is as near to the truth as without: no trail of what was there."""
-    positions = [-0.5 + 0.1 * t for t in range(8)]
-    truths = [look(TARGET, x) for x in positions]
-    around = np.any([depth < 4 for _, depth in truths[-4:]], axis=0)  # where the square is or just was
-    last = truths[-1][0]
-
-    with_past, without = (psnr_db(play(limit, positions)[-1][around], last[around]) for limit in (0.85, 0.0))
-
-    assert with_past > without - 0.1
-
-
-def test_no_temporal_filtering_has_no_recurrent_output():
-    """The ablation renders every instant as if it were the first."""
-    method = find_method("ours-geometric+no-temporal").make()
-    method.step(noisy(0))
-
-    np.testing.assert_array_equal(
-        method.step(noisy(1)).image, find_method("ours-geometric+no-temporal").make().step(noisy(1)).image
-    )
-
-
+@pytest.mark.usefixtures("kernel_settings")
 def test_threads_do_not_change_a_bit():
     """One thread and three give the same image after four instants."""
-    threads, images = kernels.get_threads(), []
+    images = []
     for count in (1, 3):
         kernels.set_threads(count)
-        cv2.setNumThreads(count)
-        images.append(play(0.85, [0.0] * 4)[-1])
-    kernels.set_threads(threads)
-    cv2.setNumThreads(threads)
-
+        method = GeometryGuided(OnlineOptions(recurrent_limit=0.85))
+        images.append([method.step(noisy(index)).image for index in range(4)])
     np.testing.assert_array_equal(*images)
 
 

@@ -56,35 +56,6 @@ def test_padding_repeats_the_border():
         assert torch.equal(network(image), around[..., 4:44, 2:62])
 
 
-def test_the_first_block_ignores_brightness_and_contrast():
-    """Without biases, one normalisation group over all channels and pixels makes a block blind to the scale of its input."""
-    network, image = small_unet(), torch.rand(1, 5, 32, 32)
-    block = network.down[0]
-    torch.nn.init.zeros_(block[0].bias)
-    with torch.inference_mode():
-        torch.testing.assert_close(block(image * 10), block(image), atol=1e-3, rtol=1e-3)
-
-
-def test_every_weight_learns():
-    """A gradient reaches every parameter."""
-    network = small_unet()
-    network(torch.rand(1, 5, 32, 48)).square().sum().backward()
-    still = [name for name, parameter in network.named_parameters() if parameter.grad is None or not parameter.grad.abs().sum()]
-    assert still == []
-
-
-def test_skips_carry_detail():
-    """A single changed pixel changes the output there more than anywhere else."""
-    network, image = small_unet(width=8), torch.rand(1, 5, 64, 64)
-    changed = image.clone()
-    changed[..., 20, 30] += 1
-    with torch.inference_mode():
-        difference = (network(changed) - network(image)).abs().amax(dim=1)[0]
-    row, column = divmod(int(difference.argmax()), 64)
-    assert abs(row - 20) <= 2
-    assert abs(column - 30) <= 2
-
-
 def restless_unet(inputs: int, outputs: int, width: int) -> UNet:
     """A seeded network whose normalisations change something, too."""
     network = small_unet(inputs, outputs, width)
@@ -101,7 +72,7 @@ def channels_of(inputs: int, height: int, width: int) -> np.ndarray:
 
 @pytest.mark.parametrize("level", kernels.available_levels())
 @pytest.mark.parametrize(
-    ("size", "layout"), [((1, 1), (5, 3, 4)), ((33, 17), (7, 9, 1)), ((70, 95), (61, 18, 16)), ((48, 352), (9, 10, 12))]
+    ("size", "layout"), [((1, 1), (5, 3, 4)), ((33, 17), (7, 9, 1)), ((38, 51), (61, 18, 16)), ((16, 352), (9, 10, 12))]
 )
 def test_the_kernel_is_the_network(size, layout, level):
     """Any size, number of channels and width give what torch gives, to rounding, with every instruction set."""

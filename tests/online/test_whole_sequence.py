@@ -1,14 +1,10 @@
 """The reference that is not online: it uses the future, is marked for it, and is calmer for it."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ggvs_eval.contrib.worlds.demo import write_demo
-from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.datasets import open_capture
 from ggvs_eval.method import Instant, LookaheadMethod, SourceView
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import OnlineMethod
@@ -16,9 +12,9 @@ from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.whole_sequence import WholeSequence
 from ggvs_eval.pipelines.run.evaluate import render
 from ggvs_eval.pipelines.run.prepare import prepare
-from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from helpers.scenes import SQUARE_Z, camera_at, instant
+from helpers.small_runs import small_protocol, write_small_capture
 
 TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.15)]
@@ -77,6 +73,18 @@ def test_both_passes_together_halve_the_noise_of_depth():
     assert seen[False] == pytest.approx(0.655, rel=0.06)
 
 
+def test_each_instant_is_mixed_with_those_behind_it():
+    """Backwards by Eq. 2 with a weight of 0.6: the last instant as it is, then each with what the next one came to."""
+    image, camera, ones = np.full((8, 12, 3), 90, np.uint8), camera_at(0.0, width=12, height=8), np.ones((8, 12), np.float32)
+    depths = (2.0, 2.02, 1.99)
+    instants = [Instant(t, TARGET, (SourceView(camera, image, depth * ones, ones),), 2.5) for t, depth in enumerate(depths)]
+    method = WholeSequence()
+    method.look_ahead(reversed(instants))
+    second = 0.6 * 2.02 + 0.4 * 1.99
+    for moment, expected in zip(instants, (0.6 * 2.0 + 0.4 * second, second, 1.99), strict=True):
+        np.testing.assert_allclose(method._depth(moment.index, moment.sources[0]), expected, rtol=1e-6)
+
+
 def test_nothing_is_left_behind():
     """The folder of the backward pass goes with the method."""
     method = WholeSequence()
@@ -91,11 +99,7 @@ def test_nothing_is_left_behind():
 @pytest.mark.slow
 def test_a_run_shows_it_the_whole_sequence(tmp_path):
     """Rendered in a run it has looked at every frame of the protocol, and the time that took is told."""
-    options = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=3, path_poses=0, supersampling=1)
-    capture = open_capture(write_demo(tmp_path / "demo", options, workers=1))
-    protocol = replace(
-        load_protocol("demo"), views=Views(("cam00",), "test"), frames=Frames(0, 3), synthesis=Synthesis(2), path=CameraPath(0)
-    )
+    capture, protocol = write_small_capture(tmp_path / "room"), small_protocol(3, 0, ("PSNR",))
     prepared = prepare(tmp_path / "run", capture, protocol, labels=[OFFLINE, "ours-geometric"])
 
     render(prepared)
