@@ -34,6 +34,7 @@ from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, l
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json
 from helpers.captures import make_rig
+from helpers.packed_films import unpack_film
 from helpers.refusals import refused
 
 pytestmark = pytest.mark.usefixtures("no_figures")
@@ -50,9 +51,9 @@ def camera_names(options: DemoOptions) -> list[str]:
 def test_the_main_demo_is_as_it_always_was(tmp_path):
     """24 cameras of DyNeRF's layout, 24 frames, seed 0; demo.json of such a rig does not speak of other rigs."""
     assert DEMO_ROOMS[MAIN] == DemoOptions(depth_stride=0)
-    write_demo(tmp_path / "rows", replace(TINY, n_frames=1, cameras_per_row=2), workers=1)
+    notes = unpack_film("small", tmp_path / "rows") / DEMO_NOTES
 
-    assert "rig" not in json.loads((tmp_path / "rows" / DEMO_NOTES).read_text())["options"]
+    assert "rig" not in json.loads(notes.read_text())["options"]
 
 
 def test_the_other_rooms_are_rigs_like_the_data_sets():
@@ -224,7 +225,7 @@ def test_learned_baselines_come_last(tmp_path, small_protocols, monkeypatch):
 
     def film(folder: Path, name: str) -> Capture:
         if folder not in captures:
-            captures[folder] = open_capture(write_demo(folder, TINY, 1))
+            captures[folder] = open_capture(unpack_film("small", folder, with_depth=False))
         return captures[folder]
 
     labels = {MAIN: ["no-blending", "ours", "ibrnet"], "demo-d3dmv": ["no-blending", "ibrnet", "ours+no-tsdf"]}

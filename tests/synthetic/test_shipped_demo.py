@@ -82,7 +82,7 @@ def test_small_rooms_are_filmed_to_the_byte(name, tmp_path):
     assert content(write_room(tmp_path / "unpacked", name)) == content(filmed)
 
 
-@pytest.mark.slow  # lights the room
+@pytest.mark.proof  # lights the room
 def test_it_is_what_is_filmed(demo, tmp_path):
     """The path's images to the bit; a camera's first frames but for what the code takes."""
     shots = rig_and_path_shots(SHIPPED)
