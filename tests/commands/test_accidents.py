@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -63,16 +64,14 @@ def wait_for(condition: Callable[[], object]) -> None:
     assert condition()
 
 
-# One process alone makes no difference between itself and all.
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "to_all", "jobs"),
     [
         (signal.SIGINT, True, 2),
-        (signal.SIGINT, False, 2),
-        (signal.SIGTERM, False, 2),
-        (signal.SIGINT, True, 1),
         (signal.SIGTERM, False, 1),
+        pytest.param(signal.SIGINT, False, 2, marks=pytest.mark.proof),
+        pytest.param(signal.SIGTERM, False, 2, marks=pytest.mark.proof),
     ],
 )
 def test_a_command_that_is_stopped_says_how_to_go_on(number, to_all, jobs, words, interruptible, tmp_path):
@@ -100,6 +99,7 @@ def group_members(group: int) -> list[int]:
     return [int(pid) for pid, pgid, state in rows if int(pgid) == group and not state.startswith("Z")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_command_that_is_stopped_while_it_starts(number, interruptible, tmp_path):
     """In the middle of imports, some of which would swallow an exception."""
@@ -112,20 +112,32 @@ def test_a_command_that_is_stopped_while_it_starts(number, interruptible, tmp_pa
     assert (process.returncode, errors) == (130, f"ggvs-eval: stopped; {GO_ON}\n")
 
 
-@pytest.fixture
-def small_disk(tmp_path) -> Iterator[Path]:
-    """A file system of 100 kB."""
-    folder = tmp_path / "disk"
+@contextmanager
+def mounted(folder: Path, *options: str) -> Iterator[Path]:
     folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", str(folder)], capture_output=True, check=False)
-    if mounted.returncode:
+    if subprocess.run(["mount", *options, str(folder)], capture_output=True, check=False).returncode:
         pytest.skip("file systems can only be mounted by root")
     yield folder
     subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.fixture
+def small_disk(tmp_path) -> Iterator[Path]:
+    """A file system of 100 kB."""
+    with mounted(tmp_path / "disk", "-t", "tmpfs", "-o", "size=100k", "tmpfs") as folder:
+        yield folder
+
+
+@pytest.fixture
+def read_only(tmp_path) -> Iterator[Path]:
+    """A folder of a file system that can only be read."""
+    with mounted(tmp_path / "readonly", "--bind", str(tmp_path / "readonly")) as folder:
+        subprocess.run(["mount", "-o", "remount,ro,bind", str(folder)], check=True)
+        yield folder
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("jobs", ["1", pytest.param("2", marks=pytest.mark.proof)])
 def test_a_full_disk_is_one_line(jobs, words, small_disk, tmp_path):
     """In a job of a run, with and without processes; room is made, and the same command goes on."""
     run = tmp_path / "run"
@@ -142,6 +154,7 @@ def test_a_full_disk_is_one_line(jobs, words, small_disk, tmp_path):
     run_command(["render", str(run), "--methods", "no-blending", "--jobs", "1"])
 
 
+@pytest.mark.proof
 def test_a_disk_that_fills_while_a_demo_is_filmed(small_disk):
     """Several kinds of files are written; all name what could not be."""
     (small_disk / "other").write_bytes(bytes(90_000))
@@ -175,18 +188,6 @@ def test_output_onto_a_full_disk_is_one_line(words, tmp_path):
         code, lines = told("status", tmp_path / "run", stdout=full)
 
     assert (code, lines) == (1, [f"ggvs-eval: No space left on device; make room; {GO_ON}"])
-
-
-@pytest.fixture
-def read_only(tmp_path) -> Iterator[Path]:
-    """A folder of a file system that can only be read."""
-    folder = tmp_path / "readonly"
-    folder.mkdir()
-    if subprocess.run(["mount", "--bind", str(folder), str(folder)], capture_output=True, check=False).returncode:
-        pytest.skip("file systems can only be mounted by root")
-    subprocess.run(["mount", "-o", "remount,ro,bind", str(folder)], check=True)
-    yield folder
-    subprocess.run(["umount", str(folder)], check=True)
 
 
 @pytest.mark.slow
@@ -227,6 +228,7 @@ def test_a_file_in_the_place_of_a_folder_is_one_line(place, reason, words, tmp_p
 
 
 @pytest.mark.slow
+@pytest.mark.proof
 def test_a_scheduler_that_dies_is_one_line(words, tmp_path):
     """The client of dask says much about it; we say what to do, and nothing else is shown."""
     pytest.importorskip("distributed")
@@ -240,15 +242,13 @@ def test_a_scheduler_that_dies_is_one_line(words, tmp_path):
     command = [*COMMAND, "run", str(run), *words, "--engine", "dask", "--scheduler", address]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     try:
-        end_s = time.monotonic() + WAIT_S
-        while not list(run.glob("depth/*/*.npz")) and time.monotonic() < end_s and process.poll() is None:
-            time.sleep(0.01)
+        wait_for(lambda: list(run.glob("depth/*/*.npz")) or process.poll() is not None)
         scheduler.kill()
         _, errors = process.communicate(timeout=WAIT_S)
     finally:
-        for each in (scheduler, worker, process):
-            each.kill()
-            each.wait()
+        for child in (scheduler, worker, process):
+            child.kill()
+            child.wait()
 
     assert process.returncode == 1
     assert errors.splitlines()[-1] == f"ggvs-eval: {address}: the scheduler has gone; {GO_ON}"

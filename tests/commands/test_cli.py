@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import warnings
@@ -29,42 +30,30 @@ def rig(tmp_path) -> Path:
     return write_dynerf(tmp_path / "rig")
 
 
-def test_a_missing_video_is_named(rig, tmp_path):
-    """One mp4 less than rows of poses: both counts and the mend."""
-    next(iter(sorted(rig.glob("*.mp4")))).unlink()
-
-    assert "poses_bounds.npy" in refusal("run", tmp_path / "run", "--capture", rig)
+def lose_a_video(rig: Path) -> None:
+    min(rig.glob("*.mp4")).unlink()
 
 
-def test_a_truncated_video_is_named(rig, tmp_path):
-    """Half an mp4 is refused before anything is computed, naming the file."""
+def cut_a_video(rig: Path) -> None:
     video = sorted(rig.glob("*.mp4"))[1]
     video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
 
-    assert video.name in refusal("run", tmp_path / "run", "--capture", rig)
 
-
-def test_a_nan_pose_is_named(rig, tmp_path):
-    """A NaN in the pose file names the file and the row."""
+def spoil_a_pose(rig: Path) -> None:
     poses = np.load(rig / "poses_bounds.npy")
     poses[2, 3] = np.nan
     np.save(rig / "poses_bounds.npy", poses)
 
-    assert "row 2" in refusal("run", tmp_path / "run", "--capture", rig)
 
+@pytest.mark.parametrize(
+    ("damage", "named"),
+    [(lose_a_video, "poses_bounds.npy"), (cut_a_video, "cam01.mp4"), (spoil_a_pose, "row 2"), (shutil.rmtree, "rig")],
+)
+def test_a_damaged_capture_is_named(damage, named, rig, tmp_path):
+    """Before anything is computed: the file or the row, and where it is gone, the folder."""
+    damage(rig)
 
-def test_a_wrong_row_count_is_named(rig, tmp_path):
-    """A pose file of another rig: rows against videos."""
-    np.save(rig / "poses_bounds.npy", np.load(rig / "poses_bounds.npy")[:-1])
-
-    assert "poses_bounds.npy" in refusal("prepare", tmp_path / "run", "--capture", rig)
-
-
-def test_an_empty_folder_says_what_was_wanted(tmp_path):
-    """An empty folder is no capture."""
-    (tmp_path / "empty").mkdir()
-
-    assert "empty" in refusal("run", tmp_path / "run", "--capture", tmp_path / "empty")
+    assert named in refusal("run", tmp_path / "run", "--capture", rig)
 
 
 def test_an_unknown_protocol_key_names_the_nearest(rig, tmp_path):
@@ -77,8 +66,9 @@ def test_an_unknown_protocol_key_names_the_nearest(rig, tmp_path):
 
 
 def test_a_folder_that_is_no_run_says_how_to_make_one(tmp_path):
-    """Scoring, rendering or slicing something else than a run folder names the command that makes one."""
+    """Scoring or rendering something else than a run folder names the command that makes one; nothing is to be deleted."""
     assert "ggvs-eval run" in refusal("score", tmp_path)
+    assert "wanted a run folder" in refusal("render", tmp_path, "--methods", "no-blending")
 
 
 def helped(capsys, *words: str) -> str:
@@ -99,22 +89,15 @@ def all_commands():
 
 
 @pytest.mark.parametrize(("words", "command"), list(all_commands()))
-def test_every_command_explains_itself(words, command, capsys):
-    """`--help` of each command exits cleanly, says what it does, and every box has a name of its own."""
-    told = helped(capsys, *words)
-
-    assert f"usage: ggvs-eval {' '.join(words)} " in told
-    assert command.__doc__.partition("\n")[0] in told
-    assert "options options" not in told
-
-
-@pytest.mark.parametrize(("words", "command"), list(all_commands()))
-def test_the_example_of_every_command_can_be_typed(words, command, capsys, monkeypatch):
-    """Its help shows one, and the command line takes it as it stands; `None` is no value that a user types."""
+def test_every_command_explains_itself(words, command, capsys, monkeypatch):
+    """Its help says what it does, each box by a name of its own, and shows an example, which can be typed as it stands."""
     called, example = " ".join(("ggvs-eval", *words)), VERBS[words[0]].example.replace("NETWORK", words[-1])
     told = helped(capsys, *words)
+    assert f"usage: {called} " in told
+    assert command.__doc__.partition("\n")[0] in told
+    assert "options options" not in told
     assert f"Example: {called} {example}" in told
-    assert "None}" not in told
+    assert "None}" not in told  # which no user types
 
     taken = []
     recorded = wraps(command)(lambda *arguments, **options: taken.append((arguments, options)))
@@ -125,10 +108,9 @@ def test_the_example_of_every_command_can_be_typed(words, command, capsys, monke
 
 
 def test_the_overview_names_every_command(capsys):
-    """`ggvs-eval --help` and `ggvs-eval train --help`: a line for each command and each network, by the installed program too."""
-    overview = subprocess.run([sys.executable, "-m", "ggvs_eval", "--help"], capture_output=True, text=True, check=True).stdout
-
-    assert all(f"\n  {name} " in overview for name in COMMANDS)
+    """`ggvs-eval --help` and `ggvs-eval train --help`: a line for each command and each network."""
+    overview = helped(capsys)
+    assert [name for name in COMMANDS if f" {name} " not in overview] == []
     networks = helped(capsys, "train")
     assert all(f" {name} Train " in networks for name in ("blend", "stereo", "ibrnet", "all"))
 
@@ -139,19 +121,21 @@ def test_the_overview_says_what_the_commands_say():
     assert {name: VERBS[name].about for name in said} == said
 
 
-@pytest.mark.parametrize("words", [("--help",), ("--version",)])
-def test_the_overview_loads_no_command(words):
-    """No torch, no scipy, no numpy and no verb; at most .35 s of a core, on a machine that is not asked for more."""
+@pytest.mark.slow
+def test_the_overview_loads_no_command():
+    """No torch, no scipy, no numpy and no verb, neither for help nor for the version; by the installed program too."""
     code = (
-        "import sys, time\nfrom ggvs_eval.pipelines.commands.main import run_command\n"
-        f"try: run_command({list(words)!r})\nexcept SystemExit: pass\n"
+        "import sys\nfrom ggvs_eval.pipelines.commands.main import run_command\n"
+        "for word in ('--help', '--version'):\n"
+        "    try: run_command([word])\n"
+        "    except SystemExit: pass\n"
         "heavy = {'torch', 'scipy', 'numpy', 'tyro', 'ggvs_eval.capture', 'ggvs_eval.pipelines.commands.runs'}\n"
-        "print(sorted(heavy & sys.modules.keys()), time.process_time(), file=sys.stderr)"
+        "print(sorted(heavy & sys.modules.keys()), file=sys.stderr)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded, _, seconds = done.stderr.strip().rpartition(" ")
-    assert loaded == "[]"
-    assert float(seconds) <= 0.35
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stderr.strip() == "[]"
+    overview = subprocess.run([sys.executable, "-m", "ggvs_eval", "--help"], capture_output=True, text=True, check=True).stdout
+    assert ended.stdout.startswith(overview)
 
 
 def test_a_verb_of_a_package_that_is_not_there_is_one_line(monkeypatch):
@@ -251,11 +235,6 @@ def test_a_mistyped_method_is_named_before_anything_is_read(words, tmp_path):
     """Though there is no such run and no such capture."""
     message = refusal(*(tmp_path / word if word.isupper() else word for word in words), "--methods", "oars")
     assert "unknown method 'oars'; did you mean ours?" in message
-
-
-def test_a_folder_that_is_no_run_is_called_so(tmp_path):
-    """Nothing is to be deleted; a run is to be made."""
-    assert "wanted a run folder" in refusal("render", tmp_path, "--methods", "no-blending")
 
 
 def test_our_warnings_are_written_as_our_errors_are(monkeypatch, capsys):

@@ -192,7 +192,7 @@ def test_the_page_renders_again_where_it_was_rendered(tmp_path):
     ]
 
 
-@pytest.mark.parametrize("count", [0, 40, 4000])
+@pytest.mark.parametrize("count", [0, 40, pytest.param(4000, marks=pytest.mark.slow)])
 def test_tiles_are_blended_side_by_side_as_one_by_one(count):
     """The order of work of a GPU gives what the CPU's gives, and its gradient: few, many, tiles dark before their last one."""
     random = np.random.default_rng(5)

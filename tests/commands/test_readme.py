@@ -136,6 +136,7 @@ def psnr_db(printed: str) -> float:
     return float(re.findall(r"^mine\s+(\d+\.\d+)", printed, re.MULTILINE)[0])
 
 
+@pytest.mark.proof
 def test_the_guide_goes_from_a_capture_to_its_page(first_evaluation):
     """Nothing stumbles; a method of ours and imported frames are in one table, and their difference has its interval."""
     folder, steps = first_evaluation

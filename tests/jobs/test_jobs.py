@@ -20,6 +20,8 @@ from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.run_folder import JOB_FILE, read_json
 from helpers.refusals import refused
 
+ONE_OR_TWO = [1, pytest.param(2, marks=pytest.mark.slow)]
+
 
 def write_number(number: int, folder: Path) -> dict:
     (folder / "number.txt").write_text(str(number))
@@ -46,8 +48,7 @@ def number_job(root: Path, number: int) -> Job:
     return Job(f"number {number}", root / f"n{number}", {"number": number}, partial(write_number, number))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", ONE_OR_TWO)
 def test_a_job_runs_once(workers, tmp_path):
     """The second call finds every result and runs nothing; the record stands beside it."""
     jobs = [number_job(tmp_path, number) for number in range(3)]
@@ -69,8 +70,7 @@ def test_changed_inputs_run_again(tmp_path):
     assert (tmp_path / "n" / "number.txt").read_text() == "2"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", ONE_OR_TWO)
 def test_a_failed_job_leaves_nothing_and_stops_nobody(workers, tmp_path):
     """The others finish, the failed one leaves no folder, and one error lists what failed."""
     broken = [Job(f"broken {i}", tmp_path / f"b{i}", {"broken": i}, partial(fail, f"cam{i:02d} is gone")) for i in range(2)]
@@ -81,8 +81,7 @@ def test_a_failed_job_leaves_nothing_and_stops_nobody(workers, tmp_path):
     assert sorted(item.name for item in tmp_path.iterdir()) == ["n1", "n2"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", ONE_OR_TWO)
 def test_a_bug_is_raised_when_the_others_are_done(workers, tmp_path):
     """What is no mistake of the user's comes with its traceback, after all other jobs."""
     jobs = [Job("buggy", tmp_path / "b", {"bug": 1}, stumble), number_job(tmp_path, 1), number_job(tmp_path, 2)]
@@ -111,6 +110,7 @@ def test_a_ledger_keeps_why_a_job_failed_until_it_succeeds(tmp_path):
     assert ledger.failure(mended.entry) is None
 
 
+@pytest.mark.slow
 def test_what_another_process_works_on_is_left_alone(tmp_path):
     """A second run of the same job does not take away the half of one that is under way; the folder of a dead one goes."""
     job = number_job(tmp_path, 1)
@@ -126,6 +126,7 @@ def test_what_another_process_works_on_is_left_alone(tmp_path):
     assert sorted(item.name for item in tmp_path.iterdir()) == [alive.name, "n1"]
 
 
+@pytest.mark.slow
 def test_workers_die_with_their_parent(tmp_path):
     """After kill -9 of the main process its workers are gone within seconds, in the middle of a job or idle."""
     script = (
@@ -144,6 +145,7 @@ def test_workers_die_with_their_parent(tmp_path):
     assert wait_for(lambda: not is_running(worker))
 
 
+@pytest.mark.slow
 def test_a_killed_run_loses_only_the_job_in_hand(tmp_path):
     """After kill -9 what was finished stays, and the next call runs the rest and cleans up."""
     script = (

@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.jobs import machine
+from ggvs_eval.jobs import job, machine
 from ggvs_eval.jobs.engine import Engine, start_remedy
 from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
 from ggvs_eval.jobs.processes import kept_workers
 
 ENGINES = [Engine(2), Engine(2, "dask")]
+DASK_AS_PROOF = [Engine(2), pytest.param(Engine(2, "dask"), marks=pytest.mark.proof)]
 
 
 def write_square(number: int, folder: Path) -> dict:
@@ -91,7 +92,7 @@ def test_a_killed_worker_costs_no_result(engine, dask_or_skip, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
+@pytest.mark.parametrize("engine", DASK_AS_PROOF, ids=["processes", "dask"])
 def test_a_job_that_kills_every_worker_is_given_up(engine, hasty_dask, tmp_path):
     """It is named with a reason; those beside it, whose processes it took along, are done, and lost workers are replaced."""
     root = tmp_path / "root"
@@ -115,7 +116,7 @@ def processes_of(root: Path, names: range) -> set[str]:
     """Run a job per name; the processes that did them."""
     jobs = [Job(str(name), root / str(name), {"name": name}, partial(note_process, name)) for name in names]
     run_jobs(jobs, 2, "")
-    return {(job.folder / "process.txt").read_text() for job in jobs}
+    return {(made.folder / "process.txt").read_text() for made in jobs}
 
 
 @pytest.mark.slow
@@ -176,27 +177,19 @@ def test_the_memory_of_processes_is_read():
     assert machine.resident_bytes([2**22 + 1]) == (0, 0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("engine", "message"),
-    [
-        (Engine(0), "at least 1"),
-        (Engine(2, scheduler="tcp://host:8786"), "wanted --engine dask with it"),
-    ],
-)
-def test_options_that_contradict_each_other_are_refused(engine, message, tmp_path):
-    """One line says what to change; nothing has begun."""
-    with pytest.raises(RenderError, match=message):
-        run_jobs([square_job(tmp_path, 1)], engine, "")
+def test_options_that_contradict_each_other_are_refused(tmp_path, monkeypatch):
+    """One line says what to change, or what to install; nothing has begun."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.setattr(job, "package_digest", lambda: "of a tree that takes seconds to read")
+    wishes = {
+        Engine(0): "at least 1",
+        Engine(2, scheduler="tcp://host:8786"): "wanted --engine dask with it",
+        Engine(1, "dask"): r"pip install ggvs-eval\[cluster\]",
+    }
+    for engine, message in wishes.items():
+        with pytest.raises(RenderError, match=message):
+            run_jobs([square_job(tmp_path, 1)], engine, "")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_dask_is_asked_for_when_it_is_not_there(monkeypatch, tmp_path):
-    """Without the extra the message says what to install."""
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-
-    with pytest.raises(RenderError, match=r"pip install ggvs-eval\[cluster\]"):
-        run_jobs([square_job(tmp_path, 1)], Engine(1, "dask"), "")
 
 
 UNGUARDED = """
@@ -209,7 +202,7 @@ run_all(math.sqrt, [1.0, 2.0, 3.0], Engine(2, {engine!r}), "roots")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
+@pytest.mark.parametrize("engine", DASK_AS_PROOF, ids=["processes", "dask"])
 def test_workers_that_cannot_start_are_not_out_of_memory(engine, dask_or_skip, tmp_path):
     """A script that starts processes at its top level learns why they died, and what to write instead."""
     script = tmp_path / "script.py"
@@ -271,33 +264,26 @@ def test_the_command_line_names_no_script(monkeypatch):
         assert remedy in start_remedy()
 
 
-def test_without_semaphores_one_process_does_all(monkeypatch, tmp_path, capsys):
-    """Where /dev/shm cannot be written jobs are done one after the other in this process, failures included; a line says so."""
+@pytest.mark.parametrize("reason", [errno.EACCES, errno.EMFILE])
+def test_without_semaphores_one_process_does_all(reason, monkeypatch, tmp_path, capsys):
+    """Jobs are done in this process and a line says so; too many open files, which fewer processes mend, are an error."""
 
     def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(errno.EACCES, "Permission denied")
+        raise OSError(reason, os.strerror(reason))
 
     monkeypatch.setattr(synchronize.SemLock, "__init__", refuse)
     jobs = [square_job(tmp_path, number) for number in range(3)]
-    broken = Job("n", tmp_path / "n", {}, fail_here)
+    if reason == errno.EMFILE:
+        with pytest.raises(OSError, match="Too many open files"):
+            attempt_jobs(jobs, 2, "")
+        return
 
-    attempt = attempt_jobs([*jobs, broken], 2, "")
+    attempt = attempt_jobs([*jobs, Job("n", tmp_path / "n", {}, fail_here)], 2, "")
 
     assert attempt.done == 3
-    assert all(job.is_done() for job in jobs)
+    assert all(made.is_done() for made in jobs)
     assert "not here" in str(attempt.failures[0])
     assert "running in one process" in capsys.readouterr().err
-
-
-def test_too_many_open_files_are_still_told(monkeypatch, tmp_path):
-    """What a user can mend by fewer processes is no reason to go on slowly in silence."""
-
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(errno.EMFILE, "Too many open files")
-
-    monkeypatch.setattr(synchronize.SemLock, "__init__", refuse)
-    with pytest.raises(OSError, match="Too many open files"):
-        attempt_jobs([square_job(tmp_path, number) for number in range(3)], 2, "")
 
 
 def fail_here(_: Path) -> dict:
