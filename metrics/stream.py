@@ -3,7 +3,6 @@
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError, WeightsError
@@ -64,8 +63,6 @@ def score_views(
     *,
     colour_maps: Sequence[ColourMap] | None = None,
     disoccluded: Iterable[Mask] | None = None,
-    begun: Any = None,
-    keep: Callable[[Any], None] | None = None,
 ) -> list[ViewScores]:
     """Measure several renderings of one view against the same captured frames.
 
@@ -75,8 +72,6 @@ def score_views(
         options: variants of the metrics; the defaults where None.
         colour_maps: each method's map of this view, see `fit_colour_maps`; needed where colours are corrected per view.
         disoccluded: for each instant, where no source camera sees the view, (H, W); None if that is unknown.
-        begun: what `keep` was given behind the instants before these, by the same metrics and options; it is used up.
-        keep: takes the state behind the last instant, before `finish` of any scorer, and holds no part of it.
 
     Returns:
         values of each method: by frame, by pair and of the view. A metric that a view cannot have (too few frames, too small,
@@ -90,10 +85,11 @@ def score_views(
     corrected = [metric.name for metric in streamed if metric.corrects_colours]
     if options.colour_scope == "view" and colour_maps is None and corrected:
         raise MetricError(f"{', '.join(corrected)}: colours are corrected per view; fit the maps first")
-    fresh: tuple[int, Image8 | None, list[ViewScores], list[list[Scorer]]] = (0, None, [], [])
-    count, previous, scores, scorers = begun or fresh
+    previous: Image8 | None = None
+    scores: list[ViewScores] = []
+    scorers: list[list[Scorer]] = []
     masks = iter(disoccluded) if disoccluded is not None else None
-    for index, (renderings, image) in enumerate(frames, count):
+    for index, (renderings, image) in enumerate(frames):
         if previous is not None and image.shape != previous.shape:
             raise MetricError(f"frame {index} is {image.shape}, the frames before are {previous.shape}; a view has one size")
         if previous is None:
@@ -108,8 +104,6 @@ def score_views(
             scorers[i] = [one for one in scorers[i] if _attempt(one, partial(one.add, index, rendered, truth), scores[i])]
     if previous is None:
         raise MetricError("no frames to score; render this view first")
-    if keep is not None:
-        keep((index + 1, previous, scores, scorers))
     for remaining, view_scores in zip(scorers, scores, strict=True):
         for scorer in remaining:
             _attempt(scorer, scorer.finish, view_scores)

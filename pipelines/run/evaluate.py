@@ -233,7 +233,7 @@ def _score_runs(plans: Sequence[RunPlan], whole: dict[str, list[str]], stages: S
     for plan in plans:
         lacking = {*plan.methods, *plan.request.imports}.difference(whole[plan.name]) | _left_unfinished(plan)
         labels = whole[plan.name] if plan.request.views else [each for each in plan.run.labels() if each not in lacking]
-        work = partial(plan_scores, plan.run, labels, plan.request.views, plan.request.networks.device, plan.request.states)
+        work = partial(plan_scores, plan.run, labels, plan.request.views, plan.request.networks.device)
         scores = stages.attempt(f"score {plan.name}", work)
         planned += [] if scores is None else [(plan, scores)]
     jobs = {plan.name: [_named(job, plan.name) for job in scores.jobs] for plan, scores in planned}

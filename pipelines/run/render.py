@@ -8,7 +8,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from operator import index
 from pathlib import Path
@@ -29,10 +29,9 @@ from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit
-from ggvs_eval.pipelines.methods.spec import MethodSpec, OnlineMethod
+from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.run.folds import FitPlan
 from ggvs_eval.pipelines.run.footage import fold_footage
-from ggvs_eval.pipelines.run.kept_states import find_state, keep_state
 from ggvs_eval.progress import LINE_EVERY_S, duration
 from ggvs_eval.results import describe_machine, installed_versions, split_label
 from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, diagnostics_path, frame_path, read_json, write_json
@@ -85,8 +84,8 @@ class RunJobs:
         return RunJobs(tuple(fits), tuple(renders))
 
 
-def render_job(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit, states: Path | None = None) -> UnitJob:
-    """Return the job that renders one unit by one method, from its state in a folder of `RunRequest.states` on."""
+def render_job(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit) -> UnitJob:
+    """Return the job that renders one unit by one method."""
     identity = {"method": label, "code": method_code(spec), **spec.identity(unit)}
     if spec.device != "cpu":  # whose bits are equal everywhere
         from ggvs_eval.compute_device import describe_device
@@ -96,9 +95,7 @@ def render_job(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit, s
         name, folder = f"{label} along the path", run.path(label)
     else:
         name, folder = f"{label} in {unit.name}", run.renders(label, unit.name)
-    is_online = isinstance(spec, OnlineMethod) and spec.online and not spec.foreign and spec.device == "cpu"
-    states = states if is_online and unit.name != PATH else None
-    work = partial(_render, label, spec, unit, states, {**identity, "frames": unit.frames.start}, folder)
+    work = partial(_render, label, spec, unit)
     return UnitJob(name, folder, identity, work, label=label, units=(unit.name,))
 
 
@@ -117,25 +114,13 @@ def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
         write_json(order, {"labels": merged})
 
 
-def _render(
-    label: str, spec: MethodSpec, unit: RenderUnit, states: Path | None, key: dict[str, Any], place: Path, folder: Path
-) -> dict[str, Any]:
-    """Write the pictures of a unit; returns what job.json records besides the identity: seconds per stage.
-
-    The first pictures are copied where a state of the method behind them was kept.
-    """
-    kept: tuple[Path | None, list[dict[str, float]], Any] = find_state(states, key) or (None, [], None)
-    begun, seconds, method = kept
-    if begun:
-        shutil.copytree(begun, folder, ignore=shutil.ignore_patterns(JOB_FILE), dirs_exist_ok=True)
-    shots, refused = unit.shots[len(seconds) :], dict[str, str]()
+def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dict[str, Any]:
+    """Write the pictures of a unit; returns what job.json records besides the identity: seconds per stage."""
+    seconds: list[dict[str, float]] = []
+    refused: dict[str, str] = {}
     with PeakMemory() as memory:
         try:
-            renderings = spec.renderings(unit)
-            if states:
-                method = method or spec.make()
-                renderings = map(method.step, replace(unit, frames=unit.frames[len(seconds) :]).instants(method))
-            for (number, _, target), rendering in zip(shots, renderings, strict=True):
+            for (number, _, target), rendering in zip(unit.shots, spec.renderings(unit), strict=True):
                 if not np.isfinite(rendering.image).all():
                     raise RenderError(f"{label}, frame {number}: wanted an image of finite numbers, got others")
                 write_image(frame_path(folder, number), quantise(rendering.image))
@@ -148,8 +133,6 @@ def _render(
             shutil.rmtree(folder)
             folder.mkdir()
             seconds, refused = [], {REFUSED: str(error)}
-    if not refused:
-        keep_state(states, key, (place, seconds, method))
     name, variant = split_label(label)
     record = {
         "method": name,

@@ -78,7 +78,6 @@ class RunRequest:
         views: units of a shard, test views or ``path``; None for all, none if the run is only prepared.
         imports: label -> renders of others, which become a method of the run.
         name: of the run in a sweep, for people.
-        states: private folder, see `kept_states`: a run goes on from what a shorter one left there, and leaves its own.
     """
 
     root: Path
@@ -91,7 +90,6 @@ class RunRequest:
     views: Collection[str] | None = None
     imports: Mapping[str, Path] = field(default_factory=dict)
     name: str = ""
-    states: Path | None = None
 
     @property
     def only_prepares(self) -> bool:
@@ -164,7 +162,7 @@ class RunPlan:
             entries = {unit: job.entry for job in scenes for unit in job.units}
             fits += scenes
             units = [replace(unit, fit=entries.get(unit.name)) for unit in self.units]
-            renders += [render_job(self.run, label, spec, unit, self.request.states) for unit in units]
+            renders += [render_job(self.run, label, spec, unit) for unit in units]
         # What waits for no fit first, and the longest first, so that all workers end at about the same time.
         of_path_first = len(self.path) > len(self.frames)
         fitted = {job.label for job in fits}

@@ -7,7 +7,6 @@ Each view is one job for all methods, because what the truth alone decides is th
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from ggvs_eval.coverage import Coverage, guessed_first, read_coverage
@@ -171,14 +170,11 @@ def require_labels(run: RunFolder, labels: Sequence[str] | None = None) -> None:
         )
 
 
-def plan_scores(
-    run: RunFolder, labels: Sequence[str], units: Collection[str] | None = None, device: str = "cpu", states: Path | None = None
-) -> Scores:
+def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | None = None, device: str = "cpu") -> Scores:
     """List the jobs that measure some methods.
 
     Args:
         units: test views, or ``path``, of which nothing may be missing; None for all.
-        states: see `RunRequest.states`.
     """
     protocol = run.protocol()
     require_labels(run, labels)
@@ -187,7 +183,7 @@ def plan_scores(
     coverage.require(run, views, labels)
     clocks = read_clocks(run, protocol, coverage, labels)
     screens = screens_of(protocol, clocks)
-    of_views = (view_job(run, protocol, coverage, labels, view, device, screens, states) for view in views)
+    of_views = (view_job(run, protocol, coverage, labels, view, device, screens) for view in views)
     of_paths = path_jobs(run, protocol, labels) if units is None or PATH_VIEW in units else []
     ceilings = ceiling_jobs(run, protocol, views)
     return Scores(run, tuple(labels), coverage, tuple(of_views), tuple(ceilings), tuple(of_paths), device, clocks)

@@ -4,7 +4,7 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,6 @@ from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen
 from ggvs_eval.metrics.time.on_screen import Screen, ScreenMetric
 from ggvs_eval.pipelines.inspection.renders.identity import frame_reader
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
-from ggvs_eval.pipelines.run.kept_states import find_state, keep_state
 from ggvs_eval.pipelines.run.score_code import checks_code, metric_code
 from ggvs_eval.protocol import ON_SCREEN, Measurement, Protocol
 from ggvs_eval.results import installed_versions
@@ -41,14 +40,12 @@ def view_job(
     view: str,
     device: str = "cpu",
     screens: Mapping[str, Screen | str] = NO_SCREENS,
-    states: Path | None = None,
 ) -> Job:
     """Return the job of one view; in it all values of a method are stale when a frame changes, and one metric when its code does.
 
     Args:
         screens: label -> what is on the screen, or why nothing is, see `read_screens`; a value is stale when that changes, not
             when a time does.
-        states: see `RunRequest.states`.
     """
     options = metric_options(protocol.measurement, device)
     measurement = protocol.measurement
@@ -68,7 +65,7 @@ def view_job(
         | {"metrics": common["metrics"] | _on_screen_identity(measurement, options, screens.get(label, ""))}
         for label in stretches
     }
-    work = partial(_score_view, run, view, tuple(labels), identities, stretches, screens, protocol, options, states)
+    work = partial(_score_view, run, view, tuple(labels), identities, stretches, screens, protocol, options)
     return Job(f"scores of {view}", run.scores(view), identities, work, renews=True)
 
 
@@ -106,7 +103,6 @@ def _score_view(
     screens: Mapping[str, Screen | str],
     protocol: Protocol,
     options: MetricOptions,
-    states: Path | None,
     _folder: Path,
 ) -> dict[str, Any]:
     """Measure stale metrics, methods with the same frames and stale metrics side by side; all other values stay."""
@@ -127,20 +123,15 @@ def _score_view(
         unchecked += [] if is_checked else [label]
         stale = [name for name in identity["metrics"] if name not in fresh]
         if waited_for := tuple(name for name in stale if not isinstance(METRICS[name], ScreenMetric)):
-            for part in _parts(waited_for, options) if states else [waited_for]:
-                alike[stretches[label], part].append(label)
+            alike[stretches[label], waited_for].append(label)
         if streamed := [name for name in stale if isinstance(METRICS[name], ScreenMetric)]:
             with _computing(options.device):
                 seen = _score_screen(run, view, label, screens[label], streamed, protocol, options)
             methods[label] |= _replaced(methods[label], seen)
     for (there, metrics), labels in alike.items():
         shown = [partial(frame_path, run.renders(label, view)) for label in labels]
-        kept = None
-        if states and len(there) == 1:
-            key = [view, labels, {name: identities[labels[0]]["metrics"][name] for name in metrics}, str(options)]
-            kept = Kept(states, key, [run.truth(view), run.disoccluded(view), *(run.renders(label, view) for label in labels)])
         with _computing(options.device):
-            scores = _score_methods(run, view, shown, there, metrics, protocol, options, kept)
+            scores = _score_methods(run, view, shown, there, metrics, protocol, options)
         for label, measured in zip(labels, scores, strict=True):
             methods[label] |= _replaced(methods[label], measured)
     checks = QuickChecks(view, frame_reader(run.truth(view)), protocol.frames.numbers)
@@ -191,34 +182,6 @@ def _values_of(metrics: Collection[str], record: Mapping[str, Any], options: Met
     return {"values": values, "not_computed": {name: reason for name, reason in reasons.items() if name in metrics}}
 
 
-def _parts(metrics: Sequence[str], options: MetricOptions) -> list[tuple[str, ...]]:
-    """Return the metrics whose colours are those of the view, which need all its frames, apart from the others."""
-    of_view = {one.name for one in scored_by_view(metrics) if one.corrects_colours and options.colour_scope == "view"}
-    return [tuple(part) for each in (False, True) if (part := [name for name in metrics if (name in of_view) == each])]
-
-
-@dataclass(frozen=True)
-class Kept:
-    """State of what has measured the first frames of some folders, see `RunRequest.states`."""
-
-    states: Path
-    key: list[Any]
-    folders: Sequence[Path]
-
-    def find(self, frames: range) -> tuple[Any, range]:
-        """Return the state and the frames that are left; None and all where the first ones were others."""
-        stop, seen, state = find_state(self.states, self.key) or (frames.stop, None, None)
-        is_same = stop < frames.stop and seen == self._seen(range(frames.start, stop))
-        return (state, range(stop, frames.stop)) if is_same else (None, frames)
-
-    def keep(self, frames: range, state: object) -> None:
-        """Keep the state behind these frames."""
-        keep_state(self.states, self.key, (frames.stop, self._seen(frames), state))
-
-    def _seen(self, frames: range) -> list[str]:
-        return [digest_frames(folder, frames) for folder in self.folders]
-
-
 def _score_methods(
     run: RunFolder,
     view: str,
@@ -227,7 +190,6 @@ def _score_methods(
     metrics: Sequence[str],
     protocol: Protocol,
     options: MetricOptions,
-    kept: "Kept | None" = None,
 ) -> list[dict[str, Any]]:
     """Some metrics of methods that have the same frames; frames are streamed, two instants in memory.
 
@@ -242,12 +204,10 @@ def _score_methods(
     if options.colour_scope == "view" and corrected:
         maps = fit_colour_maps(one for frames in stretches for one in _instants(shown, truth, frames, measurement))
     for frames in stretches:
-        begun, left = kept.find(frames) if kept and not maps else (None, frames)
-        instants = _instants(shown, truth, left, measurement)
-        masks = _disoccluded(run.disoccluded(view), left, measurement)
+        instants = _instants(shown, truth, frames, measurement)
+        masks = _disoccluded(run.disoccluded(view), frames, measurement)
         placed = replace(options, first_frame=frames.start - protocol.frames.start)
-        keep = partial(kept.keep, frames) if kept and not maps else None
-        scored = score_views(instants, metrics, placed, colour_maps=maps, disoccluded=masks, begun=begun, keep=keep)
+        scored = score_views(instants, metrics, placed, colour_maps=maps, disoccluded=masks)
         for record, scores in zip(records, scored, strict=True):
             values = [(name, -1 if index is None else frames[index], value) for name, index, value in scores.values]
             record["values"] += [value for value in values if value[1] >= 0 or len(stretches) == 1]

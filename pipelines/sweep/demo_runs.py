@@ -146,11 +146,9 @@ def evaluate_demos(
             failures, tables = result.failures, [] if result.table.empty else [each.root]
             continue
         left = count_work([each], each.run.root)
-        with TemporaryDirectory() as states:
-            if not roots and left.count("depth", "checked depth") and each.protocol.frames.count > FIRST_FRAMES:
-                each = replace(each, request=replace(each.request, states=Path(states)))
-                show(show_first_frames(each, workers))
-            measure(each, workers)
+        if not roots and left.count("depth", "checked depth") and each.protocol.frames.count > FIRST_FRAMES:
+            show(show_first_frames(each, workers))
+        measure(each, workers)
         shutil.rmtree(first_root(each.run.root), ignore_errors=True)
         roots = [*dict.fromkeys([*roots, each.run.root])]
         has_grown |= not left.is_nothing()
@@ -165,8 +163,8 @@ def evaluate_demos(
 def show_first_frames(plan: RunPlan, workers: Workers) -> Path:
     """Evaluate the first frames of a run's views, and write the page of these in its place, which says so.
 
-    Captured frames and depth are the run's own. Renders and scores are a run of their own in its folder, and the run goes on
-    from the states behind them (`RunRequest.states`); what looks at all frames of a view or along the path begins anew.
+    Captured frames and depth are the run's own. Renders and scores are a run of their own in its folder, which goes when all
+    frames are evaluated.
     """
     protocol, count = plan.protocol, plan.protocol.frames.count
     title = f"{protocol.dataset}: first {FIRST_FRAMES} of {count} frames, the others are being evaluated"
