@@ -71,9 +71,16 @@ def winners(run: MeasuredRun) -> set[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sets", [10, pytest.param(40, marks=pytest.mark.proof)])
 @pytest.mark.parametrize(
-    ("frames", "correlation", "views"), [(12, 0.9, 3), (24, 0.0, 3), (24, 0.8, 3), (24, 0.8, 9), (60, 0.9, 5)]
+    ("frames", "correlation", "views", "sets"),
+    [
+        (12, 0.9, 3, 10),
+        (24, 0.8, 9, 10),
+        *(
+            pytest.param(*shape, 40, marks=pytest.mark.proof)
+            for shape in [(24, 0.0, 3), (24, 0.8, 3), (24, 0.8, 9), (60, 0.9, 5)]
+        ),
+    ],
 )
 def test_of_equal_methods_none_wins_anywhere(tmp_path, frames, correlation, views, sets):
     """Five methods equal but for correlated errors: in 5 % of data sets, and what chance adds, any place names one."""

@@ -12,8 +12,6 @@ import pytest
 from ggvs_eval.method import Instant, Method, Rendering
 from ggvs_eval.metrics.image.psnr import psnr
 
-pytestmark = pytest.mark.slow
-
 domain_validation = pytest.importorskip("benchmarks.domain_validation", reason="benchmarks lie beside the package")
 domain_views = pytest.importorskip("benchmarks.domain_views", reason="benchmarks lie beside the package")
 
@@ -53,6 +51,7 @@ def candidates(made: list[Painted]) -> dict[str, Callable[[], Method]]:
     return {"nearest": lambda: make(None), "grey": lambda: make(0.5)}
 
 
+@pytest.mark.proof
 def test_candidates_are_scored_in_every_domain_without_files(cache: Path) -> None:
     """A row per domain, view and method; each view has a fresh method that sees its instants in order; PSNR is the metric's."""
     made: list[Painted] = []
@@ -67,6 +66,7 @@ def test_candidates_are_scored_in_every_domain_without_files(cache: Path) -> Non
     assert scores[scores["domain"] == "misplaced_depth"]["STED"].isna().all()
 
 
+@pytest.mark.proof
 def test_views_on_disk_are_not_made_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another call reads them; more targets than there are would be made."""
     monkeypatch.setattr(domain_views, "make_views", lambda *job: pytest.fail(f"made again: {job}"))
@@ -76,6 +76,7 @@ def test_views_on_disk_are_not_made_again(cache: Path, monkeypatch: pytest.Monke
         domain_views.prepare_views(cache, DOMAINS, replace(PLAN, targets=3))
 
 
+@pytest.mark.proof
 def test_a_view_comes_back_from_its_file_as_it_was(cache: Path, tmp_path: Path) -> None:
     """Images, depth and cameras bit by bit, confidence within half a level of 255; depth is known and the target no source."""
     sample = next(domain_views.prepare_views(cache, DOMAINS, PLAN)[0].samples())
@@ -100,6 +101,7 @@ def test_tables_end_with_the_mean_and_the_differences() -> None:
     assert table.loc["ours - peer"].tolist() == [1.0, -1.0, 0.0]
 
 
+@pytest.mark.proof
 def test_what_is_absent_is_named_in_the_file(cache: Path, tmp_path: Path) -> None:
     """Without the real capture its domain is left out of the scores; the file holds rows, means and the reason."""
     domains = ("arc", domain_views.REAL)
