@@ -1,7 +1,7 @@
 """Which planted faults `make test` finds: ``python -m benchmarks.worth_of_tests [--only NAME ...]``.
 
-Each fault of `worth_of_tests.toml` is one line of the package, written wrongly. It is planted in a copy of the checkout, where the
-tests nearest to it run first and, as long as none fails, all others of `make test`; slow tests and time limits do not count.
+Each fault of `worth_of_tests.toml` is one line of the package, written wrongly. It is planted in a copy of the checkout, where
+the tests nearest to it run first and, as long as none fails, all others of `make test`; slow tests and time limits do not count.
 Prints the first test that fails, or that none does, and ends with 1 if fewer than `LEAST_FOUND` of the faults are found.
 """
 
