@@ -59,7 +59,12 @@ from ggvs_eval.method import Rendering
 from ggvs_eval.pipelines.methods.fitted import fitted_method
 from ggvs_eval.scene_fitter import FittedScene, SceneFitter
 
-class Scene(FittedScene):
+METHODS = globals().get("METHODS", {{}})
+
+def picture(target, **more):
+    return Rendering(np.full((target.height, target.width, 3), 0.5, np.float32), **more)
+
+class {name}Scene(FittedScene):
     def render(self, index, target):
         {render}
 
@@ -68,8 +73,8 @@ class Scene(FittedScene):
         {size_bytes}
 
 @dataclass(frozen=True)
-class Fitter(SceneFitter):
-    name = "mine"
+class {name}(SceneFitter):
+    name = "{name}"
     look_ahead = "none"
 
     def depth_indices(self, indices):
@@ -82,14 +87,15 @@ class Fitter(SceneFitter):
     def load(self, folder):
         {load}
 
-METHODS = {{"mine": fitted_method("Mine", "mine", "foreign_plugin:Fitter")}}
+METHODS["{name}"] = fitted_method("Mine", "{name}", "foreign_plugin:{name}")
 """
 WORKS = {
+    "name": "mine",
     "depth": "return [indices[0]]",
     "fit": "pass",
-    "load": "return Scene()",
+    "load": "return globals()[f'{self.name}Scene']()",
     "size_bytes": "return 1",
-    "render": "return Rendering(np.full((target.height, target.width, 3), 0.5, np.float32))",
+    "render": "return picture(target)",
 }
 PICTURE = "np.full((instant.target.height, instant.target.width, 3), 0.5, np.float32)"
 LAYOUT = """
@@ -210,69 +216,53 @@ def test_a_method_that_cannot_be_made_is_one_line(offer):
         METHODS["mine"].require()
 
 
+# Part of a fitted method -> what it does there, and where the method is shown all the same, and why not elsewhere.
+IN_RUNS = {
+    "fit1": (
+        "fit",
+        "if held_out == 'cam01': raise ValueError('no such luck')",
+        "cam00",
+        "fit fit1, fold2 (ValueError",
+    ),
+    "fit2": (
+        "fit",
+        "footage.image(held_out, 0)",
+        "",
+        "fit fit2, fold1 (RenderError: footage: 'cam00' is not",
+    ),
+    "fit3": ("fit", "import sys; sys.exit(3)", "", "fit fit3, fold1 (SystemExit: 3"),
+    "load1": ("load", "return 5", "", "fit load1, fold1 (AttributeError"),
+    "size1": ("size_bytes", "return 'big'", "", "fit size1, fold1 (TypeError"),
+    "show1": ("render", "1 / (target.name != 'cam00'); return picture(target)", "cam01", "failed at instant 0 (Zero"),
+    "show2": ("render", "return 'abc'", "", "wanted a Rendering with an image, got str"),
+    "show3": ("render", "return Rendering(np.full((3, 3, 3), 0.5, np.float32))", "", "wanted an image of floats"),
+    "show4": ("render", "return picture(target, seconds={'a': 'b'})", "", "failed at instant 0 (TypeError"),
+    "show5": ("render", "return picture(target, diagnostics={'mine': 3})", "", "its diagnostics of frame 0 are none (KeyError"),
+}
+
+
 @pytest.mark.slow
-def test_a_run_goes_on_without_what_failed(offer, tmp_path):
-    """A method that fails in one view and a metric that fails cost these cells; all others have their values."""
-    capture = write_small_capture(tmp_path / "room", 2)
+def test_a_run_goes_on_without_what_failed(offer, tmp_path, small_capture):
+    """A metric that fails costs itself, a method, made or fitted, the views that it was to show; all others have their values."""
     body = f"if instant.target.name == 'cam01': raise ValueError('not this one')\n        return Rendering({PICTURE})"
     text = METRIC.format(body="raise KeyError('depth')") + METHOD.format(body=body)
-    offer(text)
-    request = RunRequest(tmp_path / "run", capture, small_protocol(2, 0, ("PSNR", "X")), ("no-blending", "mine"))
-
-    results = measure(plan_run(request), 1)
-
-    views = results.table.groupby("method")["view"].unique().map(set).to_dict()
-    assert views == {"no-blending": {"cam00", "cam01"}, "mine": {"cam00"}}
-    assert "not this one" in results.provenance["partial"]["mine"]
-    assert "KeyError" in results.not_computed["X"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("where", "body", "views", "reason"),
-    [
-        (
-            "fit",
-            "if held_out == 'cam01': raise ValueError('no such luck')",
-            {"cam00"},
-            "failed to fit mine, fold2 (ValueError: no such",
-        ),
-        (
-            "fit",
-            "footage.image(held_out, 0)",
-            set(),
-            "failed to fit mine, fold1 (RenderError: footage: 'cam00' is not a training",
-        ),
-        ("fit", "import sys; sys.exit(3)", set(), "failed to fit mine, fold1 (SystemExit: 3"),
-        ("load", "return 5", set(), "failed to fit mine, fold1 (AttributeError"),
-        ("size_bytes", "return 'big'", set(), "failed to fit mine, fold1 (TypeError"),
-        (
-            "render",
-            "if target.name == 'cam00': 1/0\n        return Scene.shown(target)",
-            {"cam01"},
-            "failed at instant 0 (Zero",
-        ),
-        ("render", "return 'abc'", set(), "wanted a Rendering with an image, got str"),
-        ("render", "return Rendering(np.full((3, 3, 3), 0.5, np.float32))", set(), "wanted an image of floats"),
-        ("render", "return Scene.shown(target, seconds={'a': 'b'})", set(), "failed at instant 0 (TypeError"),
-        ("render", "return Scene.shown(target, diagnostics={'mine': 3})", set(), "its diagnostics of frame 0 are none (KeyError"),
-    ],
-)
-def test_a_fitted_method_that_fails_costs_its_own_cells(offer, tmp_path, small_capture, where, body, views, reason):
-    """While it is fitted or rendered, of one fold or of all: the views that it was to show are named, the others have values."""
-    shown = "Scene.shown = lambda target, **more: Rendering(np.full((target.height, target.width, 3), 0.5, np.float32), **more)\n"
-    offer(FITTED.format(**WORKS | {where: body}) + shown)
-    protocol = small_protocol(2, 0, ("PSNR",))
+    offer(text + "".join(FITTED.format(**WORKS | {"name": name, where: body}) for name, (where, body, *_) in IN_RUNS.items()))
+    protocol = small_protocol(2, 0, ("PSNR", "X"))
     protocol = replace(protocol, views=replace(protocol.views, folds=(("cam00",), ("cam01",))))
-    request = RunRequest(tmp_path / "run", small_capture, protocol, ("no-blending", "mine"))
+    request = RunRequest(tmp_path / "run", small_capture, protocol, ("no-blending", "mine", *IN_RUNS))
 
     results = measure(plan_run(request), 1)
 
-    shown_in = results.table.groupby("method")["view"].unique().map(set).to_dict()
-    assert shown_in.get("mine", set()) == views
-    assert shown_in["no-blending"] == {"cam00", "cam01"}
-    assert reason in results.provenance["partial"]["mine"]
-    assert (report([tmp_path / "run"], with_figures=False)).is_file()
+    views = results.table.groupby("method")["view"].unique().map(sorted).to_dict()
+    wanted = {"no-blending": ["cam00", "cam01"], "mine": ["cam00"]}
+    wanted |= {name: [view] for name, (_, _, view, _) in IN_RUNS.items() if view}
+    assert views == wanted
+    reasons = results.provenance["partial"]
+    assert "not this one" in reasons["mine"]
+    for name, (*_, reason) in IN_RUNS.items():
+        assert reason in reasons[name]
+    assert "KeyError" in results.not_computed["X"]
+    assert report([tmp_path / "run"], with_figures=False).is_file()
 
 
 @pytest.mark.parametrize("depth", ["raise ValueError('no such luck')", "return 'abc'", "return [7]", "import sys; sys.exit(3)"])
