@@ -77,16 +77,3 @@ def test_other_names_in_the_model(scene_folder, names):
     """Images of the model must carry one camera number each."""
     write_colmap_model(scene_folder / "sparse_", names)
     assert "sparse_: wanted images called image<number>.jpg, one per camera, got '" in refusal(scene_folder)
-
-
-def test_damaged_model(scene_folder):
-    """A damaged model is refused in one line."""
-    (scene_folder / "sparse_" / "images.txt").write_text("nothing")
-    assert "sparse_: damaged COLMAP model" in refusal(scene_folder)
-
-
-def test_no_folders(scene_folder):
-    """A model alone is no capture of this layout, and the message says so."""
-    for folder in scene_folder.glob("cam*"):
-        shutil.rmtree(folder)
-    assert "not multipleview: no folders camXX/ with images" in refusal(scene_folder)

@@ -35,6 +35,7 @@ BOMBS = {
     "memo at a huge index": b"\x80\x04Nr\xff\xff\xff\x7f.",
     "bytes that are not there": b"\x80\x04\x8e" + struct.pack("<Q", 1 << 36) + b"x.",
     "a bytearray that is not there": b"\x80\x05\x96" + struct.pack("<Q", 1 << 36) + b"x.",
+    "a frame that is not there": b"\x80\x04\x95" + struct.pack("<Q", 1 << 62) + b"N.",
     "a key that is hashed for ever": b"\x80\x04}" + doubled_tuple() + b"K\x01s.",
     "a text encoded a thousand times": (
         b"\x80\x02(" + MEGABYTE + LATIN + b"c_codecs\nencode\nq\x02" + b"h\x02h\x00h\x01\x86R" * 1000 + b"l."
@@ -42,6 +43,38 @@ BOMBS = {
     "an array of a petabyte": b"\x80\x02cnumpy\nndarray\n\x8a\x07" + b"\x00" * 6 + b"\x04\x85R.",
     "lists that share their lists": b"\x80\x04(]" + b"".join(b"\x94(" + bytes([104, n]) * 99 + b"l" for n in range(3)) + b"l.",
 }
+
+
+class StateOfArray:
+    """Pickles as an array with a state of one's choice."""
+
+    def __init__(self, *state: object) -> None:
+        self.state = state
+
+    def __reduce__(self):
+        return np.empty(0).__reduce__()[0], (np.ndarray, (0,), b"b"), self.state
+
+
+DAMAGED = [
+    b"\x80\x04" + b"(" * 400_000 + b"l" * 400_000 + b".",
+    b"\x80\x04cnumpy\nndarray\n" + doubled_tuple() + b"b.",
+    b"\x80\x04" + doubled_tuple() + b"\x8c\x01a\x93.",
+    *(pickle.dumps(StateOfArray(1, shape, np.dtype("f8"), False, b"")) for shape in ((1 << 40, 1 << 40), (-1,), ((),))),
+    b"\x80\x04I" + b"9" * 100_000 + b"\n.",
+    *(b"\x80\x04" + rest for rest in (b"h\x07.", b"a.", b"NNN.", b"(N.", b"\x82\x01.", b"U\x01aQ.", b"]")),
+    *(b"\x80\x09N.", b"no pickle", b""),
+    *(pickle.dumps([{"K": np.array([value])}]) for value in (object(), "text")),
+    pickle.dumps(np.ndarray),
+]
+
+
+@pytest.mark.parametrize("content", DAMAGED, ids=range(len(DAMAGED)))
+def test_what_is_damaged_is_refused(content):
+    """Deep nesting, claims of huge sizes, hashes without end and every kind of rubbish end at once in a ValueError."""
+    began = time.process_time()
+    with pytest.raises(ValueError, match=r"\w"):
+        unpickle_plain(content)
+    assert time.process_time() - began < 5
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))

@@ -11,11 +11,9 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.video import VideoFrames, write_video
-from helpers.places import SHARED
 from helpers.refusals import refused
 
 N_FRAMES = 40
-REAL_VIDEO = SHARED / "data" / "video_carphone" / "carphone_pristine.mp4"
 # x264 settings that make frame numbers hard to keep: reordering, references across key frames, no key frames at all.
 GROUPS = {
     "closed groups with B-frames": "bframes=5:b-adapt=0:keyint=12:min-keyint=12",
@@ -71,6 +69,17 @@ def test_written_video_reads_back(video):
     assert np.abs(np.mean(errors, axis=(0, 1, 2))).max() < 0.5
 
 
+@pytest.mark.parametrize("rate", [Fraction(30000, 1001), Fraction(25), Fraction(60000, 1001)])
+def test_rates_of_television_are_exact(tmp_path, rate):
+    """29.97 frames per second are 30000 / 1001, in the file and as it is read."""
+    import av
+
+    write_video(tmp_path / "a.mp4", [make_frame(0), make_frame(1)], float(rate))
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        assert container.streams.video[0].average_rate == rate
+    assert VideoFrames(tmp_path / "a.mp4").fps == pytest.approx(float(rate), rel=1e-9)
+
+
 def test_equal_frames_give_equal_bytes(video, tmp_path):
     """Encoding the same frames twice gives the same file, and leaves no other file behind."""
     write_video(tmp_path / "cam00.mp4", (make_frame(index) for index in range(N_FRAMES)), 30.0)
@@ -87,7 +96,7 @@ def test_frame_numbers_survive_seeking(tmp_path, x264_params):
     frames = VideoFrames(path)
     whole = list(frames.frames(0, N_FRAMES))
     assert frame_numbers(iter(whole)) == list(range(N_FRAMES))
-    for start in range(N_FRAMES):
+    for start in range(0, N_FRAMES, 3):
         window = list(frames.frames(start, min(start + 2, N_FRAMES)))
         assert all(np.array_equal(image, whole[start + offset]) for offset, image in enumerate(window))
         assert len(window) == min(2, N_FRAMES - start)
@@ -101,15 +110,6 @@ def test_colour_follows_the_tags(tmp_path, colour, value_range):
     encode(path, "keyint=12", colour, value_range)
     errors = [image.astype(float) - make_frame(index) for index, image in enumerate(VideoFrames(path).frames(0, N_FRAMES))]
     assert np.abs(np.mean(errors, axis=(0, 1, 2))).max() < 2.0
-
-
-@pytest.mark.skipif(not REAL_VIDEO.is_file(), reason="the shared clip carphone_pristine.mp4 is not on this machine")
-def test_real_video_seeks_exactly():
-    """A real QCIF clip of 120 frames gives the same frames one by one as in a row."""
-    frames = VideoFrames(REAL_VIDEO)
-    whole = list(frames.frames(0, frames.n_frames))
-    assert len(whole) == 120
-    assert all(np.array_equal(next(frames.frames(index, index + 1)), whole[index]) for index in range(0, 120, 17))
 
 
 def test_empty_range_and_frames_out_of_range(video):
@@ -199,16 +199,16 @@ def test_missing_video(tmp_path):
 
 
 def test_digest_sees_every_frame_of_a_large_file(tmp_path):
-    """A stack of 24 frames, 12 MB, any one of which is replaced at equal size, has another digest each time."""
+    """A stack of 24 frames, 12 MB, of which the first, a middle or the last one is replaced, has another digest each time."""
     frames = np.random.default_rng(0).integers(0, 256, (24, 360, 480, 3), dtype=np.uint8)
     stack, digests = tmp_path / "stack.npy", set()
-    for replaced in (None, *range(24)):
+    for replaced in (None, 0, 9, 23):
         changed = frames.copy()
         if replaced is not None:
             changed[replaced] = 255 - changed[replaced]
         np.save(stack, changed)
         digests.add(digest_files([stack]))
-    assert len(digests) == 25
+    assert len(digests) == 4
 
 
 def trim(source: Path, target: Path, first: int, from_start: bool) -> None:
@@ -230,7 +230,7 @@ def trim(source: Path, target: Path, first: int, from_start: bool) -> None:
 
 
 # With intra refresh FFmpeg drops the lead-in of a cut at a point of recovery, from which nothing can be decoded exactly.
-CUTS = [(group, first) for group in GROUPS for first in (1, 11, 12, 13, 30) if group != "intra refresh" or first not in (12, 13)]
+CUTS = [(group, first) for group in GROUPS for first in (1, 12, 13, 30) if group != "intra refresh" or first not in (12, 13)]
 
 
 @pytest.mark.parametrize(("group", "first"), CUTS)

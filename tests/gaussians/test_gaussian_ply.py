@@ -54,15 +54,7 @@ def test_layout_is_that_of_the_field(tmp_path):
 
 def test_other_orders_and_kinds_of_numbers(tmp_path):
     """Doubles, big-endian, other properties among them in another order, comments, elements behind: as other programs write."""
-    names = [
-        *(f"rot_{n}" for n in (3, 2, 1, 0)),
-        "f_dc_2",
-        "f_dc_1",
-        "f_dc_0",
-        "opacity",
-        *(f"scale_{n}" for n in (2, 1, 0)),
-        *"zyx",
-    ]
+    names = "rot_3 rot_2 rot_1 rot_0 f_dc_2 f_dc_1 f_dc_0 opacity scale_2 scale_1 scale_0 z y x".split()
     table = np.zeros(2, [(name, ">f8") for name in names] + [("label", ">i2")])
     table["x"], table["rot_0"], table["opacity"], table["label"] = (1.5, 2.5), 1.0, 0.25, 7
     properties = "".join(f"property double {name}\n" for name in names)
@@ -93,11 +85,7 @@ def damage(file: Path, before: bytes, after: bytes) -> None:
         (b"element vertex 5", b"element vertex 99999999999999", "says 99999999999999 Gaussians"),
         (b"element vertex 5", b"element vertex " + 40 * b"9", "wanted `element vertex N`"),
         (b"property float opacity", b"property list uchar float opacity", "wanted properties of one number each"),
-        (
-            b"property float opacity",
-            b"property float capacity",
-            "wanted a cloud of Gaussians with opacity, got x, y, z",
-        ),
+        (b"property float opacity", b"property float capacity", "wanted a cloud of Gaussians with opacity, got x"),
         (b"property float opacity", b"property float x", "wanted each property once in the header"),
         (b"property float f_rest_8", b"property float f_rest_9", "wanted f_rest_0 to f_rest_N of 0, 9, 24, 45, 72 in all, got 9"),
         (b"end_header", b"and_header", "the header of this .ply has no end_header in its first 64 kB"),
@@ -174,12 +162,9 @@ def write_compressed(path: Path, cloud, colour_bounds: bool) -> None:
     rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(means), -1)
     kinds = ["", "scale_", ""][: 3 if colour_bounds else 2]
     axes = ["xyz", "xyz", "rgb"]
-    names = [
-        f"{end}_{kind}{axis}" for kind, letters in zip(kinds, axes, strict=False) for end in ("min", "max") for axis in letters
-    ]
-    header = f"ply\nformat binary_little_endian 1.0\nelement chunk {len(chunks)}\n" + "".join(
-        f"property float {n}\n" for n in names
-    )
+    names = [f"{end}_{kind}{axis}" for kind, letters in zip(kinds, axes, strict=False) for end in ENDS for axis in letters]
+    header = f"ply\nformat binary_little_endian 1.0\nelement chunk {len(chunks)}\n"
+    header += "".join(f"property float {name}\n" for name in names)
     header += f"element vertex {len(means)}\n"
     header += "".join(f"property uint packed_{n}\n" for n in ("position", "rotation", "scale", "color"))
     header += f"element sh {len(means)}\n" + "".join(f"property uchar f_rest_{n}\n" for n in range(rest.shape[1]))
@@ -203,11 +188,8 @@ def test_compressed_clouds_are_read(tmp_path, colour_bounds):
     assert ((turns * read.quaternions).sum(1).abs() > 1 - 1e-5).all()
     assert (read.opacity_logits.sigmoid() - cloud.opacity_logits.sigmoid()).abs().max() < 1 / 255
     assert (read.sh[:, 1:] - cloud.sh[:, 1:].clamp(-4, 4)).abs().max() <= 8 / 256
-    shown = (
-        (cloud.sh[:, 0] * 0.28209479177387814 + 0.5).clamp(0, 1)
-        if not colour_bounds
-        else cloud.sh[:, 0] * 0.28209479177387814 + 0.5
-    )
+    shown = cloud.sh[:, 0] * CONSTANT + 0.5
+    shown = shown if colour_bounds else shown.clamp(0, 1)
     span = float((shown.amax(0) - shown.amin(0)).max())
     assert (read.sh[:, 0] * CONSTANT + 0.5 - shown).abs().max() < max(span, 1) / 255
 

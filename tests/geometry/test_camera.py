@@ -1,7 +1,6 @@
 """Cameras: projection and its inverse, resizing, cropping, refusal of nonsense."""
 
 import json
-import re
 
 import cv2
 import numpy as np
@@ -12,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera, nearest_cameras, translated_path
 from ggvs_eval.errors import CameraError
-from ggvs_eval.jobs.code_identity import installed_code
 from helpers.refusals import refused
 
 
@@ -120,19 +118,6 @@ def test_nonsense_is_refused_with_the_cameras_name(changes, message):
         Camera("cam00", **(values | changes))
 
     assert "\n" not in str(caught.value)
-
-
-def test_a_camera_is_written_in_one_way():
-    """Matrices of a `Camera` become lists in `to_json` alone; COLMAP's cameras, which have a lens, are told to its process.
-
-    A layout of JSON that is not ours is written in its own way.
-    """
-    colmap = {"datasets.colmap_reader", "pipelines.offline.calibration.calibrate", "contrib.worlds.layouts.pictures"}
-    writing = re.compile(r"(world_to_camera|\bK)(\[[^]]*\]|\.ravel\(\)|\.flatten\(\))?\.tolist\(\)")
-    files = {module: installed_code().file(module) for module in installed_code().modules()}
-    texts = {module: file.read_text(encoding="utf-8") for module, file in files.items() if file and file.suffix == ".py"}
-
-    assert {module.removeprefix("ggvs_eval.") for module, text in texts.items() if writing.search(text)} == {"camera", *colmap}
 
 
 def test_a_camera_goes_through_json_and_back():

@@ -1,14 +1,10 @@
 """Depth of a camera beside the colour camera, brought to its grid."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.contrib.worlds.film.film import lit_room
-from ggvs_eval.contrib.worlds.film.raycast import hand_held_poses, render_depth
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.reproject_depth import reproject_depth
 
@@ -83,24 +79,6 @@ def test_the_foreground_wins_and_what_the_sensor_does_not_see_is_unknown():
     expected[20:50, 36:66] = 0  # the wall behind the board, 6 columns to the right of where it was
     expected[20:50, 48:78] = 1.0
     np.testing.assert_allclose(depth, expected, rtol=1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("size", [(240, 180), pytest.param((320, 240), marks=pytest.mark.proof)])
-def test_a_room_seen_by_a_sensor_beside_the_camera(size):
-    """Within 0.5 % of the true depth on 95 % of what both see, with the sensor's own focal length, pose and resolution."""
-    room, colour = lit_room(101).at(0.0), hand_held_poses(101, 480, 360, 1, 30.0)[0]
-    beside = np.eye(4)
-    beside[:3, :3] = cv2.Rodrigues(np.array([0.01, 0.02, -0.01]))[0]
-    beside[:3, 3] = (0.5, -0.1, 0.05)
-    sensor = replace(colour.resized(*size), world_to_camera=beside @ colour.world_to_camera)
-    truth, measured = render_depth(room, colour), render_depth(room, sensor)
-    depth = reproject_depth(sensor, measured, colour)
-    uv, z = sensor.project(colour.unproject(colour.pixel_centres(), truth.astype(np.float64)))
-    column, row = np.clip(uv.astype(int), 0, np.array(size) - 1).transpose(2, 0, 1)
-    seen = seen_by(sensor, colour, truth) & (np.abs(measured[row, column] - z) < 0.02 * z)
-    assert seen.mean() > 0.8
-    assert (np.abs(depth[seen] / truth[seen] - 1) < 0.005).mean() > 0.95
 
 
 def test_a_point_far_nearer_than_the_others_is_no_hole_and_no_crash():

@@ -243,8 +243,3 @@ def test_the_kernel_converts_nothing():
         _core.fusion_weights(np.ones((5, 4)), 0.02, 0.001, 1, 0)
     with pytest.raises(TypeError, match="not C-contiguous"):
         _core.fusion_weights(np.ones((4, 5), dtype=np.float32).T, 0.02, 0.001, 1, 0)
-
-
-def test_an_empty_image_has_empty_weights():
-    """No pixels in, no pixels out."""
-    assert fusion_weights(np.zeros((0, 4), dtype=np.float32), 0.02, 0.001).shape == (0, 4)

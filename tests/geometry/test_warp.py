@@ -102,23 +102,6 @@ def test_nothing_known_is_nothing_seen():
     assert not warp(camera, ones, camera, image, zeros, TAU).visibility.any()
 
 
-def test_bicubic_keeps_more_detail_than_bilinear():
-    """Half a pixel off, a smooth wave comes back with a smaller error."""
-    camera = random_camera(np.random.default_rng(5), 64, 16)
-    depth = np.full((16, 64), 2.0, dtype=np.float32)
-    pose = camera.world_to_camera.copy()
-    pose[0, 3] += 0.5 * 2.0 / camera.K[0, 0]
-    source = type(camera)("half a pixel off", camera.K, pose, 64, 16, camera.near, camera.far)
-    columns = np.arange(64) + 0.5
-    image = np.broadcast_to((0.5 + 0.4 * np.sin(columns)[:, None]), (16, 64, 3)).astype(np.float32)
-    truth = 0.5 + 0.4 * np.sin(columns + 0.5)
-    errors = [
-        np.abs(warp(camera, depth, source, image, depth, TAU, bicubic=bicubic).colour[8, 4:60, 0] - truth[4:60]).max()
-        for bicubic in (False, True)
-    ]
-    assert errors[1] < 0.5 * errors[0]
-
-
 def test_inputs_that_do_not_fit_are_refused():
     """Sizes, channels and tolerance are checked, and named."""
     camera = random_camera(np.random.default_rng(7), 8, 6)

@@ -14,6 +14,8 @@ COMMON = {"path_poses": 0, "supersampling": 1, "depth_stride": 0}
 FILMS: dict[str, dict[str, object]] = {
     # Six cameras in two rows, twelve frames, exact depth: what most tests mean by "a capture".
     "small": {"width": 64, "height": 48, "n_frames": 12, "cameras_per_row": 3, "depth_stride": 1},
+    # One instant of eight cameras, sharp and without noise: features enough for COLMAP.
+    "calibration": {"width": 640, "height": 480, "n_frames": 1, "cameras_per_row": 4, "noise_sigma_255": 0},
     # The same rig, four frames, and a camera path with its true pictures.
     "path": {"width": 64, "height": 48, "n_frames": 4, "cameras_per_row": 3, "path_poses": 5},
     # Four cameras without noise, coded without loss: faults of renders are planted in it.

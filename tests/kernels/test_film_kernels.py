@@ -119,26 +119,6 @@ def test_rays_hit_what_is_nearest():
         np.testing.assert_array_equal(tree.blocks(origins, directions, 0.0, far), hit & (distance <= far))
 
 
-@pytest.mark.slow
-def test_rays_agree_with_embree():
-    """Open3D's Embree, in its robust mode, sees the same triangles at the same distances."""
-    core, geometry = pytest.importorskip("open3d").core, pytest.importorskip("open3d").t.geometry
-    vertices, faces = soup(5000)
-    origins, directions = some_rays(20000)
-    scene = geometry.RaycastingScene()
-    scene.add_triangles(core.Tensor(vertices), core.Tensor(faces.astype(np.uint32)))
-    answer = scene.cast_rays(core.Tensor(np.concatenate([origins, directions], axis=1)))
-    by_embree = answer["t_hit"].numpy()
-
-    distance, face, _ = RayTree(vertices, faces).cast(origins, directions)
-
-    assert ((face >= 0) == np.isfinite(by_embree)).mean() > 0.9995
-    same = face == answer["primitive_ids"].numpy().view(np.int32)
-    assert same.mean() > 0.999
-    met = same & (face >= 0)
-    np.testing.assert_allclose(distance[met], by_embree[met], rtol=2e-3, atol=1e-4)
-
-
 def test_no_ray_slips_between_two_triangles():
     """Rays at the shared edges and corners of a closed ball all hit it, wherever they come from."""
     angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 24, endpoint=False), np.linspace(-1.2, 1.2, 13))

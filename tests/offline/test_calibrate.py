@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -15,8 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.contrib.worlds.demo import write_demo
-from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.camera_frames import find_rig_frames
 from ggvs_eval.datasets.colmap_model import Sightings, write_model
@@ -29,18 +26,16 @@ from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, Calib
 from ggvs_eval.pipelines.offline.calibration.known_cameras import colmap_camera, read_known, write_intrinsics
 from helpers.calibration_files import write_qualisys
 from helpers.captures import make_image, make_rig, write_colmap_model, write_folders, write_videos
+from helpers.packed_films import unpack_film
 from helpers.refusals import refused
 
-DEMO = DemoOptions(
-    width=640, height=480, n_frames=1, cameras_per_row=4, supersampling=1, path_poses=0, depth_stride=0, noise_sigma_255=0
-)
 NAMES = tuple(f"cam{number:02d}" for number in range(8))
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory) -> Path:
     """Eight cameras of the demo room; nobody changes it."""
-    return write_demo(tmp_path_factory.mktemp("demo") / "room", DEMO, workers=1)
+    return unpack_film("calibration", tmp_path_factory.mktemp("demo") / "room")
 
 
 @pytest.fixture(scope="module")
@@ -69,9 +64,7 @@ def write_stills(demo: Path, folder: Path, names: tuple[str, ...]) -> Path:
 
 @pytest.mark.slow
 def test_all_cameras_are_found_near_the_truth(demo, calibrated):
-    """All 8 cameras, below 1 px, centres within 1 % of the rig's extent and 1 degree of the truth, focal length within 2 %;
-    reached: 0.38 px, 0.31 %, 0.44 degrees (all cameras alike: two short rows leave their common tilt weak) and 0.4 %.
-    """
+    """All 8 cameras, below 1 px, centres within 1 % of the rig's extent and 1 degree of the truth, focal length within 2 %."""
     measured = measure_against(open_capture(demo), calibrated)
     assert (measured["n_given"], measured["n_registered"], calibrated.missing) == (8, 8, {})
     assert measured["mean_reprojection_error_px"] < 1
@@ -79,21 +72,6 @@ def test_all_cameras_are_found_near_the_truth(demo, calibrated):
     assert measured["centre_error_percent_max"] < 1
     assert measured["rotation_error_deg_max"] < 1
     assert measured["focal_error_percent_max"] < 2
-
-
-@pytest.mark.proof
-def test_one_lens_per_camera(demo, tmp_path):
-    """Without shared intrinsics every camera gets a lens of its own, and lenses and poses stay near the truth; reached: 0.41 px,
-    0.58 %, 0.43 degrees and 0.5 %.
-    """
-    found = calibrate(demo, tmp_path / "out", CalibrationOptions())
-    measured = measure_against(open_capture(demo), found)
-    assert measured["n_registered"] == 8
-    assert measured["mean_reprojection_error_px"] < 1
-    assert measured["centre_error_percent_max"] < 1
-    assert measured["rotation_error_deg_max"] < 1
-    assert measured["focal_error_percent_max"] < 2
-    assert len({camera.focal_px for camera in found.cameras.values()}) == 8
 
 
 @pytest.mark.slow
@@ -113,11 +91,8 @@ def test_result_opens_at_once(demo, calibrated):
     assert record["mean_reprojection_error_px"] == calibrated.mean_reprojection_error_px
     assert record["options"]["shared_intrinsics"] is True
     assert record["versions"]["pycolmap"]
-    assert sorted(entry.name for entry in calibrated.path.iterdir() if entry.suffix != ".mp4") == [
-        "calibration.json",
-        "calibration.log",
-        "sparse",
-    ]
+    beside = {entry.name for entry in calibrated.path.iterdir() if entry.suffix != ".mp4"}
+    assert beside == {"calibration.json", "calibration.log", "sparse"}
 
 
 @pytest.mark.proof
@@ -177,24 +152,9 @@ def test_a_studios_poses_stay_fixed_and_metric(demo, tmp_path):
     assert open_capture(tmp_path / "out").units_origin.startswith("units.toml")
 
 
-@pytest.mark.slow
-def test_swapped_poses_do_not_fit(demo, calibrated, tmp_path):
-    """Known poses of two swapped cameras leave these two less than a tenth of the points that every other camera sees."""
-    shutil.copytree(calibrated.path, tmp_path / "swapped", symlinks=True)
-    for name, other in (("cam00", "cam05"), ("cam05", "cam00")):
-        (tmp_path / "swapped" / f"{name}.mp4").unlink()
-        (tmp_path / "swapped" / f"{name}.mp4").symlink_to(demo / f"{other}.mp4")
-    options = CalibrationOptions(known_poses=tmp_path / "swapped", allow_missing=True)
-    found = calibrate(tmp_path / "swapped", tmp_path / "out", options)
-    others = min(found.points_seen[name] for name in NAMES if name not in ("cam00", "cam05"))
-    assert max(found.points_seen.get("cam00", 0), found.points_seen.get("cam05", 0)) < 0.1 * others
-
-
 @pytest.mark.proof
 def test_lens_distortion_is_found(demo, tmp_path):
-    """Frames of a barrel lens (k1 = -0.12) give that lens within 0.02, poses like those of pinhole frames, and a capture that is
-    read undistorted.
-    """
+    """Frames of a barrel lens (k1 = -0.12) give that lens within 0.02, and a capture that is read undistorted."""
     truth = open_capture(demo)
     lens = Lens(truth.cameras[0].K, "opencv", (-0.12, 0.0, 0.0, 0.0), 640, 480)
     seen = cv2.undistortPoints(truth.cameras[0].pixel_centres().reshape(-1, 1, 2), lens.K, np.array(lens.coefficients))
@@ -209,13 +169,9 @@ def test_lens_distortion_is_found(demo, tmp_path):
     assert measured["mean_reprojection_error_px"] < 1
     assert measured["centre_error_percent_max"] < 1
     assert measured["focal_error_percent_max"] < 2
-    undistorted = open_capture(tmp_path / "out").frame("cam00", 0)
-    error = np.abs(undistorted.astype(float) - truth.frame("cam00", 0))[100:380, 150:490].mean()
-    assert (
-        error
-        < 0.5
-        * np.abs(read_image(tmp_path / "raw" / "cam00.png").astype(float) - truth.frame("cam00", 0))[100:380, 150:490].mean()
-    )
+    images = open_capture(tmp_path / "out").frame("cam00", 0), read_image(tmp_path / "raw" / "cam00.png")
+    errors = [np.abs(image.astype(float) - truth.frame("cam00", 0))[100:380, 150:490].mean() for image in images]
+    assert errors[0] < 0.5 * errors[1]
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 import io
 import pickle
-import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -236,128 +235,13 @@ def test_pickle_of_python_2(tmp_path):
     assert np.array_equal(read_pickle(tmp_path / "calib.pkl")[0]["K"], np.arange(9.0).reshape(3, 3))
 
 
-class _Calls:
-    """Pickles as a call of a function with arguments."""
-
-    def __init__(self, function: object, *arguments: object) -> None:
-        self._call = function, arguments
-
-    def __reduce__(self) -> tuple[object, tuple[object, ...]]:
-        return self._call  # type: ignore[return-value]
-
-
-def hostile_calls(trap: Path) -> dict[str, object]:
-    import os
-
-    return {
-        "system": _Calls(os.system, f"touch {trap}"),
-        "eval": _Calls(eval, f"open({str(trap)!r}, 'w')"),
-        "fromfile": _Calls(np.fromfile, str(trap)),
-        "save": _Calls(np.save, str(trap), 1),
-        "open": _Calls(open, str(trap), "w"),
-        "full": _Calls(np.ones, (1 << 20, 1 << 20)),
-    }
-
-
-@pytest.mark.parametrize("name", ["system", "eval", "fromfile", "save", "open", "full"])
-@pytest.mark.parametrize("protocol", [0, 2, 5])
-def test_hostile_pickle_runs_nothing(tmp_path, name, protocol):
-    """Every function but the few that numpy's arrays are made by is refused by its name before it could run."""
-    trap = tmp_path / "trap"
-    (tmp_path / "calib.pkl").write_bytes(pickle.dumps([hostile_calls(trap)[name]], protocol))
-    message = refused(read_pickle, tmp_path / "calib.pkl")
-    assert "the name " in message
-    assert "nothing was run" in message
-    assert not trap.exists()
-
-
-DEEP = b"\x80\x04" + b"(" * 400_000 + b"l" * 400_000 + b"."
-HUGE_BYTES = b"\x80\x04\x8e" + struct.pack("<Q", 1 << 62) + b"x."
-HUGE_INDEX = b"\x80\x04Nr\xff\xff\xff\x7f."
-HUGE_FRAME = b"\x80\x04\x95" + struct.pack("<Q", 1 << 62) + b"N."
-HUGE_SHAPE = (
-    b"\x80\x03cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85C\x01b\x87R(K\x01"
-    b"J\xff\xff\xff\x7fJ\xff\xff\xff\x7f\x86cnumpy\ndtype\nC\x02f8K\x00K\x01\x87R"
-    b"(K\x03X\x01\x00\x00\x00<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89C\x08\x00\x00\x00\x00\x00\x00\x00\x00tb."
-)
-
-
-def doubled_tuple() -> tuple[object, ...]:
-    """A tuple of twice a tuple of ..., sixty times: some hundred bytes, but its hash and its text take 2^60 steps."""
-    value: tuple[object, ...] = ()
-    for _ in range(60):
-        value = (value, value)
-    return value
-
-
-def wide_list() -> list[object]:
-    """Lists of a thousand times the same list, four deep."""
-    value: list[object] = []
-    for _ in range(4):
-        value = [value] * 1000
-    return value
-
-
-class _Array:
-    """Pickles as an array with a state of one's choice."""
-
-    def __init__(self, *state: object) -> None:
-        self._state = state
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return np.empty(0).__reduce__()[0], (np.ndarray, (0,), b"b"), self._state  # type: ignore[return-value]
-
-
-DOUBLED = pickle.dumps(doubled_tuple(), 2)[2:-1]
-DOUBLED_KEY = b"\x80\x04}" + DOUBLED + b"K\x01s."
-DOUBLED_STATE = b"\x80\x04cnumpy\nndarray\n" + DOUBLED + b"b."
-DOUBLED_NAME = b"\x80\x04" + DOUBLED + b"\x8c\x01a\x93."
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        DEEP,
-        HUGE_BYTES,
-        HUGE_INDEX + b"x",
-        HUGE_FRAME,
-        HUGE_SHAPE,
-        DOUBLED_KEY,
-        DOUBLED_STATE,
-        DOUBLED_NAME,
-        pickle.dumps(_Array(1, (doubled_tuple(),), np.dtype("f8"), False, b"")),
-        pickle.dumps(_Array(1, (1 << 40, 1 << 40), np.dtype("f8"), False, b"")),
-        pickle.dumps(_Array(1, (-1,), np.dtype("f8"), False, b"")),
-        pickle.dumps(np.zeros(1000)),
-        pickle.dumps(wide_list()),
-        b"\x80\x04I" + b"9" * 100_000 + b"\n.",
-        b"\x80\x04h\x07.",
-        b"\x80\x04a.",
-        b"\x80\x04NNN.",
-        b"\x80\x04(N.",
-        b"\x80\x04\x82\x01.",
-        b"\x80\x04U\x01aQ.",
-        b"\x80\x09N.",
-        b"\x80\x04]",
-        b"no pickle",
-        pickle.dumps([{"K": np.array([object()])}]),
-        pickle.dumps([{"K": np.array(["text"])}]),
-        pickle.dumps(np.ndarray),
-    ],
-)
+@pytest.mark.parametrize("content", [pickle.dumps(calibration_entries(2))[:-60], pickle.dumps(print), b"no pickle"])
 def test_damaged_or_malicious_pickle(tmp_path, content):
-    """Deep nesting, claims of huge sizes, hashes without end and every kind of rubbish end at once in one line."""
+    """What is cut, calls a function or is none is refused in one line that names the file."""
     (tmp_path / "calib.pkl").write_bytes(content)
-    write_videos(tmp_path / "raw", ("a", "b"), n_frames=1)
-    assert str(tmp_path / "calib.pkl") in refused(undistort_videos, tmp_path / "raw", tmp_path / "calib.pkl", tmp_path / "out")
-
-
-@pytest.mark.parametrize("cut", [1, 7, 60, 200])
-def test_truncated_pickle(tmp_path, cut):
-    """A pickle that lost its end is refused."""
-    content = pickle.dumps(calibration_entries(2))
-    (tmp_path / "calib.pkl").write_bytes(content[:-cut])
-    assert "nothing was run" in refused(read_pickle, tmp_path / "calib.pkl")
+    message = refused(read_pickle, tmp_path / "calib.pkl")
+    assert "nothing was run" in message
+    assert str(tmp_path / "calib.pkl") in message
 
 
 def test_pickle_too_large(tmp_path):
