@@ -15,7 +15,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.camera_frames import find_rig_frames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
-from ggvs_eval.files.names import camera_names, numbers_in
+from ggvs_eval.files.names import camera_names
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.inspection.capture.check import check_capture
 from ggvs_eval.pipelines.offline.calibration.known_cameras import read_known
@@ -96,13 +96,6 @@ def test_numbers_that_tell_no_order_are_refused_by_name(stems, message, tmp_path
             write_image(tmp_path / "frames" / name / f"{stem}.png", make_image(0, frame))
 
     assert message in refusal(tmp_path)
-
-
-def test_one_rule_for_numbers():
-    """The last digits, with the fraction where the whole part runs too."""
-    assert numbers_in(["view3_0012", "view3_0013", "cover"]) == [12, 13, None]
-    assert [str(number) for number in numbers_in(["7.5", "8.25"]) if number] == ["7.5", "8.25"]
-    assert numbers_in(["12.30.45", "12.30.46"]) == [45, 46]
 
 
 # Files of operating systems

@@ -54,7 +54,8 @@ def test_layout_is_that_of_the_field(tmp_path):
 
 def test_other_orders_and_kinds_of_numbers(tmp_path):
     """Doubles, big-endian, other properties among them in another order, comments, elements behind: as other programs write."""
-    names = "rot_3 rot_2 rot_1 rot_0 f_dc_2 f_dc_1 f_dc_0 opacity scale_2 scale_1 scale_0 z y x".split()
+    names = [f"rot_{n}" for n in (3, 2, 1, 0)] + [f"f_dc_{n}" for n in (2, 1, 0)]
+    names += ["opacity", *(f"scale_{n}" for n in (2, 1, 0)), *"zyx"]
     table = np.zeros(2, [(name, ">f8") for name in names] + [("label", ">i2")])
     table["x"], table["rot_0"], table["opacity"], table["label"] = (1.5, 2.5), 1.0, 0.25, 7
     properties = "".join(f"property double {name}\n" for name in names)

@@ -238,55 +238,49 @@ def test_wrong_arrays_are_refused():
     with refused(TypeError, "ranges", "int32 (2, 2, 2)"):
         sweep(reference, guide, partners, all_planes(40, 70)[:1])
     costs, grey, small, large = matching_inputs(0)
-    with refused(TypeError, "guide", "uint8 (12, 15)"):
-        _stereo.aggregate(costs, grey[:-1], small, large, 1, LEVEL)
-    with refused(TypeError, "large_steps", "uint8 (256,)"):
-        _stereo.aggregate(costs, grey, small, large[:-1], 1, LEVEL)
     left, right = grey_pair(0, 20, 50)
-    with refused(TypeError, "right", "uint8 (20, 50)"):
-        _stereo.match_blocks(left, right[1:].copy(), 32, 1, 72, 288, 1, LEVEL)
-    with refused(TypeError, "disparity", "float32 (20, 50)"):
-        _stereo.refine_matches(left, right, np.zeros((20, 50), np.float32), np.zeros((20, 49), np.float32), 1, 7, 2, 0.5, 4)
+    flat, narrow = np.zeros((20, 50), np.float32), np.zeros((20, 49), np.float32)
+    for call, *words in (
+        (lambda: sweep(reference, guide, partners, all_planes(40, 70)[:1]), "ranges", "int32 (2, 2, 2)"),
+        (lambda: _stereo.aggregate(costs, grey[:-1], small, large, 1, LEVEL), "guide", "uint8 (12, 15)"),
+        (lambda: _stereo.aggregate(costs, grey, small, large[:-1], 1, LEVEL), "large_steps", "uint8 (256,)"),
+        (lambda: _stereo.match_blocks(left, right[1:].copy(), 32, 1, 72, 288, 1, LEVEL), "right", "uint8 (20, 50)"),
+        (lambda: _stereo.refine_matches(left, right, flat, narrow, 1, 7, 2, 0.5, 4), "disparity", "float32 (20, 50)"),
+    ):
+        with refused(TypeError, *words):
+            call()
 
 
 def test_wrong_values_are_refused():
     """No partners, too many, odd numbers of planes, too large penalties, empty images: each is an error with its limits."""
     reference, guide, partners = sweep_inputs(5)
+    costs, grey, _, _ = matching_inputs(0)
+    left, right = grey_pair(0, 20, 50)
+    flat, thin = np.zeros((20, 50), np.float32), (np.zeros((1, 5), np.float32), *partners[0][1:])
+
+    def blocks(count: int, radius: int, small: int, large: int) -> np.ndarray:
+        return _stereo.match_blocks(left, right, count, radius, small, large, 1, LEVEL)
+
+    for call, *words in (
+        *((lambda many=many: sweep(reference, guide, many), "partners", "1 to 16") for many in ([], partners * 6)),
+        (lambda: sweep(reference, guide, partners, window=(4, 20, 1.5, 0.5)), "radius of 1 to 3"),
+        (lambda: sweep(reference, guide, partners, window=(2, 0, 1.5, 0.5)), "positive"),
+        (lambda: sweep(reference, guide, partners, window=(2, 20, 1.5, np.nan)), "positive"),
+        (lambda: sweep(reference, guide, [thin]), "2 x 2"),
+        (lambda: sweep(np.zeros((0, 5), np.float32), np.zeros((0, 5, 3), np.uint8), partners), "reference: wanted 1 x 1"),
+        (lambda: sweep(reference, guide, partners, level=7), "no such instruction set"),
+        (lambda: _stereo.aggregate(costs, grey, 9, np.full(256, 120, np.uint8), 1, LEVEL), "steps", "at most 128"),
+        (lambda: _stereo.weighted_median(reference, guide, 32, -1, 7.0, 5.0, 1), "median: wanted"),
+        *((lambda n=n: blocks(n, 1, 72, 288), "count", "multiple of 16", "less than the width") for n in (0, 20, 64, -16)),
+        *((lambda steps=steps: blocks(32, *steps), "wanted") for steps in ((-1, 8, 32), (1, 288, 72), (1, -1, 72))),
+        (lambda: blocks(32, 7, 72, 9000), "block, steps", "32767"),
+        (lambda: _stereo.refine_matches(left, right, flat, flat, 1, 0, 2, 0.5, 4), "window"),
+    ):
+        with refused(ValueError, *words):
+            call()
     for count in (0, 31, 33, 288, -32):
         with refused(ValueError, "planes", "multiple of 32", "at most 256"):
             sweep(reference, guide, partners, all_planes(21, 70), planes=(0.1, 0.01, count))
-    for many in ([], partners * 6):
-        with refused(ValueError, "partners", "1 to 16"):
-            sweep(reference, guide, many)
-    for window, message in (
-        ((4, 20, 1.5, 0.5), "radius of 1 to 3"),
-        ((2, 0, 1.5, 0.5), "positive"),
-        ((2, 20, 1.5, np.nan), "positive"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            sweep(reference, guide, partners, window=window)
-    with pytest.raises(ValueError, match="2 x 2"):
-        sweep(reference, guide, [(np.zeros((1, 5), np.float32), *partners[0][1:])])
-    with pytest.raises(ValueError, match="reference: wanted 1 x 1"):
-        sweep(np.zeros((0, 5), np.float32), np.zeros((0, 5, 3), np.uint8), partners)
-    with pytest.raises(ValueError, match="no such instruction set"):
-        sweep(reference, guide, partners, level=7)
-    costs, grey, _, _ = matching_inputs(0)
-    with refused(ValueError, "steps", "at most 128"):
-        _stereo.aggregate(costs, grey, 9, np.full(256, 120, np.uint8), 1, LEVEL)
-    with pytest.raises(ValueError, match="median: wanted"):
-        _stereo.weighted_median(reference, guide, 32, -1, 7.0, 5.0, 1)
-    left, right = grey_pair(0, 20, 50)
-    for count in (0, 20, 64, -16):
-        with refused(ValueError, "count", "multiple of 16", "less than the width"):
-            _stereo.match_blocks(left, right, count, 1, 72, 288, 1, LEVEL)
-    for radius, small, large in ((-1, 8, 32), (1, 288, 72), (1, -1, 72)):
-        with refused(ValueError, "wanted"):
-            _stereo.match_blocks(left, right, 32, radius, small, large, 1, LEVEL)
-    with refused(ValueError, "block, steps", "32767"):
-        _stereo.match_blocks(left, right, 32, 7, 72, 9000, 1, LEVEL)
-    with refused(ValueError, "window"):
-        _stereo.refine_matches(left, right, np.zeros((20, 50), np.float32), np.zeros((20, 50), np.float32), 1, 0, 2, 0.5, 4)
 
 
 def test_disparities_that_are_no_numbers_stay_within_the_image():

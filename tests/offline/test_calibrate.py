@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -215,25 +215,43 @@ def test_child_process_ends_badly(tmp_path, monkeypatch, ending, said):
     assert "started" in (tmp_path / "out.log").read_text()
 
 
+PINHOLE = Lens(np.diag([50.0, 50.0, 1.0]), "opencv", (0.0,) * 4, 64, 48)
+
+
+def write_sizes(folder: Path) -> None:
+    write_image(folder / "frames" / "a.png", make_image(0, 0))
+    write_image(folder / "frames" / "b.png", make_image(1, 0, 32, 24))
+
+
+def write_lengths(folder: Path) -> None:
+    write_videos(folder / "frames", ("cam00", "cam01"))
+    write_videos(folder / "frames", ("cam02",), n_frames=3)
+
+
+def with_lenses(*names: str) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        write_videos(folder / "frames")
+        write_intrinsics(folder / "lens.toml", dict.fromkeys(names, PINHOLE))
+
+    return write
+
+
 @pytest.mark.parametrize(
-    ("options", "expected"),
+    ("write", "options", "message"),
     [
-        ({"frame": 5}, "cam00.mp4: wanted frame 5, it has 5"),
-        ({"known_intrinsics": Path("absent.toml")}, "absent.toml: wanted a TOML file"),
+        (with_lenses("a"), {"frame": 5}, "cam00.mp4: wanted frame 5, it has 5"),
+        (with_lenses("a"), {"known_intrinsics": "absent.toml"}, "absent.toml: wanted a TOML file"),
+        (with_lenses("cam00", 'odd "n"'), {"known_intrinsics": "lens.toml"}, 'cam01, cam02, cam03, it has cam00, odd "n"'),
+        (with_lenses(*NAMES[:4]), {"known_poses": "lens.toml"}, "wanted poses, got only intrinsics of cam00"),
+        (write_sizes, {"shared_intrinsics": True}, "wanted frames of one size for shared intrinsics"),
+        (write_lengths, {}, "got cam00 5, cam01 5, cam02 3; cut them to a common length"),
     ],
 )
-def test_refused_before_any_work(tmp_path, options, expected):
-    """An instant that is not there, or a file that is not, is refused at once."""
-    write_videos(tmp_path / "frames")
-    assert expected in refusal_of(tmp_path / "frames", tmp_path / "out", **options)
-
-
-def test_sizes_differ_for_shared_intrinsics(tmp_path):
-    """One lens for all cameras wants frames of one size."""
-    write_image(tmp_path / "frames" / "a.png", make_image(0, 0))
-    write_image(tmp_path / "frames" / "b.png", make_image(1, 0, 32, 24))
-    message = refusal_of(tmp_path / "frames", tmp_path / "out", shared_intrinsics=True)
-    assert "wanted frames of one size for shared intrinsics" in message
+def test_refused_before_any_work(tmp_path, write, options, message):
+    """Instants and files that are not there, lenses of others, files without poses, and frames that do not fit together."""
+    write(tmp_path)
+    given = {key: tmp_path / value if isinstance(value, str) else value for key, value in options.items()}
+    assert message in refusal_of(tmp_path / "frames", tmp_path / "out", **given)
 
 
 def test_out_folder_with_content_is_kept(tmp_path):
@@ -246,21 +264,15 @@ def test_out_folder_with_content_is_kept(tmp_path):
     assert (tmp_path / "out" / "mine.txt").read_text() == "keep"
 
 
-def test_videos_of_different_length(tmp_path):
-    """Cameras with different numbers of frames, which no capture may have, are refused before the work."""
-    write_videos(tmp_path / "frames", ("cam00", "cam01"))
-    write_videos(tmp_path / "frames", ("cam02",), n_frames=3)
-    assert "got cam00 5, cam01 5, cam02 3; cut them to a common length" in refusal_of(tmp_path / "frames", tmp_path / "out")
-
-
 def test_options_that_contradict_each_other():
     """Known poses bring their lenses; giving both files is refused, as is a negative frame."""
-    with pytest.raises(CaptureError, match="give one"):
-        CalibrationOptions(known_intrinsics=Path("a.toml"), known_poses=Path("b"))
-    with pytest.raises(CaptureError, match="must not be negative"):
-        CalibrationOptions(frame=-1)
-    with refused(CaptureError, "--known-poses RIG"):
-        CalibrationOptions(refine=True)
+    for options, words in (
+        ({"known_intrinsics": Path("a.toml"), "known_poses": Path("b")}, "give one"),
+        ({"frame": -1}, "must not be negative"),
+        ({"refine": True}, "--known-poses RIG"),
+    ):
+        with refused(CaptureError, words):
+            CalibrationOptions(**options)
 
 
 @pytest.mark.parametrize(
@@ -377,21 +389,3 @@ def test_damaged_intrinsics(tmp_path, text, expected):
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
     assert str(tmp_path / "intrinsics.toml") in str(caught.value)
-
-
-def test_intrinsics_of_other_cameras(tmp_path):
-    """Cameras that the file does not know are named."""
-    write_videos(tmp_path / "frames")
-    lens = Lens(np.diag([50.0, 50.0, 1.0]), "opencv", (0.0,) * 4, 64, 48)
-    write_intrinsics(tmp_path / "intrinsics.toml", {"cam00": lens, 'odd "name"': lens})
-    message = refusal_of(tmp_path / "frames", tmp_path / "out", known_intrinsics=tmp_path / "intrinsics.toml")
-    assert 'wanted intrinsics of cam01, cam02, cam03, it has cam00, odd "name"' in message
-
-
-def test_intrinsics_alone_are_no_poses(tmp_path):
-    """A file without poses cannot stand for known poses."""
-    write_videos(tmp_path / "frames")
-    lens = Lens(np.diag([50.0, 50.0, 1.0]), "opencv", (0.0,) * 4, 64, 48)
-    write_intrinsics(tmp_path / "intrinsics.toml", dict.fromkeys(("cam00", "cam01", "cam02", "cam03"), lens))
-    message = refusal_of(tmp_path / "frames", tmp_path / "out", known_poses=tmp_path / "intrinsics.toml")
-    assert "wanted poses, got only intrinsics of cam00" in message

@@ -143,15 +143,6 @@ def test_a_batch_finds_what_its_maps_find_one_by_one(weights):
     assert [each.data_ptr() for each in (*batch._pictures, *vars(batch._views).values())] == buffers
 
 
-def test_an_odd_number_of_pictures_needs_no_recording_of_its_own(weights):
-    """One buffer is spare: three pictures and then four are found by the same batch."""
-    rig, (cameras, images), matched = IterMvsRig(IterMvs(weights, "")), rig_of_four(), [(0, 1, 2), (2, 0, 1), (1, 2)]
-    found = as_arrays(rig.estimate(cameras[:3], matched, images[:3]))
-    assert_alike(found, alone(weights, cameras, images, matched))
-    assert_same_bits(as_arrays(rig.estimate(cameras, matched, images)), found)
-    assert len(rig._batches) == 1
-
-
 def test_maps_are_the_callers_own(weights):
     """Depth of an instant outlives the next one, at the network's size and at another."""
     for size in ((96, 64), (90, 57)):
@@ -238,15 +229,6 @@ def test_units_and_sizes_do_not_matter(weights):
     assert found.depth.shape == found.confidence.shape == (57, 90)
     assert found.depth.min() >= 2 * 0.999
     assert found.depth.max() <= 8 * 1.001
-
-
-def test_what_is_behind_a_partner_is_not_seen(weights):
-    """A partner that stands before the camera's near depth gives finite depth all the same."""
-    cameras, images = rig_and_images()
-    pose = cameras[1].world_to_camera.copy()
-    pose[2, 3] -= 4.0
-    found = estimate(weights, [cameras[0], replace(cameras[1], world_to_camera=pose)], images[:2])
-    assert np.isfinite(found.depth).all()
 
 
 def test_what_is_no_checkpoint_is_refused(network, tmp_path, monkeypatch):

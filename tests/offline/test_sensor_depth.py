@@ -7,7 +7,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.rgbd import DepthFrames
 from ggvs_eval.depth_store import DepthStore, describe_depth
 from ggvs_eval.errors import DepthError
@@ -21,10 +20,8 @@ from ggvs_eval.pipelines.offline.sensor.sensor_depth import (
 )
 from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid, close_edges, close_holes
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels
-from helpers.places import SHARED
 from helpers.refusals import refused
 
-HOLOLENS = SHARED / "data" / "hololens_rgbd"
 WIDTH, HEIGHT, FOCAL = 80, 60, 150.0
 NEAR_Z, FAR_Z = 2.0, 4.0
 STEP = 0.03
@@ -252,15 +249,6 @@ def test_smaller_cameras():
     assert np.abs(result.depth / plane(camera) - 1)[3:-3, 3:-3].max() < 0.002
 
 
-def test_noise_shrinks():
-    """Noise of 0.5 % shrinks to less than half within a surface."""
-    camera = make_camera()
-    noisy = plane(camera) * np.random.default_rng(3).normal(1, 0.005, (HEIGHT, WIDTH)).astype(np.float32)
-    result = filter_sensor_depth(noisy, grey(camera), camera)
-    before, after = (np.abs(depth / plane(camera) - 1).mean() for depth in (noisy, result.depth))
-    assert after < 0.5 * before
-
-
 @pytest.mark.parametrize("angle", [0.0, 0.5, 1.0])
 def test_confidence_is_the_cosine(angle):
     """In the middle of a plane, confidence is the cosine between ray and normal, over one plus the squared share of far."""
@@ -370,32 +358,3 @@ def test_wrong_inputs_are_refused():
         filter_sensor_depth(np.ones((HEIGHT, WIDTH), np.uint16), grey(camera), camera)
     with refused(DepthError, "camera camera", "(60, 80, 3)", "uint8 (30, 80, 3)"):
         filter_sensor_depth(plane(camera), grey(camera)[:30], camera)
-
-
-def agreement(first, first_depth, second, second_depth):
-    """Share of the first camera's points within 1 % of the second's depth where they fall, of those where it has one."""
-    points = first.unproject(first.pixel_centres(), first_depth.astype(np.float64))[first_depth > 0]
-    uv, expected = second.project(points)
-    inside = (expected > 0) & ((uv > 0) & (uv < second.size)).all(axis=-1)
-    columns, rows = uv[inside].astype(int).T
-    found = second_depth[rows, columns]
-    return (np.abs(found / expected[inside] - 1) < 0.01)[found > 0].mean()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not HOLOLENS.is_dir(), reason=f"the HoloLens sequence is not at {HOLOLENS}")
-def test_real_frames_agree_better():
-    """Filtered depth of a HoloLens sequence agrees with that of near frames more often, and there is more of it."""
-    capture = open_capture(HOLOLENS)
-    raw_agreement, filtered_agreement = [], []
-    for first, second in ((40, 46), (100, 106), (190, 196)):
-        raw, filtered = {}, {}
-        for camera in (capture.cameras[first], capture.cameras[second]):
-            source = capture.extras_of(camera.name).depth
-            raw[camera] = next(source.depths(0, 1))
-            filtered[camera] = SensorDepthEstimator(camera, source).at(0, capture.frame(camera.name, 0)).depth
-            assert (filtered[camera] > 0).mean() > 1.05 * (raw[camera] > 0).mean()
-        for maps, results in ((raw, raw_agreement), (filtered, filtered_agreement)):
-            (one, one_depth), (other, other_depth) = maps.items()
-            results.append(agreement(one, one_depth, other, other_depth))
-    assert np.mean(filtered_agreement) > np.mean(raw_agreement)
