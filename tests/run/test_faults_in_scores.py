@@ -29,7 +29,7 @@ from ggvs_eval.results import Fault, Results
 from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.small_runs import leave_out_figures, small_protocol, write_small_capture
 
-VIEWS, FRAMES = ("cam00", "cam01", "cam04"), Frames(2, 4)
+VIEWS, FRAMES = ("cam00", "cam01", "cam04"), Frames(2, 5)
 SPOILT = {
     "late": "shows every frame one instant late",
     "bgr": "has swapped colour channels",
@@ -42,7 +42,7 @@ def room(tmp_path_factory) -> Path:
     """A small room, honest renders of three of its cameras, and those spoilt in three ways; nobody changes it."""
     folder = tmp_path_factory.mktemp("faults")
     capture, random = write_small_capture(folder / "room"), np.random.default_rng(0)
-    protocol = replace(small_protocol(4, 0, ("PSNR", "L1")), views=Views(VIEWS, "test"), frames=FRAMES)
+    protocol = replace(small_protocol(5, 0, ("PSNR",)), views=Views(VIEWS, "test"), frames=FRAMES)
     (folder / "p.toml").write_text(protocol.to_toml(), encoding="utf-8")
     for view in VIEWS:
         for frame in range(FRAMES.start - 1, FRAMES.start + FRAMES.count):
@@ -169,10 +169,10 @@ def test_honest_renders_of_few_frames_hold_no_copy(run, count):
 def test_renders_better_than_a_perfect_one_have_seen_the_view(room, tmp_path):
     """Nine tenths captured, one tenth ours lies above the ceiling of every view: `score` says so, and `doctor` by itself."""
     protocol = load_protocol(room / "p.toml")
-    measurement = replace(protocol.measurement, metrics=("PSNR",), ceilings=True)
-    (tmp_path / "seen.toml").write_text(replace(protocol, measurement=measurement).to_toml(), encoding="utf-8")
+    few = replace(protocol, views=Views(VIEWS[:2], "test"), measurement=replace(protocol.measurement, ceilings=True))
+    (tmp_path / "seen.toml").write_text(few.to_toml(), encoding="utf-8")
     with run_for(tmp_path / "run", lambda: open_capture(room / "room"), str(tmp_path / "seen.toml"), 1) as made:
-        for file in (room / "mine").glob("*/*.png"):
+        for file in [*room.glob(f"mine/{VIEWS[0]}/*.png"), *room.glob(f"mine/{VIEWS[1]}/*.png")]:
             seen = 0.9 * read_image(made.truth(file.parent.name) / file.name) + 0.1 * read_image(file)
             write_image(tmp_path / "seen" / file.parent.name / file.name, np.rint(seen).astype(np.uint8))
         import_renders(made, "seen", tmp_path / "seen")
@@ -182,7 +182,7 @@ def test_renders_better_than_a_perfect_one_have_seen_the_view(room, tmp_path):
     shutil.rmtree(made.root / "ceilings")
     examined = find_seen_views(made, "seen")
 
-    assert {(fault.label, fault.view, fault.verdict) for fault in faults} == {("seen", view, "certain") for view in VIEWS}
+    assert {(fault.label, fault.view, fault.verdict) for fault in faults} == {("seen", view, "certain") for view in VIEWS[:2]}
     assert [(finding.subject, finding.measured) for finding in examined] == [(fault.view, fault.measured) for fault in faults]
     assert find_seen_views(made, "mine") == []
 

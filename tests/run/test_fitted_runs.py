@@ -13,7 +13,6 @@ from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CameraError, RenderError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.jobs.code_identity import installed_code
 from ggvs_eval.jobs.job import run_jobs
 from ggvs_eval.jobs.ledger import describe_status
 from ggvs_eval.jobs.shard import Shard
@@ -209,12 +208,6 @@ def test_time_and_progress_count_from_the_beginning(tmp_path, monkeypatch, capsy
     assert "200 of 1000 steps in 2 min, about 8 min left" in capsys.readouterr().err
 
 
-def test_a_second_call_fits_nothing(finished):
-    """What is done is done; no work left."""
-    assert count_work([plan_run(finished.request)], finished.run.root).is_nothing()
-    assert render(prepare_run(plan_run(finished.request))) == 0
-
-
 def test_a_scene_may_go_when_its_frames_are_there(finished, tmp_path):
     """Without its fits a run is still done; a frame that is missing wants its own fold fitted again, and no other."""
     shutil.copytree(finished.run.root, tmp_path / "run")
@@ -293,10 +286,3 @@ def test_variants_of_a_sweep_share_their_fits(finished, twin_plane, tmp_path):
     psnr_db = result.table["PSNR"]
     assert psnr_db["k1", "Nearest"] == psnr_db["k2", "Nearest"]
     assert "fit: 2 done, 0 running, 0 failed, 0 missing" in describe_status(root)
-
-
-def test_how_folds_are_planned_makes_no_fit_stale():
-    """The identity of a fit begins at its footage, which takes nothing of plans, jobs or results."""
-    modules = installed_code().closure(fold_footage.__module__)
-
-    assert [name for name in modules if name.startswith("ggvs_eval.pipelines")] == [fold_footage.__module__]

@@ -73,7 +73,9 @@ def note_who(diary: Path, number: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
+@pytest.mark.parametrize(
+    "engine", [Engine(2), pytest.param(Engine(2, "dask"), marks=pytest.mark.proof)], ids=["processes", "dask"]
+)
 def test_the_work_is_done_elsewhere_and_survives_a_kill(engine, tmp_path):
     """Every item is done by a worker and none by this process, though one of the workers is killed."""
     if engine.engine == "dask":
@@ -91,8 +93,7 @@ def refuse(number: int) -> None:
     raise RenderError(f"item {number} cannot be done")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_what_the_work_raises_comes_through(workers):
     """The error of the first item that fails is raised as it is; no items are no work."""
     with pytest.raises(RenderError, match=r"item [0-2] cannot be done"):

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.errors import RenderError, ResultsError
+from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import write_image
-from ggvs_eval.merged_results import merge_results
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.evaluate import report
 from ggvs_eval.pipelines.run.import_renders import import_renders
@@ -28,7 +27,7 @@ from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.captures import write_dynerf
 from helpers.command_line import refusal
 from helpers.refusals import refused
-from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_folders
+from helpers.render_folders import FRAMES, make_run, rendered, truth, write_folders
 
 pytestmark = [pytest.mark.usefixtures("no_figures")]
 
@@ -103,6 +102,11 @@ def test_a_view_that_is_missing_has_no_row(truth_run, tmp_path):
     levels = [np.abs(rendered("cam00", frame).astype(float) - truth("cam00", frame)).mean() for frame in FRAMES]
     assert results.summary()["L1"].item() == pytest.approx(np.mean(levels))
     assert results.not_computed["SDV"] == "1 view; needs 2"
+    pictures = b"".join((folder / "cam00" / f"000{frame}.png").read_bytes() for frame in FRAMES)
+    assert results.provenance["renders"] == {"some/cam00": hashlib.sha256(pictures).hexdigest()}
+    assert results.provenance["inputs"]["room/cam00"] == "ab12"
+    assert results.provenance["imported"]["some"]["sha256"] == record["sha256"]
+    assert results.provenance["imported"]["some"]["source"] == "theirs"
 
 
 def test_a_metric_of_one_view_has_no_reason_beside_its_value(truth_run, tmp_path):
@@ -134,26 +138,6 @@ def test_a_metric_of_one_view_has_no_reason_beside_its_value(truth_run, tmp_path
     assert "not computed" not in {cell.text for row in table.rows for cell in row.cells}
 
 
-def test_whole_renders_are_not_marked_whatever_was_allowed(truth_run, tmp_path):
-    """--allow-partial marks nothing where nothing is missing; an extra folder is left out and recorded."""
-    folder = write_folders(tmp_path / "theirs")
-    write_image(folder / "depth" / "0000.png", rendered("cam00", 2))
-
-    record = import_renders(truth_run, "mine", folder, allow_partial=True)
-
-    assert score(truth_run).provenance["partial"] == {}
-    assert record["notes"] == ["frames 2-4 are used as the instants 2-4 of the capture", "not used: depth/ (1 pictures)"]
-
-
-def test_a_partial_import_does_not_excuse_frames_that_get_lost(truth_run, tmp_path):
-    """What a partial import brought must be there when it is scored."""
-    import_renders(truth_run, "some", partial_folder(tmp_path / "some"), allow_partial=True)
-    frame_path(truth_run.renders("some", "cam00"), 3).unlink()
-
-    with refused(RenderError, "some in cam00", "lacks 3"):
-        score(truth_run)
-
-
 def test_partial_renders_that_were_completed_lose_their_mark(truth_run, tmp_path):
     """Importing the completed folder under the same name replaces frames, values and mark."""
     folder = partial_folder(tmp_path / "some")
@@ -167,32 +151,9 @@ def test_partial_renders_that_were_completed_lose_their_mark(truth_run, tmp_path
     assert before["partial"]
     assert not after.provenance["partial"]
     assert cells(after, "some")[("cam02", 3, "L1")] == pytest.approx(3, abs=0.2)
-
-
-def test_results_carry_the_digests_of_both_sides(truth_run, tmp_path):
-    """Captured frames by camera, rendered frames by view, source files of the import: all are in results.json."""
-    record = import_renders(truth_run, "mine", write_folders(tmp_path / "theirs"))
-
-    provenance = score(truth_run).provenance
-
-    for view in VIEWS:
-        pictures = b"".join((tmp_path / "theirs" / view / f"000{frame}.png").read_bytes() for frame in FRAMES)
-        assert provenance["renders"][f"mine/{view}"] == hashlib.sha256(pictures).hexdigest()
-    assert provenance["inputs"]["room/cam00"] == "ab12"
-    assert provenance["imported"]["mine"]["sha256"] == record["sha256"]
-    assert provenance["imported"]["mine"]["source"] == "theirs"
-
-
-def test_results_under_two_protocols_do_not_mix(tmp_path):
-    """Renders of one method scored under different protocols are refused in one table."""
-    parts = []
-    for name, metrics in (("one", METRICS), ("two", METRICS[:2])):
-        run = make_run(tmp_path / name, metrics)
-        import_renders(run, "mine", write_folders(tmp_path / f"theirs of {name}"))
-        parts.append(score(run))
-
-    with refused(ResultsError, "different protocols"):
-        merge_results(parts)
+    frame_path(truth_run.renders("some", "cam00"), 3).unlink()  # no partial import excuses what gets lost
+    with refused(RenderError, "some in cam00", "lacks 3"):
+        score(truth_run)
 
 
 @pytest.fixture
@@ -232,6 +193,8 @@ def test_one_command_scores_renders_of_a_capture(coffee_folder, protocol_path, t
     assert sorted(folder.name for folder in (run.root / "truth").iterdir()) == ["cam01", "cam02"]
     assert not run.depth.exists()
     assert Results.read(run.root).summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
+    command("score", run.root, "--renders", theirs, "--jobs", "1")  # goes on with its own protocol
+    assert set(Results.read(run.root).table["method"]) == {"mine", "theirs"}
 
 
 @pytest.mark.slow
@@ -259,18 +222,6 @@ def test_the_commands_of_the_page_repeat_a_run_of_renders(coffee_folder, protoco
     assert not [text for text in texts if re.search(r"\bK = \d", text)]
 
 
-@pytest.mark.slow
-def test_a_run_goes_on_with_its_own_protocol(coffee_folder, protocol_path, theirs, tmp_path, capsys):
-    """Further renders need neither capture nor protocol, and can be given without a name; what is there stays."""
-    command(
-        "score", "--run", tmp_path / "run", "--renders", f"a={theirs}", "--capture", coffee_folder, "--protocol", protocol_path
-    )
-
-    command("score", tmp_path / "run", "--renders", theirs, "--jobs", "1")
-
-    assert set(Results.read(tmp_path / "run").table["method"]) == {"a", "theirs"}
-
-
 def test_the_numbering_is_printed_and_can_be_said(coffee_folder, protocol_path, theirs, tmp_path, capsys):
     """Frames 0-2 of a protocol of 1-3: refused with the option that settles it; with it scored, and one line says how."""
     for file in sorted(theirs.rglob("*.png")):
@@ -287,10 +238,7 @@ def test_the_numbering_is_printed_and_can_be_said(coffee_folder, protocol_path, 
     assert Results.read(tmp_path / "run").summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "label"), [("enerf", "enerf-renders"), ("truth", "truth-renders"), ("my renders (2)", "my-renders-2")]
-)
+@pytest.mark.parametrize(("name", "label"), [("enerf", "enerf-renders"), ("my renders (2)", "my-renders-2")])
 def test_a_folder_may_be_called_as_a_method_is(name, label, coffee_folder, protocol_path, theirs, tmp_path, capsys):
     """doctor, explain and score find a free name for it; who names renders so explicitly is told."""
     folder = theirs.rename(tmp_path / name)
