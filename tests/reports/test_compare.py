@@ -91,16 +91,6 @@ def test_direction_is_the_metrics(runs):
         assert replace(whole, comparison=decided).verdict == better
 
 
-def test_a_clip_too_short_for_its_correlation_has_no_winner(runs):
-    """Whatever its p value, a difference that the clip is too short for is not significant, and the verdict says why."""
-    (one, other), *_ = run_sides(runs["better"], runs["plain"])
-    whole = next(found for found in differences(one, other, runs["plain"]) if found.metric == "PSNR" and not found.view)
-    why = "clip too short: it has 3 frames, and 8 independent ones are wanted"
-    comparison = decide({"": replace(whole.comparison, short=why, p_value=0.001)}, True)[""]
-    short = replace(whole, comparison=comparison)
-    assert (short.is_significant, short.verdict) == (False, f"first ahead, {why}")
-
-
 def test_one_frame_gives_a_difference_without_significance(tmp_path):
     """A single frame has a difference, no interval, and the verdict says why it was not tested."""
     run = write_values(tmp_path / "run", shape=replace(SHAPE, frames=Frames(0, 1), metrics=("PSNR",)))

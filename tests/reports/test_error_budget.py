@@ -29,14 +29,6 @@ def photograph() -> np.ndarray:
     return np.ascontiguousarray(data.astronaut()[40:280, 60:380])
 
 
-def test_another_brightness_is_colour():
-    """A picture that is 10 levels brighter throughout has a squared error of 100, all of it colour."""
-    budget = error_budget(GREY + np.uint8(10), GREY, np.zeros((60, 80), bool))
-    assert (budget.unseen, budget.colour, budget.surface, budget.misplaced, budget.detail) == pytest.approx(
-        (0, 100, 0, 0, 0), abs=1e-3
-    )
-
-
 @pytest.mark.parametrize("body", [np.s_[100:380, 200:320], np.s_[120:240, 20:300]])
 def test_a_missing_body_is_a_wrong_surface_and_no_colour(body):
     """Exact colours but for a body of 120 x 280 pixels that shows what is behind it: at most 10 % is colour."""
@@ -83,7 +75,7 @@ def test_a_texture_in_the_wrong_place_is_misplaced(photograph):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["astronaut", "coffee", "chelsea"])
+@pytest.mark.parametrize("name", ["astronaut", *(pytest.param(name, marks=pytest.mark.proof) for name in ("coffee", "chelsea"))])
 def test_a_region_ends_where_its_fault_belongs(name):
     """A region moved by 1 or 8 pixels is above 65 % misplaced, a blurred one above 80 % detail, other content a wrong surface."""
     truth = cv2.resize(getattr(data, name)(), (640, 480), interpolation=cv2.INTER_AREA)

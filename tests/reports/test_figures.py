@@ -252,18 +252,14 @@ def test_a_video_shows_all_beside_each_other(planted, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["crops", "failures", "epi", "time"])
+@pytest.mark.parametrize(
+    "kind", ["crops", *(pytest.param(kind, marks=pytest.mark.proof) for kind in ("failures", "epi", "time"))]
+)
 def test_a_name_without_suffix_writes_png_and_pdf(planted, tmp_path, kind):
     """Each figure of a run is written as both, under one name."""
     files = write_figure(planted, kind, tmp_path / kind)
     assert [file.name for file in files] == [f"{kind}.png", f"{kind}.pdf"]
     assert [file.read_bytes()[:4] for file in files] == [b"\x89PNG", b"%PDF"]
-
-
-def test_equal_figures_are_equal_bytes(planted, tmp_path):
-    """A figure that is drawn again is the same file."""
-    first, again = (write_figure(planted, "crops", tmp_path / name)[0] for name in ("a.pdf", "b.pdf"))
-    assert first.read_bytes() == again.read_bytes()
 
 
 def test_k_table_is_the_mean_of_the_captures_in_order_of_k(sweep):

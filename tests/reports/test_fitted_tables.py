@@ -1,7 +1,5 @@
 """Tables of fitted methods: costs out of the records of jobs, the spread over seeds, the price of being online."""
 
-import csv
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from ggvs_eval.reports.model.measured import METHODS_FILE, read_run
 from ggvs_eval.reports.model.table import Cell
 from ggvs_eval.reports.run_groups import read_groups
 from ggvs_eval.reports.tables.costs import _crossing, budget_tables, cost_tables, differences_table, price_tables
-from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.paired import Outcome, compare
@@ -174,22 +171,6 @@ def test_price_is_the_paired_difference_with_its_interval(fitted_run):
     assert row.cells[2].high is None
     assert row.cells[2].hint.startswith("no interval: ")
     assert [column.name for column in price.columns] == ["PSNR ↑", "TCC ↑", "STED ↓"]
-
-
-def test_the_tables_are_in_every_format(fitted_run):
-    """Page, Markdown, CSV and LaTeX."""
-    from ggvs_eval.reports.page.page import render_page
-
-    (group,) = read_groups([fitted_run])
-    lines = list(csv.DictReader(to_csv([(group.protocol, group.all_tables)]).splitlines()))
-    fitting = next(line for line in lines if (line["table"], line["method"], line["column"]) == ("costs", "4DGS", "fitting"))
-    assert float(fitting["value"]) == 15.0
-    assert any(line["table"] == "price" and line["lo"] and line["hi"] for line in lines)
-    page = render_page([group])
-    assert "4K4D was not run here: it needs foreground masks" in page
-    for text in (to_markdown(group.all_tables), to_latex(group.all_tables), page):
-        for title in ("Price of being online", "Input and cost of each method", "Spread over seeds"):
-            assert title in text
 
 
 def test_what_differs_by_design_is_a_table_of_its_own(fitted_run):

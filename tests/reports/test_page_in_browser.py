@@ -8,7 +8,6 @@ import pytest
 
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.page.page import PARTS
-from helpers import browser as browsers
 from helpers.browser import DESKTOP, PHONE
 from helpers.painted_page import SHAPE, clock, paint, show_part, wait_for_slices, write_page
 from helpers.run_folders import LABELS, RunShape, write_run
@@ -204,15 +203,3 @@ def test_each_part_opens_and_closes(shown):
     assert shown.run(is_open, part)
     shown.press("\ue007")
     assert not shown.run(is_open, part)
-
-
-@pytest.mark.parametrize("promise", ["GGVS_BROWSER", ""])
-def test_absent_browser_is_never_silent(monkeypatch, promise):
-    """Where a browser is promised its absence fails with the line to run; elsewhere it skips with the same line."""
-    monkeypatch.delenv("GGVS_BROWSER", raising=False)
-    if promise:
-        monkeypatch.setenv(promise, "1")
-    monkeypatch.setattr(browsers.shutil, "which", lambda name: None)
-    expected = pytest.fail.Exception if promise else pytest.skip.Exception
-    with pytest.raises(expected, match="apt-get install --no-install-recommends chromium chromium-driver"):
-        browsers.find_browser()

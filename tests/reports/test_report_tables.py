@@ -358,23 +358,6 @@ def test_ties_are_bold_together(tmp_path):
     assert len({cells[NAMES[label]].text for label in LABELS}) == 3
 
 
-def test_where_a_clip_is_too_short_nothing_is_bold(tmp_path):
-    """A method far behind, whose errors last too long to be told apart, is not bold beside the best: nobody is."""
-    root = write_run(tmp_path / "run", RunShape(frames=Frames(0, 12), metrics=("PSNR",), poses=0))
-    found = Results.read(root)
-    frame, behind = found.table["frame"], found.table["method"] == "no-blending"
-    told = 0.2 * np.cos(5 * frame) + 2.0 * (found.table["variant"] == "no-temporal")  # apart in every frame
-    values = 30 + 0.3 * np.sin(frame) - behind * np.linspace(1, 15, 12)[frame] - told
-    Results(found.table.assign(value=values), found.provenance).write(root)
-    run = read_run(root)
-    (table,) = main_tables([run], run.results)
-
-    assert table.judgements["PSNR"].undecided.startswith("clip too short")
-    assert not any(row.cells[0].best for row in table.rows)
-    assert any(sentence.startswith("Nothing is bold in PSNR: clip too short") for sentence in table.notes)
-    assert not any("can be told from the best" in sentence for sentence in table.notes)
-
-
 def test_what_has_no_interval_says_why(tmp_path):
     """With one frame nothing could be compared, so nothing is bold, no cell has bounds, and caption, page and CSV say why."""
     shape = RunShape(frames=Frames(0, 1), metrics=("PSNR", "SSIM"), poses=0)

@@ -17,7 +17,6 @@ from ggvs_eval.protocol import Frames, Measurement, Synthesis, load_protocol
 from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote, read_scores
 from ggvs_eval.reports.model.table import Cell, Table
 from ggvs_eval.reports.page.page import template_environment
-from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.reproduction import (
@@ -320,15 +319,3 @@ def test_a_demo_called_dynerf_has_none_of_the_papers_rows(tmp_path):
             assert all(row.kind != "published" for row in table.rows)
             assert "The paper's values are not shown here: " in " ".join(table.notes)
         (root / "capture.json").unlink(missing_ok=True)
-
-
-def test_report_carries_them(tmp_path):
-    """A report of a run on other data has both files and one line on the page, no tab that has nothing to say."""
-    run = write_run(tmp_path / "run", RunShape(views=("cam00",), metrics=("PSNR",), poses=0))
-    page = write_report([run], with_figures=False)
-    text = page.read_text(encoding="utf-8")
-    assert "The 146 values of the paper are of other frames" in text
-    assert 'id="paper"' not in text
-    assert 'href="#paper"' not in text
-    assert (page.parent / "reproduction.md").is_file()
-    assert len(list(csv.reader((page.parent / "reproduction.csv").open(encoding="utf-8")))) == 147

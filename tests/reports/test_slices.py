@@ -118,16 +118,6 @@ def test_missing_pose_is_named(tmp_path):
         path_slices(run)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["epi", "time"])
-def test_figure_is_written_twice_alike(tmp_path, kind):
-    """A figure of slices is a picture, and equal inputs give equal bytes."""
-    run = write_run(tmp_path / "run", RunShape(path_truth=False))
-    first, second = (write_figure(run, kind, tmp_path / f"{name}.png")[0] for name in ("a", "b"))
-    assert first.read_bytes() == second.read_bytes()
-    assert read_image(first).shape[1] == 1400
-
-
 def test_what_a_figure_cannot_be_drawn_of_is_refused(tmp_path):
     """An unknown view, a run without a path and a strange suffix are errors that say what to do."""
     run = write_run(tmp_path / "run", RunShape(poses=0))

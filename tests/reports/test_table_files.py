@@ -68,14 +68,6 @@ def test_latex_compiles_and_fits_the_page(report, tmp_path):
     assert "Missing character" not in log
 
 
-@pytest.mark.skipif(ENGINE is None, reason="no LaTeX engine; apt-get install texlive-latex-base texlive-latex-recommended")
-def test_many_tables_compile(tmp_path):
-    """More tables in a row than LaTeX holds back at once are placed all the same."""
-    table = Table("t", NASTY, NASTY, (Column("PSNR", "dB", True),), (Row(NASTY, (Cell("1.0", 1.0, True, 0.5),)),))
-    log = compile_latex(to_latex([table] * MANY), tmp_path)
-    assert "Output written" in log
-
-
 def test_the_papers_values_are_shaded_as_the_paper_shades_them(nasty_run):
     """Of the PSNR on DyNeRF the best is bold and full blue, 29.51 in proportion, the worst two white; ours stand below each."""
     table = next(table for table in paper_tables(reproduce([read_run(nasty_run)])) if (table.key, table.dataset) == QUALITY)
@@ -178,13 +170,6 @@ def test_several_scenes_are_columns_beside_their_mean(tmp_path):
     write_run(tmp_path / "other", RunShape(scene="other", k=3))
     with refused(ResultsError, "runs of one protocol", "cannot share a table"):
         tables_of_runs([roots[0], tmp_path / "other"], [], "csv")
-
-
-@pytest.mark.skipif(ENGINE is None, reason="no LaTeX engine; apt-get install texlive-latex-base texlive-latex-recommended")
-def test_a_table_for_a_paper_compiles(nasty_run, tmp_path):
-    """As it is printed, in a plain article."""
-    log = compile_latex(tables_of_runs([nasty_run], ["PSNR", "SSIM", "LPIPS"], "latex"), tmp_path)
-    assert "Overfull" not in log
 
 
 def test_code_in_captions_is_code_in_latex(nasty_run):

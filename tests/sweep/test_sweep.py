@@ -69,21 +69,6 @@ def test_the_ablation_table_stands_at_the_protocols_own_k(protocol):
     assert {row.title for row in sweep.rows(variants["k6"], protocol)} == {"GGVS (online)", "GGVS (online), geometric weights"}
 
 
-def test_the_price_of_being_online_is_asked_at_all_cameras(protocol):
-    """The sweep `online` has the protocol's K and every camera but the one that is synthesised."""
-    assert list(load_sweep("online").protocols(protocol, cameras=10)) == ["k4", "k9"]
-    assert list(load_sweep("online").protocols(protocol, cameras=5)) == [protocol.name]
-
-
-def test_a_row_may_stand_at_the_protocols_own_k_alone(protocol):
-    """Its K is a variant even where the sweep does not list it; a K that the capture cannot serve is none."""
-    sweep = Sweep("x", "x", (SweepRow("a", "no-blending", only_own_k=True), SweepRow("b", "ours-geometric")), k=(2, 9))
-    variants = sweep.protocols(protocol, cameras=6)
-
-    assert {name: each.synthesis.k for name, each in variants.items()} == {"k2": 2, "k4": 4}
-    assert [row.title for row in sweep.rows(variants["k2"], protocol)] == ["b"]
-
-
 @pytest.mark.slow
 def test_every_variant_is_a_line_and_absent_methods_are_named(demo_capture, protocol, tmp_path):
     """K = 2 and 3 give two lines that differ, in run folders that share frames and depth; a method to come is not computed."""
