@@ -112,16 +112,6 @@ def test_distorted_frames_are_undistorted(tmp_path, model, coefficients):
     assert psnr(read.frame("cam02", 0), straight(lens, read.cameras[2].K)) > 42
 
 
-def test_smaller_frames(tmp_path):
-    """Frames of half the calibrated size scale K and lens."""
-    lens = Lens(make_rig()[0].K, "opencv", (-0.2, 0.05, 0.0, 0.0), WIDTH, HEIGHT)
-    more = 'distortion = { model = "opencv", coefficients = [-0.2, 0.05, 0.0, 0.0] }'
-    half = through_lens(lens.resized(WIDTH * 2, HEIGHT * 2))
-    read = open_capture(one_image_rig(tmp_path / "rig", more, images=[half] * 4))
-    assert read.cameras[0].size == (WIDTH * 2, HEIGHT * 2)
-    assert psnr(read.frame("cam00", 0), straight(lens.resized(WIDTH * 2, HEIGHT * 2), read.cameras[0].K)) > 42
-
-
 POSE = make_rig()[1].world_to_camera
 
 

@@ -1,6 +1,5 @@
 """D3DMV captures: one HDF5 file per scene with its poses, or folders of frames with backgrounds."""
 
-import pickle
 import shutil
 import tracemalloc
 from pathlib import Path
@@ -122,16 +121,6 @@ def test_several_scenes_in_a_folder(scene):
     write_h5(scene.parent / "scene012.h5")
     assert "wanted one scene, got 2 (scene007.h5, scene012.h5); name one of these files" in refusal(scene.parent)
     assert open_capture(scene.parent / "scene012.h5").scene == "scene012"
-
-
-def test_travels_to_other_processes(scene):
-    """A capture can be pickled before and after it was read, and cameras have digests of their own."""
-    capture = open_capture(scene)
-    before = pickle.dumps(capture)
-    frames = list(capture.frames("cam02"))
-    for pickled in (before, pickle.dumps(capture)):
-        assert np.array_equal(list(pickle.loads(pickled).frames("cam02")), frames)
-    assert len({capture.digest(name) for name in NAMES}) == N_CAMERAS
 
 
 def test_holds_one_frame_at_a_time(tmp_path):

@@ -86,11 +86,6 @@ def test_captures_travel_between_processes(dynerf):
     assert mean_colours(capture, "cam01")[2] == (2, 1)
 
 
-def test_absent_path(dynerf):
-    """A capture without a path has none."""
-    assert open_path(dynerf) is None
-
-
 def test_path_with_and_without_images(dynerf):
     """Poses open alone, and with one image each and the instant they show; another number of images is refused."""
     rig = make_rig()

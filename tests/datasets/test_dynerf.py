@@ -90,14 +90,6 @@ def test_missing_video(dynerf):
     assert "restore the missing videos" in message
 
 
-def test_truncated_video(dynerf):
-    """A video that was cut is named with the frames it still holds."""
-    (dynerf / "cam02.mp4").write_bytes((dynerf / "cam02.mp4").read_bytes()[:-200])
-    message = refusal(dynerf)
-    assert "cam02.mp4" in message
-    assert "0 frames can be decoded" in message
-
-
 def test_names_of_different_length(dynerf):
     """Names without leading zeros have no safe order and are refused."""
     (dynerf / "cam03.mp4").rename(dynerf / "cam3.mp4")

@@ -10,8 +10,7 @@ import pytest
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.google_light_fields import SCENE_DEPTHS_M
 from ggvs_eval.files.images import write_image
-from ggvs_eval.lens import Lens
-from helpers.captures import HEIGHT, WIDTH, make_image, make_rig, mean_colours, refusal
+from helpers.captures import WIDTH, make_image, make_rig, mean_colours, refusal
 from helpers.community_layouts import (
     N_INSTANTS,
     PAIR,
@@ -22,7 +21,6 @@ from helpers.community_layouts import (
     write_immersive,
     write_models,
 )
-from helpers.lens_pictures import psnr, straight, through_lens
 
 NAMES = ("camera_0001", "camera_0002")
 
@@ -56,18 +54,6 @@ def test_projects_as_the_readme_says(tmp_path):
     np.testing.assert_allclose(seen, (1377.85525, 1017.61440), atol=1e-5)
 
 
-def test_the_whole_fisheye_fits_the_formula():
-    """To the image's corners the lens is theta (1 + k1 theta^2 + k2 theta^4) focal lengths from the principal point."""
-    K = np.array([[1111.0, 0, 1280], [0, 1111, 960], [0, 0, 1]])
-    k1, k2, _ = README_VIEW["radial_distortion"]
-    lens = Lens(K, "fisheye", (k1, k2, 0.0, 0.0), 2560, 1920)
-    theta = np.linspace(0.05, 1.3, 26)
-    uv = K[:2, 2] + 1111 * np.tan(theta)[:, None] * (0.8, 0.6)
-
-    radii = np.linalg.norm(lens.distort(uv, K) - K[:2, 2], axis=1)
-    np.testing.assert_allclose(radii, 1111 * theta * (1 + theta**2 * (k1 + theta**2 * k2)), rtol=1e-12)
-
-
 def test_opens_videos_and_extracted_pictures(flames, scene):
     """Cameras are called as in the file; the lens leaves the pinhole image its K; pictures do as well as videos."""
     for path in (flames, with_pictures(scene)):
@@ -78,20 +64,6 @@ def test_opens_videos_and_extracted_pictures(flames, scene):
         for camera, other in zip(capture.cameras, make_rig(PAIR), strict=True):
             np.testing.assert_allclose(camera.K, other.K)
             np.testing.assert_allclose(camera.world_to_camera, other.world_to_camera, atol=1e-12)
-
-
-def test_frames_come_back_straight(tmp_path):
-    """What the fisheye makes of a pattern is the pattern again, within resampling."""
-    model = immersive_model(make_rig(PAIR)[0], "camera_0001")
-    write_models(tmp_path, [model])
-    k1, k2, _ = model["radial_distortion"]
-    lens = Lens(make_rig(PAIR)[0].K, "fisheye", (k1, k2, 0.0, 0.0), WIDTH, HEIGHT)
-    write_image(tmp_path / "camera_0001" / "0.png", through_lens(lens))
-
-    capture = open_capture(tmp_path)
-    pattern = straight(lens, capture.cameras[0].K)
-    assert psnr(through_lens(lens), pattern) < 25
-    assert psnr(capture.frame("camera_0001", 0), pattern) > 35
 
 
 def test_depth_range_is_the_scenes(flames, tmp_path):

@@ -8,9 +8,7 @@ import pytest
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.files.images import write_image
-from ggvs_eval.lens import Lens
-from helpers.captures import HEIGHT, NAMES, WIDTH, make_binary, make_image, make_rig, refusal, write_colmap_model
-from helpers.lens_pictures import psnr, straight, through_lens
+from helpers.captures import NAMES, make_binary, make_image, make_rig, refusal, write_colmap_model
 from helpers.small_layouts import N_INSTANTS, write_multipleview
 
 FOLDERS = ("cam01", "cam02", "cam03", "cam04")
@@ -47,16 +45,6 @@ def test_leading_zeros_and_more_than_nine_cameras(tmp_path):
     for number, camera in zip((1, 2, 10), read.cameras, strict=True):
         np.testing.assert_allclose(camera.centre, by_number[number].centre, atol=1e-9)
         assert np.array_equal(read.frame(camera.name, 0), make_image(number, 0))
-
-
-def test_distorted_frames_are_undistorted(scene_folder):
-    """Frames of a radial lens come back straight."""
-    write_colmap_model(scene_folder / "sparse_", [f"image{index}.png" for index in range(1, 5)], "SIMPLE_RADIAL", "-0.1")
-    lens = Lens(make_rig()[0].K, "opencv", (-0.1, 0.0, 0.0, 0.0), WIDTH, HEIGHT)
-    write_image(scene_folder / "cam03" / "frame_00001.png", through_lens(lens))
-    read = open_capture(scene_folder)
-    image = read.frame("cam03", 0)
-    assert psnr(image, straight(lens, read.cameras[2].K)) > 43
 
 
 def test_a_model_without_frames_and_frames_without_a_model(scene_folder):

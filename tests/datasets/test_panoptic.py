@@ -44,12 +44,6 @@ def test_frames_come_in_the_order_of_the_file(scene):
     assert mean_colours(open_capture(scene), "10") == [(1, 2), (0, 2)]
 
 
-def test_a_range_beside_it_counts(scene):
-    """The files have none."""
-    (scene / "depth_range.toml").write_text("near = 1.25\nfar = 5.5\n")
-    assert {(camera.near, camera.far) for camera in open_capture(scene).cameras} == {(1.25, 5.5)}
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

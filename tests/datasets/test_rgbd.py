@@ -279,13 +279,6 @@ def test_calibration_that_is_missing(scannet):
     assert "intrinsic_depth.txt: wanted a text file of numbers, got: no such file" in refusal(scannet)
 
 
-def test_depth_that_is_nowhere_known(scannet):
-    """A sequence without any measured depth has no depth range and is refused."""
-    for file in (scannet / "depth").iterdir():
-        cv2.imwrite(str(file), np.zeros((DEPTH_HEIGHT, DEPTH_WIDTH), np.uint16))
-    assert "depth/0.png: wanted measured depth, got zeros alone; leave this frame out" in refusal(scannet)
-
-
 @pytest.mark.parametrize(("rows", "found"), [(4, "4 rows of 16"), (6, "6 rows of 16")])
 def test_rows_and_images_do_not_match(tmp_path, rows, found):
     """One pose too few or too many cannot be attributed and is refused."""

@@ -96,13 +96,6 @@ def test_pictures_and_rows_must_match(scene):
     assert "got 00 (cameras_parameters.txt only)" in refusal(scene)
 
 
-def test_cropped_pictures_are_refused(scene):
-    """The file has no size: pictures of another shape than 2048 x 1088 cannot be placed."""
-    for file in scene.glob("*.png"):
-        write_image(file, make_image(0, 0, 64, 48))
-    assert "frames of 64 x 48 have another shape than the 2048 x 1088" in refusal(scene)
-
-
 def test_says_why_it_refuses(tmp_path):
     """Parameters alone are no scene, and pictures without a row neither."""
     (tmp_path / "cameras_parameters.txt").write_text("# f\n")

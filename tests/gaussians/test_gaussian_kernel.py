@@ -8,12 +8,20 @@ import torch
 
 from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.gaussians import GaussianCloud, render, render_gaussians, torch_splat
 from helpers.gaussian_clouds import random_cloud, view_of
 
-pytestmark = pytest.mark.usefixtures("kernel_settings")
+pytestmark = pytest.mark.usefixtures("kernel_settings", "alone")
 WIDTH, HEIGHT = 75, 50  # 3 x 2 tiles, the last ones in part outside of the image
 Tensors = dict[str, torch.Tensor]
+
+
+@pytest.fixture
+def alone():
+    """Small pictures are faster with one thread of torch."""
+    with one_thread():
+        yield
 
 
 def everything(splat: Callable[..., tuple[torch.Tensor, ...]], cloud: GaussianCloud, camera: Camera) -> Tensors:

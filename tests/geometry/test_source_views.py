@@ -183,8 +183,8 @@ def test_shares_are_continuous_as_the_target_moves(how, shape, start, part, k):
 def test_a_view_has_no_share_at_its_exchange(how):
     """Found by bisection: just before and just after the set changes, who goes and who comes have the least share."""
     cameras = make_rig("rows")
-    poses = camera_loop(cameras, 60)
-    start = next(i for i in range(59) if {*names(at(poses[i], cameras, how))} != {*names(at(poses[i + 1], cameras, how))})
+    poses = camera_loop(cameras, 30)
+    start = next(i for i in range(29) if {*names(at(poses[i], cameras, how))} != {*names(at(poses[i + 1], cameras, how))})
     low, high = 0.0, 1.0
     for _ in range(16):
         middle = (low + high) / 2

@@ -37,7 +37,7 @@ def assert_close(ours: Splat, theirs: Splat) -> None:
     assert difference.max() < 0.05
 
 
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=8)
 @given(seeds, sizes, sizes, st.integers(1, 4), st.integers(1, 3), st.booleans())
 def test_agrees_with_its_twin(seed, source_size, target_size, channels, count, normalised):
     """Any sizes, channels and number of sources give the twin's images."""
@@ -73,16 +73,6 @@ def test_single_gaussian():
     alpha = splat([view_of(camera, depth, depth[..., None])], camera, near=0.2, scale=1.0).alpha
     np.testing.assert_allclose(alpha[10, 10:13], [0.99, 0.68071, 0.21471], atol=5e-6)  # five printed digits
     np.testing.assert_allclose(alpha, alpha.T, atol=1e-6)  # sums are rounded in the order across, down
-
-
-def test_constant_plane_stays_constant():
-    """A plane seen from its own camera keeps its depth and its colour once normalised."""
-    camera = flat_camera(70, 40)
-    depth = np.full((40, 70), 3.0, dtype=np.float32)
-    result = splat([view_of(camera, depth, np.full((40, 70, 3), 0.25, dtype=np.float32))], camera, near=0.2)
-    np.testing.assert_allclose(result.depth, 3.0, rtol=1e-5)
-    np.testing.assert_allclose(result.features, 0.25, rtol=1e-5)
-    assert result.alpha.min() > 0.99
 
 
 def test_before_near_is_left_out():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.pipelines.offline.depth import device_maps
 from ggvs_eval.pipelines.offline.depth.camera_depth import FLYING, SMOOTH, SMOOTH_RADIUS_PX, DepthOptions, check_depth, finish
@@ -17,6 +18,13 @@ from helpers.stereo_scenes import look_from, plane_depth
 
 CHECKED = DepthOptions()
 UNCHECKED = replace(CHECKED, consistency=False)
+
+
+@pytest.fixture(autouse=True)
+def alone():
+    """Small maps are faster with one thread."""
+    with one_thread():
+        yield
 
 
 @pytest.fixture(scope="module")

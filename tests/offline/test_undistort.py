@@ -155,18 +155,6 @@ def test_capture_is_written_as_its_frames_are_read(tmp_path):
     assert np.array_equal(read_known(tmp_path / "out")["cam03"].lens.K, capture.camera("cam03").K)
 
 
-def test_truncated_video(tmp_path):
-    """A raw video that was cut is one line that names it, and nothing is left under the wanted name."""
-    pinhole_K = np.array([[WIDTH / 2, 0, WIDTH / 2], [0, WIDTH / 2, HEIGHT / 2], [0, 0, 1]])
-    write_raw(tmp_path / "raw", "fisheye", FISHEYE, pinhole_K)
-    (tmp_path / "calib.pkl").write_bytes(pickle.dumps(calibration_entries(2)))
-    content = (tmp_path / "raw" / "01.mp4").read_bytes()
-    (tmp_path / "raw" / "01.mp4").write_bytes(content[: len(content) // 2])
-    message = refused(undistort_videos, tmp_path / "raw", tmp_path / "calib.pkl", tmp_path / "out")
-    assert "01.mp4" in message
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize(
     ("n_frames", "fps", "message"), [(3, 30.0, "frame count for all cameras, got cam00 5, cam01 3"), (N_FRAMES, 25.0, "cam01 25")]
 )

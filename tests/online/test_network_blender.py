@@ -137,24 +137,6 @@ def test_weights_of_before_the_condition_serve_on(weights, tmp_path):
     assert not network.refiner.condition.weight.any()
 
 
-def test_equal_bits_for_any_number_of_threads(weights):
-    """The image is the same to the last bit with one thread and with three, and the number of threads is left as it was."""
-    inputs, images = inputs_of(instant(0, TARGET, SOURCES)), []
-    for threads in (1, 3):
-        torch.set_num_threads(threads)
-        images.append(NetworkBlender(weights).blend(inputs).image)
-        assert torch.get_num_threads() == threads
-    np.testing.assert_array_equal(images[0], images[1])
-
-
-def test_the_order_of_the_sources_does_not_matter(weights):
-    """Sources in another order give the same image: the network sees the nearest camera first."""
-    first, second = (
-        NetworkBlender(weights).blend(inputs_of(instant(0, TARGET, sources))).image for sources in (SOURCES, SOURCES[::-1])
-    )
-    np.testing.assert_allclose(first, second, atol=1e-5)  # the ray march sums its views in the order it gets them
-
-
 def test_another_number_of_views_is_refused(weights):
     """A network for two views says so when it is given three; one view is fine."""
     alone = NetworkBlender(weights).blend(inputs_of(instant(0, TARGET, SOURCES[:1])))

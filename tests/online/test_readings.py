@@ -56,15 +56,6 @@ def test_the_nearest_point_of_a_pixel_is_seen():
     np.testing.assert_array_equal(seen.depth, [[2.0, 3.0]])
 
 
-def test_points_leave_holes_that_gaussians_close():
-    """Seen at twice the size, points cover a quarter of the wall, Gaussians all of it."""
-    large = camera_at(0.0, name="large").resized(2 * TARGET.width, 2 * TARGET.height)
-    source = view_from(TARGET)
-
-    assert (splat_points(source, large, near=0.5).alpha > 0).mean() == pytest.approx(0.25)
-    assert (splat([source], large, near=0.5).alpha > 0.9).mean() > 0.99
-
-
 def test_points_at_or_before_the_near_plane_are_left_out():
     """The near plane culls points as it culls Gaussians; one that is no plane is refused."""
     source = view_from(TARGET)

@@ -8,33 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ggvs_eval import kernels
 from ggvs_eval.errors import RenderError
 from ggvs_eval.kernels import _core
-from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.temporal_filters import RecurrentOutput, agreement
 from helpers.geometry_scenes import seeds
 from helpers.refusals import refused
-from helpers.scenes import camera_at, instant
+from helpers.scenes import camera_at
 from helpers.twins.enlarging import recur_twin
 
 TARGET = camera_at(0.0, name="target")
-SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
 SIZE = (TARGET.height, TARGET.width)
 CELLS = (-(-SIZE[0] // 4), -(-SIZE[1] // 4))
 NOTHING_MOVES = np.ones(CELLS, np.float32)
 NOISE = 2 / 255
-
-
-def noisy(index: int) -> Instant:
-    """An instant whose sources have sensor noise and noisy depth, new at each index."""
-    plain, random = instant(index, TARGET, SOURCES, depth_noise=0.02), np.random.default_rng([7, index])
-    grain = [random.normal(0, 255 * NOISE, (*SIZE, 3)) for _ in SOURCES]
-    images = [
-        np.clip(np.rint(view.image + each), 0, 255).astype(np.uint8) for view, each in zip(plain.sources, grain, strict=True)
-    ]
-    return replace(plain, sources=tuple(replace(view, image=image) for view, image in zip(plain.sources, images, strict=True)))
 
 
 @pytest.mark.parametrize(("limit", "instants", "left"), [(0.85, 4, 0.5), (0.5, 12, np.sqrt(0.5 / 1.5))])
@@ -120,17 +106,6 @@ def test_the_mean_of_noise_agrees_with_what_is_new_and_one_that_drags_does_not()
     few = np.full((72, 96), 6, np.float32)
     new, last, mean = texture[:, 1:], (texture[:, 1:] + texture[:, :-1]) / 2, texture[:, :-1]
     assert agreement(new, mean, last, few).max() == 0
-
-
-@pytest.mark.usefixtures("kernel_settings")
-def test_threads_do_not_change_a_bit():
-    """One thread and three give the same image after four instants."""
-    images = []
-    for count in (1, 3):
-        kernels.set_threads(count)
-        method = GeometryGuided(OnlineOptions(recurrent_limit=0.85))
-        images.append([method.step(noisy(index)).image for index in range(4)])
-    np.testing.assert_array_equal(*images)
 
 
 @pytest.mark.parametrize("limit", [-0.1, 1.0])
