@@ -201,13 +201,9 @@ def test_links_save_room_and_copies_do_not_depend(runs):
     assert not frame_path(copied.renders("no-blending", "cam00"), 0).samefile(file)
 
 
-def test_a_folder_that_exists_is_kept(runs):
-    """Nothing is merged into a folder that is there."""
+def test_neither_an_existing_folder_nor_one_run_is_merged(runs):
+    """Nothing is merged into a folder that is there, and a single run needs no merging."""
     assert "got an existing one" in refusal("merge", runs / "a", runs / "a", runs / "b")
-
-
-def test_one_run_is_not_merged(runs):
-    """A single run needs no merging."""
     assert "at least two" in refusal("merge", runs / "out", runs / "a")
 
 

@@ -8,9 +8,6 @@ import pytest
 import torch
 
 from ggvs_eval.capture import CaptureEdit
-from ggvs_eval.contrib.worlds.demo import write_demo
-from ggvs_eval.contrib.worlds.film.options import DemoOptions
-from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.gaussians import write_ply
@@ -21,20 +18,21 @@ from ggvs_eval.protocol import CameraPath, Frames, Views, load_protocol
 from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps
 from helpers.gaussian_clouds import random_cloud
-from helpers.refusals import refused
+from helpers.small_runs import write_small_capture
+
+ROW = "[[row]]\ntitle = '{}'\nmethod = 'rendered:a'\n"
 
 
 @pytest.fixture(scope="module")
 def demo_capture(tmp_path_factory):
-    options = DemoOptions(width=96, height=72, n_frames=2, cameras_per_row=3, path_poses=0, supersampling=1)
-    return open_capture(write_demo(tmp_path_factory.mktemp("capture") / "demo", options, workers=1))
+    return write_small_capture(tmp_path_factory.mktemp("capture") / "demo", 2)
 
 
 @pytest.fixture
 def protocol():
     base = load_protocol("demo")
     measurement = dataclasses.replace(base.measurement, metrics=("PSNR",))
-    few = {"frames": Frames(0, 2), "path": CameraPath(2)}  # of 48 poses by default, each rendered by every method
+    few = {"frames": Frames(0, 1), "path": CameraPath(0)}
     return dataclasses.replace(base, views=Views(("cam00",), "test"), measurement=measurement, **few)
 
 
@@ -69,7 +67,6 @@ def test_the_ablation_table_stands_at_the_protocols_own_k(protocol):
     assert {row.title for row in sweep.rows(variants["k6"], protocol)} == {"GGVS (online)", "GGVS (online), geometric weights"}
 
 
-@pytest.mark.slow
 def test_every_variant_is_a_line_and_absent_methods_are_named(demo_capture, protocol, tmp_path):
     """K = 2 and 3 give two lines that differ, in run folders that share frames and depth; a method to come is not computed."""
     rows = (
@@ -91,7 +88,6 @@ def test_every_variant_is_a_line_and_absent_methods_are_named(demo_capture, prot
     assert (tmp_path / "sweep" / "sweep.csv").is_file()
 
 
-@pytest.mark.slow
 def test_frames_rendered_elsewhere_are_a_row(demo_capture, protocol, tmp_path, capsys):
     """``rendered:PATH`` is scored as the method whose frames it holds, without a time; a wrong path stops nothing else.
 
@@ -122,44 +118,30 @@ def test_frames_rendered_elsewhere_are_a_row(demo_capture, protocol, tmp_path, c
     assert lines.loc["4DGS (theirs)", "PSNR"] == lines.loc["Distance", "PSNR"]
     assert np.isnan(lines.loc["4DGS (theirs)", "s/frame"])
     assert (tmp_path / "sweep" / protocol.name / "renders" / "4dgs-theirs" / "import.json").is_file()
-    assert "4dgs-theirs: frames " in capsys.readouterr().err  # how they are numbered
+    assert "4dgs-theirs: frame 0 is used as the instant 0" in capsys.readouterr().err  # how they are numbered
     (failure,) = result.failures
     assert "nowhere: wanted renders, got no such path" in str(failure)
     assert not failure.traceback
 
 
-@pytest.mark.slow
-def test_frames_of_several_captures_are_told_apart(demo_capture, protocol, tmp_path):
-    """One folder for two captures is refused before anything is rendered; titles that make one folder name are too."""
-    noisy = perturb_capture(demo_capture, CaptureEdit(hold_frames=2, sensor_noise_255=20.0))
-    rows = (SweepRow("None", "no-blending"), SweepRow("Theirs", "rendered:frames"))
-
-    starts = {"still": (noisy, protocol), "moving": (demo_capture, protocol)}
-    result = run_sweep(plan_cells(tmp_path / "s", starts, Sweep("x", "x", rows)), workers=1)
-
-    assert "wanted {capture} in the path, got none, with 2 captures" in result.not_computed["Theirs"]
-    file = tmp_path / "twice.toml"
-    row = "[[row]]\ntitle = '{}'\nmethod = 'rendered:a'\n"
-    file.write_text("name = 'x'\ndescribe = 'x'\n" + row.format("A b") + row.format("a-B"))
-    with refused(ProtocolError, "titles"):
-        load_sweep(str(file))
-
-
-@pytest.mark.slow
 def test_several_captures_are_averaged(demo_capture, protocol, tmp_path):
-    """Two captures: a table of each, and the mean of the lines that both have; measured differently they have no mean."""
-    sweep = Sweep("pair", "test", (SweepRow("Distance", "distance-based"), SweepRow("None", "no-blending")))
-    noisy = perturb_capture(demo_capture, CaptureEdit(hold_frames=2, sensor_noise_255=20.0))
+    """Two captures: a table of each, and the mean of the lines that both have; measured differently they have no mean.
 
-    result = run_sweep(
-        plan_cells(tmp_path / "s", {"still": (noisy, protocol), "moving": (demo_capture, protocol)}, sweep), workers=1
-    )
+    One folder of foreign frames for both is refused before anything is rendered.
+    """
+    titles = {"Distance": "distance-based", "None": "no-blending", "Theirs": "rendered:frames"}
+    sweep = Sweep("pair", "test", tuple(SweepRow(title, method) for title, method in titles.items()))
+    noisy = perturb_capture(demo_capture, CaptureEdit(hold_frames=2, sensor_noise_255=20.0))
+    captures = {"still": (noisy, protocol), "moving": (demo_capture, protocol)}
+
+    result = run_sweep(plan_cells(tmp_path / "s", captures, sweep), workers=1)
 
     psnr = result.table["PSNR"]
     assert list(psnr.index.unique("capture")) == ["still", "moving", "mean"]
     np.testing.assert_allclose(psnr["mean"], (psnr["still"] + psnr["moving"]) / 2)
     assert (psnr["still"] < psnr["moving"]).all()
     assert (tmp_path / "s" / "sweep.csv").is_file()
+    assert "wanted {capture} in the path, got none, with 2 captures" in result.not_computed["Theirs"]
     other = dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, ddof=0))
     with pytest.raises(ProtocolError, match="wanted captures with one protocol"):
         plan_cells(tmp_path / "t", {"a": (noisy, protocol), "b": (demo_capture, other)}, sweep)
@@ -185,6 +167,7 @@ def test_captures_of_one_name_are_refused(demo_capture, tmp_path):
         ("name = 'x'\ndescribe = 'x'\n", "missing key row"),
         ("name = 'x'\ndescribe = 'x'\nrow = []\n", "at least one"),
         ("name = 'x'\ndescribe = 'x'\nk = [0]\n[[row]]\ntitle = 'a'\nmethod = 'b'\n", "k of at least 1"),
+        (f"name = 'x'\ndescribe = 'x'\n{ROW.format('A b')}{ROW.format('a-B')}", "titles"),
         ("name = 'x'\ndescribe = 'x'\n[[rows]]\ntitle = 'a'\n", "did you mean row"),
         ("name = 'x'\ndescribe = 'x'\nk = ['2']\n[[row]]\ntitle = 'a'\nmethod = 'b'\n", r"k\[0\] must be a whole number"),
         ("name = ", "not valid TOML"),
