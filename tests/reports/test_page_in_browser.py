@@ -15,8 +15,9 @@ from helpers.run_folders import LABELS, RunShape, write_run
 PAUSES_S = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0)
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("size", [DESKTOP, (1000, 900), PHONE], ids=["desktop", "narrow", "phone"])
+@pytest.mark.parametrize(
+    ("size", "dark"), [(DESKTOP, False), ((1000, 900), True), (PHONE, False)], ids=["desktop", "narrow", "phone"]
+)
 def test_fits_and_loads_nothing(started, painted, size, dark):
     """On a desktop and on a phone, light and dark: no sideways scrolling, nothing loaded, no broken picture, no complaint."""
     started.visit(painted, size, dark)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from ggvs_eval.pipelines.commands.main import run_command
-from helpers.browser import PHONE
 from helpers.painted_page import RED, SHAPE, STAGE, clock, paint, write_page
 from helpers.run_folders import LABELS, write_run
 
@@ -79,15 +78,6 @@ def test_pixel_is_the_one_under_the_pointer_when_zoomed(shown):
     shown.click(STAGE, 0.9, 0.8)
     y = int(re.search(r"y (\d+)", shown.text("[data-role=place]"))[1])
     assert abs(green - 2 * y) < 8
-
-
-def test_two_fingers_zoom(started, painted):
-    """On a phone two fingers that move apart zoom the pictures."""
-    started.visit(painted, PHONE)
-    started.pinch(STAGE, 2.0)
-    zoom = started.run("Number(getComputedStyle(document.querySelector('.viewer')).getPropertyValue('--zoom'))")
-    assert 1.6 < zoom < 2.4
-    assert started.complaints() == []
 
 
 def zoom_of(browser) -> float:
