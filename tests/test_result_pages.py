@@ -1,7 +1,6 @@
 """`make results`: every table of the pages has a measurement, carries the code it came from, and is remade when that changes."""
 
 import dataclasses
-import json
 import re
 import subprocess
 import sys
@@ -112,14 +111,6 @@ def test_what_fails_is_named_and_leaves_its_table(bench, monkeypatch, capsys):
     assert "failed with 3" in (folder / "records" / "progress.log").read_text()
 
 
-def test_a_checkpoint_that_is_not_there_leaves_its_method_out(tmp_path):
-    """The other methods are measured all the same."""
-    words = ["run", "out", "--methods", "mvsnerf", "ours", "--weights", f"mvsnerf={tmp_path}/none.tar"]
-    assert make_results._without_missing_weights(words) == ["run", "out", "--methods", "ours"]
-    (tmp_path / "none.tar").touch()
-    assert make_results._without_missing_weights(words) == words
-
-
 @pytest.mark.slow
 def test_every_table_of_the_pages_is_made_by_a_measurement():
     """Markers and tables are the same set, each table's measurement is one of the plan's, and each of these has an identity."""
@@ -131,37 +122,6 @@ def test_every_table_of_the_pages_is_made_by_a_measurement():
         assert table.measurement == fill_tables.CARDS or table.measurement in result_plan.MEASUREMENTS
         assert re.fullmatch(r"\w*", table.identity)
     assert len({each.identity for each in result_plan.MEASUREMENTS.values()}) == len(result_plan.MEASUREMENTS)
-
-
-def test_the_gpu_table_is_what_the_benchmark_wrote(tmp_path, monkeypatch):
-    """A column per size, kernels and calls in rows of their own, depth of the smaller size first, scoring of the larger alone."""
-    names = ("moving_p50_ms", "call_p50_ms", "call_p95_ms", "recording_ms")
-    times = {"launched_ms": {"a": 1.0, "b": 2.5}} | dict.fromkeys(names, 5.0)
-    sizes = {"480x360": (10.0, 12.0, 4.0), "1352x1014": (20.0, 24.0, 8.0)}
-    record = {
-        "machine": "cuda: some GPU",
-        "figures": {
-            size: {
-                "times": times | dict(zip(("p50_ms", "p95_ms"), values, strict=False)),
-                "kernels": {"busy_ms": values[2], "gaps_ms": 0.5, "launches": 300.0},
-            }
-            for size, values in sizes.items()
-        },
-        "depth": {"1345x1008": {"network_ms": 9.0, "map_ms": 90.0}, "480x360": {"network_ms": 3.0, "map_ms": 30.0}},
-        "scoring": {"frame_ms": {"all eight": 100.0, "LPIPS": 70.0}},
-    }
-    monkeypatch.setattr(figure_tables, "OUT", tmp_path)
-    (tmp_path / "device.json").write_text(json.dumps(record))
-    table = figure_tables.device_table()
-    for row in (
-        "| ms | 480x360 | 1352x1014 |",
-        "| a step, median | 10.0 | 20.0 |",
-        "| the step launched call by call | 3.50 | 3.50 |",
-        "| – in which kernels compute | 4.00 | 8.00 |",
-        "partners | 30.0 | 90.0 |",
-        "| | 100.0 (70.0) |",
-    ):
-        assert row in table
 
 
 def test_what_the_cards_say_is_on_the_pages():

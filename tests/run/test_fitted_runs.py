@@ -39,7 +39,7 @@ PROTOCOL = Protocol(
     "plane",
     Views((HELD_OUT, TWIN, "cam03"), "by hand", folds=((HELD_OUT, TWIN), ("cam03",))),
     Frames(0, 2),
-    Synthesis(k=2),
+    Synthesis(k=2, width=100, height=75),
     Measurement(metrics=("PSNR",), ceilings=False),
     CameraPath(poses=2),
 )

@@ -31,15 +31,14 @@ def test_frames_are_those_of_the_capture_at_its_size(dynerf_capture, tmp_path):
     assert cached.digest("cam01") == dynerf_capture.digest("cam01")
 
 
-@pytest.mark.slow
 def test_nothing_is_decoded_twice(dynerf_capture, dynerf, tmp_path):
     """Once the frames are there the videos are not opened any more, not even for a second call."""
     wanted = {name: range(5) for name in NAMES}
-    cache_frames(dynerf_capture, wanted, tmp_path, workers=2)
+    cache_frames(dynerf_capture, wanted, tmp_path, workers=1)
     for video in dynerf.glob("*.mp4"):
         video.unlink()
 
-    again = cache_frames(dynerf_capture, wanted, tmp_path, workers=2)
+    again = cache_frames(dynerf_capture, wanted, tmp_path, workers=1)
 
     assert sum(1 for name in NAMES for _ in again.frames(name)) == 4 * 5
 

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -64,32 +63,6 @@ def test_candidates_are_scored_in_every_domain_without_files(cache: Path) -> Non
     assert grey["PSNR"] == pytest.approx(psnr(np.full_like(truth, 128), truth))
     assert scores[scores["domain"] == "arc"]["STED"].notna().all()
     assert scores[scores["domain"] == "misplaced_depth"]["STED"].isna().all()
-
-
-@pytest.mark.proof
-def test_views_on_disk_are_not_made_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another call reads them; more targets than there are would be made."""
-    monkeypatch.setattr(domain_views, "make_views", lambda *job: pytest.fail(f"made again: {job}"))
-    first, again = (domain_views.prepare_views(cache, DOMAINS, PLAN) for _ in range(2))
-    assert first == again
-    with pytest.raises(pytest.fail.Exception, match="made again"):
-        domain_views.prepare_views(cache, DOMAINS, replace(PLAN, targets=3))
-
-
-@pytest.mark.proof
-def test_a_view_comes_back_from_its_file_as_it_was(cache: Path, tmp_path: Path) -> None:
-    """Images, depth and cameras bit by bit, confidence within half a level of 255; depth is known and the target no source."""
-    sample = next(domain_views.prepare_views(cache, DOMAINS, PLAN)[0].samples())
-    assert sample.instant.target.name not in {source.camera.name for source in sample.instant.sources}
-    domain_views.write_view(tmp_path / "view.npz", sample)
-    back = domain_views.read_view(tmp_path / "view.npz")
-    assert (back.truth == sample.truth).all()
-    for source, other in zip(sample.instant.sources, back.instant.sources, strict=True):
-        assert (source.image == other.image).all()
-        assert (source.depth == other.depth).all()
-        assert (source.depth > 0).mean() > 0.5
-        np.testing.assert_allclose(source.confidence, other.confidence, atol=0.5 / 255)
-        np.testing.assert_array_equal(source.camera.world_to_camera, other.camera.world_to_camera)
 
 
 def test_tables_end_with_the_mean_and_the_differences() -> None:
