@@ -1,10 +1,12 @@
 """A test that takes long fails by name; a slow one may take ten times as long, a proof as long as it wants."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 from types import SimpleNamespace
 
 import pytest
+
+from helpers import time_limits
+from helpers.time_limits import TimeLimits
 
 
 def finish(steps: Iterator[object]) -> None:
@@ -13,41 +15,33 @@ def finish(steps: Iterator[object]) -> None:
         steps.send(None)
 
 
-@pytest.fixture
-def tried(pytestconfig) -> Callable[..., None]:
-    """Lets the hooks of conftest time a test that takes what is said, on a machine that is half as fast again."""
-    file = Path(__file__).with_name("conftest.py")
-    (hooks,) = [plugin for plugin in pytestconfig.pluginmanager.get_plugins() if getattr(plugin, "__file__", "") == str(file)]
-
-    def run(test_s: float, marker: str = "", **fixture_s: float) -> None:
-        item = SimpleNamespace(stash=pytest.Stash(), nodeid="test_it", get_closest_marker=lambda name: name == marker or None)
-        clock = SimpleNamespace(now_s=0.0)
-        with pytest.MonkeyPatch.context() as patch:  # not while the hooks time the tests of this file
-            patch.setattr(hooks, "_used_s", lambda: clock.now_s)
-            patch.setattr(hooks, "_slowness", lambda: 1.5)
-            patch.setattr(hooks, "_shared_fixtures", [])
-            setup = hooks.pytest_runtest_setup(item)
-            next(setup)
-            for name, seconds in fixture_s.items():
-                fixture = hooks.pytest_fixture_setup(SimpleNamespace(scope="module", argname=name))
-                next(fixture)
-                clock.now_s += seconds
-                finish(fixture)
-            finish(setup)
-            call = hooks.pytest_runtest_call(item)
-            next(call)
-            clock.now_s += test_s
-            finish(call)
-
-    return run
+def run(test_s: float, marker: str = "", **fixture_s: float) -> None:
+    """Let the limits time a test that takes what is said, on a machine that is half as fast again."""
+    limits, clock = TimeLimits(), SimpleNamespace(now_s=0.0)
+    item = SimpleNamespace(nodeid="test_it", get_closest_marker=lambda name: name == marker or None)
+    with pytest.MonkeyPatch.context() as patch:  # not while the tests of this file are timed
+        patch.setattr(time_limits, "_used_s", lambda: clock.now_s)
+        patch.setattr(time_limits, "_slowness", lambda: 1.5)
+        setup = limits.pytest_runtest_setup(item)
+        next(setup)
+        for name, seconds in fixture_s.items():
+            fixture = limits.pytest_fixture_setup(SimpleNamespace(scope="module", argname=name))
+            next(fixture)
+            clock.now_s += seconds
+            finish(fixture)
+        finish(setup)
+        call = limits.pytest_runtest_call(item)
+        next(call)
+        clock.now_s += test_s
+        finish(call)
 
 
 @pytest.mark.parametrize(
     ("seconds", "marker"), [({}, ""), ({"room": 2.9}, ""), ({"whole_run": 29.0}, ""), ({"room": 99.0}, "slow"), ({}, "proof")]
 )
-def test_what_a_test_may_take(seconds, marker, tried):
+def test_what_a_test_may_take(seconds, marker):
     """A second, ten of a slow one; two of a fixture, twenty of the whole run, by this machine's own speed."""
-    tried({"": 1.4, "slow": 14.9, "proof": 99.0}[marker], marker, **seconds)
+    run({"": 1.4, "slow": 14.9, "proof": 99.0}[marker], marker, **seconds)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +53,7 @@ def test_what_a_test_may_take(seconds, marker, tried):
         (0.1, "", {"whole_run": 31.0}, "fixture whole_run of test_it took 31.0 s of a core, wanted 20 at most"),
     ],
 )
-def test_a_long_test_is_named(test_s, marker, fixture_s, message, tried):
+def test_a_long_test_is_named(test_s, marker, fixture_s, message):
     """The test itself, or the fixture that it was the first to need."""
     with pytest.raises(pytest.fail.Exception, match=message):
-        tried(test_s, marker, **fixture_s)
+        run(test_s, marker, **fixture_s)
