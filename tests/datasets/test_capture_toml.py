@@ -184,9 +184,3 @@ def test_frame_counts_and_rates_must_agree(toml_rig):
     assert "wanted one frame count for all cameras, got cam00 2, cam01 2, cam02 2, cam03 4" in refusal(toml_rig)
     write_video(toml_rig / "videos" / "cam03.mp4", [make_image(3, frame) for frame in range(2)], 25.0)
     assert "wanted one frame rate for all cameras, got cam00 30, cam01 30, cam02 30, cam03 25" in refusal(toml_rig)
-
-
-def test_another_file_is_no_capture(toml_rig):
-    """A TOML file of another name is not taken for a rig."""
-    (toml_rig / "capture.toml").rename(toml_rig / "rig.toml")
-    assert "wanted a capture's folder or capture.toml, got another file" in refusal(toml_rig / "rig.toml")

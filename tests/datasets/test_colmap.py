@@ -27,9 +27,6 @@ from helpers.captures import (
     write_videos,
 )
 from helpers.lens_pictures import psnr, straight, through_lens
-from helpers.places import SHARED
-
-FLAME_STEAK = SHARED / "data" / "n3v_flame_steak"
 
 
 @pytest.fixture(scope="module")
@@ -267,23 +264,6 @@ def test_png_can_be_written_after_reading_a_model(colmap):
     done = subprocess.run([sys.executable, "-c", code, str(colmap)], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
     assert (colmap / "out.png").is_file()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not FLAME_STEAK.is_dir(), reason="the shared capture n3v_flame_steak is not on this machine")
-def test_real_capture():
-    """The real frame of flame_steak has 21 cameras, f about 730 px at half size, and a guess of 7.3 units per metre."""
-    capture = open_capture(FLAME_STEAK)
-    assert capture.camera_names == tuple(f"cam{index:02d}" for index in range(21))
-    assert (capture.layout, capture.n_frames) == ("colmap", 1)
-    assert capture.cameras[0].size == (2690, 2016)
-    assert capture.cameras[0].focal_px == pytest.approx(1458, abs=1)
-    assert capture.units_per_metre == pytest.approx(7.3, abs=0.05)
-    half = capture.resized(1345, 1008, "area")
-    assert half.frame("cam07", 0).shape == (1008, 1345, 3)
-    assert half.cameras[0].focal_px == pytest.approx(729, abs=1)
-    nearest = 0.8 * 7.7, 0.8 * 10.9
-    assert all(nearest[0] * 0.99 < camera.near < nearest[1] * 1.01 for camera in capture.cameras)
 
 
 def test_rows_of_images_without_rows_of_points(colmap):

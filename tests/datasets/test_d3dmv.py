@@ -257,12 +257,3 @@ def test_folders_that_are_not_whole(tmp_path, change, message):
     """Missing backgrounds, cameras and frames are named."""
     change(write_frames(tmp_path / "scene"))
     assert message in refusal(tmp_path / "scene", "d3dmv")
-
-
-def test_says_why_it_refuses(tmp_path, scene):
-    """Files and folders that are no D3DMV scene are refused with what is lacking."""
-    assert d3dmv.refuse(scene) is None
-    assert d3dmv.refuse(scene.with_name("scene007_pb.npy")) == "no SCENE.h5, no poses_bounds.npy"
-    assert d3dmv.refuse(tmp_path / "nowhere") == "no SCENE.h5, no poses_bounds.npy"
-    scene.with_name("scene007_pb.npy").unlink()
-    assert d3dmv.refuse(scene) == d3dmv.refuse(scene.parent) == "scene007.h5, but no scene007_pb.npy"

@@ -206,13 +206,6 @@ def test_names_do_not_lead_out_of_the_capture(tmp_path, name):
     assert "wanted frames of" in refusal(folder)
 
 
-def test_a_missing_image(tmp_path):
-    """A camera whose image is not on disk is named."""
-    folder = write_nerfstudio(tmp_path / "scene")
-    (folder / "images" / "cam02.png").unlink()
-    assert "got none for cam02, only for" in refusal(folder)
-
-
 def test_bytes_that_are_no_text(tmp_path):
     """The file must be UTF-8, or say by its first bytes what else it is."""
     folder = write_nerfstudio(tmp_path / "scene")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ggvs_eval.datasets import open_capture, rgbd
+from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.rgbd import DepthFrames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
@@ -285,15 +285,6 @@ def test_rows_and_images_do_not_match(tmp_path, rows, found):
     write_hololens(tmp_path / "room")
     np.savetxt(tmp_path / "room" / "poses.txt", [make_pose(index).ravel() for index in range(rows)])
     assert f"poses.txt: wanted 16 numbers for each of the 5 images, got {found}" in refusal(tmp_path / "room")
-
-
-def test_says_why_it_refuses(tmp_path, scannet_scene):
-    """Files and folders that are no sequence are refused with what is wanted."""
-    reason = "neither color/, depth/, pose/, intrinsic/ nor images, depth, poses.txt, K.txt, frame-*.pose.txt or rgb, depth, "
-    reason += "groundtruth.txt"
-    assert rgbd.refuse(scannet_scene) is None
-    assert rgbd.refuse(tmp_path) == rgbd.refuse(tmp_path / "nowhere") == reason
-    assert rgbd.refuse(scannet_scene / "pose" / "0.txt") == reason
 
 
 def test_the_largest_value_is_unknown_depth(scannet):

@@ -89,7 +89,6 @@ def test_depth_range_toml_counts_in_every_layout(tmp_path, write):
     assert "depth range 0.9 .. 35, by depth_range.toml" in capture.notes
 
 
-@pytest.mark.slow
 def test_known_poses_want_no_points(tmp_path):
     """A model of known poses before triangulation opens, and `calibrate` reads its poses; one without points3D too."""
     folder = write_colmap(tmp_path / "scene")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.google_light_fields import SPACES_LAYOUT, load_positions
+from ggvs_eval.datasets.google_light_fields import load_positions
 from ggvs_eval.errors import CaptureError
 from helpers.captures import make_image, refusal
 from helpers.refusals import refused
@@ -115,12 +115,6 @@ def test_chosen_positions(scene):
         load_positions(scene, None, [7, 0, 2])
 
 
-def test_depth_range_of_parallel_cameras(scene):
-    """Cameras that look the same way see the scene from 5 to 500 times their spacing, here 0.5 to 50 m."""
-    damage(scene, lambda models: models[:1])
-    assert {(round(camera.near, 9), round(camera.far, 9)) for camera in open_capture(scene).cameras} == {(0.5, 50.0)}
-
-
 def test_paths_are_optional(scene):
     """Where a camera names no image, the usual place is taken."""
     expected = [open_capture(scene).digest(name) for name in NAMES]
@@ -170,24 +164,6 @@ def test_models_that_make_no_sense(scene, change, message):
         assert message in refusal(scene)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "models.json: wanted JSON, got: Expecting value"),
-        (json.dumps(make_models())[:-30], "wanted JSON, got: "),
-        ("[" * 100_000, "wanted JSON, got: lists nested too deep"),
-        ("[[{" + '"a":{' * 100_000, "wanted JSON, got: lists nested too deep"),
-        (f"[{'9' * 5000}]", "wanted JSON, got: Exceeds the limit"),
-        ("\ud800", "wanted JSON, got: 'utf-8' codec can't decode"),
-    ],
-    ids=["empty", "truncated", "nested lists", "nested objects", "long number", "no text"],
-)
-def test_file_that_is_no_json(scene, text, message):
-    """Damaged and hostile JSON is refused in one line."""
-    (scene / "models.json").write_bytes(text.encode("utf-8", errors="surrogatepass"))
-    assert message in refusal(scene)
-
-
 def test_images_that_cannot_be_read(scene):
     """A missing, an empty and a truncated image are named."""
     file = scene / "cam_01" / "image_001.JPG"
@@ -198,11 +174,3 @@ def test_images_that_cannot_be_read(scene):
     assert "image_001.JPG: wanted an image, got 0 bytes" in refusal(scene)
     file.unlink()
     assert "image_001.JPG: wanted the image of pos01_cam01, got none; restore it" in refusal(scene)
-
-
-def test_says_why_it_refuses(tmp_path, intact_scene):
-    """Files and folders that are no scene are refused with what is lacking."""
-    assert SPACES_LAYOUT.refuse(intact_scene) is None
-    assert SPACES_LAYOUT.refuse(intact_scene / "models.json") == SPACES_LAYOUT.refuse(tmp_path / "nowhere") == "no models.json"
-    (tmp_path / "models.json").write_text("[]")
-    assert SPACES_LAYOUT.refuse(tmp_path) == "models.json, but no cam_XX/"

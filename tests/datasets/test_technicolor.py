@@ -94,11 +94,3 @@ def test_pictures_and_rows_must_match(scene):
     for file in scene.glob("*_00.png"):
         file.unlink()
     assert "got 00 (cameras_parameters.txt only)" in refusal(scene)
-
-
-def test_says_why_it_refuses(tmp_path):
-    """Parameters alone are no scene, and pictures without a row neither."""
-    (tmp_path / "cameras_parameters.txt").write_text("# f\n")
-    assert "not technicolor: cameras_parameters.txt, but no SCENE_undist_00000_00.png" in refusal(tmp_path, "technicolor")
-    write_image(tmp_path / "X_undist_00000_00.png", make_image(0, 0, *SMALL_SIZE))
-    assert "wanted a line of names and a row per camera, got none" in refusal(tmp_path)

@@ -80,7 +80,7 @@ def value(target: Camera, sources: list[Camera]) -> float:
 def test_sources_are_others_nearest_first_and_few(shape, how):
     """Never the target, never twice, nearest first, at most K, shares in (0, 1], and the same again."""
     cameras = make_rig(shape)
-    for target in cameras[::3]:
+    for target in cameras[::5]:
         chosen = choose_sources(target, cameras, k_of(how), how)
         distances = [np.linalg.norm(each.camera.centre - target.centre) for each in chosen]
         assert target.name not in names(chosen)
@@ -156,7 +156,7 @@ def test_k_of_k_are_all(how):
     scale=st.floats(0.01, 100),
     index=st.integers(0, 15),
 )
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_the_world_may_be_turned_shifted_and_scaled(how, turn, shift, scale, index):
     """Neither the choice nor its shares depend on where the world's origin lies and how long its unit is."""
     rotation, offset = Rotation.from_rotvec(turn).as_matrix(), np.array(shift)
@@ -179,18 +179,17 @@ def test_shares_are_continuous_as_the_target_moves(how, shape, start, part, k):
     assert max(abs(before.get(name, 0) - after.get(name, 0)) for name in {*before, *after}) < 0.1
 
 
-@pytest.mark.parametrize("how", ALL)
+@pytest.mark.parametrize("how", ["nearest", pytest.param("coverage", marks=pytest.mark.slow), "triplet"])
 def test_a_view_has_no_share_at_its_exchange(how):
     """Found by bisection: just before and just after the set changes, who goes and who comes have the least share."""
     cameras = make_rig("rows")
     poses = camera_loop(cameras, 30)
-    start = next(i for i in range(29) if {*names(at(poses[i], cameras, how))} != {*names(at(poses[i + 1], cameras, how))})
+    chosen = [{*names(at(pose, cameras, how))} for pose in poses]
+    start = next(index for index in range(29) if chosen[index] != chosen[index + 1])
     low, high = 0.0, 1.0
     for _ in range(16):
         middle = (low + high) / 2
-        same = {*names(at(between(poses[start], poses[start + 1], middle), cameras, how))} == {
-            *names(at(poses[start], cameras, how))
-        }
+        same = {*names(at(between(poses[start], poses[start + 1], middle), cameras, how))} == chosen[start]
         low, high = (middle, high) if same else (low, middle)
     before, after = (shares(at(between(poses[start], poses[start + 1], place), cameras, how)) for place in (low, high))
     exchanged = {*before} ^ {*after}

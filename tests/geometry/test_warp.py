@@ -41,17 +41,6 @@ def test_a_change_is_warped_as_the_image_of_its_differences(seed, target_size, s
     np.testing.assert_array_equal(found.visibility, expected.visibility)
 
 
-@pytest.mark.parametrize("bicubic", [False, True])
-def test_identity(bicubic):
-    """A view warped into itself is itself, and fully visible where it has depth."""
-    random = np.random.default_rng(0)
-    camera = random_camera(random, 41, 27)
-    image, depth = random.random((27, 41, 3), dtype=np.float32), random_depth(random, camera)
-    result = warp(camera, depth, camera, image, depth, TAU, bicubic=bicubic)
-    np.testing.assert_allclose(result.colour, np.where(depth[..., None] > 0, image, 0), atol=1e-4)
-    np.testing.assert_allclose(result.visibility, depth > 0, atol=1e-3)
-
-
 def test_every_error_of_depth_is_forgiven_at_one_place():
     """A view warped into its own place is itself whatever both depths are, unknown ones too."""
     random = np.random.default_rng(3)

@@ -68,21 +68,6 @@ def test_what_is_kept_is_bounded():
     assert all((each == 1).all() for each in held)
 
 
-@pytest.mark.slow
-def test_a_large_step_keeps_its_memory_however_many_small_results_come_between():
-    """Results of 600 MiB in all lie where they lay 200 results before, whenever the count of what is in use begins anew."""
-    depth, small = np.ones((SIDE, 120 * SIDE), np.float32), np.ones((SIDE, SIDE), np.float32)
-    places = []
-    for _ in range(4):
-        many = [mixed_of(depth) for _ in range(5)]
-        places.append({each.ctypes.data for each in many})
-        del many
-        for _ in range(200):
-            mixed_of(small)
-        assert _core.idle_bytes() >= 600 << 20
-    assert all(each == places[0] for each in places)
-
-
 def test_what_is_idle_can_be_given_back():
     """Scoring that follows rendering begins without its memory; what still lives is not touched."""
     held, given_up = mixed(1.0), mixed(2.0)

@@ -243,17 +243,6 @@ def test_units_do_not_matter(exponent):
     assert np.array_equal(other.confidence, plain.confidence)
 
 
-def test_parts_do_not_matter(monkeypatch):
-    """How many points are handled at a time changes no bit."""
-    random = np.random.default_rng(2)
-    depth = plane_depth(CAMERA) * random.normal(1, 0.03, (CAMERA.height, CAMERA.width))
-    whole = check_consistency(CAMERA, sure(depth), see_planes())
-    monkeypatch.setattr(consistency, "CHUNK", 777)
-    parts = check_consistency(CAMERA, sure(depth), see_planes())
-    assert np.array_equal(whole.depth, parts.depth)
-    assert np.array_equal(whole.confidence, parts.confidence)
-
-
 def test_nothing_is_changed_in_place():
     """The maps that come in are as they were afterwards."""
     own, others = sure(1.1 * plane_depth(CAMERA)), see_planes()

@@ -78,14 +78,14 @@ def test_a_known_shift_is_found(standing, largest_side_px):
 
 def test_the_range_is_kept(standing):
     """Disparities outside [d_min, d_max] are rejected."""
-    right, left = shifted_pair(14)
+    right, left = shifted_pair(14, 64, 96)
     found, _ = matcher(standing).match(left, right, 2, 20, np.full(left.shape[:2], 30, np.float32))
     assert (found == 0).all()  # the network stands where the frame before was
 
 
 def test_a_warm_start_is_where_it_begins(standing):
     """With the disparity of the frame before, gaps filled, the standing network answers that."""
-    right, left = shifted_pair(14)
+    right, left = shifted_pair(14, 64, 96)
     previous = np.full(left.shape[:2], 14, np.float32)
     previous[40:50, 60:70] = 0
     found = matcher(standing, from_matching=False).disparity(left, right, 2, 40, previous)

@@ -12,7 +12,6 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.stereo.pairwise import PairwiseEstimator
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
-from ggvs_eval.protocol import load_protocol
 from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
@@ -28,7 +27,7 @@ def planned(tmp_path_factory):
     return capture, [job for jobs in plan.values() for job in jobs.values()]
 
 
-def filled(store, planned, monkeypatch, workers=1, shares=True, options=OPTIONS, frames=FRAMES):
+def filled(store, planned, monkeypatch, shares=True):
     """The maps of a store by job and frame, and the ordered pairs that were matched."""
     capture, jobs = planned
     pairs, match = [], SgbmMatcher.match
@@ -41,8 +40,8 @@ def filled(store, planned, monkeypatch, workers=1, shares=True, options=OPTIONS,
         patch.setattr(SgbmMatcher, "match", counted)
         if not shares:
             patch.setattr(fill_store, "_by_camera", lambda needed, *_: [{job: needed[job]} for job in needed])
-        prepare_depth(capture, jobs, frames, store, options, workers)
-    return {(job.key, frame): store.read(job.key, frame) for job in jobs for frame in frames}, len(pairs)
+        prepare_depth(capture, jobs, FRAMES, store, OPTIONS, 1)
+    return {(job.key, frame): store.read(job.key, frame) for job in jobs for frame in FRAMES}, len(pairs)
 
 
 def test_a_pair_is_matched_once(planned, tmp_path, monkeypatch):
@@ -64,28 +63,6 @@ def test_a_pair_is_matched_once(planned, tmp_path, monkeypatch):
     again, count = filled(DepthStore(tmp_path / "together"), planned, monkeypatch)
     assert count == len(jobs[0].partner_names)
     np.testing.assert_array_equal(again[jobs[0].key, 0].depth, together[jobs[0].key, 0].depth)
-
-
-@pytest.mark.slow
-def test_an_instant_of_dynerf_is_98_matchings(tmp_path, monkeypatch):
-    """The packaged protocol on 21 cameras in two rows needs 36 maps of 98 ordered pairs; stores are equal byte by byte."""
-    rows = ((11, 0.0), (10, 0.2))
-    places = [(0.3 * (place - (count - 1) / 2), y) for count, y in rows for place in range(count)]
-    capture = write_capture(tmp_path / "rig", 1, places=places).resized(96, 72, "area")
-    protocol = load_protocol("dynerf")
-    plan = plan_depth(capture, [capture.camera(view) for view in protocol.views.test], protocol.synthesis.k, DepthOptions())
-    jobs = sorted({job for each in plan.values() for job in each.values()})
-    assert len({found for job in jobs for found in (job.unchecked, *job.checked_with)}) == 36
-
-    def made(name, **how):
-        how |= {"options": DepthOptions(), "frames": range(1)}
-        _, count = filled(DepthStore(tmp_path / name), (capture, jobs), monkeypatch, **how)
-        return count, {file.relative_to(tmp_path / name): file.read_bytes() for file in (tmp_path / name).rglob("*.*")}
-
-    count, store = made("together")
-    assert (count, len(store)) == (98, 2 * (36 + 36))  # found and checked, each with its spec
-    assert made("two", workers=2)[1] == store
-    assert made("together")[0] == 0
 
 
 def test_instants_that_depend_on_each_other_share_nothing(planned):

@@ -10,7 +10,6 @@ from ggvs_eval.geometry.per_pixel import view_weights
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online.exposure_compensation import GAUGE_POWER, ExposureCompensation, gained_image
-from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from helpers.photographs import psnr_db
 from helpers.scenes import camera_at, instant, look
 
@@ -113,15 +112,6 @@ def test_images_stay_in_8_bit():
 
     np.testing.assert_array_equal(gained_image(image, np.array([1.1, 0.5, 1.2], np.float32)), [[[110, 100, 255]]])
     np.testing.assert_array_equal(ExposureCompensation().step(plain, TOLERANCE).sources[0].image, plain.sources[0].image)
-
-
-def test_without_temporal_filtering_nothing_is_remembered():
-    """'No Temporal Filtering' renders an instant as if it were the first, gains included."""
-    method = GeometryGuided(OnlineOptions(temporal=False))
-    method.step(planted(0))
-    second = planted(1, gains=GAINS[::-1])
-
-    np.testing.assert_array_equal(method.step(second).image, GeometryGuided(OnlineOptions(temporal=False)).step(second).image)
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -36,8 +36,8 @@ def play(label: str, positions: list[float], **options) -> list[np.ndarray]:
 @pytest.mark.parametrize("label", ONLINE)
 def test_changing_the_future_does_not_change_the_present(label):
     """Two sequences that agree up to instant 2 give the same bits up to instant 2, and differ after."""
-    first = play(label, [0.0, 0.1, 0.2, 0.3, 0.4])
-    second = play(label, [0.0, 0.1, 0.2, -0.5, -0.9])
+    first = play(label, [0.0, 0.1, 0.2, 0.3])
+    second = play(label, [0.0, 0.1, 0.2, -0.5])
 
     for t in range(3):
         np.testing.assert_array_equal(first[t], second[t])
