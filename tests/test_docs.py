@@ -67,25 +67,14 @@ def is_defined(name: str) -> bool:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_somewhere(page):
-    """Every link to a file of the repository, and to a heading in it, resolves; pages of docs/ link within docs/ alone."""
+def test_what_a_page_names_exists(page):
+    """Links to files and headings, of docs/ within docs/ alone; paths of the repository; modules, and words of them."""
+    text = page.read_text(encoding="utf-8")
     assert list(dead_links(page)) == []
     if page.parent.name == "docs":
         assert [target for target in LINK.findall(prose(page)) if target.startswith("..")] == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_files_that_a_page_names_exist(page):
-    """A path of the repository in a sentence or a block of code is one that is there, so that moves reach the pages."""
-    named = FILE.findall(page.read_text(encoding="utf-8"))
-
-    assert sorted({name for name in named if not (ROOT / name.replace("METHOD", "fwd")).exists()}) == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_modules_that_a_page_names_exist(page):
-    """`ggvs_eval.room.module.name`: all but the last word is a module, and the last one is one or stands in it; or a group."""
-    named = set(MODULE.findall(page.read_text(encoding="utf-8"))) - {f"ggvs_eval.{kind}" for kind in get_args(plugins.Kind)}
+    assert [name for name in FILE.findall(text) if not (ROOT / name.replace("METHOD", "fwd")).exists()] == []
+    named = set(MODULE.findall(text)) - {f"ggvs_eval.{kind}" for kind in get_args(plugins.Kind)}
     assert [name for name in sorted(named) if not is_defined(name)] == []
 
 
