@@ -128,7 +128,7 @@ def test_every_place_says_the_same(tmp_path):
         if metric in ("SSIM", "LPIPS"):
             assert labels.get(said.get(metric)) == (one.winner or None)
         assert not {"SDT", "SDV"} & {*said, *verdict.tied}  # not within 1 dB
-        for label in one.rivals:
+        for label in one.rivals if metric in ("PSNR", "L1", "SDV") else ():
             comparison = one.comparisons[label]
             half = None if comparison.high is None else comparison.high - comparison.difference
             assert comparison.outcome != "as good" or abs(comparison.difference) <= 3 * half

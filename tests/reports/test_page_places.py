@@ -9,6 +9,7 @@ from helpers.browser import PHONE
 from helpers.painted_page import RED, SHAPE, STAGE, clock, paint, show_part, write_page
 from helpers.run_folders import LABELS, write_run
 
+pytestmark = pytest.mark.slow  # the page of three runs takes three seconds
 RIVAL, MAIN = LABELS[:2]  # a baseline and ours, of which the third is a variant
 
 
