@@ -351,16 +351,6 @@ def test_world_units_are_told_in_metres_too(record):
 
 
 @pytest.mark.slow
-def test_page_does_not_depend_on_workers(page, plane_capture, stored, tmp_path):
-    """Two processes write the same bytes as one."""
-    store, depths = stored
-    again = write_depth_page(tmp_path / "page", plane_capture, depths, store, FILLED, 2)
-    files = sorted(file.relative_to(page.parent) for file in page.parent.rglob("*") if file.is_file())
-    assert files == sorted(file.relative_to(again.parent) for file in again.parent.rglob("*") if file.is_file())
-    assert all((page.parent / file).read_bytes() == (again.parent / file).read_bytes() for file in files)
-
-
-@pytest.mark.slow
 def test_complete_page_is_kept_and_a_damaged_one_written_again(page, plane_capture, stored, tmp_path):
     """A page of the same depth is left alone; one that lost a picture is written again, without its old pictures."""
     store, depths = stored

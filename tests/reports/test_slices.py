@@ -111,22 +111,15 @@ def test_virtual_path_has_no_truth(tmp_path):
 
 
 def test_missing_pose_is_named(tmp_path):
-    """A gap in the path of one method is an error that names the method and the pose."""
+    """A gap in a path, which names method and pose, an unknown view and a strange suffix are errors that say what to do."""
     run = read_run(write_run(tmp_path / "run"))
     frame_path(run.folder.path("ours-geometric"), 4).unlink()
     with refused(RenderError, "GGVS (online), geometric weights", "lacks 4"):
         path_slices(run)
-
-
-def test_what_a_figure_cannot_be_drawn_of_is_refused(tmp_path):
-    """An unknown view, a run without a path and a strange suffix are errors that say what to do."""
-    run = write_run(tmp_path / "run", RunShape(poses=0))
     with refused(ResultsError, "'cam99'", "cam00, cam03"):
-        write_figure(run, "time", tmp_path / "slice.png", view="cam99")
-    with refused(ResultsError, "camera path"):
-        write_figure(run, "epi", tmp_path / "slice.png")
+        write_figure(run.folder.root, "time", tmp_path / "slice.png", view="cam99")
     with refused(ResultsError, ".png, .pdf, .svg", ".bmp"):
-        write_figure(run, "time", tmp_path / "slice.bmp")
+        write_figure(run.folder.root, "time", tmp_path / "slice.bmp")
 
 
 def test_single_frame_has_a_slice_of_one_sample(tmp_path):

@@ -13,7 +13,6 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, ProtocolError, RenderError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.run.evaluate import measure, render, reopen
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare
@@ -236,11 +235,3 @@ def test_a_protocol_is_suggested_by_rule(room):
     assert suggested.views.test == ("cam01", "cam03", "cam05")
     assert suggested.views.chosen_by.startswith("by rule")
     assert suggested.frames == Frames(0, 4)
-
-
-def test_methods_are_documented():
-    """Every method has a title and a line of description, and its label is fit for a folder's name."""
-    for label, spec in METHODS.items():
-        assert spec.title
-        assert spec.describe
-        assert label == label.lower().replace(" ", "-")

@@ -65,9 +65,11 @@ def test_what_the_paper_does_not_have_is_declared_of_ours():
 
 @pytest.mark.parametrize("label", sorted(METHODS))
 def test_every_method_declares_the_same_columns(label):
-    """A table of them has no blank."""
-    assert list(find_method(label).declared) == ["depth", "learned from", "not as published"]
-    assert all(find_method(label).declared.values())
+    """A table of them has no blank; each has a title, a line of description, and a label fit for a folder's name."""
+    method = find_method(label)
+    assert list(method.declared) == ["depth", "learned from", "not as published"]
+    assert all([*method.declared.values(), method.title, method.describe])
+    assert label == label.lower().replace(" ", "-")
 
 
 def test_a_reduced_model_says_so_in_printed_tables(run):

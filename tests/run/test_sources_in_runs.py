@@ -82,12 +82,8 @@ def test_a_live_method_is_told_the_shares(sources):
         assert told[-1] == {each.camera.name: each.share for each in chosen}
         assert [camera.name for camera in live.sources(target)] == [*told[-1]]
     assert min(min(shares.values()) for shares in told) < 1
-
-
-def test_an_unknown_choice_is_one_line():
-    """Said when the synthesizer is made."""
     with refused(CameraError, "nearest, coverage", "'covrage'"):
-        OnlineSynthesizer([camera_at(0.0), camera_at(0.3)], 1, sources="covrage")  # type: ignore[arg-type]
+        OnlineSynthesizer(rig, 1, sources="covrage")  # type: ignore[arg-type]
 
 
 def test_a_hand_held_sequence_is_suggested_coverage(plane_capture):

@@ -197,15 +197,6 @@ def test_what_the_score_step_writes_has_intervals(pairing):
         assert metric == "SDT" or table_interval(rows, metric).half_width > 0.0
 
 
-def test_equal_inputs_give_equal_bits(matrix):
-    """The order of the rows changes no bit of an interval, and neither does a second call."""
-    rows = make_rows("ours", "PSNR", matrix)
-    shuffled = [rows[at] for at in np.random.default_rng(0).permutation(len(rows))]
-    assert table_interval(rows, "PSNR").half_width == table_interval(rows, "PSNR").half_width
-    assert measure_spread([make_scene(matrix)]).half_width(0.95) == measure_spread([make_scene(matrix.copy())]).half_width(0.95)
-    assert table_interval(rows, "PSNR").half_width == pytest.approx(table_interval(shuffled, "PSNR").half_width, rel=1e-12)
-
-
 def test_views_and_scenes_widen_the_interval_once_there_are_enough():
     """Five views count as a sample, four are taken as given; five scenes are a sample, and then nothing is given."""
     generator = np.random.default_rng(2)
