@@ -73,6 +73,9 @@ def test_the_worst_square_is_where_the_error_was_planted(planted):
     first, second = find_regions(run, "worst", "ours-geometric", 2, view="cam03", frame=3)
     assert (first.top, first.left, first.score) == (2, 3, 100.0)
     assert (second.view, second.frame, second.top, second.left, second.score) == ("cam03", 3, 30, 41, 60.0)
+    errors = read_errors(run, "cam03", 3)
+    assert set(errors) == {"no-blending", "ours-geometric"}
+    assert (errors["ours-geometric"][35, 45], errors["no-blending"][35, 45]) == (60.0, 0.0)
 
 
 def test_methods_differ_most_where_one_alone_fails(planted):
@@ -80,6 +83,9 @@ def test_methods_differ_most_where_one_alone_fails(planted):
     (found,) = find_regions(read_run(planted), "different", "ours-geometric", 1)
     assert (found.view, found.frame, found.top, found.left, found.side) == ("cam03", 3, 30, 41, SIDE)
     assert found.score == pytest.approx(60.0)
+    views = [region.view for region in find_regions(read_run(planted), "different", "ours-geometric", 5, one_per_view=True)]
+    assert views == ["cam03", "cam00"]
+    assert len(find_regions(read_run(planted), "worst", "no-blending", 1, one_per_view=True)) == 1
 
 
 def paint_with_holes(label: str, view: str, index: int) -> np.ndarray:
@@ -134,21 +140,9 @@ def test_figures_of_partial_or_imported_frames_name_a_way_out(tmp_path):
     replace(results, provenance=results.provenance | {"partial": marks}).write(root)
     with refused(ResultsError, "no-blending is partial in room: 1 of 2 views", "render the missing frames"):
         write_figure(root, "crops", tmp_path / "crops.png")
-
-
-def test_failures_are_one_per_view_the_worst_first(planted):
-    """Each view has its own worst square; fewer are given where fewer were asked for."""
-    run = read_run(planted)
-    views = [region.view for region in find_regions(run, "different", "ours-geometric", 5, one_per_view=True)]
-    assert views == ["cam03", "cam00"]
-    assert len(find_regions(run, "worst", "no-blending", 1, one_per_view=True)) == 1
-
-
-def test_errors_are_mean_absolute_differences(planted):
-    """The maps that rules look at are |rendered - truth|, mean of the channels, in grey levels."""
-    errors = read_errors(read_run(planted), "cam03", 3)
-    assert set(errors) == {"no-blending", "ours-geometric"}
-    assert (errors["ours-geometric"][35, 45], errors["no-blending"][35, 45]) == (60.0, 0.0)
+    alone = write_run(tmp_path / "alone", RunShape(labels=("ours-geometric",)))
+    with refused(ResultsError, "use --rule worst"):  # a single method differs from none
+        write_figure(alone, "crops", tmp_path / "a.png")
 
 
 @pytest.mark.parametrize(
@@ -167,13 +161,6 @@ def test_figures_refuse_what_is_not_there(planted, tmp_path, asked, message):
     """An unknown view, frame or method is an error that lists the known ones."""
     with pytest.raises(ResultsError, match=message):
         write_figure(planted, "crops", tmp_path / "a.png", **asked)
-
-
-def test_one_method_differs_from_none(tmp_path):
-    """With a single method the rule has nothing to compare, and says which rule has."""
-    run = write_run(tmp_path / "run", RunShape(labels=("ours-geometric",)))
-    with pytest.raises(ResultsError, match="use --rule worst"):
-        write_figure(run, "crops", tmp_path / "a.png")
 
 
 def drawn_figures(monkeypatch, module: str) -> list[Figure]:

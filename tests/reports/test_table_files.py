@@ -121,7 +121,7 @@ def test_no_cell_of_a_csv_is_a_formula():
 
 
 def test_workbook_takes_names_literally(tmp_path):
-    """A method called like a formula stays a name, sheets of one name get two, 1,535 is a number; equal tables are equal bytes."""
+    """A method called like a formula stays a name, sheets of one name get two, 1,535 is a number; equal tables, equal bytes."""
     openpyxl = pytest.importorskip("openpyxl", reason="no openpyxl, by which pandas writes workbooks")
     table = Table(
         "a/b*c", "T", "", (Column("PSNR"),), (Row("=1+1", (Cell("not computed: why"),)),), "a very long name of a data set"

@@ -79,16 +79,6 @@ def test_older_results_keep_their_hash():
     assert protocol.sha256 != DEMO_SHA256
 
 
-def test_the_choice_of_sources_survives_a_round_trip(tmp_path):
-    """Written as TOML and read back, with its own hash."""
-    protocol = load_protocol("demo")
-    chosen = dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, sources="coverage"))
-    (tmp_path / "copy.toml").write_text(chosen.to_toml())
-
-    assert load_protocol(tmp_path / "copy.toml") == chosen
-    assert load_protocol(tmp_path / "copy.toml").sha256 == chosen.sha256
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -105,15 +105,11 @@ def test_tail_and_width_are_inverse(series, tail):
 
 
 def test_what_never_varies_is_certain_and_long_enough():
-    """A constant clip, of two frames or many, has no error; nothing is divided by zero."""
+    """A constant clip, of two frames or many, has no error; no model has a coefficient without variance, priors sum to 1."""
     for frames in (2, 3, 24):
         error = ErrorOfMean.of_series(np.full(frames, 3.0))
         assert (error.half_width(0.05), error.tail(0.0), error.tail(1e-9)) == (0.0, 1.0, 0.0)
     assert correlation_posterior(np.zeros(24)).worth == 24.0
-
-
-def test_priors_are_shares():
-    """The prior of the models sums to 1 at every length, and no model has a coefficient without variance."""
     for frames in (2, 3, 24, 300):
         models = correlation_models(frames)
         assert models.prior.sum() == pytest.approx(1.0)
