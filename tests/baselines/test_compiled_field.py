@@ -82,14 +82,6 @@ def test_bits_depend_on_neither_threads_nor_vectors(level):
         assert all(torch.equal(plain[name], other[name]) for name in plain)
 
 
-def test_what_is_broken_stays_by_itself():
-    """A point at NaN or at infinity is looked up at the border and leaves the outputs of all others as they are."""
-    whole, spoilt = (everything(FIELDS["compact"], torch.float32, spoilt=spoilt) for spoilt in (False, True))
-
-    for name in FIELDS["compact"].heads:
-        assert torch.equal(whole[name][2:], spoilt[name][2:])
-
-
 def test_arrays_that_do_not_fit_are_refused():
     """Each is named with the shape that was wanted."""
     points, box = np.zeros((4, 3), np.float32), BOX.numpy()

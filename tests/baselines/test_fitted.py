@@ -32,13 +32,6 @@ def sliding(time: float):
 
 
 @pytest.fixture(scope="module")
-def still_footage(tmp_path_factory):
-    """Footage of a wall that stands still."""
-    cloud = wall()
-    return footage_of(lambda _: cloud, tmp_path_factory.mktemp("still"), instants=3)
-
-
-@pytest.fixture(scope="module")
 def sliding_footage(tmp_path_factory):
     """Footage of a wall whose middle slides."""
     return footage_of(sliding, tmp_path_factory.mktemp("sliding"))
@@ -85,7 +78,7 @@ def test_a_cloud_with_known_linear_motion_is_recovered(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("motion", ["hexplane", "polynomial", "linear"])
+@pytest.mark.parametrize("motion", ["hexplane", "linear"])
 def test_moving_footage_is_learned_in_each_motion(motion, sliding_footage, tmp_path):
     """A camera that was held out is rendered at the last instant better by 2 dB than at the first one, which differs from it."""
     held = sliding_footage.cameras[2]
@@ -96,18 +89,6 @@ def test_moving_footage_is_learned_in_each_motion(motion, sliding_footage, tmp_p
     first, last = (psnr_db(scene.render(index, held).image, sliding_footage.image(held.name, 3)) for index in (0, 3))
     assert last > 22
     assert last > first + 2
-
-
-@pytest.mark.slow
-def test_a_static_capture_gives_next_to_no_deformation(still_footage, tmp_path):
-    """Where nothing moves, the field moves nothing by as much as a hundredth of what Gaussians are apart."""
-    fitted(FourD(**SHORT | {"steps": 80}), still_footage, tmp_path)
-
-    scene = StoredScene(tmp_path / SCENE)
-    with torch.no_grad():
-        places = [scene.cloud(index).means for index in range(3)]
-    travelled = (places[2] - places[0]).norm(dim=1)
-    assert float(travelled.max()) < 0.003
 
 
 @pytest.mark.slow

@@ -14,19 +14,14 @@ from ggvs_eval.baselines.ibrnet.network import PARTS, Networks, load_ibrnet
 from ggvs_eval.baselines.ibrnet.rendering import (
     SeenView,
     _shade,
-    coarse_depths,
     depth_range,
-    finer_depths,
-    opacity_shares,
     packed_layers,
     projection_of,
-    quantiles,
     render_rays,
 )
 from ggvs_eval.compute_device import one_thread
-from ggvs_eval.errors import RenderError, WeightsError
+from ggvs_eval.errors import RenderError
 from ggvs_eval.kernels import _core
-from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER
 from helpers.refusals import refused
 from helpers.seeded_baselines import seed_weights, turned_rig
@@ -145,27 +140,6 @@ def test_a_published_checkpoint_loads_strictly(networks, weights, tmp_path):
         assert all(torch.equal(tensor, loaded[name]) for name, tensor in networks.state_dict().items())
 
 
-def test_what_is_no_checkpoint_is_refused(networks, tmp_path):
-    """Absent, damaged, hostile, without a part, or of another shape: refused in one line, and no code is run."""
-    good = {part: networks.get_submodule(part).state_dict() for part in PARTS}
-    (tmp_path / "damaged.pth").write_bytes(b"PK\x03\x04 no zip")
-    torch.save({**good, "net_fine": Hostile(tmp_path / "pwned")}, tmp_path / "hostile.pth")
-    torch.save({part: good[part] for part in PARTS[:2]}, tmp_path / "partial.pth")
-    torch.save({**good, "net_fine": {**good["net_fine"], "s": torch.zeros(3)}}, tmp_path / "shape.pth")
-    cases = {
-        "nowhere": r"nowhere\.pth: wanted weights of IBRNet",
-        "damaged": "wanted a file of tensors only",
-        "hostile": "wanted a file of tensors only",
-        "partial": "wanted a state dict under feature_net, got net_coarse, net_fine",
-        "shape": r"1 tensors differ from IBRNet's net_fine, first s: wanted \(\), got \(3,\)",
-    }
-    for name, message in cases.items():
-        with pytest.raises(WeightsError, match=message) as caught:
-            load_ibrnet(tmp_path / f"{name}.pth")
-        assert "\n" not in str(caught.value)
-    assert not (tmp_path / "pwned").exists()
-
-
 @pytest.mark.parametrize("views", [2, 5])
 def test_a_step_gives_a_picture(weights, views):
     """Of any number of views from two: finite, of the target's size, not flat, in [0, 1]; depth within the range or 0."""
@@ -205,50 +179,6 @@ def test_too_little_to_see_is_refused(weights):
         method.step(instant)
     with refused(RenderError, "2 source views", "got 1"):
         method.step(replace(instant, sources=instant.sources[:1]))
-
-
-def test_the_first_pass_is_even_in_inverse_depth():
-    """Inverse depths are evenly spaced from near to far."""
-    depths = coarse_depths(0.5, 8.0, 16)
-    torch.testing.assert_close(1 / depths, torch.linspace(2, 0.125, 16))
-
-
-def test_the_second_pass_looks_where_the_first_found_something():
-    """With all weight on one sample, nearly all added samples lie between the middles around it; all depths increase."""
-    depths = coarse_depths(1.0, 10.0, 20)[None]
-    weights = torch.zeros(1, 20)
-    weights[0, 7] = 1
-    merged = finer_depths(depths, weights, 40)[0]
-    low, high = (2 / (1 / depths[0, i] + 1 / depths[0, i + 1]) for i in (6, 7))
-    assert int(((merged > low) & (merged < high)).sum()) >= 38
-    assert (merged.diff() >= 0).all()
-    assert len(merged) == 60
-
-
-def test_quantiles_of_an_even_distribution_are_even():
-    """Equal weights on equal intervals give evenly spaced quantiles."""
-    edges, weights = torch.linspace(2, 5, 11)[None], torch.ones(1, 10)
-    torch.testing.assert_close(quantiles(edges, weights, 7)[0], torch.linspace(2, 5, 7), atol=1e-5, rtol=0)
-
-
-def test_shares_follow_their_formula():
-    """Share of a sample = its alpha times what passes those before it; an opaque sample hides all behind it."""
-    density = torch.tensor([[0.5, 0.0, 2.0, 100.0, 3.0]])
-    alpha = 1 - np.exp(-density.numpy()[0].astype(float))
-    expected = [alpha[i] * np.prod(1 - alpha[:i]) for i in range(5)]
-    np.testing.assert_allclose(opacity_shares(density)[0], expected, atol=1e-6)
-
-
-def test_points_are_looked_up_where_they_are_seen():
-    """The centre of pixel (i, j) gives that pixel's colour; what lies outside is not visible."""
-    source = turned_rig(2).sources[0]
-    image = as_tensor(source.image)[0]
-    view = SeenView(image, image, image, projection_of(source.camera), torch.zeros(3))
-    pixels = source.camera.unproject(np.array([[10.5, 20.5], [60.5, 40.5], [-3.0, 20.5]]), np.array([4.0, 4.0, 4.0]))
-    seen, inside = view.look_up(torch.from_numpy(pixels).float(), "coarse")
-    np.testing.assert_allclose(seen[0, :3], image[:, 20, 10], atol=1e-4)
-    np.testing.assert_allclose(seen[1, :3], image[:, 40, 60], atol=1e-4)
-    assert inside[:, 0].tolist() == [True, True, False]
 
 
 @pytest.fixture

@@ -11,10 +11,16 @@ import torch
 from torch import nn
 
 from ggvs_eval import baselines, built_in
+from ggvs_eval.baselines.enerf.network import load_enerf
 from ggvs_eval.baselines.fitted.optimiser import structural_loss
+from ggvs_eval.baselines.fwd.network import load_network as load_fwd
+from ggvs_eval.baselines.gps_gaussian.network import load_network as load_gps_gaussian
+from ggvs_eval.baselines.ibrnet.network import load_ibrnet
 from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.contrib import more_baselines
+from ggvs_eval.contrib.more_baselines.mvsnerf.network import load_mvsnerf
+from ggvs_eval.contrib.more_baselines.mvsplat.network import load_network as load_mvsplat
 from ggvs_eval.contrib.training.recipes.recipe import RECIPES, TRAINED_BASELINES, TrainingRecipe
 from ggvs_eval.contrib.training.request import TrainingOptions
 from ggvs_eval.contrib.training.samples.sample_kinds import InstantKind
@@ -30,6 +36,7 @@ from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods
 from ggvs_eval.pipelines.methods.spec import shipped
 from helpers.filled_pools import fill
+from helpers.hostile import Hostile
 from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture
 
@@ -155,6 +162,30 @@ def test_the_table_of_methods_says_what_their_modules_say():
     assert [label for label in METHODS if METHODS.root(label) in map(LEARNED_BASELINES.root, LEARNED_BASELINES)] == labels
     assert usual_methods() == tuple(label for label, spec in METHODS.built_in().items() if spec.usual)
     assert {**FIXED_BASELINES, **FITTED, **OURS}.keys() | {*labels} == set(METHODS.present())
+
+
+LOADERS = {
+    "FWD": load_fwd,
+    "GPS-Gaussian": load_gps_gaussian,
+    "IBRNet": load_ibrnet,
+    "ENeRF": load_enerf,
+    "MVSNeRF": load_mvsnerf,
+    "MVSplat": load_mvsplat,
+}
+
+
+@pytest.mark.parametrize("title", LOADERS)
+def test_what_is_no_checkpoint_is_refused(title, tmp_path):
+    """Absent, damaged, hostile and of another network: refused in one line that names file and method, and no code is run."""
+    hostile = {"state_dict": Hostile(tmp_path / "touched")}
+    for name, content in {"nowhere": None, "hostile": hostile, "other": {"of": {"another": torch.zeros(2)}}}.items():
+        if content:
+            torch.save(content, tmp_path / f"{name}.pth")
+        words = {"nowhere": title, "hostile": "a file of tensors only", "other": "wanted a state dict"}
+        with refused(WeightsError, f"{name}.pth", words[name]) as caught:
+            LOADERS[title](tmp_path / f"{name}.pth")
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "touched").exists()
 
 
 @pytest.mark.parametrize("name", LEARNED_BASELINES)

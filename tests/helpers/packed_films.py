@@ -20,6 +20,8 @@ FILMS: dict[str, dict[str, object]] = {
     "path": {"width": 64, "height": 48, "n_frames": 4, "cameras_per_row": 3, "path_poses": 5},
     # Four cameras without noise, coded without loss: faults of renders are planted in it.
     "plain": {"width": 192, "height": 144, "n_frames": 12, "cameras_per_row": 2, "noise_sigma_255": 0, "crf": 0},
+    # Six cameras, two frames, exact depth of a size at which features are matched.
+    "deep": {"width": 160, "height": 120, "n_frames": 2, "cameras_per_row": 3, "depth_stride": 1},
 }
 
 

@@ -39,6 +39,7 @@ def skip_without(name):
         pytest.skip("no weights")
 
 
+@pytest.mark.slow
 @needs_dists
 def test_dists_equals_its_authors_module():
     """0.1202973 and 0.2998802 for noise and blur.
@@ -82,8 +83,14 @@ def test_frames_too_small_for_five_scales():
         ms_ssim(rendered, truth)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("metric", [metric.name for metric in OF_PARTS if metric.name != "LPIPS_cc"])
+@pytest.mark.parametrize(
+    "metric",
+    [
+        pytest.param(metric.name, marks=pytest.mark.slow if metric.name in ("LPIPS", "DISTS") else ())
+        for metric in OF_PARTS
+        if metric.name != "LPIPS_cc"
+    ],
+)
 def test_a_part_is_the_whole_where_it_is_everything_and_blind_to_the_rest(metric):
     """With all pixels inside a part has the value of the whole; errors far outside it change nothing."""
     skip_without(metric)

@@ -1,4 +1,4 @@
-"""LPIPS against the official values and an independent forward pass, and the way its weights come in."""
+"""LPIPS against the official values and those of an independent forward pass, and the way its weights come in."""
 
 import hashlib
 import io
@@ -11,7 +11,6 @@ import tarfile
 import numpy as np
 import pytest
 import torch
-from numpy.lib.stride_tricks import sliding_window_view
 from skimage import data
 
 from ggvs_eval.errors import MetricError, WeightsError
@@ -38,10 +37,6 @@ OFFICIAL_IMAGES = SHARED / "oracles/lpips"
 needs_weights = pytest.mark.skipif(
     not all(weights_path(net).is_file() for net in NETS), reason=f"no LPIPS weights here; run `{fetch_lpips.FETCH_COMMAND}`"
 )
-# Stride, padding and pooling (size, stride) before each convolution, and the compared layers, as the papers of the networks say.
-VGG = [(1, 1, None)] * 2 + [(1, 1, 2), (1, 1, None)] + [(1, 1, 2), (1, 1, None), (1, 1, None)] * 3
-ALEX = [(4, 2, None), (1, 2, 3), (1, 1, 3), (1, 1, None), (1, 1, None)]
-TRUNKS = {"vgg": (VGG, (1, 3, 6, 9, 12)), "alex": (ALEX, (0, 1, 2, 3, 4))}
 
 
 @pytest.fixture
@@ -58,29 +53,6 @@ def photograph_pair(size=48):
     return rendered.astype(np.uint8), truth
 
 
-def slow_features(image, net):
-    """Compared layers of a network in float64 numpy: windows, one tensor product per convolution."""
-    layers, taps = TRUNKS[net]
-    weights = {name: tensor.numpy().astype(np.float64) for name, tensor in load_weights(net).items()}
-    x = (image / 127.5 - 1 - [-0.030, -0.088, -0.188]) / [0.458, 0.448, 0.450]
-    for i, (stride, padding, pool) in enumerate(layers):
-        if pool:
-            x = sliding_window_view(x, (pool, pool), axis=(0, 1))[::2, ::2].max(axis=(-2, -1))
-        kernel = weights[f"conv{i}.weight"]  # (out, in, kh, kw)
-        padded = np.pad(x, ((padding, padding), (padding, padding), (0, 0)))
-        windows = sliding_window_view(padded, kernel.shape[2:], axis=(0, 1))[::stride, ::stride]  # (h, w, in, kh, kw)
-        x = np.maximum(np.tensordot(windows, kernel, axes=([2, 3, 4], [1, 2, 3])) + weights[f"conv{i}.bias"], 0)
-        if i in taps:
-            head = weights[f"head{taps.index(i)}.weight"]
-            yield x / (np.linalg.norm(x, axis=-1, keepdims=True) + 1e-10), head
-
-
-def slow_lpips(rendered, truth, net):
-    """The definition of the metric: weighted squared differences of unit features, mean over pixels, sum over layers."""
-    layers = zip(slow_features(rendered, net), slow_features(truth, net), strict=True)
-    return sum(float(((x - y) ** 2 @ head).mean()) for (x, head), (y, _) in layers)
-
-
 @needs_weights
 @pytest.mark.skipif(not OFFICIAL_IMAGES.is_dir(), reason="no ../shared/oracles/lpips beside this checkout")
 @pytest.mark.parametrize(("net", "far", "near"), [("alex", 0.721881, 0.137566), ("vgg", 0.568613, 0.421664)])
@@ -91,15 +63,6 @@ def test_official_example_images_score_officially(net, far, near):
     assert lpips(second, reference, net) == pytest.approx(near, abs=2e-6)
 
 
-@needs_weights
-@pytest.mark.parametrize(("net", "golden"), [("vgg", 0.125745558), ("alex", 0.182529795)])
-def test_equals_an_independent_forward_pass(net, golden):
-    """The float32 network agrees with a float64 numpy pass over the same weights, and both with the value on record."""
-    rendered, truth = photograph_pair()
-    assert slow_lpips(rendered, truth, net) == pytest.approx(golden, abs=1e-6)
-    assert lpips(rendered, truth, net) == pytest.approx(golden, rel=1e-5)
-
-
 def noisy_odd_pair(photograph):
     """An odd-sized crop of a packaged photograph and the same with uniform noise, uint8."""
     truth = photograph[100:161, 100:173]
@@ -107,7 +70,7 @@ def noisy_odd_pair(photograph):
     return np.clip(truth.astype(int) + noise, 0, 255).astype(np.uint8), truth
 
 
-# From `slow_lpips`, float64, over the weights whose sha256 fetch_lpips.py states.
+# By a forward pass in float64 numpy, windows and tensor products, over the weights whose sha256 fetch_lpips.py states.
 @needs_weights
 @pytest.mark.parametrize(
     ("photograph", "net", "golden"),
@@ -119,7 +82,7 @@ def noisy_odd_pair(photograph):
     ],
 )
 def test_packaged_photographs_have_their_golden_values(photograph, net, golden):
-    """Noisy crops of 61 x 73 pixels score what the independent float64 pass gave for them."""
+    """Noisy crops of 61 x 73 pixels score what the float64 pass gave for them."""
     assert lpips(*noisy_odd_pair(getattr(data, photograph)()), net) == pytest.approx(golden, rel=1e-6)
 
 
@@ -138,6 +101,7 @@ def test_the_compiled_network_is_torchs():
     assert lpips(rendered, truth) == pytest.approx(lpips_between(*by_torch, "vgg"), abs=1e-6)
 
 
+@pytest.mark.slow
 @needs_weights
 def test_a_first_value_needs_no_torch():
     """VGG on the CPU is measured, 8-bit and float, by a process that has not loaded torch; its input has the bits of torch's."""
@@ -167,16 +131,6 @@ def test_features_of_the_truth_can_be_shared():
 
 
 @needs_weights
-@pytest.mark.parametrize("level", [0, 128, 255])
-def test_flat_frames_have_a_finite_distance(level):
-    """Flat frames, equal or one level apart, are at distance 0 and at a small finite one."""
-    flat = np.full((40, 37, 3), level, np.uint8)
-    other = flat + np.uint8(1) if level < 255 else flat - np.uint8(1)
-    assert lpips(flat, flat, "alex") == 0.0
-    assert 0 < lpips(other, flat, "alex") < 0.01
-
-
-@needs_weights
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_values_that_are_not_finite_are_refused(value):
     """NaN or infinity in one pixel is an error, not a NaN score."""
@@ -195,16 +149,8 @@ def test_laws(net):
     assert lpips(truth, truth, net) == 0.0
     assert lpips(truth, rendered, net) == pytest.approx(distance, rel=1e-6)
     assert lpips(rendered / 255, truth / 255, net) == pytest.approx(distance, rel=1e-5)
-    assert lpips(rendered[:, ::-1], truth[:, ::-1], net) > 0
-
-
-@needs_weights
-def test_more_noise_is_farther():
-    """The distance rises with the strength of the noise."""
-    _, truth = photograph_pair()
-    noise = np.random.default_rng(0).normal(0, 1, truth.shape)
-    noisy = [np.clip(truth + strength * noise, 0, 255).astype(np.uint8) for strength in (3, 10, 30, 80)]
-    assert np.all(np.diff([lpips(rendered, truth, "alex") for rendered in noisy]) > 0)
+    flat = np.full((40, 37, 3), 128, np.uint8)
+    assert 0 < lpips(flat + np.uint8(1), flat, net) < 0.01
 
 
 @needs_weights

@@ -2,7 +2,7 @@
 
 import ast
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -102,16 +102,18 @@ WORST_ERROR = ViewMetric(
 )
 
 
-@pytest.fixture
-def scored_run(tmp_path, monkeypatch) -> RunFolder:
+@pytest.fixture(scope="module")
+def scored_run(tmp_path_factory) -> Iterator[RunFolder]:
     """Two renderings of two views and three frames, scored with both metrics beside PSNR."""
-    for metric in (RELATIVE_ERROR, WORST_ERROR):
-        monkeypatch.setitem(METRICS.shipped, metric.name, metric)
-    run = make_run(tmp_path / "run", ("PSNR", "Relative_error", "Worst_error"))
-    import_renders(run, "whole", write_folders(tmp_path / "whole"))
-    import_renders(run, "late", write_folders(tmp_path / "late", [3, 3, 4], list(FRAMES)))
-    score(run)
-    return run
+    folder = tmp_path_factory.mktemp("new_metric")
+    with pytest.MonkeyPatch.context() as patch:
+        for metric in (RELATIVE_ERROR, WORST_ERROR):
+            patch.setitem(METRICS.shipped, metric.name, metric)
+        run = make_run(folder / "run", ("PSNR", "Relative_error", "Worst_error"))
+        import_renders(run, "whole", write_folders(folder / "whole"))
+        import_renders(run, "late", write_folders(folder / "late", [3, 3, 4], list(FRAMES)))
+        score(run)
+        yield run
 
 
 def stacked(view: str) -> tuple[np.ndarray, np.ndarray]:

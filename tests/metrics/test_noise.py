@@ -6,7 +6,7 @@ import pytest
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.noise.estimate import LONG_LAG, estimate_noise
-from helpers.noise_scenes import clean_video, encoded, noisy, panned_video, shot_noise
+from helpers.noise_scenes import clean_video, noisy, panned_video, shot_noise
 from helpers.refusals import refused
 
 FRAMES = LONG_LAG + 6
@@ -72,26 +72,6 @@ def test_noise_that_is_held_over_frames_is_found_and_drawn():
     drawn = np.stack(list(noise.sample_video(clean, np.random.default_rng(3))))
     changes = [np.diff(video[STILL].astype(float), axis=0).std() for video in (drawn, frames)]
     assert changes[0] == pytest.approx(changes[1], rel=0.05)
-
-
-@pytest.mark.slow
-def test_noise_of_a_codec_is_drawn_with_its_change(tmp_path):
-    """What H.264 leaves of white noise is no longer white, and drawn noise changes from frame to frame as much within 15 %."""
-    clean = clean_video(FRAMES)
-    frames = encoded(noisy(clean, 2.0, seed=1), tmp_path / "camera.mp4", crf=12)
-    noise = estimate_noise(frames)
-    drawn = np.stack(list(noise.sample_video(clean, np.random.default_rng(3))))
-    changes = [np.diff(video[STILL].astype(float), axis=0).std() for video in (drawn, frames)]
-    assert changes[0] == pytest.approx(changes[1], rel=0.15)
-    assert noise.spatial_correlation > 0.08
-    assert noise.temporal_correlation > 0.4
-
-
-def test_little_motion_does_not_lower_the_estimate():
-    """The same noise is found with a face that moves and with one that stands still: motion is left out, noise is not cut off."""
-    moving, still = (estimate_noise(noisy(clean_video(FRAMES, speed_px=speed), 2.0, seed=1)) for speed in (3.3, 0.0))
-    assert moving.static_share < still.static_share
-    assert moving.sigma_255.mean() == pytest.approx(still.sigma_255.mean(), rel=0.03)
 
 
 def test_a_video_without_noise_has_none():

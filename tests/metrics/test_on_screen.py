@@ -87,7 +87,7 @@ def test_by_deadline_what_is_late_is_never_seen():
 
 @pytest.mark.parametrize("policy", ["drop", "deadline"])
 @pytest.mark.parametrize("pipelined", [False, True])
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", range(4))
 def test_laws(seed, pipelined, policy):
     """Nothing is shown before its time, no older picture comes after a newer one, and the counts add up."""
     rng = np.random.default_rng(seed)

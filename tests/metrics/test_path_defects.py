@@ -2,6 +2,7 @@
 
 import weakref
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -28,6 +29,12 @@ def measured(poses):
     return {name: value for name, pose, value in score_path(poses).values if pose is None}
 
 
+@cache
+def truth_of(name):
+    """The numbers of an exact rendering."""
+    return measured(exact(name))
+
+
 def jumping(steps, apply):
     """A defect that is on from each of these steps to the next of them."""
     on = np.concatenate([[0], np.cumsum(steps)]) % 2
@@ -51,7 +58,7 @@ def wobble(share=0.03):
 def test_exact_path_is_near_ideal_in_every_measure(name):
     """An exact rendering: straight lines of the right slope, errors of rounding, and switches like all other steps."""
     scores = score_path(exact(name))
-    values = measured(exact(name))
+    values = truth_of(name)
     assert scores.not_computed == {}
     assert set(values) == {*COHERENCE, *SLOPE, *REPROJECTION, *SWITCH, "E_warp", "path_sharpness"}
     assert scores.n_switches == SWITCHES.sum() == 3
@@ -61,11 +68,10 @@ def test_exact_path_is_near_ideal_in_every_measure(name):
     assert values["switch_ratio"] == pytest.approx(1.0, abs=0.1)
 
 
-@EVERY_SCENE
-@pytest.mark.parametrize("apply", [brighter, moved])
+@pytest.mark.parametrize(("name", "apply"), [("wall", moved), ("slanted", brighter), ("two planes", moved)])
 def test_a_jump_at_the_switches_raises_the_switch_score(name, apply):
     """A jump of colour or texture where the cameras switch multiplies the score; the same jump elsewhere does not raise it."""
-    truth = measured(exact(name))
+    truth = truth_of(name)
     at_switches = measured(changed(exact(name), jumping(SWITCHES, apply)))
     elsewhere = measured(changed(exact(name), jumping(np.roll(SWITCHES, 2), apply)))
     assert at_switches["switch_ratio"] > 5 * truth["switch_ratio"]
@@ -77,7 +83,7 @@ def test_a_jump_at_the_switches_raises_the_switch_score(name, apply):
 @EVERY_SCENE
 def test_a_jump_at_the_switches_leaves_the_other_measures(name):
     """Three jumps along 24 steps hardly touch the measures that look at all steps, and these ignore where the jumps are."""
-    truth = measured(exact(name))
+    truth = truth_of(name)
     at_switches, elsewhere = (
         measured(changed(exact(name), jumping(steps, brighter))) for steps in (SWITCHES, np.roll(SWITCHES, 2))
     )
@@ -92,7 +98,7 @@ def test_a_jump_at_the_switches_leaves_the_other_measures(name):
 @EVERY_SCENE
 def test_wobbling_depth_bends_the_lines(name):
     """Poses rendered with depths that wobble by up to 3 % lose coherence and slope agreement and gain reprojection error."""
-    truth, wobbling = measured(exact(name)), measured(rendered(SCENES[name], depth_factors=wobble()))
+    truth, wobbling = truth_of(name), measured(rendered(SCENES[name], depth_factors=wobble()))
     assert wobbling["EPI_coherence"] < truth["EPI_coherence"] - 0.2
     assert wobbling["EPI_slope_error"] > 5 * truth["EPI_slope_error"]
     assert wobbling["EPI_slope_agreeing"] < 0.7 * truth["EPI_slope_agreeing"]
@@ -102,26 +108,11 @@ def test_wobbling_depth_bends_the_lines(name):
     assert wobbling["EPI_line_texture"] < truth["EPI_line_texture"]
 
 
-@pytest.mark.slow
-def test_more_wobble_is_worse():
-    """Coherence falls and reprojection error rises steadily with the wobble."""
-    series = [measured(rendered(SCENES["two planes"], depth_factors=wobble(share))) for share in (0.0, 0.01, 0.02, 0.04)]
-    assert np.all(np.diff([values["EPI_coherence"] for values in series]) < -0.02)
-    assert np.all(np.diff([values["reprojection"] for values in series]) > 0.5)
-
-
-def test_wobble_that_its_own_depth_confesses_is_seen_as_lost_visibility():
-    """With the wrong depths that a method used, contradictions between poses lower the share of co-visible pixels."""
-    wobbling = measured(rendered(SCENES["wall"], depth_factors=wobble(0.06), own_depth=True))
-    assert wobbling["reprojection_visible"] < measured(exact("wall"))["reprojection_visible"] - 0.2
-    assert wobbling["EPI_coherence"] < 0.7
-
-
 @EVERY_SCENE
 def test_blur_does_not_win(name):
     """Blurring every image alike is view-consistent, and yet no rank is won by it: less of each image lies on lines."""
-    truth = measured(exact(name))
-    for sigma in (0.7, 1.5, 3.0):
+    truth = truth_of(name)
+    for sigma in (0.7, 3.0):
         blurred = measured(changed(exact(name), lambda _, image, sigma=sigma: cv2.GaussianBlur(image, (0, 0), sigma)))
         assert blurred["EPI_line_texture"] < 0.95 * truth["EPI_line_texture"]
         assert blurred["EPI_coherence"] < truth["EPI_coherence"] + 0.005
@@ -130,24 +121,10 @@ def test_blur_does_not_win(name):
         assert blurred["switch_ratio"] == pytest.approx(truth["switch_ratio"], abs=0.15)
 
 
-def test_noise_costs_everywhere_but_at_switches():
-    """More noise: less coherence, fewer agreeing slopes, more error; the switch score stays at 1."""
-    rng = np.random.default_rng(0)
-    noisy = [
-        measured(changed(exact("two planes"), lambda _, image, sigma=sigma: image + rng.normal(0, sigma / 255, image.shape)))
-        for sigma in (0.0, 2.0, 6.0, 12.0)
-    ]
-    assert np.all(np.diff([values["EPI_coherence"] for values in noisy]) < -0.005)
-    assert np.all(np.diff([values["EPI_slope_agreeing"] for values in noisy]) < 0)
-    assert np.all(np.diff([values["EPI_slope_error"] for values in noisy]) > 0)
-    assert np.all(np.diff([values["reprojection"] for values in noisy]) > 1)
-    assert [values["switch_ratio"] for values in noisy] == pytest.approx([1.0] * 4, abs=0.1)
-
-
 @EVERY_SCENE
 def test_a_frozen_image_does_not_score_well(name):
     """One image along the whole path: its slopes are wrong by the whole parallax, none agrees, and it does not fit depth."""
-    truth = measured(exact(name))
+    truth = truth_of(name)
     frozen = measured([replace(pose, image=exact(name)[12].image) for pose in exact(name)])
     assert frozen["EPI_slope_error"] == pytest.approx(1.1, abs=0.2)
     assert frozen["EPI_slope_agreeing"] < 0.01
@@ -207,45 +184,3 @@ def test_a_path_streams(monkeypatch):
     assert scores.rows == (2, 6, 10, 14, 18, 22, 26, 30) == tuple(spread_rows(32, 8))
     assert spread_rows(3, 128) == [0, 1, 2]
     assert most_alive <= 3  # the one that is made, and two poses
-
-
-@pytest.fixture(scope="module")
-def room():
-    """The middle of the demo's true path, rendered with its exact depth."""
-    from ggvs_eval.contrib.worlds.film.film import Footage, lit_room
-    from ggvs_eval.contrib.worlds.film.options import DemoOptions
-    from ggvs_eval.contrib.worlds.film.shots import path_shots
-
-    options, instant = DemoOptions(width=160, height=120, path_poses=32), lit_room(0).at(0.0)
-    poses = []
-    for index, shot in enumerate(path_shots(options)[10:22]):
-        frame = next(Footage(options, shot, lambda _: instant).frames())
-        camera = replace(shot.camera, near=10.3, far=30.2)
-        poses.append(PathPose(camera, frame.image, frame.depth, ("cam01",) if index < 5 else ("cam02",)))
-    return poses
-
-
-def test_true_path_of_the_demo_scores_as_true_images_do(room):
-    """Ray-cast pictures of the furnished room, aliasing, shadows and gloss included: slopes agree and nothing jumps."""
-    values = measured(room)
-    assert values["EPI_coherence"] > 0.8
-    assert values["EPI_slope_error"] < 0.03
-    assert values["EPI_slope_agreeing"] > 0.75 * values["EPI_slope_measured"] > 0.15
-    assert values["reprojection_visible"] > 0.95
-    assert values["switch_ratio"] == pytest.approx(1.0, abs=0.1)
-
-
-@pytest.mark.slow
-def test_defects_show_on_the_demo_too(room):
-    """On the room's pictures a jump at the switch, a frozen image and blur are found by the measures meant for them."""
-    truth = measured(room)
-    jump = measured(changed(room, lambda index, image: image + (0.02 if index < 5 else 0)))
-    frozen = measured([replace(pose, image=room[6].image) for pose in room])
-    blurred = measured(changed(room, lambda _, image: cv2.GaussianBlur(image, (0, 0), 2.0)))
-    assert jump["switch_ratio"] > 2 * truth["switch_ratio"]
-    assert jump["EPI_coherence"] > truth["EPI_coherence"] - 0.1
-    assert frozen["EPI_slope_agreeing"] < 0.02
-    assert frozen["EPI_slope_error"] > 10 * truth["EPI_slope_error"]
-    assert frozen["reprojection"] > 2 * truth["reprojection"]
-    assert blurred["EPI_line_texture"] < 0.7 * truth["EPI_line_texture"]
-    assert blurred["EPI_slope_agreeing"] < 0.7 * truth["EPI_slope_agreeing"]

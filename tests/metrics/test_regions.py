@@ -130,15 +130,6 @@ def test_masks_that_do_not_fit_are_refused(masked):
         masked(rendered[1:], truth, np.ones((90, 110), bool))
 
 
-@pytest.mark.parametrize("masked", MASKED)
-def test_identical_regions_have_the_best_score(masked):
-    """Equal pixels inside score 100 dB, 0 and 1 whatever surrounds them."""
-    rendered, truth = noisy_pair()
-    mask = square(truth.shape, slice(20, 50), slice(30, 60))
-    mixed = np.where(mask[..., None], truth, rendered)
-    assert masked(mixed, truth, mask) == {masked_psnr: 100.0, masked_l1: 0.0, masked_ssim: 1.0}[masked]
-
-
 def test_moving_square_is_found_where_it_was_and_is():
     """A square that moves 20 pixels is marked at both places, within the 12 pixels of the reduced mask, and nothing else is."""
     truth = np.full((160, 240, 3), 90, np.uint8)

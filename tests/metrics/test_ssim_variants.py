@@ -4,8 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from skimage import data
 from skimage.metrics import structural_similarity
 
@@ -86,29 +84,6 @@ def test_one_window_of_the_map_is_the_score_of_its_pixels():
     rendered, truth = noisy_pair()
     window = np.s_[7:18, 9:20]
     np.testing.assert_allclose(ssim_map(rendered, truth)[7, 9].mean(), ssim(rendered[window], truth[window]), atol=1e-4)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    seed=st.integers(0, 10_000),
-    height=st.integers(1, 45),
-    width=st.integers(1, 45),
-    levels=st.sampled_from([1, 2, 256]),
-    name=st.sampled_from(list(SSIM_VARIANTS)),
-)
-def test_laws(seed, height, width, levels, name):
-    """Any content of any size scores within -1..1, the same in both directions, 1 against itself, or is too small."""
-    rng = np.random.default_rng(seed)
-    rendered, truth = (rng.integers(0, levels, (height, width, 3)).astype(np.uint8) for _ in range(2))
-    if min(height, width) < SSIM_VARIANTS[name].window_px:
-        with pytest.raises(MetricError, match=r"SSIM needs \d+ x \d+ pixels for its window"):
-            ssim_variant(rendered, truth, name)
-        return
-    value = ssim_variant(rendered, truth, name)
-    assert -1 <= value <= 1
-    assert ssim_variant(truth, rendered, name) == pytest.approx(value, abs=1e-6)
-    assert ssim_variant(truth, truth, name) == 1.0
-    assert ssim_variant(rendered / 255, truth / 255, name) == pytest.approx(value, abs=1e-5)
 
 
 def test_what_cannot_be_scored_is_refused():

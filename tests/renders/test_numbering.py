@@ -139,36 +139,6 @@ def test_what_has_two_meanings_or_none_is_refused(case):
     assert str(caught.value).startswith("theirs: ")
 
 
-def test_numbers_that_are_instants_of_the_capture_are_never_taken_for_others():
-    """Every run of the protocol's length in every small capture: accepted as they are, from 1 at the start, or refused."""
-    outcomes = {"as they are": 0, "from 1": 0, "renumbered": 0, "refused": 0}
-    for n_frames in range(2, 7):
-        for start in range(n_frames - 1):
-            for count in range(2, n_frames - start + 1):
-                frames = range(start, start + count)
-                for first in range(9):
-                    used = range(first, first + count)
-                    is_instants = used.stop <= n_frames
-                    try:
-                        result = numbered(used, frames, n_frames)
-                    except RenderError:
-                        outcomes["refused"] += 1
-                        assert used != frames
-                        continue
-                    offset = result.first
-                    assert set(result.frames["cam00"]) == set(frames), (used, frames, n_frames)
-                    assert f"numbered from {offset}" in result.note or offset == 0
-                    if offset == 0:
-                        assert used == frames
-                        outcomes["as they are"] += 1
-                    elif is_instants:
-                        assert (offset, start) == (1, 0)
-                        outcomes["from 1"] += 1
-                    else:
-                        outcomes["renumbered"] += 1
-    assert min(outcomes.values()) > 0
-
-
 def test_what_the_user_says_is_not_guessed():
     """--first-frame settles each doubtful case, in all views, and what it leaves over of the capture is not used."""
     for case in ("other instants of the capture", "the protocol's, or the capture's first", "one later, or from 1"):

@@ -125,54 +125,40 @@ def yuv_420(image) -> list[np.ndarray]:
     return [np.rint(16 + 219 / 255 * y), *map(np.rint, quarters)]
 
 
-PSNR = {
-    "RGB, mean of the frames' PSNR": lambda: mean_over_frames(lambda r, c: decibels(squared(r, c))),
+def psnr_of_some(some: slice) -> float:
+    """Mean of the PSNR of some frames of each view."""
+    pairs = [pair for rendered, truth in FRAMES for pair in zip(rendered[some], truth[some], strict=True)]
+    return float(np.mean([decibels(squared(*pair)) for pair in pairs]))
+
+
+PSNR_OF_FRAMES = {
+    "RGB, mean of the frames' PSNR": lambda r, c: decibels(squared(r, c)),
+    "luma (BT.601) in 0..255, mean of the frames' PSNR": lambda r, c: decibels(squared(grey(r), grey(c))),
+    "luma (BT.601) in 16..235, peak 255, mean of the frames' PSNR": lambda r, c: decibels(
+        squared(grey(r), grey(c)) * (219 / 255) ** 2
+    ),
+    "RGB without a border of 10 %, mean of the frames' PSNR": lambda r, c: decibels(squared(inner(r), inner(c))),
+    "RGB, squared errors summed over channels, mean of the frames' PSNR": lambda r, c: decibels(3 * squared(r, c)),
+    "RGB, both at half size, mean of the frames' PSNR": lambda r, c: decibels(squared(half(r), half(c))),
+    "grey of 8 bit, mean of the frames' PSNR": lambda r, c: decibels(squared(grey_of_8_bit(r), grey_of_8_bit(c))),
+    "RGB, range 2 of images in 0..1, mean of the frames' PSNR": lambda r, c: decibels(squared(r, c) / 4),
+    "RGB, range of the true frame, mean of the frames' PSNR": lambda r, c: decibels(squared(r, c) / (np.ptp(c) / 255) ** 2),
+    "RGB, PSNR of each channel, then the mean (3DGS's log)": lambda r, c: np.mean(
+        [decibels(squared(r[..., n], c[..., n])) for n in range(3)]
+    ),
+    "RGB, without a border of 4 px, mean of the frames' PSNR": lambda r, c: decibels(squared(r[4:-4, 4:-4], c[4:-4, 4:-4])),
+    "YUV 4:2:0 of 8 bit (BT.709, 16..235), (6 Y + U + V) / 8": lambda r, c: np.average(
+        [decibels(squared(*planes)) for planes in zip(yuv_420(r), yuv_420(c), strict=True)], weights=(6, 1, 1)
+    ),
+}
+PSNR = {name: lambda measure=measure: mean_over_frames(measure) for name, measure in PSNR_OF_FRAMES.items()} | {
     "RGB, PSNR of the mean squared error": lambda: decibels(mean_over_frames(squared)),
     "RGB, PSNR of each view's mean squared error": lambda: np.mean([decibels(squared(r, c)) for r, c in FRAMES]),
-    "luma (BT.601) in 0..255, mean of the frames' PSNR": lambda: mean_over_frames(
-        lambda r, c: decibels(squared(grey(r), grey(c)))
-    ),
-    "luma (BT.601) in 16..235, peak 255, mean of the frames' PSNR": lambda: mean_over_frames(
-        lambda r, c: decibels(squared(grey(r), grey(c)) * (219 / 255) ** 2)
-    ),
-    "RGB without a border of 10 %, mean of the frames' PSNR": lambda: mean_over_frames(
-        lambda r, c: decibels(squared(inner(r), inner(c)))
-    ),
-    "RGB, squared errors summed over channels, mean of the frames' PSNR": lambda: mean_over_frames(
-        lambda r, c: decibels(3 * squared(r, c))
-    ),
-    "RGB, both at half size, mean of the frames' PSNR": lambda: mean_over_frames(
-        lambda r, c: decibels(squared(half(r), half(c)))
-    ),
     "RGB, truth of half size enlarged, PSNR of the mean squared error": lambda: decibels(
         mean_over_frames(lambda r, c: squared(r, enlarged(half(c))))
     ),
-    "grey of 8 bit, mean of the frames' PSNR": lambda: mean_over_frames(
-        lambda r, c: decibels(squared(grey_of_8_bit(r), grey_of_8_bit(c)))
-    ),
-    "RGB, range 2 of images in 0..1, mean of the frames' PSNR": lambda: mean_over_frames(
-        lambda r, c: decibels(squared(r, c)) + 20 * np.log10(2)
-    ),
-    "RGB, range of the true frame, mean of the frames' PSNR": lambda: mean_over_frames(
-        lambda r, c: decibels(squared(r, c)) + 20 * np.log10(np.ptp(c) / 255)
-    ),
-    "RGB, PSNR of each channel, then the mean (3DGS's log)": lambda: mean_over_frames(
-        lambda r, c: np.mean([decibels(squared(r[..., n], c[..., n])) for n in range(3)])
-    ),
-    "RGB, mean of the frames' PSNR, without the first frame": lambda: np.mean(
-        [decibels(squared(r, c)) for rendered, truth in FRAMES for r, c in zip(rendered[1:], truth[1:], strict=True)]
-    ),
-    "RGB, mean of the frames' PSNR, every second frame": lambda: np.mean(
-        [decibels(squared(r, c)) for rendered, truth in FRAMES for r, c in zip(rendered[::2], truth[::2], strict=True)]
-    ),
-    "RGB, without a border of 4 px, mean of the frames' PSNR": lambda: mean_over_frames(
-        lambda r, c: decibels(squared(r[4:-4, 4:-4], c[4:-4, 4:-4]))
-    ),
-    "YUV 4:2:0 of 8 bit (BT.709, 16..235), (6 Y + U + V) / 8": lambda: mean_over_frames(
-        lambda r, c: np.average(
-            [decibels(squared(*planes)) for planes in zip(yuv_420(r), yuv_420(c), strict=True)], weights=(6, 1, 1)
-        )
-    ),
+    "RGB, mean of the frames' PSNR, without the first frame": lambda: psnr_of_some(slice(1, None)),
+    "RGB, mean of the frames' PSNR, every second frame": lambda: psnr_of_some(slice(None, None, 2)),
 }
 
 
@@ -287,14 +273,7 @@ SSIM = {
 }
 
 
-@pytest.fixture(scope="module")
-def _ssim_computed() -> None:
-    """Let the first of the tests that share the values of SSIM not pay for all."""
-    recomputed("ssim", VIEWS)
-
-
 @pytest.mark.slow
-@pytest.mark.usefixtures("_ssim_computed")
 @pytest.mark.parametrize("name", SSIM)
 def test_conventions_of_ssim(name):
     """Windows, borders, data ranges, covariances and luma are told apart."""
@@ -381,14 +360,6 @@ def test_multi_scale_ssim_is_that_of_its_library():
     assert name == "MS-SSIM, five scales, Gaussian 11 x 11 (pytorch-msssim)"
     assert ms_ssim(rendered, truth) == pytest.approx(0.9650459094818808, abs=2e-6)
     assert ms_ssim(truth, truth) == 1
-
-
-def test_frames_too_small_for_five_scales_have_no_multi_scale_ssim():
-    """A window of 11 pixels does not fit into a sixteenth of 72 x 96; the other conventions are still tried."""
-    names = {one.name for one in explain_again("ssim", "0.9")}
-
-    assert not any("MS-SSIM" in name for name in names)
-    assert len(names) > 20
 
 
 def absolute(rendered, truth) -> float:
@@ -625,11 +596,8 @@ def test_printed_digits_set_the_tolerance(quoted, value, tolerance):
         ("niqe", "3.1", VIEWS, "wanted a metric with known conventions, got 'niqe'"),
         ("psnr", "high", VIEWS, "wanted a number"),
         ("psnr", "inf", VIEWS, "wanted a finite number"),
-        ("psnr", "1e999", VIEWS, "wanted a finite number"),
         ("psnr", "1e-999", VIEWS, "wanted a finite number"),
-        ("psnr", "", VIEWS, "wanted a number"),
         ("psnr", "1,234.5", VIEWS, "wanted a number"),
-        ("psnr", "31.52 dBm", VIEWS, "wanted a number"),
         ("psnr", "30", (), "wanted at least one view"),
         ("sdv", "0.1", VIEWS[:1], "needs 2"),
     ],

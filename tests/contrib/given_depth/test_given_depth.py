@@ -9,28 +9,23 @@ import pytest
 from ggvs_eval.capture import GivenDepth
 from ggvs_eval.contrib.given_depth.attach import attach_depth
 from ggvs_eval.contrib.given_depth.depth_files import find_maps, read_map, z_per_distance
-from ggvs_eval.contrib.worlds.demo import write_demo
 from ggvs_eval.contrib.worlds.film.film import read_exact_depth
-from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.offline.export.dense_workspace import write_array
 from ggvs_eval.results import Results
+from helpers.packed_films import unpack_film
 from helpers.refusals import refused
 
 pytestmark = pytest.mark.usefixtures("no_figures")
-SIZE, FRAMES = (160, 120), 2
+FRAMES = 2
 
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """A small room, and the exact z of every camera and frame."""
-    root = tmp_path_factory.mktemp("room") / "demo"
-    options = DemoOptions(
-        width=SIZE[0], height=SIZE[1], n_frames=FRAMES, cameras_per_row=3, path_poses=0, depth_stride=1, supersampling=1
-    )
-    return open_capture(write_demo(root, options, workers=1))
+    return open_capture(unpack_film("deep", tmp_path_factory.mktemp("room") / "demo"))
 
 
 @pytest.fixture(scope="module")

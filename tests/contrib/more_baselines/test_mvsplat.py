@@ -10,20 +10,18 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.contrib.more_baselines.mvsplat.backbone import window_blocks
-from ggvs_eval.contrib.more_baselines.mvsplat.depth import correlations
 from ggvs_eval.contrib.more_baselines.mvsplat.gaussians import pixel_cloud
 from ggvs_eval.contrib.more_baselines.mvsplat.method import Mvsplat, instant_cloud
 from ggvs_eval.contrib.more_baselines.mvsplat.network import MvsplatNetwork, load_network
-from ggvs_eval.contrib.more_baselines.mvsplat.views import Views, see_views
+from ggvs_eval.contrib.more_baselines.mvsplat.views import see_views
 from ggvs_eval.contrib.training.instant_samples import InstantSample
 from ggvs_eval.contrib.training.recipes.mvsplat import DEPTH_STEPS, MvsplatRecipe
-from ggvs_eval.errors import RenderError, WeightsError
+from ggvs_eval.errors import RenderError
 from ggvs_eval.files.weights_file import CONFIGURATION_NOTE
 from ggvs_eval.gaussians.torch_splat import rotations
-from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER
 from helpers.refusals import refused
-from helpers.scenes import WALL_Z, camera_at, look
+from helpers.scenes import look
 from helpers.seeded_baselines import seed_weights, turned_rig
 
 NEAR, FAR = 2.0, 8.0  # of the golden outputs
@@ -142,35 +140,6 @@ def test_a_published_checkpoint_loads_strictly(full, tmp_path):
     assert all(torch.equal(tensor, network.state_dict()[name]) for name, tensor in full.state_dict().items())
 
 
-@pytest.mark.slow
-def test_what_is_no_checkpoint_is_refused(compact, tmp_path):
-    """Absent, damaged, hostile, without its state dict, with a wrong name or shape: refused in one line, and no code is run."""
-    with torch.device("meta"):
-        shapes = {f"encoder.{name}": tuple(tensor.shape) for name, tensor in MvsplatNetwork().state_dict().items()}
-    state = {name: torch.zeros(()).expand(shape) for name, shape in shapes.items()}  # one number each on disk
-    (tmp_path / "damaged.ckpt").write_bytes(b"PK\x03\x04 no zip")
-    torch.save({"state_dict": {}, "callbacks": Hostile(tmp_path / "pwned")}, tmp_path / "hostile.ckpt")
-    torch.save({"model": {}}, tmp_path / "partial.ckpt")
-    head = "encoder.depth_predictor.to_gaussians.2.bias"
-    torch.save({"state_dict": state | {head: torch.zeros(21)}}, tmp_path / "shape.ckpt")
-    torch.save({"state_dict": state | {"encoder.depth_predictor.to_colours.weight": torch.zeros(3)}}, tmp_path / "name.ckpt")
-    torch.save({"state_dict": compact.state_dict()}, tmp_path / "compact.ckpt")
-    cases = {
-        "nowhere": r"nowhere\.ckpt: wanted weights of MVSplat",
-        "damaged": "wanted a file of tensors only",
-        "hostile": "wanted a file of tensors only",
-        "partial": "wanted a state dict under state_dict, got model",
-        "shape": r"1 tensors differ from MVSplat .*first depth_predictor\.to_gaussians\.2\.bias: wanted \(84,\), got \(21,\)",
-        "name": r"1 tensors differ from MVSplat .*first depth_predictor\.to_colours\.weight: wanted None, got \(3,\)",
-        "compact": r"tensors differ from MVSplat .*give weights of MVSplat \(re10k\.ckpt\)",
-    }
-    for name, message in cases.items():
-        with pytest.raises(WeightsError, match=message) as caught:
-            load_network(tmp_path / f"{name}.ckpt")
-        assert "\n" not in str(caught.value)
-    assert not (tmp_path / "pwned").exists()
-
-
 @pytest.mark.parametrize("count", [2, 3])
 def test_a_step_gives_a_picture(weights, count):
     """Of any number of views from two, of odd and different sizes: finite, of the target's size, not flat, in [0, 1]."""
@@ -241,22 +210,6 @@ def test_one_view_is_refused(weights):
     instant = turned_rig(2, 44, 36)
     with refused(RenderError, "MVSplat", "2 source views", "got 1", "raise k"):
         Mvsplat(weights).step(replace(instant, sources=instant.sources[:1]))
-
-
-def test_cost_volumes_are_highest_where_the_surface_is():
-    """Of planes at several depths, views of a wall are most alike at its depth; their colours stand in for features."""
-    cameras = [camera_at(x, 0.0, f"cam{number}") for number, x in enumerate((-0.3, 0.25))]
-    images = torch.stack([torch.from_numpy(look(camera, square_x=9.0)[0]).permute(2, 0, 1).float() / 255 for camera in cameras])
-    small = torch.nn.functional.avg_pool2d(images, 4)
-    features = torch.nn.functional.normalize(small - small.mean(dim=(2, 3), keepdim=True), dim=1)
-    poses = np.stack([np.linalg.inv(camera.world_to_camera) for camera in cameras])
-    sizes = np.array([camera.size for camera in cameras])
-    views = Views(images, np.stack([camera.K for camera in cameras]), poses, 2.0, 20.0, 1.0, sizes)
-    depths = torch.tensor([3.0, 4.0, WALL_Z, 6.5, 9.0])
-    volume = correlations(features, views, 1 / depths)
-    height, width = volume.shape[2:]
-    middle = volume[..., height // 4 : -height // 4, width // 3 : -width // 3].mean(dim=(0, 2, 3))
-    assert int(middle.argmax()) == 2
 
 
 @pytest.mark.slow

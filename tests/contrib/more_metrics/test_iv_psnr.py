@@ -87,27 +87,6 @@ def test_the_kernel_equals_its_twin(shape, is_rgb, masked):
                 np.testing.assert_array_equal(part, value)
 
 
-def test_what_the_gap_to_the_psnr_of_ycbcr_says():
-    """Two pixels of shift and two levels of colour are forgiven, most of a blur is not; noise on smooth ground is matched."""
-    random = np.random.default_rng(0)
-    truth = random.integers(60, 190, (40, 50, 3), dtype=np.uint8).repeat(4, axis=0).repeat(4, axis=1)
-    blurred = clipped(sum(np.roll(truth.astype(float), (y, x), (0, 1)) for y in range(-2, 3) for x in range(-2, 3)) / 25)
-    gap = {
-        name: iv_psnr(rendered, truth) - psnr_ycbcr(rendered, truth)
-        for name, rendered in {
-            "shift": np.roll(truth, (2, -2), axis=(0, 1)),
-            "colour": truth + np.uint8(2),
-            "blur": blurred,
-        }.items()
-    }
-    assert gap["shift"] > 10
-    assert gap["colour"] > 30
-    assert gap["blur"] < 6
-    smooth = recorded_frame()
-    noisy = clipped(smooth + random.normal(0, 5, smooth.shape))
-    assert iv_psnr(noisy, smooth) - psnr_ycbcr(noisy, smooth) > 2
-
-
 def test_regions_that_cannot_be_measured_say_so():
     """A mask of another size or kind, or an empty one."""
     truth = np.zeros((20, 30, 3), np.uint8)

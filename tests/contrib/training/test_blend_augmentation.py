@@ -32,16 +32,6 @@ def test_without_strength_nothing_changes():
         np.testing.assert_array_equal(getattr(found, name), getattr(views, name))
 
 
-def test_the_same_seed_draws_the_same():
-    """All changes at once: equal for one seed, another for the next."""
-    options = Augmentation(view_gain_share=1, blur_share=1, shift_share=1)
-    (once, truth), (again, same), (other, _) = changed(options), changed(options), changed(options, 1)
-    np.testing.assert_array_equal(truth, same)
-    for name in SHIFTED:
-        np.testing.assert_array_equal(getattr(once, name), getattr(again, name))
-        assert not np.array_equal(getattr(once, name), getattr(other, name)), name
-
-
 def test_a_common_gain_is_that_of_the_truth():
     """Sources and truth become brighter by the same factor per channel; geometry stays."""
     views, truth = crop()

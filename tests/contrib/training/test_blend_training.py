@@ -16,7 +16,6 @@ from ggvs_eval.contrib.training.blend_task import (
     mask_loss,
     mirrored,
     recoloured,
-    structural_loss,
 )
 from ggvs_eval.contrib.training.loop import train, write_card
 from ggvs_eval.contrib.training.request import TrainingOptions
@@ -25,7 +24,6 @@ from ggvs_eval.contrib.training.samples.samples import SampleMaker, SamplePool
 from ggvs_eval.contrib.training.samples.training_data import RoomPlan, choose_views, domain_validation_plan, room_options
 from ggvs_eval.contrib.worlds.domains import PLAIN
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.online.blend_network import (
     WIDTHS,
@@ -88,19 +86,6 @@ def test_mask_loss_is_its_formula():
     """The background's weight is wanted where no view covers half a pixel, and nowhere else."""
     alphas = torch.tensor([[[[0.4, 0.9]], [[0.3, 0.1]]]])
     torch.testing.assert_close(mask_loss(torch.tensor([[[0.7, 0.2]]]), alphas), torch.tensor((0.3 + 0.2) / 2))
-
-
-def test_structural_loss_is_one_minus_the_metric():
-    """It equals 1 - SSIM as it is measured, is 0 for equal images, and has a gradient."""
-    rng = np.random.default_rng(0)
-    truth = rng.uniform(size=(40, 50, 3)).astype(np.float32)
-    image = np.clip(truth + rng.normal(0, 0.2, truth.shape), 0, 1).astype(np.float32)
-    tensors = [torch.from_numpy(each).permute(2, 0, 1)[None].clone().requires_grad_() for each in (image, truth)]
-    loss = structural_loss(*tensors)
-    assert float(loss.detach()) == pytest.approx(1 - ssim(image, truth), abs=1e-5)
-    assert float(structural_loss(tensors[1], tensors[1]).detach()) == pytest.approx(0, abs=1e-6)
-    loss.backward()
-    assert float(tensors[0].grad.abs().sum()) > 0
 
 
 @pytest.mark.parametrize(("tsdf_guidance", "perceptual"), [(True, 0.0), (False, 0.0), (True, 0.25)])
@@ -308,19 +293,3 @@ def test_what_does_not_fit_is_refused(task):
         replace(task, config=BlendNetworkShape(views=1))
     with refused(TrainingError, "512 x 48", "200 x 150"):
         replace(task, crop_width=512)
-
-
-def test_lots_are_learned_from_side_by_side(task, cache):
-    """Joined pools count as one, one after the other; their descriptions stand in the card; a task takes them as it takes one."""
-    rooms, others = (SamplePool(cache, BlendKind(), [plan]) for plan in (PLAN, VALIDATION))
-    joined = rooms + others
-    joined.prepare(1)  # all is there
-    assert len(joined) == len(rooms) + len(others)
-    for index, (pool, place) in enumerate([*((rooms, n) for n in range(len(rooms))), *((others, n) for n in range(len(others)))]):
-        np.testing.assert_array_equal(joined.read(index).truth, pool.read(place).truth)
-    with pytest.raises(IndexError):
-        joined.read(len(joined))
-    mixed = replace(task, training=joined)
-    assert rooms.data in mixed.data
-    assert others.data in mixed.data
-    assert mixed.batch(0)["truth"].shape == (2, 3, 48, 64)

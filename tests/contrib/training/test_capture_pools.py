@@ -16,18 +16,15 @@ from ggvs_eval.contrib.training.samples.capture_source import (
     possible_targets,
     within_rule,
 )
-from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
+from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind
 from ggvs_eval.contrib.training.samples.samples import SampleMaker, SamplePool, make_samples
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from helpers.filled_pools import fill
-from helpers.places import SHARED
 from helpers.refusals import refused
 from helpers.stereo_scenes import HEIGHT, WIDTH, look_from, plane_depth, see_plane, write_capture
 
-HOLOLENS = SHARED / "data" / "hololens_rgbd"
 NUMBERS = [*range(10, 20), *range(22, 40), *range(43, 46)]
 PLAN = CapturePlan(targets=3, views=3, span=12, gap=2, width=WIDTH, height=HEIGHT)
 RIG_PLAN = CapturePlan(targets=5, views=2, instants=2, width=160, height=90)
@@ -163,26 +160,6 @@ def test_samples_are_kept_and_read(sequence, rig, tmp_path):
     assert str(sequence.path) not in repr(samples)
 
 
-def test_baselines_are_shown_the_same_views(sequence, tmp_path):
-    """Instants have the targets, sources and truths of the network's samples, with the sensor's depth or with none."""
-    kinds = BlendKind(), InstantKind(), InstantKind(depth=False)
-    pools = [SamplePool(tmp_path, kind, [CaptureSource(sequence, PLAN)]) for kind in kinds]
-    for pool in pools:
-        pool.jobs()[1]()
-    blended, shown, bare = (pool.read(1) for pool in pools)
-    for sample in (shown, bare):
-        assert sample.instant.target.name == blended.views.target.name
-        assert [view.camera.name for view in sample.instant.sources] == [source.name for source in blended.views.sources]
-        np.testing.assert_array_equal(sample.truth, blended.truth)
-    for view, without in zip(shown.instant.sources, bare.instant.sources, strict=True):
-        exact, measured = plane_depth(view.camera), view.depth > 0
-        assert measured.mean() > 0.7
-        assert np.median(np.abs(view.depth / exact - 1)[measured]) < 0.002
-        assert not without.depth.any()
-        np.testing.assert_array_equal(without.image, sequence.frame(view.camera.name, 0))
-    assert "no depth" in pools[2].data
-
-
 def test_a_rig_s_samples_take_turns_at_its_instants(rig, tmp_path):
     """Even numbers show one instant, odd ones another; targets are not among their sources; sizes cover the plan's."""
     source = CaptureSource(rig, RIG_PLAN)
@@ -242,16 +219,3 @@ def test_the_demo_capture_is_never_learned_from(rig, tmp_path):
     for seed in (101, 1000):
         (tmp_path / "demo.json").write_text(json.dumps({"options": {"seed": seed}}))
         assert CaptureSource(noted, RIG_PLAN).count == 5
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not HOLOLENS.is_dir(), reason="wants the HoloLens sequence")
-def test_a_real_sequence_gives_samples(tmp_path):
-    """A sample of the HoloLens sequence by the paper's rule: most of the view is fused, and it resembles the target's frame."""
-    capture = open_capture(HOLOLENS)
-    plan = CapturePlan(targets=1, width=270, height=180)
-    sample = fill(SamplePool(tmp_path, BlendKind(), [CaptureSource(capture, plan)]), lambda source: source.capture).read(0)
-    apart = [abs(int(source.name) - int(sample.views.target.name)) for source in sample.views.sources]
-    assert all(4 < frames <= 30 for frames in apart)
-    assert (sample.views.fused_depth > 0).mean() > 0.5
-    assert psnr(sample.geometric, sample.truth) > psnr(np.full_like(sample.truth, sample.truth.mean()), sample.truth)

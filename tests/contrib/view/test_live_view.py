@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ggvs_eval.camera import up_direction
 from ggvs_eval.contrib.view import viewer as listener_module
 from ggvs_eval.contrib.view.live_view import LAYERS, FrameStock, LiveView, ViewRequest, fitted
-from ggvs_eval.contrib.view.scene import cloud, gazed_depth, middle_camera
+from ggvs_eval.contrib.view.scene import cloud, gazed_depth
 from ggvs_eval.contrib.view.session import Recording, status_text
 from ggvs_eval.contrib.view.viewer import require_viser
 from ggvs_eval.errors import CommandError, RenderError
@@ -19,7 +18,7 @@ from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views, load_protocol
+from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol
 from helpers.itermvs_weights import write_checkpoint
 from helpers.refusals import refused
 from helpers.stereo_scenes import HEIGHT, PLANE, WIDTH, plane_depth, write_capture
@@ -28,14 +27,6 @@ STEP = 0.2  # by which the plane comes nearer from instant to instant
 ALL = 10**9  # pixels: as captured
 METHOD = "ours-geometric"
 PROTOCOL = Protocol("plane", "plane", Views(("cam00",), "test"), Frames(0, 3), Synthesis(2), Measurement(("PSNR",)))
-
-
-@pytest.fixture(scope="module")
-def playback(tmp_path_factory):
-    """Five cameras before a plane that comes nearer, three instants, with depth of every camera at every instant."""
-    folder = tmp_path_factory.mktemp("plane")
-    options = PlayOptions(k=2)
-    return playback_of_capture(write_capture(folder), options, DepthRunOptions("sgbm").options(), folder / "cache", anywhere=True)
 
 
 @pytest.fixture
@@ -197,12 +188,6 @@ def test_points_lie_on_the_plane(playback, stock):
     assert gazed_depth(stock, 1) == pytest.approx(c, rel=0.05)
 
 
-def test_windows_open_upright_in_the_middle(playback):
-    """The rig looks along z with y down."""
-    assert up_direction(playback.capture.cameras) == pytest.approx([0, -1, 0], abs=0.05)
-    assert middle_camera(playback.capture.cameras).name == "cam00"
-
-
 def recording_of(playback, folder) -> Recording:
     """Three requests of a camera that moves while time plays."""
     view = playback.capture.cameras[0]
@@ -235,20 +220,6 @@ def test_a_recorded_path_becomes_a_protocol(playback, tmp_path):
     assert [round(float(pose.target.centre[0]), 6) for pose in plan.path] == [0, 0.05, 0.1]
     assert plan.path_frame == 0
     assert plan.path[0].target.size == (WIDTH, HEIGHT)
-
-
-def test_chosen_poses_are_hashed_and_their_absence_is_not(playback, tmp_path):
-    """Protocols of before keep their hash; another path is another protocol."""
-    recording_of(playback, tmp_path).write_protocol()
-    chosen = load_protocol(tmp_path / "path000.toml")
-    fewer = replace(chosen, path=CameraPath(2, chosen.path.cameras[:2]))
-    assert len({chosen.sha256, fewer.sha256, replace(chosen, path=CameraPath()).sha256}) == 3
-
-
-def test_nothing_recorded_is_an_error(playback, tmp_path):
-    """The message says which buttons to press."""
-    with refused(RenderError, "press record"):
-        Recording(playback, playback.capture.cameras[0], PROTOCOL, tmp_path, "cpu").write_video()
 
 
 def test_without_viser_one_line_says_what_to_install(monkeypatch):

@@ -10,22 +10,10 @@ from PIL import Image
 from ggvs_eval.contrib.view.live_view import LiveView
 from ggvs_eval.contrib.view.session import ViewDefaults
 from ggvs_eval.contrib.view.viewer import Listener, Viewer, export_page
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from helpers.browser import DESKTOP
-from helpers.stereo_scenes import write_capture
 
 CANVAS = "canvas"
-
-
-@pytest.fixture(scope="module")
-def playback(tmp_path_factory):
-    """Five cameras before a plane that comes nearer."""
-    folder = tmp_path_factory.mktemp("plane")
-    return playback_of_capture(
-        write_capture(folder), PlayOptions(k=2), DepthRunOptions("sgbm").options(), folder / "cache", anywhere=True
-    )
 
 
 @pytest.fixture

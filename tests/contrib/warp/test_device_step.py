@@ -14,27 +14,23 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import GgvsWarning, RenderError
 from ggvs_eval.files.images import quantise
-from ggvs_eval.geometry.contested_depth import settle_depth
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.splat import splat
 from ggvs_eval.geometry.tsdf import PreviousDepth, fusion_weights, ray_march
-from ggvs_eval.geometry.warp import register_views, warp
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.methods import ours
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online import network_blender
-from ggvs_eval.pipelines.online.blending import push_pull
 from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation, fallen_off, squared_tangents
-from ggvs_eval.pipelines.online.geometry_guided import SAME_SURFACE_TAU, GeometryGuided, OnlineOptions
+from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender
-from ggvs_eval.pipelines.online.network_inputs import BlendMaps, input_channels
 from ggvs_eval.pipelines.online.temporal_filters import filter_depth
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from helpers.device_scenes import room_instants
 from helpers.geometry_scenes import TAU, random_camera, random_depth, view_of
 from helpers.refusals import refused
-from helpers.scenes import camera_at, texture
+from helpers.scenes import texture
 
 pytest.importorskip("warp", reason="the online step on a device wants NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
 
@@ -117,31 +113,6 @@ def test_masks_are_those_of_the_compiled_path(width, height, channels):
     np.testing.assert_array_equal(weights[0].numpy(), fusion_weights(depth, TAU, 0.001))
 
 
-def test_splats_are_those_of_the_compiled_path(rig):
-    """Colour, mask, coverage and depth of every view, whatever its size, but for rounding: the CPU fuses its multiply-adds.
-
-    Where a Gaussian's alpha rounds to the other side of 1/255, a pixel may differ by that.
-    """
-    for k, view in enumerate(rig.splats):
-        assert 0.5 < (view.alpha > 0.5).mean() < 1
-        found = rig.there.features[k], rig.there.alphas[k], rig.there.depths[k]
-        for there, here in zip(found, (view.features, view.alpha, view.depth), strict=True):
-            off = np.abs(there.numpy() - here)
-            assert (off <= 1e-5 * (1 + here)).mean() >= 0.999
-            assert off.max() < 0.02
-
-
-def test_equal_depths_keep_their_order():
-    """A wall that is parallel to both cameras: all Gaussians tie, and reading order decides, as it does there."""
-    cameras = [replace(camera_at(x, name=f"x{x}"), width=40, height=30) for x in (0.0, 0.3)]
-    random = np.random.default_rng(0)
-    source = view_of(cameras[1], np.full((30, 40), 4.0, np.float32), random.integers(0, 256, (30, 40, 3), np.uint8))
-    program, ones = program_of(cameras[0], [source]), torch.ones(1, 30, 40)
-    given = program.states[0].images, program.depths, ones, program.constants, program.tables
-    here = splat([source], cameras[0], near=0.2, extras=[np.ones((30, 40), np.float32)]).features
-    np.testing.assert_allclose(device_splat.splat_views(*given, ROOM).features[0].numpy(), here, atol=1e-5)
-
-
 def test_pairs_without_room_are_counted(rig, monkeypatch):
     """What is too much is lost, how crowded it is is told, and views that are sorted in groups have the same bits."""
     given = rig.images, rig.depths, rig.masks, rig.program.constants, rig.program.tables
@@ -182,63 +153,6 @@ def test_marches_have_the_bits_of_the_compiled_path(rig, skip_empty):
         march.march(rig.depths, stack, past, gains, program.constants, program.tables, (0.1, 0.7), out, skip_empty)
         np.testing.assert_array_equal(out[0].numpy(), found.depth)
         np.testing.assert_array_equal(out[1].numpy(), found.weight)
-
-
-def test_contested_depth_and_registration(rig):
-    """From equal splats a fused depth that views contradict is settled by the same votes; registered views have the same bits."""
-    stacks = (np.stack([getattr(view, name) for view in rig.splats]) for name in ("features", "alpha", "depth"))
-    same_splats = device_splat.DeviceSplats(*map(tensor, stacks), rig.there.crowding)
-    fused = np.abs(random_depth(np.random.default_rng(7), rig.target, noise=0.1))
-    here = settle_depth(rig.target, fused, rig.sources, rig.splats, SAME_SURFACE_TAU * TAU)
-    given = rig.program.constants, rig.program.tables
-    there = registration.settle_depth(tensor(fused), rig.images, same_splats, *given)
-    assert 0.05 < (here != fused).mean() < 0.95
-    np.testing.assert_array_equal(there.numpy(), here)
-    colours, coverage, visibilities = register_views(rig.target, here, rig.sources, rig.splats, TAU, 0.02)
-    found = registration.register_views(there, rig.images, rig.depths, same_splats, *given)
-    assert 0.1 < (visibilities > 0).mean() < 1
-    np.testing.assert_allclose(found[0].permute(0, 2, 3, 1).numpy(), colours, atol=1e-6)  # fused sums, row by row, here
-    np.testing.assert_array_equal(found[1].numpy(), coverage)
-    np.testing.assert_array_equal(found[2].numpy(), visibilities)
-
-
-def test_warps_are_those_of_the_compiled_path(rig):
-    """Colours wherever the surface lies in an image, seen or not, but for rounding; visibilities are equal."""
-    fused = random_depth(np.random.default_rng(9), rig.target, noise=0.02)
-    given = rig.images, rig.depths, rig.program.constants, rig.program.tables
-    colours, visibilities = registration.warp_views(tensor(fused), *given)
-    for k, source in enumerate(rig.sources):
-        image = source.image.astype(np.float32) / np.float32(255)
-        here = warp(rig.target, fused, source.camera, image, source.depth, TAU, bicubic=True)
-        assert 0.02 < ((here.visibility == 0) & here.colour.any(axis=-1)).mean() < 0.98
-        np.testing.assert_array_equal(visibilities[k].numpy(), here.visibility)
-        np.testing.assert_allclose(colours[k].permute(1, 2, 0).numpy(), here.colour, atol=1e-6)
-
-
-@pytest.mark.parametrize("scale", [1, 4])
-def test_what_the_network_sees(rig, scale):
-    """Its channels, of reduced maps whose size the scale does not divide; and push-pull, from much and from nothing."""
-    fused = random_depth(np.random.default_rng(8), rig.target)
-    program = program_of(rig.target, rig.sources, scale=scale)
-    c, t = program.constants, program.tables
-    found = registration.register_views(tensor(fused), rig.images, rig.depths, rig.there, c, t)
-    cameras = tuple(source.camera for source in rig.sources)
-    maps = BlendMaps(
-        rig.target,
-        cameras,
-        *(each.numpy() for each in (found[0].permute(0, 2, 3, 1).contiguous(), *found[1:])),
-        *(each.numpy() for each in (rig.there.alphas, rig.there.depths)),
-        fused,
-    ).reduced(scale)
-    means, depths = picture.reduced_maps(picture.DeviceMaps(*found, rig.there, tensor(fused)), t)
-    places = torch.arange(3, dtype=torch.int32)
-    for guidance in ("registered", "channels"):
-        channels = picture.input_channels(means, depths, places, guidance == "registered", 5, c)
-        np.testing.assert_allclose(channels.numpy(), input_channels(maps, guidance, 5), atol=2e-5, rtol=2e-5)
-    image, alpha = found[0][0].contiguous(), rig.there.alphas[0]
-    for known in (alpha > 0.5, torch.zeros_like(alpha, dtype=torch.bool), alpha > 2 * scale - 9):
-        filled = push_pull(image.permute(1, 2, 0).contiguous().numpy(), known.numpy())
-        np.testing.assert_allclose(picture.fill_holes(image, known.float(), t).permute(1, 2, 0).numpy(), filled, atol=1e-5)
 
 
 def darkened(image: Image8, camera: Camera, gain: float) -> Image8:
@@ -398,18 +312,6 @@ def test_a_walk_is_that_of_the_compiled_path(name):
         assert_alike(there, here, share=0.99)
 
 
-@pytest.mark.parametrize("views", range(1, 7))
-def test_every_number_of_views(views):
-    """From one to what the network is made for, two instants each: none has a pair, all but one have a past."""
-    instants = [replace(each, sources=(each.sources * 2)[:views]) for each in room_instants()[:2]]
-    named = [
-        replace(each, sources=tuple(replace(v, camera=replace(v.camera, name=f"c{k}")) for k, v in enumerate(each.sources)))
-        for each in instants
-    ]
-    for there, here in zip(rendered(DeviceGuided(), named), rendered(compiled_path(), named), strict=True):
-        assert_alike(there, here, share=0.99)
-
-
 def test_two_synthesizers_do_not_mix(on_device):
     """Side by side, one a step ahead of the other, each shows what it shows alone."""
     ahead, behind, instants = DeviceGuided(), DeviceGuided(), room_instants()
@@ -418,25 +320,6 @@ def test_two_synthesizers_do_not_mix(on_device):
         if index + 1 < len(instants):
             np.testing.assert_array_equal(ahead.step(instants[index + 1]).image, on_device[index + 1].image)
         np.testing.assert_array_equal(behind.step(instant).image, on_device[index].image)
-
-
-def test_both_orders_of_the_states_are_one_step(on_device):
-    """A sequence that begins in the other state, after one that was forgotten, has the same bits."""
-    method, instants = DeviceGuided(), room_instants()
-    method.step(replace(instants[2], index=-5))
-    for instant, before in zip(instants, on_device, strict=True):
-        np.testing.assert_array_equal(method.step(instant).image, before.image)
-
-
-def test_one_set_of_places_serves_a_moving_target():
-    """Cameras and flags are numbers that the step reads: where sizes stay, no array has another place, and none is made."""
-    method, places = DeviceGuided(), []
-    for instant in [*walks()["a target that moves"], *walks()["a gap"]]:
-        method.step(instant)
-        (program,) = method._programs.values()
-        tensors = (*vars(program.constants)["_tensors"].values(), program.depths, program.results.image)
-        places.append([each.data_ptr() for each in tensors])
-    assert places[1:] == places[:-1]
 
 
 def test_a_source_that_is_black_is_left_out():
@@ -458,22 +341,6 @@ def test_a_past_that_is_no_number_is_forgotten(on_device):
     with torch.inference_mode():
         program.states[number].output.picture[:, 10:20, 10:20] = torch.nan
     assert np.isfinite(method.step(instants[1]).image).all()
-
-
-def test_depth_may_lie_on_the_device(on_device):
-    """As a tensor, where a matcher left it."""
-    method = DeviceGuided()
-    for instant, before in zip(room_instants(), on_device, strict=True):
-        there = [replace(view, depth=torch.from_numpy(view.depth)) for view in instant.sources]
-        np.testing.assert_array_equal(method.step(replace(instant, sources=tuple(there))).image, before.image)
-
-
-def test_parts_are_timed_where_nothing_is_recorded():
-    """By name, finer than the seconds of a rendering."""
-    method = DeviceGuided(recorded=False)
-    shown = method.step(room_instants()[0])
-    assert {"masks and filter", "splat", "occupancy and march", "network and composition"} < method.details.keys()
-    assert 0 < sum(method.details.values()) <= shown.seconds["step"]
 
 
 def test_depth_beyond_the_march_is_told():

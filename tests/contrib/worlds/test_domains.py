@@ -1,6 +1,6 @@
 """Domains: what each option of their captures does, and that training and validation film what they say."""
 
-from collections.abc import Iterator
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
 from ggvs_eval.contrib.training.samples.capture_source import held_back_halves, overlap
 from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, InstantKind
 from ggvs_eval.contrib.training.samples.samples import SamplePool
@@ -20,13 +21,12 @@ from ggvs_eval.contrib.training.samples.training_data import (
     film_room,
     room_options,
 )
-from ggvs_eval.contrib.worlds.demo import write_demo
+from ggvs_eval.contrib.worlds.demo import _description, write_demo
 from ggvs_eval.contrib.worlds.domains import DOMAINS, VALIDATION_SEEDS, domain_options
 from ggvs_eval.contrib.worlds.film.film import Footage, lit_room, measured, misplaced
 from ggvs_eval.contrib.worlds.film.options import LATER, DemoOptions
 from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE, render_depth
 from ggvs_eval.contrib.worlds.film.shots import (
-    compress,
     defocus,
     denoise,
     hand_held_shots,
@@ -34,26 +34,17 @@ from ggvs_eval.contrib.worlds.film.shots import (
     rig_of,
     rig_sensors,
     sharpen,
-    to_linear,
-    to_srgb,
 )
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, TrainingError
-from helpers.lit_rooms import light_by_few_rays
 from helpers.refusals import refused
 from helpers.scenes import render_view
 
+pytestmark = pytest.mark.usefixtures("lit_quickly")
 SMALL = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=2, path_poses=0, supersampling=1, depth_stride=0)
 # At 3326e7f, before there were domains.
 PLAIN_NOISE, PLAIN_SPREAD = 0.7496200160267352, 0.012452947166492987
 WALK = replace(SMALL, layout="rgbd", n_frames=4, fps=3.0, noise_sigma_255=0.0, exposure_spread=0.0)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _lit_quickly(tmp_path_factory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        light_by_few_rays(patch, tmp_path_factory.mktemp("light"))
-        yield
 
 
 def spacing_of(options: DemoOptions) -> float:
@@ -97,25 +88,11 @@ def test_the_plain_domain_is_the_room_that_networks_have_always_learned_from() -
     assert len(folders) == len(DOMAINS)
 
 
-def test_an_unknown_domain_is_refused() -> None:
-    """The message names those there are."""
-    with refused(CaptureError, "'fog'", "plain, narrow"):
-        domain_options("fog", 101)
-
-
-@pytest.mark.slow
-def test_options_that_came_later_do_not_change_the_description_of_old_demos(tmp_path: Path) -> None:
+def test_options_that_came_later_do_not_change_the_description_of_old_demos() -> None:
     """demo.json of usual options names none of them, of others those that differ."""
-    tiny = replace(SMALL, width=32, height=24, n_frames=1)
-    assert not set(LATER) & set(_options_written(tmp_path / "old", tiny))
-    written = _options_written(tmp_path / "new", replace(tiny, spacing=0.5))
-    assert set(LATER) & set(written) == {"spacing"}
-
-
-def _options_written(folder: Path, options: DemoOptions) -> dict[str, object]:
-    import json
-
-    return dict(json.loads((write_demo(folder, options, workers=1) / "demo.json").read_text())["options"])
+    usual, closer = (json.loads(_description(options))["options"] for options in (SMALL, replace(SMALL, spacing=0.5)))
+    assert not set(LATER) & set(usual)
+    assert set(LATER) & set(closer) == {"spacing"}
 
 
 @pytest.mark.parametrize(
@@ -134,6 +111,7 @@ def test_spacing_scales_the_distances_between_cameras(rig: str) -> None:
     assert spacing_of(replace(options, spacing=0.33)) == pytest.approx(0.33 * spacing_of(options), rel=0.08)
 
 
+@pytest.mark.slow
 def test_a_camera_that_stands_still_does_not_blur() -> None:
     """With a shutter so short that nothing moves, the mean of all poses is the sharp picture; with a long one it is smoother."""
     sharp, still, moving = (
@@ -212,19 +190,6 @@ def test_defocus_spreads_a_point_into_a_disc() -> None:
     assert (defocus(point, 0.0) == point).all()
 
 
-def test_linear_light_and_srgb_are_inverse_to_one_another() -> None:
-    """Every level of 8 bit comes back."""
-    levels = np.arange(256, dtype=np.float32) / 255
-    np.testing.assert_allclose(to_srgb(to_linear(levels)), levels, atol=1e-6)
-
-
-def test_compression_of_quality_0_is_none_and_worse_quality_is_worse() -> None:
-    """The error grows as quality falls."""
-    image = np.random.default_rng(2).integers(0, 255, (32, 32, 3), np.uint8)
-    errors = [np.abs(compress(image, quality).astype(int) - image).mean() for quality in (0, 95, 60)]
-    assert errors[0] == 0 < errors[1] < errors[2]
-
-
 def test_depth_is_shifted_by_the_pixels_that_are_asked_for() -> None:
     """Phase correlation of the misplaced with the exact depth map measures the offset; written down is the exact sensor."""
     options = replace(WALK, width=192, height=144, depth_offset_px=6.0)
@@ -260,19 +225,6 @@ def test_noise_of_measured_depth_grows_with_its_square_and_edges_are_lost() -> N
     wall[:, 40:] *= 2
     assert (measured(options, wall, 0)[:, 39:41] == 0).all()
     assert (measured(WALK, wall, 0) == wall).all()
-
-
-@pytest.mark.slow
-def test_a_sequence_with_a_misplaced_sensor_has_the_same_pictures_and_poses(tmp_path: Path) -> None:
-    """Only depth differs, and the reader is told nothing."""
-    usual, wrong = WALK, replace(WALK, depth_offset_px=4.0, depth_noise=0.004)
-    first, second = (open_capture(write_demo(tmp_path / name, each, workers=1)) for name, each in (("a", usual), ("b", wrong)))
-    for camera, other in zip(first.cameras, second.cameras, strict=True):
-        np.testing.assert_allclose(camera.K, other.K)
-        np.testing.assert_allclose(camera.world_to_camera, other.world_to_camera)
-        assert (first.frame(camera.name, 0) == second.frame(camera.name, 0)).all()
-    depths = [next(capture.extras_of("000000").depth.depths(0, 1)) for capture in (first, second)]
-    assert not np.array_equal(*depths)
 
 
 @pytest.mark.slow
@@ -328,7 +280,7 @@ def test_of_large_images_a_window_is_kept(tmp_path: Path) -> None:
     assert part.least_size == (64, 48)
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_sources_of_a_hand_held_camera_follow_the_rule_of_sequences(tmp_path: Path) -> None:
     """They lie within the domain's span, beyond its gap, and equal seeds give equal views."""
     plan = RoomPlan(width=64, height=48, views=3, other_share=0.0, domain="misplaced_depth")
@@ -343,9 +295,17 @@ def _names(views: tuple[Camera, list[Camera]]) -> list[str]:
     return [views[0].name, *(source.name for source in views[1])]
 
 
-def test_a_sequence_is_split_so_that_no_view_is_in_both_parts(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory) -> Capture:
+    """A sequence of a hand-held camera."""
+    options = replace(WALK, width=32, height=24, n_frames=12)
+    return open_capture(write_demo(tmp_path_factory.mktemp("walk") / "walk", options, workers=1))
+
+
+@pytest.mark.slow
+def test_a_sequence_is_split_so_that_no_view_is_in_both_parts(walk: Capture) -> None:
     """Frames of one part are further than the span from those of the other, and keep their depth."""
-    capture = open_capture(write_demo(tmp_path / "walk", replace(WALK, width=32, height=24, n_frames=12), workers=1))
+    capture = walk
     first, last = held_back_halves(capture, span=3, most_overlap=1.0)
     assert [camera.name for camera in first.cameras] == [f"{number:06d}" for number in range(6)]
     assert [camera.name for camera in last.cameras] == ["000009", "000010", "000011"]
@@ -357,9 +317,9 @@ def test_a_sequence_is_split_so_that_no_view_is_in_both_parts(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_what_the_camera_comes_back_to_is_not_held_back(tmp_path: Path) -> None:
+def test_what_the_camera_comes_back_to_is_not_held_back(walk: Capture) -> None:
     """Frames of which a learned frame sees more than the share are in neither part; a walk around one place has no other."""
-    capture = open_capture(write_demo(tmp_path / "walk", replace(WALK, width=32, height=24, n_frames=12), workers=1))
+    capture = walk
     first, last = held_back_halves(capture, 3, most_overlap=1.0)
     shares = {camera.name: max(overlap(camera, learned) for learned in first.cameras) for camera in last.cameras}
     middle = sorted(shares.values())[1]

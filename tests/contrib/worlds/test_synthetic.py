@@ -1,7 +1,6 @@
 """The demo capture: a room that is known exactly."""
 
 import json
-import shutil
 from dataclasses import replace
 
 import h5py
@@ -15,7 +14,6 @@ from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE, eye_in_room, 
 from ggvs_eval.contrib.worlds.film.shots import camera_gains, rig_shots
 from ggvs_eval.contrib.worlds.room.lighting import LitRoom
 from ggvs_eval.contrib.worlds.room.room import build_room
-from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import VideoFrames
 from helpers.scenes import render_view
@@ -81,13 +79,6 @@ def test_poses_follow_llff(demo):
         np.testing.assert_allclose(centre, camera.centre, atol=1e-9)
         assert (height, width, focal) == (TINY.height, TINY.width, camera.focal_px)
         assert 0 < row[15] < row[16]
-
-
-def test_identity_pose_is_down_right_backwards(cameras, tmp_path):
-    """A camera in the world's own axes has r0 = (0, 1, 0), r1 = (1, 0, 0), r2 = (0, 0, -1)."""
-    write_llff_poses(tmp_path / "poses.npy", [llff_pose(replace(cameras[0], world_to_camera=np.eye(4)))])
-    row = np.load(tmp_path / "poses.npy")[0]
-    np.testing.assert_array_equal(row[:15].reshape(3, 5)[:, :3], [[0, 1, 0], [1, 0, 0], [0, 0, -1]])
 
 
 def test_depth_file_holds_the_rendered_depth(demo):
@@ -156,15 +147,6 @@ def test_picture_and_depth_agree(cameras, instants):
     assert psnr_db > 25
 
 
-def test_pictures_are_photographs_not_noise(cameras, instants):
-    """A picture is well exposed and varied: it uses the range of tones without clipping much of it."""
-    image, depth = render_view(instants[0], cameras[0])
-    assert 0.25 < image.mean() < 0.6
-    assert image.std() > 0.1
-    assert (image > 0.995).mean() < 0.05
-    assert (depth > 0).all()
-
-
 def test_something_moves_and_most_does_not(cameras, instants):
     """In 0.4 s some percent of the pixels change clearly, in colour and in depth, and most keep their depth exactly."""
     (image, depth), (later, later_depth) = (render_view(instant, cameras[0]) for instant in instants)
@@ -173,30 +155,11 @@ def test_something_moves_and_most_does_not(cameras, instants):
     assert (later_depth == depth).mean() > 0.8
 
 
-def test_noise_has_the_wanted_strength():
-    """Noise is independent in time, and its measured standard deviation is the knob's."""
-    frozen = [lit_room(TINY.seed).at(0.0)] * 8
-    noisy = replace(TINY, noise_sigma_255=4.0, exposure_spread=0.0)
-    frames = np.stack([frame.image for frame in film(noisy, 2, frozen)]).astype(np.float64)
-    clean = film(CLEAN, 2, frozen[:1])[0].image
-    unclipped = (clean > 20) & (clean < 235)
-    assert frames.std(axis=0, ddof=1)[unclipped].mean() == pytest.approx(4.0, rel=0.05)
-
-
 def test_exposure_differs_between_cameras_only_when_wanted():
     """The gains of the cameras spread as told, and are exactly 1 without a spread."""
     many = DemoOptions(cameras_per_row=500, exposure_spread=0.1)
     assert camera_gains(many).mean(axis=1).std() == pytest.approx(0.1 * np.hypot(1, 0.5 / np.sqrt(3)), rel=0.1)
     assert (camera_gains(CLEAN) == 1).all()
-
-
-@pytest.mark.proof
-def test_another_seed_is_another_room(cameras, instants):
-    """Rooms of different seeds differ all over the picture, in colour and depth."""
-    other = LitRoom(build_room(7)).at(0.0)
-    (image, depth), (image_7, depth_7) = (render_view(instant, cameras[0]) for instant in (instants[0], other))
-    assert (np.abs(image - image_7).max(axis=-1) > 0.05).mean() > 0.5
-    assert (np.abs(depth - depth_7) > 0.1).mean() > 0.5
 
 
 @pytest.mark.proof
@@ -227,14 +190,6 @@ def test_other_options_in_the_same_folder_are_refused(demo):
     """A folder with a demo of other options is not overwritten."""
     with pytest.raises(CaptureError, match="other options"):
         write_demo(demo, replace(TINY, seed=1))
-
-
-def test_a_demo_that_lost_files_is_not_taken_for_whole(demo, tmp_path):
-    """Where a video was deleted, the error names it."""
-    damaged = shutil.copytree(demo, tmp_path / "damaged")
-    (damaged / "cam02.mp4").unlink()
-    with pytest.raises(CaptureError, match=r"lost cam02.mp4"):
-        write_demo(damaged, TINY)
 
 
 def test_foreign_files_are_refused(tmp_path):
