@@ -56,11 +56,13 @@ def test_a_method_without_its_tick_is_nowhere(shown):
 
 
 def test_the_last_method_stays(shown):
-    """A page without any method says nothing, so the last tick cannot be taken."""
+    """The last tick cannot be taken from a page; heat maps and slices are pictures with words for who does not see them."""
     shown.click(".methods summary")
     for label in LABELS:
         shown.click(f".methods input[value='{label}']")
     assert shown.run("document.querySelectorAll('.methods input:checked').length") == 1
+    assert shown.run("[...document.querySelectorAll('canvas')].length") > 3
+    assert shown.run("[...document.querySelectorAll('canvas')].every(one => one.getAttribute('role') === 'img' && one.ariaLabel)")
 
 
 def test_a_copied_table_is_the_one_that_is_seen(shown):
@@ -122,12 +124,6 @@ def test_the_first_tab_stop_skips_to_the_results(started, painted):
     assert started.run("document.activeElement.getBoundingClientRect().top") >= 0
     started.press("\ue007")
     assert started.wait("document.activeElement.id === 'main'")
-
-
-def test_every_canvas_says_what_it_shows(shown):
-    """Heat maps and slices are pictures with words for who does not see them."""
-    assert shown.run("[...document.querySelectorAll('canvas')].length") > 3
-    assert shown.run("[...document.querySelectorAll('canvas')].every(one => one.getAttribute('role') === 'img' && one.ariaLabel)")
 
 
 def test_paper_has_scores_and_figures_alone(started, painted):

@@ -23,7 +23,7 @@ def test_click_cuts_its_row_over_viewpoints_and_time(shown):
 
 
 def test_slices_follow_view_and_row(shown):
-    """Another view, then another row by the keyboard, and the slices are those of that view and row."""
+    """Another view and row, and the slices are those; another metric, and the curves and values beside them are its own."""
     wait_for_slices(shown)
     shown.choose("[data-role=view]", "cam03")
     shown.focus(STAGE)
@@ -33,6 +33,17 @@ def test_slices_follow_view_and_row(shown):
     assert shown.text(".linked [data-role=row]") == f"Row {before + 12} of 120 in cam03"
     shown.wait("Math.abs(document.querySelector('.along canvas').dataset.share * 120 - arguments[0] - 0.5) < 0.01", before + 12)
     assert np.abs(np.subtract(shown.canvas_colour(".along canvas", 80, 0), (RED["truth"], 2 * (before + 12), 160))).max() < 12
+    assert shown.run("document.querySelector('.linked .plot svg').dataset.metric") == "PSNR"
+    assert shown.text(".linked .values b").endswith(" dB")
+    shown.choose(".linked [data-role=metric]", "L1")
+    assert shown.run("document.querySelector('.linked .plot svg').dataset.metric") == "L1"
+    drawn, listed = "[...document.querySelectorAll(arguments[0])].map(one => one.textContent)", ".linked .values b"
+    values = shown.run(drawn, listed)
+    assert len(values) == len(LABELS)
+    show_part(shown, "heat")
+    shown.choose(".heats [data-role=metric]", "L1")
+    shown.point(".cells", 0.1, 0.75)
+    assert shown.text("[data-role=cell]").endswith(f"L1 {values[0]}")
 
 
 def test_click_into_a_slice_or_a_curve_goes_to_that_frame(shown):
@@ -43,22 +54,6 @@ def test_click_into_a_slice_or_a_curve_goes_to_that_frame(shown):
     assert shown.text(".linked .values b") != "–"
     shown.click(".linked .plot svg", 0.98, 0.5)
     assert clock(shown).startswith("frame 5 of")
-
-
-def test_curves_beside_the_slices_are_of_the_chosen_metric(shown):
-    """Another metric there draws its curves and says its values, in its unit, at the frame that is shown."""
-    wait_for_slices(shown)
-    assert shown.run("document.querySelector('.linked .plot svg').dataset.metric") == "PSNR"
-    assert shown.text(".linked .values b").endswith(" dB")
-    shown.choose(".linked [data-role=metric]", "L1")
-    assert shown.run("document.querySelector('.linked .plot svg').dataset.metric") == "L1"
-    drawn, listed = "[...document.querySelectorAll(arguments[0])].map(one => one.textContent)", ".linked .values b"
-    values = shown.run(drawn, listed)
-    assert len(values) == len(LABELS)
-    show_part(shown, "heat")
-    shown.choose(".heats [data-role=metric]", "L1")
-    shown.point(".cells", 0.1, 0.1)
-    assert shown.text("[data-role=cell]").endswith(f"L1 {values[0]}")
 
 
 def test_a_curve_opens_its_view_and_frame(shown):

@@ -21,7 +21,7 @@ def test_divider_wipes_between_the_pictures(shown):
 
 
 def test_blink_shows_one_picture_at_a_time(shown):
-    """In blink mode the whole stage shows the left picture, then the whole stage the right one."""
+    """`blink` shows the left picture, then the right one; `two` both side by side, `all` the truth and every method."""
     shown.choose("[data-role=left]", "no-blending")
     shown.click("input[value=blink]")
     for is_second, label in ((True, "truth"), (False, "no-blending")):
@@ -30,10 +30,6 @@ def test_blink_shows_one_picture_at_a_time(shown):
         colours = [shown.run("getComputedStyle(document.querySelector('.over')).visibility")]
         assert colours == ["visible" if label == "truth" else "hidden"]
     assert shown.run("getComputedStyle(document.querySelector('.divider')).visibility") == "hidden"
-
-
-def test_two_and_all_stand_beside_each_other(shown):
-    """`two` shows the chosen two pictures side by side, `all` the truth and every method."""
     counted = "[...document.querySelectorAll('[data-role=all] figure')].filter(f => f.offsetParent).map(f => f.dataset.key)"
     shown.choose("[data-role=left]", "no-blending")
     shown.click("input[value=two]")
@@ -56,7 +52,7 @@ def test_time_moves_picture_clock_and_curves(shown):
 
 
 def test_zoom_is_shared_by_all_pictures(shown):
-    """Plus zooms every picture at the chosen pixel and dragging moves them together; `fit` shows the whole again."""
+    """Plus zooms every picture at the chosen pixel, dragging moves all; `fit` shows the whole; a click chooses what is seen."""
     pictures = "[...document.querySelectorAll('.picture .placed')].filter(e => e.offsetParent)"
     placed = f"[...new Set({pictures}.map(e => new DOMMatrix(getComputedStyle(e).transform).a))]"
     shown.click(STAGE, 0.2, 0.2)
@@ -68,10 +64,6 @@ def test_zoom_is_shared_by_all_pictures(shown):
     assert shown.colour(STAGE, 0.7, 0.8)[1] > green + 30
     shown.click("[data-role=fit]")
     assert shown.run(placed) == [1]
-
-
-def test_pixel_is_the_one_under_the_pointer_when_zoomed(shown):
-    """A click into a zoomed picture chooses the pixel that is seen there."""
     shown.focus(STAGE)
     shown.press("+", "+", "+", "+")
     green = shown.colour(STAGE, 0.9, 0.8)[1]
