@@ -20,6 +20,7 @@ def test_each_public_name_is_what_its_module_defines(name):
     assert name in dir(ggvs_eval)
 
 
+@pytest.mark.slow
 def test_importing_the_package_alone_loads_no_room():
     """`import ggvs_eval` loads not even numpy; the first name that is asked for loads its module."""
     code = (
