@@ -43,7 +43,7 @@ def measured_run(tmp_path_factory):
 
 
 def test_heat_map_holds_the_results(measured_run):
-    """Each cell is the value in the results to five digits, on one scale over all methods; frames without a value are None."""
+    """Each cell is the value to five digits, on one scale over all methods, or None; STED, one value per sequence, has no map."""
     psnr, _, tcc = heat_maps(measured_run)
     table = measured_run.results.per_frame("PSNR", "cam03")
     for label in LABELS:
@@ -53,10 +53,6 @@ def test_heat_map_holds_the_results(measured_run):
     assert (psnr.low, psnr.high) == (min(values), max(values))
     assert tcc.values[LABELS[0]]["cam00"][0] is None
     assert None not in tcc.values[LABELS[0]]["cam00"][1:]
-
-
-def test_only_metrics_with_values_per_frame_have_a_heat_map(measured_run):
-    """STED has one value per sequence, so there is nothing to spread over frames."""
     assert [one.metric for one in heat_maps(measured_run)] == ["PSNR", "L1", "TCC"]
 
 

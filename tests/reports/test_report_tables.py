@@ -128,7 +128,7 @@ def labelled(*values: float, kind: str = "measured") -> list[Row]:
 
 
 def test_bold_is_the_judgements_and_the_better_half_blue():
-    """What the judgement marks is bold and nothing else, whatever the digits; published rows take no part in either."""
+    """What is judged best alone is bold; the shade follows the gain curve of the paper's TeX; published rows have neither."""
     rows = [*labelled(1.0, 2.0, 2.98, 3.0), *labelled(9.0, kind="published")]
     column = [Column("PSNR", "dB", True)]
     ranked = [row.cells[0] for row in rank(column, rows, [{"3.0", "2.0", "9.0"}])]
@@ -137,6 +137,10 @@ def test_bold_is_the_judgements_and_the_better_half_blue():
     assert not any(row.cells[0].best for row in rank(column, rows))
     falling = [row.cells[0].shade for row in rank([Column("L1", "", False)], rows)]
     assert (max(falling), falling[3]) == (falling[0], 0.0)
+    assert shade(0.5, True) == shade(0.2, False) == 0.0
+    assert shade(1.0, True) == shade(1.0, False) == 1.0
+    assert shade(0.75, True) == pytest.approx(0.5 / (2.0 * 0.5 + 1.0))
+    assert shade(0.75, False) == pytest.approx(0.5 / ((1 / 0.15 - 2) * 0.5 + 1.0))
 
 
 def test_what_is_not_ranked_is_neither_bold_nor_shaded():
@@ -198,14 +202,6 @@ def test_where_test_views_are_sources_the_caption_says_so(tmp_path):
     assert f"K = 2 source views, except for {NAMES[LABELS[0]]}." in mixed
 
 
-def test_blue_is_the_papers():
-    """The shade follows the gain curve of the paper's TeX, here evaluated by hand at three quarters of the range."""
-    assert shade(0.5, True) == shade(0.2, False) == 0.0
-    assert shade(1.0, True) == shade(1.0, False) == 1.0
-    assert shade(0.75, True) == pytest.approx(0.5 / (2.0 * 0.5 + 1.0))
-    assert shade(0.75, False) == pytest.approx(0.5 / ((1 / 0.15 - 2) * 0.5 + 1.0))
-
-
 def test_alone_nobody_is_best(tmp_path):
     """A single method is neither marked nor shaded, for want of a comparison."""
     run = read_run(write_run(tmp_path / "run", RunShape(labels=("ours-geometric",))))
@@ -214,10 +210,14 @@ def test_alone_nobody_is_best(tmp_path):
 
 
 def test_latex_escapes_every_special_character():
-    """Each character that TeX obeys prints as itself."""
+    """Each character that TeX obeys prints as itself; a table without rows is valid, its heads as the field writes them."""
     assert escape_latex("a_b 50% & {x} #1 $y$ ~ ^ \\") == (
         r"a\_b 50\% \& \{x\} \#1 \$y\$ \textasciitilde{} \textasciicircum{} \textbackslash{}"
     )
+    table = Table("quality", "Quality", "Nothing yet.", (Column("PSNR", "dB", True),), ())
+    assert "| Method | PSNR ↑ |" in to_markdown([table])
+    assert "Method & PSNR $\\uparrow$" in to_latex([table])
+    assert all("PSNR in dB." in text for text in (to_markdown([table]), to_latex([table])))
 
 
 def test_latex_is_balanced(report):
@@ -231,16 +231,12 @@ def test_latex_is_balanced(report):
 
 
 def test_published_rows_stand_beside_their_own_dataset_only():
-    """DyNeRF has the paper's rows with the paper's digits; a demo room has none; what the paper lacks is said."""
+    """DyNeRF has the paper's rows and digits, a demo room none; the packaged tables are whole."""
     rows = published_rows("quality", "dynerf", ("PSNR", "PSNR_cc"))
     assert [row.name for row in rows][-1] == "Ours (paper)"
     assert [cell.text for cell in rows[-1].cells] == ["31.17", "not reported"]
     assert {row.kind for row in rows} == {"published"}
     assert published_rows("quality", "Demo room", ("PSNR",)) == ()
-
-
-def test_published_values_are_whole():
-    """The packaged tables hold 5 methods x 3 datasets x 4 metrics twice, 5 ablations x 4 metrics, and the stages' times."""
     counts = {
         name: sum(len(metrics) for methods in read_published(name).values() for metrics in methods.values())
         for name in ("quality", "consistency", "ablation", "timing")
@@ -262,14 +258,6 @@ def test_frames_of_others_have_no_times(tmp_path):
     for record in (run / "renders" / "no-blending").rglob("job.json"):
         record.unlink()
     assert {cell.text for cell in timing_table(read_run(run)).rows[0].cells} == {"not computed: no times recorded"}
-
-
-def test_empty_table_formats():
-    """A table without rows is still a valid table in Markdown and LaTeX, its heads as the field writes them."""
-    table = Table("quality", "Quality", "Nothing yet.", (Column("PSNR", "dB", True),), ())
-    assert "| Method | PSNR ↑ |" in to_markdown([table])
-    assert "Method & PSNR $\\uparrow$" in to_latex([table])
-    assert all("PSNR in dB." in text for text in (to_markdown([table]), to_latex([table])))
 
 
 @pytest.mark.slow
