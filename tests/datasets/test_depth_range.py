@@ -41,9 +41,10 @@ def test_cameras_in_an_arc():
     assert found == [pytest.approx((depth / 4, 4 * depth)) for depth in expected]
 
 
-def test_a_camera_that_looks_elsewhere_gets_the_range_of_the_others():
-    """One camera that looks away does not get a negative depth."""
-    away = looking_at((4.0, 0.0, 4.0), (8.0, 0.0, 8.0))
+@pytest.mark.parametrize(("place", "target"), [((4.0, 0.0, 4.0), (8.0, 0.0, 8.0)), ((60.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
+def test_a_camera_that_looks_elsewhere_gets_the_range_of_the_others(place, target):
+    """One camera that looks away does not get a negative depth, one that stands far off no depth of its own."""
+    away = looking_at(place, target)
     ranges = rig_depth_range([*ring(8), away])
     assert ranges[-1] == pytest.approx(np.median(ranges[:-1], axis=0), rel=0.1)
     assert all(0 < near < far for near, far in ranges)
@@ -83,7 +84,7 @@ def test_depth_of_points_in_view():
     pose = np.eye(4)
     pose[2, 3] = 1.0  # the camera stands at z = -1
     in_view = np.stack([np.zeros(101), np.zeros(101), np.linspace(1.0, 11.0, 101)], axis=-1)
-    others = np.array([[0.0, 0.0, -50.0], [30.0, 0.0, 3.0], [0.0, -30.0, 3.0]])
+    others = np.array([[0.0, 0.0, -50.0], [30.0, 0.0, 3.0], [0.0, -30.0, 3.0], [0.0, 0.36, -0.5]])  # the last one at v = 60
     found = points_depth_range(np.concatenate([in_view, others]), pose, K, (64, 48))
     assert found == pytest.approx((2.1, 7.0, 11.99), abs=1e-9)
     assert points_depth_range(others, pose, K, (64, 48)) is None

@@ -108,6 +108,14 @@ def test_fusion_trusts_wide_pairs():
     assert depth.item() == pytest.approx(5.0 + 0.02 * 4 / 5, abs=1e-5)
 
 
+@pytest.mark.parametrize(("gap", "mean"), [(0.28, 5.0 + 0.28 * 100 / 2600), (0.32, 5.0)])
+def test_estimates_agree_within_the_sum_of_their_errors(gap, mean):
+    """Half a pixel is 1 % of a depth of 50 px of disparity and 5 % of one of 10 px: both together 6 % of 5, which is 0.3."""
+    depths, disparities = (np.array(pair, np.float32).reshape(2, 1, 1) for pair in ((5.0, 5.0 + gap), (50.0, 10.0)))
+    depth, _ = fuse(depths, np.ones_like(depths), disparities, 0.5)
+    assert depth.item() == pytest.approx(mean, abs=1e-5)
+
+
 def test_fusion_without_opinions():
     """Where nobody has an opinion there is no depth and no confidence."""
     nothing = np.zeros((2, 3, 4), np.float32)
@@ -121,6 +129,10 @@ def test_flying_pixels_go():
     expected = depth.copy()
     depth[4, 4], expected[4, 4] = 6, 0
     assert np.array_equal(drop_flying_pixels(depth, 0.03), expected)
+    block, row = np.zeros((2, 7, 9), np.float32)
+    block[2:4, 3:5], row[3, 3:6] = 4, 4
+    assert np.array_equal(drop_flying_pixels(block, 0.03), block)  # three neighbours each
+    assert not drop_flying_pixels(row, 0.03).any()  # two at most
 
 
 def test_smoothing_keeps_steps():
@@ -133,6 +145,13 @@ def test_smoothing_keeps_steps():
     kept = noisy > 0
     assert np.abs(smooth / truth - 1)[kept].mean() < 0.5 * np.abs(noisy / truth - 1)[kept].mean()
     assert smooth[3, 3] == 0
+    lone = np.ones((9, 11), np.float32)
+    lone[4, 5] = np.e
+    rows, columns = np.mgrid[-2:3, -2:3]
+    weights = np.exp(-(rows**2 + columns**2) / (2 * 1.5**2)) * (rows**2 + columns**2 <= 4)  # three quarters of the radius of 2
+    assert np.log(smooth_surfaces(lone, 1000.0, 2)[4, 5:7]) == pytest.approx(
+        [1 / weights.sum(), weights[2, 1] / weights.sum()], rel=1e-3
+    )
 
 
 def test_filling_takes_the_background():
