@@ -7,10 +7,7 @@ import pytest
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.page.pictures import error_map
-from ggvs_eval.reports.tables.timing import timing_table
-from ggvs_eval.reports.tables.verdict import _worth
 from ggvs_eval.reports.tables.worst_frames import worst_frames_table
-from ggvs_eval.statistics.paired import Comparison
 from helpers.run_folders import RunShape, write_run
 
 SHAPE = RunShape(frames=Frames(0, 21), width=16, height=16, labels=("ours-geometric",), metrics=("PSNR", "LPIPS"), poses=0)
@@ -33,13 +30,6 @@ def test_the_worst_twentieth_ends_at_the_third_worst_of_42_frames(run, metric, c
     assert [cell.value for cell in row.cells[column : column + 2]] == pytest.approx([worst_first[2], worst_first[0]])
 
 
-def test_times_are_medians_without_the_first_frame(run):
-    """20 frames of each view after the first, 10 to 29 ms and 20 to 58 ms: their medians, and that of the sums."""
-    (row,) = timing_table(run).rows
-
-    assert [cell.value for cell in row.cells] == pytest.approx([19.5, 39.0, 58.5])
-
-
 def test_an_error_map_is_brightest_from_64_levels_on():
     """A difference of 32 levels has half the scale of magma, 64 and more its end, none is black's."""
     truth = np.full((2, 4, 3), 100, np.uint8)
@@ -48,11 +38,3 @@ def test_an_error_map_is_brightest_from_64_levels_on():
     colours = cv2.cvtColor(cv2.applyColorMap(scale, cv2.COLORMAP_MAGMA), cv2.COLOR_BGR2RGB)
 
     assert np.abs(error_map(rendered, truth, SHAPE.views[0]).astype(int) - colours).max() <= 2
-
-
-@pytest.mark.parametrize(("high", "words"), [(1.75, "+1.50 ± 0.25"), (None, "+1.50")])
-def test_a_difference_is_given_with_half_its_interval(high, words):
-    """1.25 to 1.75 about 1.5 is 1.5 give or take .25; without an interval the difference stands alone."""
-    low = None if high is None else 1.25
-
-    assert _worth(Comparison(1.5, low, high, 0.01, ""), 2) == words
