@@ -95,21 +95,17 @@ def test_one_frame_gives_a_difference_without_significance(tmp_path):
     assert "not tested: 1 frame; an interval needs 2" in found[1].verdict
 
 
-def test_other_protocols_are_refused(runs):
-    """Runs of different protocols do not compare; the line names both hashes and what is different."""
+def test_other_captured_frames_are_refused(runs, tmp_path):
+    """Runs of different captured frames or protocols do not compare; the line names both hashes and what differs."""
+    other = write_values(tmp_path / "other")
+    found = Results.read(other)
+    Results(found.table, found.provenance | {"inputs": {"room/cam00": "cd34"}}).write(other)
+    assert "not of the same captured frames: room/cam00" in refusal("compare", runs["plain"], other)
     line = refusal("compare", runs["plain"], runs["other"])
     assert "different protocols" in line
     assert "frames.count 16 and 15" in line
     for run in ("plain", "other"):
         assert Results.read(runs[run]).provenance["protocol_sha256"][:12] in line
-
-
-def test_other_captured_frames_are_refused(runs, tmp_path):
-    """Under one protocol two captures do not compare either: their frames have different digests."""
-    other = write_values(tmp_path / "other")
-    found = Results.read(other)
-    Results(found.table, found.provenance | {"inputs": {"room/cam00": "cd34"}}).write(other)
-    assert "not of the same captured frames: room/cam00" in refusal("compare", runs["plain"], other)
 
 
 def test_what_is_not_there_is_refused(runs):

@@ -180,6 +180,6 @@ def test_what_differs_by_design_is_a_table_of_its_own(fitted_run):
 
 def test_runs_without_fitted_methods_show_none_of_it(tmp_path):
     """No price, no seeds, no time to equal quality."""
-    (group,) = read_groups([write_run(tmp_path / "run", RunShape(poses=0))])
+    (group,) = read_groups([write_run(tmp_path / "run", RunShape(metrics=("PSNR",), poses=0))])
     assert group.price == ()
     assert not {"equal_quality", "budget", "seeds", "price"} & {table.key for table in group.all_tables}

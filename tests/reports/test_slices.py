@@ -49,7 +49,7 @@ def test_scene_point_draws_a_straight_line(tmp_path):
 
 
 def test_row_of_largest_change_is_found(tmp_path):
-    """Of still frames in which one row flickers that row is chosen; of flat ones the striped row, and vertical steps do not count."""
+    """Of still frames the row that flickers is chosen, of flat ones the striped one; vertical steps do not count."""
     for index in range(4):
         image = np.full((16, 12, 3), 90, np.uint8)
         image[13] += 20 * (index % 2)

@@ -12,7 +12,7 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, cache_frames, cache_path, frames_left, path_left
 from ggvs_eval.run_folder import frame_path
-from helpers.captures import NAMES, make_image, write_dynerf
+from helpers.captures import NAMES
 
 
 @pytest.fixture
@@ -29,6 +29,10 @@ def test_frames_are_those_of_the_capture_at_its_size(dynerf_capture, tmp_path):
     for wanted, found in zip(small.frames("cam01", 1, 4), cached.frames("cam01", 1, 4), strict=True):
         np.testing.assert_array_equal(found, wanted)
     assert cached.digest("cam01") == dynerf_capture.digest("cam01")
+    with pytest.raises(CaptureError, match=r"0004\.png"):  # which was not asked for
+        cached.frame("cam01", 4)
+    assert [folder.name for folder in tmp_path.glob("cam*")] == ["cam01"]
+    np.testing.assert_array_equal(cached.frame("cam03", 1), small.frame("cam03", 1))  # which takes no part
 
 
 def test_nothing_is_decoded_twice(dynerf_capture, dynerf, tmp_path):
@@ -55,24 +59,6 @@ def test_only_what_is_missing_is_written(dynerf_capture, tmp_path):
 
     np.testing.assert_array_equal(cached.frame("cam02", 3), before)
     assert kept.stat().st_mtime_ns == stamp
-
-
-def test_frames_that_were_not_asked_for_are_refused(dynerf_capture, tmp_path):
-    """A frame outside what was cached is an error that names the file, not another frame."""
-    cached = cache_frames(dynerf_capture, {"cam00": [2]}, tmp_path, workers=1)
-
-    with pytest.raises(CaptureError, match=r"0004\.png"):
-        cached.frame("cam00", 4)
-
-
-def test_cameras_that_take_no_part_stay_as_they_are(tmp_path):
-    """Only the wanted cameras are written; the others are still read from the capture."""
-    capture = open_capture(write_dynerf(tmp_path / "rig"))
-
-    cached = cache_frames(capture, {"cam00": [0]}, tmp_path / "cache", workers=1)
-
-    assert [folder.name for folder in (tmp_path / "cache").iterdir()] == ["cam00"]
-    assert abs(float(cached.frame("cam03", 1).mean()) - float(make_image(3, 1).mean())) < 2
 
 
 @pytest.mark.parametrize("keeps_time", [False, True])

@@ -68,7 +68,7 @@ def test_a_capture_gets_the_protocol_of_its_layout(layout, names, wanted):
 
 
 def test_a_small_rig_gets_its_layouts_rules_at_its_own_size():
-    """Too short for the packaged protocol: views by rule, K of the layout, metrics at the same fraction of the size."""
+    """Too short for the packaged protocol: views by rule, K of the layout or the cameras, metrics at the same share of the size."""
     suggested = suggest_protocol(rig_of("enerf-outdoor", ["00", "01", "02", "03", "04"], 7, (320, 180)))
 
     assert suggested.views.test == ("01", "03")
@@ -76,10 +76,6 @@ def test_a_small_rig_gets_its_layouts_rules_at_its_own_size():
     assert suggested.synthesis.k == load_protocol("enerf-outdoor").synthesis.k
     assert (suggested.measurement.width, suggested.measurement.height) == (160, 90)
     assert suggested.dataset == "scene"
-
-
-def test_k_is_bounded_by_the_cameras_there_are():
-    """A rig of three cameras has two sources per view."""
     suggested = suggest_protocol(rig_of("colmap", ["a", "b", "c"], 1))
 
     assert suggested.synthesis.k == 2

@@ -14,17 +14,13 @@ def make_results(values, digest="a" * 64, scene="room", method="ours") -> Result
 
 
 def test_means_are_taken_over_frames_then_views_then_scenes():
-    """A view with more frames, or a scene with more views, weighs no more than another."""
+    """A view with more frames, or a scene with more views, weighs no more; a value without a view counts over frames."""
     first = make_results({("a", 0): 10.0, ("a", 1): 20.0, ("b", 0): 31.0})  # views 15 and 31: scene 23
     second = make_results({("a", 0): 3.0}, scene="hall")
 
     summary = merge_results([first, second]).summary()
 
     assert summary.loc[("Demo", "ours", ""), "PSNR"] == pytest.approx((23 + 3) / 2)
-
-
-def test_rig_wide_values_count_as_one_view():
-    """A value without a view (SDV) is averaged over frames alone."""
     rows = [("Demo", "room", "ours", "", None, frame, "SDV", float(frame)) for frame in range(3)]
     results = Results(make_table(rows), {"protocol_sha256": "a", "inputs": {}})
 
@@ -49,14 +45,10 @@ def test_different_protocols_do_not_share_a_table():
         merge_results([make_results({("a", 0): 1.0}), make_results({("a", 0): 1.0}, digest="b" * 64)])
 
 
-def test_a_folder_without_results_says_what_to_run(tmp_path):
-    """Reading results that are not there names the files and the command."""
+def test_damaged_results_are_refused(tmp_path):
+    """Absent ones name the files and the command; a truncated table is an error of the family, not a crash of the reader."""
     with pytest.raises(ResultsError, match=r"results.parquet.*ggvs-eval score"):
         Results.read(tmp_path)
-
-
-def test_damaged_results_are_refused(tmp_path):
-    """A truncated table is an error of the family, not a crash of the reader."""
     make_results({("a", 0): 1.0}).write(tmp_path)
     file = tmp_path / "results.parquet"
     file.write_bytes(file.read_bytes()[:100])

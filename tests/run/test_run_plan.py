@@ -328,13 +328,9 @@ def test_a_sweep_is_planned_as_one(demo_capture, protocol, tmp_path):
 
 
 def test_a_folder_of_another_run_is_refused(finished, demo_capture, protocol):
-    """A folder of another protocol is refused when it is planned, hence by a dry run, too; the message names both."""
+    """Another protocol, or two cameras whose frames were exchanged: refused when it is planned, hence by a dry run, too."""
     with refused(ProtocolError, "another protocol", "synthesis.k: "):
         planned(finished, demo_capture, dataclasses.replace(protocol, synthesis=Synthesis(3)))
-
-
-def test_a_folder_of_other_frames_is_refused_by_a_dry_run(finished, demo_capture, protocol):
-    """Two cameras whose frames were exchanged are named before anything is promised."""
     first, second = demo_capture.cameras[:2]
     sources = (demo_capture.source(second.name), demo_capture.source(first.name), *demo_capture.sources[2:])
     with refused(ProtocolError, "frames", f"{first.name}, {second.name} "):

@@ -57,13 +57,6 @@ def records(run: RunFolder) -> dict[str, Any]:
     return {label: (sorted(map(tuple, each["values"])), each["not_computed"]) for label, each in methods.items()}
 
 
-def test_nothing_is_measured_twice(scored_run, measured):
-    """Scores of the same frames by the same code stand."""
-    score(scored_run)
-
-    assert measured == []
-
-
 @pytest.mark.parametrize("changed", [("TCC",), ("STED",), ("STED_ssn",), ("PSNR_static", "L1"), MEASURED])
 def test_the_metrics_whose_code_has_changed(changed, scored_run, measured, monkeypatch):
     """They alone are measured again, of all methods in one pass; together with what stands they are what they were."""
@@ -146,7 +139,9 @@ def test_values_that_stand_are_those_on_disk(scored_run, monkeypatch):
 
 
 def test_changed_frames_make_every_metric_stale(scored_run, measured):
-    """Another frame of one method is measured again by every metric, and the other method by none."""
+    """Scores of equal frames by equal code stand; another frame of one method is measured by every metric, the others by none."""
+    score(scored_run)
+    assert measured == []  # of the same frames by the same code
     file = frame_path(scored_run.renders("one", VIEW), 3)
     write_image(file, 255 - read_image(file))
     before = records(scored_run)

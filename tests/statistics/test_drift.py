@@ -61,13 +61,9 @@ def test_no_more_alarms_than_chance_among_what_is_not_marked(frames, correlation
 
 
 def test_a_clear_drift_is_not_marked():
-    """A slope of ten times its error is called, though its own line makes the series look slow."""
+    """A slope of ten times its error is called; errors that last for a whole clip leave too few frames, and it says so."""
     random = np.random.default_rng(6)
     drift = measure_drift(wandering(random, 120, 0.5) + 0.2 * np.arange(120))
     assert drift.short == ""
     assert drift.slope - drift.half_width > 0
-
-
-def test_a_clip_that_is_short_for_its_correlation_says_so():
-    """Errors that last for its whole length leave too few independent frames."""
     assert "clip too short" in measure_drift(np.sin(np.linspace(0, 2.5 * np.pi, 60))).short

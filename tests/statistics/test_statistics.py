@@ -233,12 +233,14 @@ def test_what_cannot_vary_says_why(rows, metric, reason):
 
 
 def test_numbers_without_frames_have_intervals_over_views_or_time():
-    """A value per view counts over five views or more, a value per instant of the rig over time."""
+    """A value per view counts over five views or more, one per instant over time; a constant has an interval of no width."""
     per_view = [("Demo", "room", "ours", "", f"cam{view}", -1, "Flicker", float(view)) for view in range(6)]
     assert table_interval(per_view, "Flicker").half_width > 1.0
     per_instant = [("Demo", "room", "ours", "", None, frame, "EPI", float(np.sin(frame**2))) for frame in range(30)]
     assert table_interval(per_instant, "EPI").note == "given this scene"
     assert 0.05 < table_interval(per_instant, "EPI").half_width < 1.0
+    found = table_interval(make_rows("ours", "PSNR", np.full((5, 8), 31.7)), "PSNR")
+    assert found.low == found.high == found.value
 
 
 def test_ddof_is_the_protocols(matrix):
@@ -277,9 +279,3 @@ def test_pooling_that_nobody_recorded_has_no_interval(matrix):
     assert (found.half_width, found.note) == (None, "the results lack the pooling of PSNR; score again")
     with refused(ResultsError, "'median'", "mean, "):
         Pooling("median")
-
-
-def test_what_never_varies_is_certain():
-    """A constant number has an interval of no width."""
-    found = table_interval(make_rows("ours", "PSNR", np.full((5, 8), 31.7)), "PSNR")
-    assert found.low == found.high == found.value
