@@ -68,7 +68,7 @@ def test_a_capture_gets_the_protocol_of_its_layout(layout, names, wanted):
 
 
 def test_a_small_rig_gets_its_layouts_rules_at_its_own_size():
-    """Too short for the packaged protocol: views by rule, K of the layout or the cameras, metrics at the same share of the size."""
+    """Too short for the packaged protocol: views by rule, K of the layout or the cameras, metrics at that share of the size."""
     suggested = suggest_protocol(rig_of("enerf-outdoor", ["00", "01", "02", "03", "04"], 7, (320, 180)))
 
     assert suggested.views.test == ("01", "03")
