@@ -5,7 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -29,6 +29,7 @@ def camera_pose(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return cv2.Rodrigues(camera.world_to_camera[:3, :3])[0], camera.world_to_camera[:3, 3]
 
 
+@settings(deadline=None)
 @given(seed=st.integers(0, 1000), depth=st.floats(0.1, 100))
 def test_unproject_inverts_project(seed, depth):
     """A pixel lifted to any depth projects back onto itself with that depth."""
@@ -53,6 +54,7 @@ def test_rays_reach_every_depth():
     np.testing.assert_allclose(points, camera.unproject(camera.pixel_centres(), np.full((48, 64), 4.0)), atol=1e-12)
 
 
+@settings(deadline=None)
 @given(scale=st.sampled_from([(32, 96), (128, 24), (640, 480)]), seed=st.integers(0, 50))
 def test_resizing_keeps_relative_position(scale, seed):
     """A point seen at a share of the image is seen at the same share of the resized image."""

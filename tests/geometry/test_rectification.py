@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.errors import DepthError
@@ -116,6 +116,7 @@ def message_of(check, *pair) -> str:
     return ""
 
 
+@settings(deadline=None)
 @given(*(st.floats(-limit, limit) for limit in (2.0, 1.0, 1.0)), st.floats(0.2, 3.0))
 def test_what_can_be_rectified_is_known_from_the_corners(x, y, turn, near):
     """Pairs side by side and askew, of near and far surfaces, are accepted and refused as by `rectify`, word for word."""
@@ -124,6 +125,7 @@ def test_what_can_be_rectified_is_known_from_the_corners(x, y, turn, near):
     assert message_of(nearest_disparity, reference, partner) == message_of(rectify, reference, partner)
 
 
+@settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from((np.float32, np.uint8)))
 def test_values_at_matches_are_those_of_the_rounded_column(seed, kind):
     """Pixel by pixel: column minus disparity, halves to the even column, zero outside; whatever lies in memory backwards too."""

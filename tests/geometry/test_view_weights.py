@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.baselines.fixed_blending import DistanceBased
@@ -28,6 +28,7 @@ def rig(positions: list[tuple[float, float]]) -> list[Camera]:
     return [camera_at(x, y, name=f"cam{number}") for number, (x, y) in enumerate(positions)]
 
 
+@settings(deadline=None)
 @given(places, st.sampled_from((2, 3)), st.tuples(st.integers(0, 40), st.integers(0, 30)))
 def test_neither_resolution_nor_crop_changes_a_weight(positions, factor, corner):
     """Twice the pixels, or a window of them: the same weights, bit for bit."""
@@ -38,6 +39,7 @@ def test_neither_resolution_nor_crop_changes_a_weight(positions, factor, corner)
     np.testing.assert_array_equal(view_weights(TARGET.cropped(left, top, 40, 30), cameras), expected)
 
 
+@settings(deadline=None)
 @given(places, st.floats(0.01, 1000))
 def test_the_unit_of_length_does_not_matter(positions, unit):
     """The same rig in metres or in the units of a reconstruction."""
@@ -63,6 +65,7 @@ def test_weights_fall_with_the_angle():
     )
 
 
+@settings(deadline=None)
 @given(places, st.floats(-2, 2), st.floats(-1e-4, 1e-4))
 def test_weights_are_continuous(positions, x, step):
     """A target that moves a little changes a weight a little, through the very place of a source too."""

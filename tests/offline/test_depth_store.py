@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.depth_store import DepthMap, DepthStore, describe_depth
@@ -24,6 +24,7 @@ def make_map(seed: int = 0, shape: tuple[int, int] = (7, 9)) -> DepthMap:
     return DepthMap(random.uniform(0, 5, shape).astype(np.float32), random.uniform(0, 1, shape).astype(np.float32))
 
 
+@settings(deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), height=st.integers(1, 20), width=st.integers(1, 20))
 def test_round_trip(tmp_path_factory, seed, height, width):
     """Depth comes back bit for bit, confidence within half of 1 / 255, for any size."""

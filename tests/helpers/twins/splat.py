@@ -32,12 +32,6 @@ def splat_twin(
     return Splat(np.ascontiguousarray(images[:-1].transpose(1, 2, 0)), alpha_image, images[-1])
 
 
-def touched_pairs(source: SourceView, target: Camera, near: float) -> int:
-    """How many pairs of a Gaussian and a pixel have an alpha of at least 1/255: the work of a splat."""
-    centres, conics, *_ = _gaussians(source, target, near, 0.5)
-    return int((_alpha(centres, conics, target) > 0).sum())
-
-
 def _gaussians(source: SourceView, target: Camera, near: float, scale: float) -> tuple[torch.Tensor, ...]:
     """Of visible Gaussians: centres in pixel indices (N, 2), inverse covariances (N, 2, 2), depths, features (N, C), keys."""
     valid = source.depth > 0
