@@ -72,8 +72,8 @@ def number(name: str, value: object) -> int:
     return value
 
 
-def test_ours_and_theirs_are_one_mapping(monkeypatch):
-    """Names of both, in this order; theirs are imported when they are asked for, and not before."""
+def test_ours_and_theirs_are_one_mapping(monkeypatch, capsys):
+    """Names of both, in this order; theirs are imported when they are asked for; a name that is taken keeps what it means."""
     offer(monkeypatch, "metrics", two="sys:maxsize", broken="no_such_module:x")
     registry = Registry("metrics", {"one": 1}, number)
     assert list(registry) == ["one", "broken", "two"]
@@ -82,6 +82,10 @@ def test_ours_and_theirs_are_one_mapping(monkeypatch):
     assert registry["two"] == sys.maxsize
     with pytest.raises(KeyError):
         registry["three"]
+    offer(monkeypatch, "metrics", PSNR="sys:maxsize")
+    assert METRICS["PSNR"].unit == "dB"
+    assert list(METRICS).count("PSNR") == 1
+    assert "'PSNR' is in use" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -98,14 +102,6 @@ def test_a_broken_plugin_is_one_line(monkeypatch, capsys, value, reason):
     assert dict(registry.working()) == {"one": 1, "two": sys.maxsize}
     assert dict(registry.working())
     assert capsys.readouterr().err.count("'broken'") == 1
-
-
-def test_nobody_stands_in_for_ours(monkeypatch, capsys):
-    """A name that is taken keeps what it means, and a line says so."""
-    offer(monkeypatch, "metrics", PSNR="sys:maxsize")
-    assert METRICS["PSNR"].unit == "dB"
-    assert list(METRICS).count("PSNR") == 1
-    assert "'PSNR' is in use" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -186,7 +182,7 @@ def write_rig(folder: Path, source: Path) -> None:
     (folder / "rig.json").write_text(json.dumps(rig))
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 @in_checkout
 def test_the_example_package_is_installed_and_runs(tmp_path):
     """In an environment of its own: its layout opens, its method renders, its metric has values, column, interval and record."""

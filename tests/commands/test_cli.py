@@ -166,10 +166,16 @@ def test_demo_hands_on_what_only_film_knows(words, called, monkeypatch):
 
 
 def test_a_mistyped_option_of_demo_is_not_handed_on(capsys):
-    """`demo --quik` is told of `--quick`."""
+    """`demo --quik` is told of `--quick`, `run --protcol` of `--protocol`, once and not of that of every other command."""
     with pytest.raises(SystemExit, match="2"):
         run_command(["demo", "out", "--quik"])
     assert "--quick" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        run_command(["run", "out", "--protcol", "dynerf"])
+    told = capsys.readouterr().err
+
+    assert "Perhaps you meant" in told
+    assert told.count("--protocol") == 1
 
 
 def test_options_are_those_of_the_network(capsys, tmp_path):
@@ -196,16 +202,6 @@ def test_options_are_those_of_the_network(capsys, tmp_path):
 def test_a_mistyped_name_suggests_the_nearest(arguments, ends):
     """Commands, networks and metrics: the line lists what there is and ends with what was probably meant."""
     assert re.search(ends.replace("?", r"\?") + "$", refusal(*arguments))
-
-
-def test_a_mistyped_option_suggests_that_of_its_own_command(capsys):
-    """`run --protcol` is told of `--protocol` once, not of the same option of every other command."""
-    with pytest.raises(SystemExit, match="2"):
-        run_command(["run", "out", "--protcol", "dynerf"])
-    told = capsys.readouterr().err
-
-    assert "Perhaps you meant" in told
-    assert told.count("--protocol") == 1
 
 
 @pytest.mark.parametrize("verb", [("demo", "out"), ("check", "room"), ("score", "out"), ("play", "room", "out.mp4")])

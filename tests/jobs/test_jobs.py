@@ -50,7 +50,7 @@ def number_job(root: Path, number: int) -> Job:
 
 @pytest.mark.parametrize("workers", ONE_OR_TWO)
 def test_a_job_runs_once(workers, tmp_path):
-    """The second call finds every result and runs nothing; the record stands beside it."""
+    """The second call finds every result and runs nothing, the record lies beside it; another identity replaces it."""
     jobs = [number_job(tmp_path, number) for number in range(3)]
 
     first, second = run_jobs(jobs, workers, ""), run_jobs(jobs, workers, "")
@@ -58,16 +58,9 @@ def test_a_job_runs_once(workers, tmp_path):
     assert (first, second) == (3, 0)
     assert read_json(tmp_path / "n2" / JOB_FILE)["double"] == 4
     assert sorted(item.name for item in tmp_path.iterdir()) == ["n0", "n1", "n2"]
-
-
-def test_changed_inputs_run_again(tmp_path):
-    """A job with another identity replaces the old result."""
-    run_jobs([Job("n", tmp_path / "n", {"number": 1}, partial(write_number, 1))], 1, "")
-
-    done = run_jobs([Job("n", tmp_path / "n", {"number": 2}, partial(write_number, 2))], 1, "")
-
-    assert done == 1
-    assert (tmp_path / "n" / "number.txt").read_text() == "2"
+    again = Job("number 2", tmp_path / "n2", {"number": 5}, partial(write_number, 5))  # another identity in its place
+    assert run_jobs([again], workers, "") == 1
+    assert (tmp_path / "n2" / "number.txt").read_text() == "5"
 
 
 @pytest.mark.parametrize("workers", ONE_OR_TWO)

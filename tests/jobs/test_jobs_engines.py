@@ -155,7 +155,7 @@ def test_a_job_waits_for_memory(running, fits, monkeypatch):
 
 
 def test_the_memory_of_a_container_is_its_own(tmp_path):
-    """Of 1000 MB 850 are taken, 150 of them by files that can go; without a container the machine counts."""
+    """Of 1000 MB 850 are taken, 150 by files that can go; without a container the machine counts; a dead process holds none."""
     files = {"memory.max": 1000e6, "memory.current": 850e6}
     for name, value in files.items():
         (tmp_path / name).write_text(f"{value:.0f}\n")
@@ -167,10 +167,6 @@ def test_the_memory_of_a_container_is_its_own(tmp_path):
     assert available == 300e6
     assert machine.available_bytes(tmp_path / "meminfo", tmp_path / "no-groups") == 8000000 * 1024
     assert machine.available_bytes(tmp_path / "none", tmp_path / "none") == float("inf")
-
-
-def test_the_memory_of_processes_is_read():
-    """This process holds something, and has held at least that; one that is gone holds nothing."""
     now, most = machine.resident_bytes([os.getpid()])
 
     assert 1e6 < now <= most
