@@ -85,7 +85,11 @@ def copied_checkout() -> Iterator[Path]:
 def first_failure(checkout: Path, tests: Sequence[str]) -> str:
     """Return the name of the first test that fails, or that cannot be collected; empty if all pass."""
     options = ["-x", "-q", "-m", OF_MAKE_TEST, "-p", "no:randomly", "-p", "no:time_limits", "-p", "no:cacheprovider", "--tb=no"]
-    environment = os.environ | {"PYTHONPATH": str(checkout / "view"), "PYTHONSAFEPATH": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = os.environ | {
+        "PYTHONPATH": f"{checkout / 'view'}{os.pathsep}{checkout}",
+        "PYTHONSAFEPATH": "1",
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     command = [sys.executable, "-m", "pytest", *options, *tests]
     done = subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, check=False)
     if done.returncode in (0, 5):  # 5: there are none
