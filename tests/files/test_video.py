@@ -123,7 +123,7 @@ def test_empty_range_and_frames_out_of_range(video):
     ("frames", "message"),
     [
         ([], "at least one frame"),
-        ([np.zeros((47, 64, 3), np.uint8)], "even width and height, got 64 x 47"),
+        ([np.zeros((45, 64, 3), np.uint8)], "even width and height, got 64 x 45"),
         ([make_frame(0), make_frame(1, width=62)], r"frame 1 does not fit.*\(48, 64, 3\).*\(48, 62, 3\)"),
         ([np.zeros((48, 64, 3), np.float32)], "frame 0 does not fit.*float32"),
     ],

@@ -75,6 +75,7 @@ def test_exchanged_roles_are_the_other_rectification(other):
     assert np.allclose(turned.rotation, expected.rotation, atol=1e-12)
     assert np.allclose(turned.depth_scale, expected.depth_scale)
     assert np.allclose(offset, (turned.projection - expected.projection)[:2, 2], atol=1e-3)
+    assert np.array_equal(turned.left_inside, pair.right_inside[::-1, ::-1])
     assert np.array_equal(turned.warp_left(see()[other]), pair.warp_right(see()[other])[::-1, ::-1])
 
 

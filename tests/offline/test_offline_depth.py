@@ -50,6 +50,12 @@ def test_partners_come_from_all_sides_neither_too_far_nor_too_near(candidates, c
     assert {partner.name for partner in choose_partners(CAMERA, candidates, count)} == wanted
 
 
+def test_partners_are_on_both_sides_of_the_camera_itself():
+    """A row far from the world's origin has the same partners as one around it."""
+    camera, *row = (look_from(3 + 0.5 * index, 0, f"row{index:+d}") for index in (0, -2, -1, 1, 2))
+    assert {partner.name for partner in choose_partners(camera, row, 2)} == {"row-1", "row+1"}
+
+
 def test_a_pair_that_cannot_be_rectified_is_passed_over():
     """Very wide lenses see much together, but no plane holds what both see."""
 

@@ -155,7 +155,7 @@ def beta_temporal() -> None:
     steps = [unsteadiness(play(still(6), beta_temporal=value).depths) for value in (0.0, 1.0, 4.0)]
     assert steps[0] > 1.1 * steps[1]
     assert steps[1] > 1.1 * steps[2]
-    assert gain_of(play(still(2), beta_temporal=2.0), 1) == pytest.approx(2 * gain_of(play(still(2)), 1))
+    assert np.median(gain_of(play(still(2), beta_temporal=2.0), 1)) == pytest.approx(2 * (1 - 0.6), abs=1e-5)  # 0.6: beta_mask
 
 
 def eta() -> None:
