@@ -144,7 +144,7 @@ def test_each_instant_alone_depends_on_no_other(sliding_footage, tmp_path):
     assert not (tmp_path / "all" / "state.pt").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_a_stream_goes_from_instant_to_instant(sliding_footage, tmp_path):
     """`3dgstream` follows what moves, goes on after a kill with equal bytes, and renders its instants in any order."""
     fitter = Stream(steps=60, transforming=40, spawning=8, spawned=40, points=400, most=500)

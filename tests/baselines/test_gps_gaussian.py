@@ -80,7 +80,7 @@ def test_outputs_are_the_authors():
     assert float(maps.scale_m.max()) == pytest.approx(MAX_SCALE_M)
 
 
-@pytest.mark.parametrize("prefix", ["", "module."])
+@pytest.mark.parametrize("prefix", [pytest.param("", marks=pytest.mark.slow), "module."])
 def test_the_authors_checkpoint_loads_strictly(tmp_path, prefix):
     """The authors' dict, scheduler state of torch 2.0 and all, becomes the network bit for bit, with and without ``module.``."""
     state = seeded_weights()
@@ -279,8 +279,7 @@ def rig(count):
     return [camera_at(x, y) for x, y in [(0.1, 0.0), (-0.2, 0.05), (0.35, -0.1), (-0.4, 0.2), (0.0, 0.5)][:count]]
 
 
-@pytest.mark.parametrize("depth", ["own", "given"])
-@pytest.mark.parametrize("count", [2, 5])
+@pytest.mark.parametrize(("count", "depth"), [(2, "given"), pytest.param(5, "own", marks=pytest.mark.slow)])
 def test_a_step_gives_an_image(weights, count, depth):
     """A finite image of the target's size, in [0, 1], the same bits from a fresh object and whatever the threads."""
     target = camera_at(0.0, width=70, height=50)
@@ -332,7 +331,7 @@ def scaled(moment, factor):
     return replace(moment, target=camera(moment.target), sources=sources, units_per_metre=moment.units_per_metre * factor)
 
 
-@pytest.mark.parametrize("depth", ["own", "given"])
+@pytest.mark.parametrize("depth", [pytest.param("own", marks=pytest.mark.slow), "given"])
 def test_the_unit_of_the_world_does_not_matter(weights, depth):
     """The same scene in units eight times as small gives the same image: inverse depth and scales are metric to the network."""
     moment = instant(0, camera_at(0.05), rig(2))
@@ -341,6 +340,7 @@ def test_the_unit_of_the_world_does_not_matter(weights, depth):
     assert np.quantile(np.abs(plain - in_other_units), 0.99) < 1e-3
 
 
+@pytest.mark.slow
 def test_camera_rotations_make_the_world_free_to_turn(weights):
     """With rotations in the camera's frame a turned world gives the same image; with the published ones it need not."""
     moment = instant(0, camera_at(0.05), rig(2))

@@ -11,14 +11,7 @@ import torch
 from ggvs_eval import kernels
 from ggvs_eval.baselines.ibrnet.method import IBRNet
 from ggvs_eval.baselines.ibrnet.network import PARTS, Networks, load_ibrnet
-from ggvs_eval.baselines.ibrnet.rendering import (
-    SeenView,
-    _shade,
-    depth_range,
-    packed_layers,
-    projection_of,
-    render_rays,
-)
+from ggvs_eval.baselines.ibrnet.rendering import SeenView, _shade, depth_range, packed_layers, projection_of, render_rays
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError
 from ggvs_eval.kernels import _core

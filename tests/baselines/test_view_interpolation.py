@@ -151,6 +151,7 @@ def test_a_view_at_the_end_of_the_row_has_a_cell_that_says_so(tmp_path):
     assert (run.renders("interpolation", "cam05") / JOB_FILE).stat().st_mtime_ns == made
 
 
+@pytest.mark.slow
 def test_a_path_that_was_refused_has_no_slice(tmp_path):
     """A method whose folder of the path holds no picture is left out of the epipolar plane images; the others stay."""
     run = read_run(write_run(tmp_path / "run"))

@@ -251,6 +251,7 @@ def test_a_scene_in_which_nothing_moves_leaves_timing_unknown(filmed):
     assert "no motion that neighbours share" in check.of("time offset")[0].measured
 
 
+@pytest.mark.slow
 def test_depth_bounds_in_other_units_are_found(filmed):
     """Near and far ten times too large contradict the depth of the matches."""
     check = filmed.check(changed(filmed, "cam03", lambda camera: replace(camera, near=10 * camera.near, far=10 * camera.far)))
@@ -287,6 +288,7 @@ def test_capture_of_one_camera_is_told_what_cannot_be_known(rig):
         assert {finding.verdict for finding in check.of(question)} == {"unknown"}
 
 
+@pytest.mark.slow
 def test_two_poses_at_one_place_blame_the_one_that_its_images_contradict(filmed):
     """Of two cameras with one pose the one whose matches fit it is let off."""
     pose = filmed.cameras[2].world_to_camera

@@ -67,7 +67,7 @@ def warped(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 QUICK = {
-    *("GRB", "linear light", "upside down", "one pixel up", "stretched", "repeated pixels", "JPEG 60", "quarter pixel left"),
+    *("GRB", "linear light", "upside down", "stretched", "repeated pixels", "JPEG 60", "quarter pixel left"),
     *("truth in every 6th frame", "blend with 20 % truth", "flicker, alternating +-3 %", "gamma 1.1", "stretched from 16-235"),
     *("focal length - 1 %", "reversed time"),
 }
@@ -200,12 +200,14 @@ def test_the_share_of_the_truth_in_a_blend_is_measured(honest, truth):
     assert finding.values["share"] == pytest.approx(0.3, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_very_good_rendering_is_no_copy(filmed, truth):
     """What fits in every patch, but has noise of its own, is not accused."""
     rng = np.random.default_rng(2)
     assert diagnose(quantised(filmed[VIEW] + rng.normal(0, 0.5, filmed[VIEW].shape)), truth) == []
 
 
+@pytest.mark.slow
 def test_a_drift_of_the_exposure_is_no_flicker(honest, truth):
     """A camera that grows 6 % brighter over the clip, which no method can know, is not a fault."""
     gains = np.linspace(0.97, 1.03, N_FRAMES)[:, None, None, None]
@@ -222,7 +224,7 @@ def test_video_range_is_certain_where_its_constants_are_met(honest, truth):
     assert finding.values["intercept_255"] == pytest.approx(16, abs=1.5)
 
 
-@pytest.mark.parametrize(("offset", "kind"), [(-2, "blurred"), (-1, "noisy"), (1, "warped")])
+@pytest.mark.parametrize(("offset", "kind"), [(-2, "blurred"), (1, "warped")])
 def test_a_frame_offset_is_found_with_its_sign(offset, kind, honest, truth):
     """Frame t that shows instant t + k is found with k."""
     rendered = np.roll(honest[kind][VIEW], -offset, axis=0)
@@ -258,7 +260,7 @@ def test_a_shift_that_single_views_leave_in_doubt_is_told_by_all(honest, truth):
     assert [(one.subject, one.question) for one in examine(views)] == [(name, "shift") for name in truth]
 
 
-@pytest.mark.parametrize(("shift", "kind"), [((1, -2), "warped"), ((9, -6), "blurred")])
+@pytest.mark.parametrize(("shift", "kind"), [pytest.param((1, -2), "warped", marks=pytest.mark.slow), ((9, -6), "blurred")])
 def test_a_shift_is_measured(shift, kind, honest, truth):
     """To a tenth of a pixel, and a crop that is off by many pixels is a shift, not another picture."""
     (finding,) = diagnose(np.stack([shifted(*shift)(image) for image in honest[kind][VIEW]]), truth)
@@ -289,6 +291,7 @@ def test_the_truth_itself_is_found_out(truth):
     assert faults(diagnose(np.stack([jpeg(90)(image) for image in captured]), truth)) == ["truth copied in", "JPEG"]
 
 
+@pytest.mark.slow
 def test_sensor_noise_in_the_rendering_is_certain_proof():
     """A rendering that carries the truth's own noise is found although it is blended with another picture."""
     rng = np.random.default_rng(1)
@@ -326,6 +329,7 @@ def test_repeated_and_frozen_frames_are_listed(honest, truth):
     assert examine({VIEW: view_of(repeated, captured)}) == []
 
 
+@pytest.mark.slow
 def test_blank_frames_are_listed(honest, truth):
     """Black frames are named and the others still examined."""
     rendered = honest["blurred"][VIEW][..., ::-1].copy()
@@ -337,6 +341,7 @@ def test_blank_frames_are_listed(honest, truth):
     assert faults(diagnose(np.zeros_like(rendered), truth)) == ["blank frames"]
 
 
+@pytest.mark.slow
 def test_renders_of_another_size_are_compared_all_the_same(honest, truth):
     """A wrong size is told, and does not hide a mirrored picture."""
     rendered = np.stack(

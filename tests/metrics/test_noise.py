@@ -62,6 +62,7 @@ def test_grain_of_smoothed_noise_is_found_and_drawn():
         assert squares[0].std() == pytest.approx(squares[1].std(), rel=0.1)
 
 
+@pytest.mark.slow
 def test_noise_that_is_held_over_frames_is_found_and_drawn():
     """Noise that keeps 0.7 from frame to frame has this found, with its full strength; drawn noise changes as little."""
     clean = clean_video(FRAMES)

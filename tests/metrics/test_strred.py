@@ -7,14 +7,7 @@ import pytest
 from skimage import data
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.time.strred import (
-    PairDifference,
-    block_entropies,
-    luma,
-    pool,
-    spatial_band,
-    strred,
-)
+from ggvs_eval.metrics.time.strred import PairDifference, block_entropies, luma, pool, spatial_band, strred
 from helpers.places import DATA_FOLDER, SHARED
 from helpers.refusals import refused
 

@@ -217,11 +217,6 @@ def test_a_video_that_cannot_be_written_is_one_line(dynerf, tmp_path, place):
     assert list(tmp_path.glob("*-cache")) == []
 
 
-def test_an_unknown_method_is_one_line(dynerf, tmp_path):
-    """Before depth is computed for it."""
-    assert "did you mean ours-geometric" in refusal("play", dynerf, tmp_path / "out.mp4", "--method", "ours-geometrc")
-
-
 def test_frames_outside_of_what_the_cameras_see_are_counted():
     """The table of a film has one line more where some of its views are guessed at their rims, and none where none is."""
     rows = [{"read": 0.1, "synthesis": 0.2, "encode": 0.1}] * 3

@@ -17,11 +17,6 @@ from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_flat, write_folders
 
 
-@pytest.fixture
-def truth_run(tmp_path) -> RunFolder:
-    return make_run(tmp_path / "run")
-
-
 def slightly_other(image: Image8) -> Image8:
     """A copy of the truth by another decoder."""
     return np.clip(image.astype(int) + np.random.default_rng(1).integers(-2, 3, image.shape), 0, 255).astype(np.uint8)

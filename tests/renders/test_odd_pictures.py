@@ -17,7 +17,6 @@ from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.refusals import refused
 from helpers.render_folders import (
     VIEWS,
-    make_run,
     rendered,
     stack,
     view_major,
@@ -27,11 +26,6 @@ from helpers.render_folders import (
     write_nerfbaselines,
     write_videos,
 )
-
-
-@pytest.fixture
-def truth_run(tmp_path) -> RunFolder:
-    return make_run(tmp_path / "run")
 
 
 def refusal(run: RunFolder, source: Path) -> str:

@@ -35,11 +35,6 @@ from helpers.render_folders import (
 )
 
 
-@pytest.fixture
-def truth_run(tmp_path) -> RunFolder:
-    return make_run(tmp_path / "run")
-
-
 def largest_difference(run: RunFolder) -> int:
     """Between what was rendered and what lies in the run, over all views and frames."""
     pairs = [(read_image(frame_path(run.renders("mine", v), t)).astype(int), rendered(v, t)) for v, t in view_major()]

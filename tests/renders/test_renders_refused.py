@@ -16,7 +16,6 @@ from helpers.render_folders import (
     FRAMES,
     N_FRAMES,
     VIEWS,
-    make_run,
     rendered,
     stack,
     truth,
@@ -27,11 +26,6 @@ from helpers.render_folders import (
     write_picture,
     write_videos,
 )
-
-
-@pytest.fixture
-def truth_run(tmp_path) -> RunFolder:
-    return make_run(tmp_path / "run")
 
 
 def refusal(run: RunFolder, source: Path, label: str = "mine", allow_partial: bool = False) -> str:

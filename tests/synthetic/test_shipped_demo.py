@@ -27,6 +27,7 @@ def demo(tmp_path_factory):
     return write_room(tmp_path_factory.mktemp("shipped") / "demo")
 
 
+@pytest.mark.slow
 def test_it_is_a_whole_capture(demo):
     """All cameras and frames open, the path has its poses and images, and a second call leaves it alone."""
     capture = open_capture(demo)
@@ -50,6 +51,7 @@ def test_what_is_lost_is_said(demo, tmp_path):
         write_room(damaged)
 
 
+@pytest.mark.slow
 def test_another_room_is_refused(demo):
     """A folder that holds the main room is no place for another one."""
     with refused(CaptureError, "holds a demo of other options"):
@@ -62,7 +64,7 @@ def content(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ROOMS)
+@pytest.mark.parametrize("name", [pytest.param(ROOMS[0], marks=pytest.mark.proof), *ROOMS[1:]])
 def test_packing_what_was_unpacked_changes_nothing(name, tmp_path, monkeypatch):
     """A camera path and D3DMV's frames go through their videos without loss; what is unpacked is the whole room."""
     room = write_room(tmp_path / "room", name)

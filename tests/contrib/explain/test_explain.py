@@ -331,6 +331,7 @@ def test_masks_are_read_from_pictures_folders_and_boxes(where, tmp_path):
         read_masks(str(tmp_path / "small.png"), view, Measurement())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("divisor", "formula"), [(1, "1 - SSIM"), (2, "DSSIM = (1 - SSIM) / 2")])
 def test_dissimilarity_is_recognised(divisor, formula):
     """What an SSIM with data range 2 lacks to 1, whole or half, is told from similarities."""

@@ -164,6 +164,7 @@ def test_each_planted_error_has_its_verdict(run):
     assert "within the interval" in interval.reason
 
 
+@pytest.mark.slow
 def test_a_number_of_another_convention_names_it(still):
     """SSIM of uniform windows, computed by scikit-image itself."""
     folder, view = RunFolder(still), "cam00"
@@ -179,6 +180,7 @@ def test_a_number_of_another_convention_names_it(still):
     assert one.by_chance < 0.01
 
 
+@pytest.mark.slow
 def test_a_chance_match_is_no_convention(run):
     """Without digits nearly every number fits some convention, so that the cell is not called explained."""
     (one,) = checked(run, quoted("26"))
@@ -187,6 +189,7 @@ def test_a_chance_match_is_no_convention(run):
     assert one.by_chance > 0.25
 
 
+@pytest.mark.slow
 def test_equal_methods_are_not_distinguished(run):
     """The next worse number of a column is named where the paired test finds no difference."""
     cells = [quoted(f"{measured(run, 'PSNR'):.3f}"), quoted("99.0", method=LABELS[1], row=1)]
@@ -219,6 +222,7 @@ def test_the_command_writes_page_table_and_badge(run, tmp_path, capsys):
         assert [row["verdict"] for row in csv.DictReader(file)] == ["reproduced", "not reproduced"]
 
 
+@pytest.mark.slow
 def test_names_are_escaped(run, tmp_path):
     """A row's name is text on the page, whatever it holds."""
     found = checked(run, quoted("30.00", method="<script>alert(1)</script>"))
@@ -228,6 +232,7 @@ def test_names_are_escaped(run, tmp_path):
     assert check_text(found).startswith(summary(found))
 
 
+@pytest.mark.slow
 def test_an_unknown_label_is_one_line(run):
     """With the nearest one that the runs have."""
     with pytest.raises(ResultsError, match=r"A=no-blendin: wanted a method of the runs, got 'no-blendin'; did you mean"):

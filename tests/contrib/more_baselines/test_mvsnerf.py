@@ -98,6 +98,7 @@ def test_the_published_checkpoint_loads_and_renders():
     assert error < 0.6 * np.abs(truth - truth.mean(axis=(0, 1))).mean()
 
 
+@pytest.mark.slow
 def test_features_and_volume_are_the_authors(networks, volume, golden):
     """Features of a view, and the encoded volume of three, agree with the authors' to 1e-4."""
     sources = turned_rig(3).sources
@@ -108,6 +109,7 @@ def test_features_and_volume_are_the_authors(networks, volume, golden):
     np.testing.assert_allclose(networks.network_mvs.feature(normalised)[0, ::2, ::2, ::2], golden["features"], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_rendered_pixels_are_the_authors(networks, volume, golden):
     """Every 7th pixel of a turned rig, 128 samples a ray, agrees with the authors': 99 % to 1e-4 in colour, all to 2e-3."""
     target = turned_rig(3).target
@@ -122,6 +124,7 @@ def test_rendered_pixels_are_the_authors(networks, volume, golden):
     assert golden["rgb"].std() > 0.1
 
 
+@pytest.mark.slow
 def test_a_volume_becomes_a_picture(networks, volume, golden):
     """Chunks of rays, the last one shorter, stand row by row: every 7th pixel of the first rows is the authors'."""
     target = turned_rig(3).target

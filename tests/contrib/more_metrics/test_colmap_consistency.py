@@ -49,6 +49,7 @@ def test_noise_and_a_frozen_image_do_not_score_high(path):
     assert frozen.matches > 100
 
 
+@pytest.mark.slow
 def test_colmap_runs_only_where_one_of_its_metrics_is_named(path):
     """Seconds are spent on a path only where a protocol asks for what they buy; too short a path says so."""
     unasked, short = score_path(path), score_path(path[:3], metrics=NAMES)
@@ -57,6 +58,7 @@ def test_colmap_runs_only_where_one_of_its_metrics_is_named(path):
     assert short.not_computed["COLMAP_registered"] == "COLMAP consistency: 3 views; needs 5"
 
 
+@pytest.mark.slow
 def test_cameras_that_do_not_fit_are_refused(path):
     """Each view has a camera, or none has."""
     with refused(MetricError, "9 views", "2 cameras"):

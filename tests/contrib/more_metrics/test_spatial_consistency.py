@@ -94,6 +94,7 @@ def test_regions_of_a_true_path_agree():
     assert np.nanmedian(exact().bend_px) < 0.05
 
 
+@pytest.mark.slow
 def test_a_board_that_moves_unlike_the_wall_has_the_variance_of_two_numbers():
     """Steps 1.2 times the wall's differ by 0.1 of a step from the mean; turns by 0.5 degrees a pose by 0.25."""
 
@@ -122,6 +123,7 @@ def test_a_bent_quarter_raises_it_by_how_much_it_bends_and_is_on_the_map():
         assert np.nanmedian(bend.bend_px[~QUARTER_WINDOWS]) < 0.05
 
 
+@pytest.mark.slow
 def test_what_is_wrong_everywhere_alike_does_not_bend():
     """Cameras noted with steps too long and turned agree as before; pictures that come late bend less than a bend."""
     true = [room(4 * index) for index in range(VIEWS)]
@@ -199,6 +201,7 @@ def test_cameras_that_only_turn_have_no_translation():
     assert "only turn" in found.not_computed["SGC_translation"]
 
 
+@pytest.mark.slow
 def test_bits_do_not_depend_on_threads():
     """Equal numbers and maps by one thread and by four."""
     before, found = cv2.getNumThreads(), []

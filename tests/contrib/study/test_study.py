@@ -62,6 +62,7 @@ def test_verdicts_that_are_known(studied):
     assert table[(table.metric == "SDV") & (table.ladder == "noise")].groupby("take").size().to_list() == [6, 6]
 
 
+@pytest.mark.slow
 def test_an_interrupted_study_goes_on(studied, videos, tmp_path, monkeypatch):
     """What was measured before an interrupt is not measured again, and the outcome is that of a study in one go."""
     study, options, _ = studied
@@ -84,6 +85,7 @@ def test_an_interrupted_study_goes_on(studied, videos, tmp_path, monkeypatch):
     assert len(before) == INTERRUPTED_AFTER
 
 
+@pytest.mark.slow
 def test_what_is_measured_stays(studied, videos, monkeypatch):
     """A second call runs no job; one more metric is measured beside those that are there, which stay as they are."""
     study, options, folder = studied
@@ -102,6 +104,7 @@ def test_what_is_measured_stays(studied, videos, monkeypatch):
     assert not measured
 
 
+@pytest.mark.slow
 def test_the_verb_writes_tables_and_a_figure(videos, tmp_path, capsys):
     """`ggvs-eval metric-study` prints what each metric is blind to, and writes values, tables and the figure."""
     out = tmp_path / "out"

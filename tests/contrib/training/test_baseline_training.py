@@ -68,6 +68,7 @@ def small_task(what, cache):
     return BaselineTask(*samples, baseline, replace(RECIPES[what]("compact", 0), crop_width=64, crop_height=48))
 
 
+@pytest.mark.slow
 def test_samples_are_those_of_the_blending_network_and_read_back(cache, plane_capture):
     """Target, sources and depth are what the blending network's samples are made of; without depth, only pictures are there."""
     maker = SampleMaker(plane_capture, DepthRunOptions(PLAN.matcher).options())

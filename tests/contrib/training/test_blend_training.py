@@ -124,6 +124,7 @@ def test_a_sample_is_what_the_method_would_see(plane_capture):
     np.testing.assert_array_equal(sample.truth, plane_capture.frame("cam00", 0))
 
 
+@pytest.mark.slow
 def test_a_stored_sample_reads_back(plane_capture, cache):
     """Cameras and fused depth exactly, colours and coverage to 8 bit, splatted depth to half precision."""
     target, sources = choose_views(plane_capture, PLAN, PLAN.first_room, 1)

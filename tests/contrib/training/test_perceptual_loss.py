@@ -35,6 +35,7 @@ def test_it_is_the_metric_where_the_truth_has_no_noise():
     assert float(perceptual_loss(batch(*ours), batch(*theirs))) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 @needs_weights
 def test_gradients_lead_to_the_truth():
     """Steps against the gradient bring a blurred picture nearer to its truth, and a perfect one has nothing to learn."""
@@ -51,6 +52,7 @@ def test_gradients_lead_to_the_truth():
     assert float(perceptual_loss(truth, truth)) == 0
 
 
+@pytest.mark.slow
 @needs_weights
 def test_weights_first_read_while_scoring_serve_a_training():
     """Whoever reads the weights first, in inference mode even, a loss can be learned by afterwards."""

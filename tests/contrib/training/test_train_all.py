@@ -62,7 +62,7 @@ def test_every_network_learns_from_the_same_views(plane_capture, tmp_path, monke
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ["blend", "enerf"])
+@pytest.mark.parametrize("what", ["blend", pytest.param("enerf", marks=pytest.mark.proof)])
 def test_weights_that_have_learned_are_moved_more_gently(what, cache, tmp_path):
     """A training that starts from weights has a third of the rate."""
     fresh, tuned = (planned_task(what, cache, replace(REQUEST, start_from=path)) for path in (None, tmp_path / "shipped"))

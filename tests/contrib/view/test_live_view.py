@@ -8,12 +8,11 @@ import pytest
 from ggvs_eval.contrib.view import viewer as listener_module
 from ggvs_eval.contrib.view.live_view import LAYERS, FrameStock, LiveView, ViewRequest, fitted
 from ggvs_eval.contrib.view.scene import cloud, gazed_depth
-from ggvs_eval.contrib.view.session import Recording, status_text
+from ggvs_eval.contrib.view.session import Recording
 from ggvs_eval.contrib.view.viewer import require_viser
 from ggvs_eval.errors import CommandError, RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
@@ -101,15 +100,6 @@ def test_a_picture_is_what_the_method_synthesises(playback, stock):
     assert picture.seconds[METHOD]["step"] > 0
 
 
-def test_sources_are_chosen_as_wanted(playback, stock):
-    """By what they see of the view, where that is asked for."""
-    request = request_of(playback, k=3)
-    for choice in ("nearest", "coverage"):
-        chosen = choose_sources(request.pose, stock.cameras, 3, choice)
-        picture = LiveView(stock, 1.0, ALL, sources=choice).picture(request)
-        assert picture.sources == tuple(each.camera.name for each in chosen)
-
-
 def test_time_that_jumps_begins_anew(playback, stock):
     """Instants 0, 1, 2 build up a history; 2 after 0 is like 2 alone. At a camera's place its picture is shown."""
     view, between = LiveView(stock, 1.0, ALL), moved(request_of(playback).pose, 0.1)
@@ -142,14 +132,6 @@ def test_outside_of_what_cameras_see_a_picture_fades(playback, stock):
         np.abs(each.faded.astype(int) - 128).mean() / np.abs(each.image.astype(int) - 128).mean() for each in (outside, farther)
     ]
     assert grey[1] < grey[0] < 1
-
-
-def test_depth_health_is_what_the_sources_know(playback, stock):
-    """The share of the sources' pixels with depth."""
-    picture = LiveView(stock, 1.0, ALL).picture(request_of(playback))
-    known = [stock.read(name, 0)[1].depth > 0 for name in picture.sources]
-    assert picture.known_depth == pytest.approx(np.mean(known))
-    assert f"{picture.known_depth:.0%}" in status_text(picture, 1.0)
 
 
 @pytest.mark.parametrize("layer", LAYERS)

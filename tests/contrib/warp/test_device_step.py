@@ -36,17 +36,9 @@ pytest.importorskip("warp", reason="the online step on a device wants NVIDIA War
 
 import warp as wp
 
-from ggvs_eval.contrib.warp import (
-    exposure,
-    march,
-    picture,
-    registration,
-    step,
-)
+from ggvs_eval.contrib.warp import exposure, march, picture, registration, step
 from ggvs_eval.contrib.warp import filter as device_filter
-from ggvs_eval.contrib.warp import (
-    splat as device_splat,
-)
+from ggvs_eval.contrib.warp import splat as device_splat
 from ggvs_eval.contrib.warp.constants import Remembered
 from ggvs_eval.contrib.warp.step import DeviceGuided, Program
 from ggvs_eval.contrib.warp.tables import Sizes, masked_median

@@ -11,7 +11,7 @@ from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.contrib.worlds.film.shots import path_shots, rig_shots
 from ggvs_eval.errors import CaptureError
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("lit_quickly")]
+pytestmark = pytest.mark.usefixtures("lit_quickly")
 
 TINY = DemoOptions(width=32, height=24, n_frames=3, cameras_per_row=2, path_poses=2, supersampling=1, noise_sigma_255=0.0)
 
@@ -33,6 +33,7 @@ def with_and_without(tmp_path_factory):
     return read
 
 
+@pytest.mark.proof
 def test_another_noise_seed_films_the_same_room_again(with_and_without, tmp_path):
     """Frames differ by the noise of two recordings and by nothing else; cameras are the same, and without noise so are frames."""
     plain, poses, *_ = with_and_without
@@ -52,6 +53,7 @@ def test_another_noise_seed_films_the_same_room_again(with_and_without, tmp_path
     assert abs(np.corrcoef((first - plain)[middle], (again - plain)[middle])[0, 1]) < 0.05
 
 
+@pytest.mark.slow
 def test_frame_offset_shows_other_instants(with_and_without):
     """Frame t of one camera is frame t + 1 of the truth, of another frame t - 1; beyond the ends time goes on."""
     plain, _, shifted, _ = with_and_without
@@ -62,6 +64,7 @@ def test_frame_offset_shows_other_instants(with_and_without):
     assert (shifted[0, 0] != plain[0, 0]).any()
 
 
+@pytest.mark.slow
 def test_camera_gain_brightens_one_camera(with_and_without):
     """The images of the named camera are brighter by the factor."""
     plain, _, bright, _ = with_and_without
@@ -70,6 +73,7 @@ def test_camera_gain_brightens_one_camera(with_and_without):
     assert bright[3][unclipped].mean() / plain[3][unclipped].mean() == pytest.approx(1.15, abs=0.005)
 
 
+@pytest.mark.slow
 def test_focal_error_changes_one_number(with_and_without):
     """The written focal length of the named camera is scaled, its images keep every bit, and no pose changes."""
     plain, poses, images, wrong = with_and_without
@@ -80,6 +84,7 @@ def test_focal_error_changes_one_number(with_and_without):
     np.testing.assert_allclose(wrong[:, :15], expected[:, :15])
 
 
+@pytest.mark.slow
 def test_calibration_error_has_the_stated_size():
     """Over many cameras the image's centre moves by the wanted standard deviation along both axes; no camera moves its place."""
     options = replace(TINY, width=480, height=360, cameras_per_row=1000, calibration_error_px=3.0)

@@ -26,15 +26,7 @@ from ggvs_eval.contrib.worlds.domains import DOMAINS, VALIDATION_SEEDS, domain_o
 from ggvs_eval.contrib.worlds.film.film import Footage, lit_room, measured, misplaced
 from ggvs_eval.contrib.worlds.film.options import LATER, DemoOptions
 from ggvs_eval.contrib.worlds.film.raycast import UNITS_PER_METRE, render_depth
-from ggvs_eval.contrib.worlds.film.shots import (
-    defocus,
-    denoise,
-    hand_held_shots,
-    mosaic_and_back,
-    rig_of,
-    rig_sensors,
-    sharpen,
-)
+from ggvs_eval.contrib.worlds.film.shots import defocus, denoise, hand_held_shots, mosaic_and_back, rig_of, rig_sensors, sharpen
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, TrainingError
 from helpers.refusals import refused
@@ -190,6 +182,7 @@ def test_defocus_spreads_a_point_into_a_disc() -> None:
     assert (defocus(point, 0.0) == point).all()
 
 
+@pytest.mark.slow
 def test_depth_is_shifted_by_the_pixels_that_are_asked_for() -> None:
     """Phase correlation of the misplaced with the exact depth map measures the offset; written down is the exact sensor."""
     options = replace(WALK, width=192, height=144, depth_offset_px=6.0)
@@ -261,7 +254,7 @@ def test_samples_of_many_domains_are_one_lot(tmp_path: Path) -> None:
     assert "domain handheld" in pool.data
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_of_large_images_a_window_is_kept(tmp_path: Path) -> None:
     """It shows what the whole sample shows there, for the network and for the baselines, whose sources are cut to it."""
     whole = replace(domain_plans(["large"], rooms=1, targets=1)[0], width=96, height=72, window=None)
