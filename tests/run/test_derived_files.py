@@ -79,7 +79,7 @@ def test_what_the_code_has_made_otherwise(module, masks, poses, plan, monkeypatc
 
 
 def test_what_was_changed_is_made_anew(plan):
-    """A mask and a pose's depth that somebody wrote over count as missing, alone, and come back."""
+    """A mask and a pose's depth that somebody wrote over count as missing, alone, and come back, as does a mask of other depth."""
     prepare_run(plan)
     mask, pose = damage(plan)
 
@@ -89,11 +89,6 @@ def test_what_was_changed_is_made_anew(plan):
     prepare_run(plan)
     assert 77 not in read_image(mask)
     assert np.load(pose).dtype == np.float32
-
-
-def test_what_other_depth_has_made(plan):
-    """A mask whose note names other depth is made anew, that of another view stays."""
-    prepare_run(plan)
     note = plan.run.disoccluded("cam00") / DIGESTS
     key = next(iter(plan.plans["cam00"].depth_keys.values()))
     note.write_text(note.read_text().replace(key, "another"))

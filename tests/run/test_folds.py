@@ -43,7 +43,7 @@ def with_views(protocol, **views):
 
 
 def test_folds_and_sources_are_part_of_the_hash_where_they_are_stated(tmp_path):
-    """A protocol without them is the one of older results, in its file and its hash; with them it is another, and reads back."""
+    """Without folds and sources a protocol is that of older results, with them another, read back; open folds agree with any."""
     plain = load_protocol("demo")
     folded = plain.with_folds((("cam00", "cam07"), ("cam03",)))
     sourced = with_views(plain, sources=("cam01", "cam02"))
@@ -53,6 +53,12 @@ def test_folds_and_sources_are_part_of_the_hash_where_they_are_stated(tmp_path):
     for each in (folded, sourced):
         (tmp_path / "copy.toml").write_text(each.to_toml())
         assert load_protocol(tmp_path / "copy.toml") == each
+    plain = load_protocol("demo")
+    one, other = plain.with_folds((("cam00", "cam03", "cam07"),)), plain.with_folds((("cam00", "cam07"), ("cam03",)))
+    assert plain.agrees_with(one)
+    assert one.agrees_with(plain)
+    assert not one.agrees_with(other)
+    assert not plain.agrees_with(with_views(plain, sources=("cam01",)))
 
 
 @pytest.mark.parametrize(
@@ -70,16 +76,6 @@ def test_folds_that_are_none_are_refused(line, message, tmp_path):
     file.write_text(load_protocol("demo").to_toml().replace("[views]", f"[views]\n{line}"))
     with pytest.raises(ProtocolError, match=message):
         load_protocol(file)
-
-
-def test_open_folds_agree_with_any():
-    """A run folder whose protocol states its folds serves one that leaves them open, and no other folds."""
-    plain = load_protocol("demo")
-    one, other = plain.with_folds((("cam00", "cam03", "cam07"),)), plain.with_folds((("cam00", "cam07"), ("cam03",)))
-    assert plain.agrees_with(one)
-    assert one.agrees_with(plain)
-    assert not one.agrees_with(other)
-    assert not plain.agrees_with(with_views(plain, sources=("cam01",)))
 
 
 class Rig:

@@ -87,8 +87,8 @@ def test_frames_are_those_of_the_splat(finished, plane_capture):
         assert np.array_equal(read_image(frame_path(finished.run.path(label), 1)), quantise(expected))
 
 
-def test_they_are_scored_and_timed(finished):
-    """A row of the table like any other, with the milliseconds of the splat; a second run renders nothing."""
+def test_they_are_scored_and_timed(finished, sequence, plane_capture):
+    """A row of the table like any other, with the milliseconds of the splat; whoever fits again is rendered again, alone."""
     scores = read_json(finished.run.root / "results.json")
     record = read_json(finished.run.renders("moving", "cam00") / "job.json")
 
@@ -96,10 +96,6 @@ def test_they_are_scored_and_timed(finished):
     assert "moving" in str(scores)
     assert set(record["seconds"]) == {"read", "splat"}
     assert all(job.is_done() for job in finished.jobs.render)
-
-
-def test_another_file_makes_renders_stale(finished, sequence, plane_capture):
-    """Whoever fits again is rendered again."""
     file = sequence / "scene2_00001.ply"
     before = file.read_bytes()
     write_ply(file, cloud_before(plane_capture, 0.9))

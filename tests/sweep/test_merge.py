@@ -125,15 +125,6 @@ def test_other_pictures_of_one_job_are_refused(runs):
     assert sorted(item.name for item in runs.iterdir()) == ["a", "b"]
 
 
-def test_other_captured_frames_are_refused(runs):
-    """A truth frame that differs makes two runs two captures, whatever their records say."""
-    file = frame_path(RunFolder(runs / "b").truth("cam00"), 0)
-    write_image(file, 255 - read_image(file))
-
-    with refused(ResultsError, "truth/cam00/0000.png", "different bytes"):
-        merge_runs(runs / "out", [runs / "a", runs / "b"])
-
-
 def test_other_values_of_one_method_are_refused(runs):
     """Values of one method that differ by more than rounding are refused; by rounding alone they are taken."""
     shutil.copytree(RunFolder(runs / "a").renders("no-blending", ""), RunFolder(runs / "b").renders("no-blending", ""))
@@ -151,11 +142,17 @@ def test_other_values_of_one_method_are_refused(runs):
 
 
 def test_other_protocols_are_refused(runs, protocol):
-    """Runs of different protocols are refused, and the message says where these differ."""
+    """Runs of different protocols are refused, and the message says where they differ; so are captured frames of other bytes."""
     other = dataclasses.replace(protocol, synthesis=Synthesis(3))
+    toml = (runs / "b" / "protocol.toml").read_text()
     (runs / "b" / "protocol.toml").write_text(other.to_toml())
-
     with refused(ProtocolError, "protocol.synthesis.k", "2 and 3"):
+        merge_runs(runs / "out", [runs / "a", runs / "b"])
+    (runs / "b" / "protocol.toml").write_text(toml)
+    file = frame_path(RunFolder(runs / "b").truth("cam00"), 0)
+    write_image(file, 255 - read_image(file))
+
+    with refused(ResultsError, "truth/cam00/0000.png", "different bytes"):
         merge_runs(runs / "out", [runs / "a", runs / "b"])
 
 
