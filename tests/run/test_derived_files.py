@@ -79,7 +79,7 @@ def test_what_the_code_has_made_otherwise(module, masks, poses, plan, monkeypatc
 
 
 def test_what_was_changed_is_made_anew(plan):
-    """A mask and a pose's depth that somebody wrote over count as missing, alone, and come back, as does a mask of other depth."""
+    """A mask and a pose's depth that somebody wrote over count as missing, alone, and come back; a mask of other depth, too."""
     prepare_run(plan)
     mask, pose = damage(plan)
 
