@@ -69,15 +69,11 @@ def test_a_cut_protocol_says_what_to_do(tmp_path):
         load_protocol(tmp_path / "protocol.toml")
 
 
-def test_versions_of_everything_that_measures_are_noted():
-    """Packages of metrics that are extras are in the list, those that are not installed are left out."""
+def test_versions_of_everything_that_measures_are_noted(monkeypatch):
+    """Packages of metrics that are extras are noted where they are installed; the machine's description imports no torch."""
     assert {"flip-evaluator", "imageio-ffmpeg", "cvvdp"} <= set(MOVING_NUMBERS)
     assert set(installed_versions()) <= set(MOVING_NUMBERS)
     assert {"numpy", "torch", "flip-evaluator"} <= set(installed_versions())
-
-
-def test_a_machine_without_memory_for_torch_is_described(monkeypatch):
-    """What is measured without torch has its results: the machine's description does not import it."""
     original = builtins.__import__
 
     def without_torch(name, *arguments, **keywords):

@@ -5,7 +5,6 @@ import io
 import re
 import shlex
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -101,15 +100,13 @@ def test_the_metric_is_a_plug_in():
 @pytest.fixture(scope="module")
 def first_evaluation(walk):
     """The guide's first evaluation, on few views, frames and sources of what README's block made, by three metrics; its steps."""
-    folder, *_, is_whole = walk
+    folder, *_ = walk
     quick = folder / "quick"
     protocol = load_protocol(str(quick / "quick.toml"))
     cheap = replace(protocol.measurement, metrics=("PSNR", "SSIM", "TCC"), ceilings=False)
     few = {"frames": replace(protocol.frames, count=FRAMES), "synthesis": replace(protocol.synthesis, k=2)}
     few["views"] = replace(protocol.views, test=protocol.views.test[:2])
     short = replace(protocol, measurement=cheap, **few)
-    if not is_whole:
-        keep_cameras(quick / "room", 8)
     (quick / "quick.toml").write_text(short.to_toml(), encoding="utf-8")
     for file in (quick / "fixed").glob("*/*.png"):
         if int(file.stem) not in short.frames.numbers or file.parent.name not in short.views.test:
@@ -117,18 +114,9 @@ def first_evaluation(walk):
     steps = []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        if not is_whole:
-            leave_out_figures(patch)
         for line in commands_of(GUIDE)[1:]:
             steps.append(follow(line.replace(QUOTED, f"{psnr_db(steps[-1].output):.2f}") if QUOTED in line else line))
     return folder, steps
-
-
-def keep_cameras(room: Path, count: int) -> None:
-    """Take all cameras but the first of a demo room away, the test views among them: `check` looks through every video."""
-    for video in sorted(room.glob("cam*.mp4"))[count:]:
-        video.unlink()
-    np.save(room / "poses_bounds.npy", np.load(room / "poses_bounds.npy")[:count])
 
 
 def psnr_db(printed: str) -> float:
