@@ -17,18 +17,14 @@ from helpers.places import DATA_FOLDER
 from helpers.refusals import refused
 from helpers.seeded_baselines import seed_weights, turned_rig
 
-DATA = DATA_FOLDER
-
 
 @pytest.fixture(scope="module")
 def networks():
-    """The networks with seeded weights."""
     return seed_weights(Networks()).requires_grad_(False)
 
 
 @pytest.fixture(scope="module")
 def weights(networks, tmp_path_factory):
-    """A checkpoint as the authors write it."""
     path = tmp_path_factory.mktemp("enerf") / "latest.pth"
     torch.save({"net": networks.state_dict(), "optim": {"state": {}}, "epoch": 299}, path)
     return path
@@ -37,7 +33,7 @@ def weights(networks, tmp_path_factory):
 @pytest.fixture(scope="module")
 def golden():
     """Outputs of the authors' code on the same weights (tests/data/IBRNET_ENERF_ORACLES.md)."""
-    return np.load(DATA / "enerf_golden.npz")
+    return np.load(DATA_FOLDER / "enerf_golden.npz")
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +51,7 @@ def small_target(views):
 
 def test_names_and_shapes_are_those_of_the_checkpoint():
     """Every parameter and buffer of the authors' network exists under its name with its shape, and no other."""
-    oracle = json.loads((DATA / "enerf_state_dict.json").read_text())
+    oracle = json.loads((DATA_FOLDER / "enerf_state_dict.json").read_text())
     networks = Networks()
     assert {name: list(tensor.shape) for name, tensor in networks.state_dict().items()} == oracle["net"]
     assert sum(parameter.numel() for parameter in networks.parameters()) == oracle["n_params"]

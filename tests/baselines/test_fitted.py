@@ -33,19 +33,16 @@ def sliding(time: float):
 
 @pytest.fixture(scope="module")
 def sliding_footage(tmp_path_factory):
-    """Footage of a wall whose middle slides."""
     return footage_of(sliding, tmp_path_factory.mktemp("sliding"))
 
 
 def fitted(fitter, footage, folder):
-    """The scene of a fit from beginning to end."""
     folder.mkdir(exist_ok=True)
     fitter.fit(footage, folder, lambda done, steps: None)
     return fitter.load(folder)
 
 
 def quiet(folder, steps):
-    """A journal nobody listens to."""
     return Journal(folder, "fit", steps, 0, 0, lambda done, steps: None)
 
 

@@ -26,7 +26,6 @@ FITTERS = {
 
 @pytest.fixture(scope="module")
 def footage(tmp_path_factory):
-    """Footage of a wall that stands still."""
     cloud = wall()
     return footage_of(lambda _: cloud, tmp_path_factory.mktemp("still"), instants=3)
 

@@ -29,7 +29,6 @@ from helpers.scenes import camera_at, instant, look
 
 
 def seeded(completes_depth=False):
-    """A network with seeded weights in evaluation mode."""
     torch.manual_seed(5)
     return FwdNetwork(completes_depth=completes_depth).eval()
 

@@ -23,7 +23,6 @@ from helpers.refusals import refused
 from helpers.scenes import WALL_Z, camera_at, instant, look, texture
 from helpers.seeded_networks import seeded_pair, seeded_state
 
-GOLDEN = DATA_FOLDER
 SCALES = "gs_parm_regresser.scale_head.2.weight"
 
 
@@ -53,7 +52,7 @@ def write_checkpoint(path, network):
 def test_names_and_shapes_are_those_of_the_checkpoint():
     """Every parameter of the published network exists under its name with its shape, in its order, and no other."""
     network = GpsGaussianNetwork()
-    oracle = json.loads((GOLDEN / "gps_gaussian_state_dict.json").read_text())
+    oracle = json.loads((DATA_FOLDER / "gps_gaussian_state_dict.json").read_text())
     shapes = {name: list(tensor.shape) for name, tensor in network.state_dict().items()}
     assert list(shapes.items()) == list(oracle["network"].items())
     assert sum(parameter.numel() for parameter in network.parameters()) == oracle["n_params"]
@@ -70,7 +69,7 @@ def test_outputs_are_the_authors():
         inverse = (flow - torch.tensor([3.5, -3.5]).view(2, 1, 1, 1)) / torch.tensor([-40.0, 40.0]).view(2, 1, 1, 1)
         inverse[..., :4] = 0
         maps = network.gaussians(images, inverse, features)
-    golden = np.load(GOLDEN / "gps_gaussian_golden.npz")
+    golden = np.load(DATA_FOLDER / "gps_gaussian_golden.npz")
     np.testing.assert_allclose(features[2][:, ::4], golden["eighth"], atol=1e-4)
     np.testing.assert_allclose(flow[..., ::2, ::2], golden["flow"], atol=1e-4)
     np.testing.assert_allclose(inverse[..., ::4, ::4], golden["inverse_depth"], atol=1e-5)
@@ -318,8 +317,6 @@ def test_options_that_mean_nothing_are_refused(weights):
 
 
 def scaled(moment, factor):
-    """The same scene in other units."""
-
     def camera(old):
         world_to_camera = old.world_to_camera.copy()
         world_to_camera[:3, 3] *= factor

@@ -19,8 +19,6 @@ from helpers.places import DATA_FOLDER
 from helpers.refusals import refused
 from helpers.seeded_baselines import seed_weights, turned_rig
 
-DATA = DATA_FOLDER
-
 
 @pytest.fixture(scope="module")
 def networks():
@@ -34,7 +32,6 @@ def networks():
 
 @pytest.fixture(scope="module")
 def weights(networks, tmp_path_factory):
-    """A checkpoint as the authors write it."""
     path = tmp_path_factory.mktemp("ibrnet") / "model_255000.pth"
     torch.save({**{part: networks.get_submodule(part).state_dict() for part in PARTS}, "optimizer": {"state": {}}}, path)
     return path
@@ -43,7 +40,7 @@ def weights(networks, tmp_path_factory):
 @pytest.fixture(scope="module")
 def golden():
     """Outputs of the authors' code on the same weights (tests/data/IBRNET_ENERF_ORACLES.md)."""
-    return np.load(DATA / "ibrnet_golden.npz")
+    return np.load(DATA_FOLDER / "ibrnet_golden.npz")
 
 
 @pytest.fixture(autouse=True)
@@ -73,7 +70,7 @@ def small_target(views):
 
 def test_names_and_shapes_are_those_of_the_checkpoint():
     """Every parameter of the authors' three networks exists under its name with its shape, and no other."""
-    oracle = json.loads((DATA / "ibrnet_state_dict.json").read_text())
+    oracle = json.loads((DATA_FOLDER / "ibrnet_state_dict.json").read_text())
     networks = Networks()
     for part in PARTS:
         wanted = oracle["feature_net" if part == "feature_net" else "net_coarse/net_fine"]

@@ -54,7 +54,6 @@ class ToyNetwork(nn.Module):
         self.colour = nn.Parameter(START.clone())
 
     def forward(self, target):
-        """(3, H, W)."""
         return self.colour[:, None, None].expand(3, target.height, target.width)
 
 
@@ -66,7 +65,6 @@ class ToyMethod:
         load_strict(read_tensors(weights), self.network, weights, "a toy")
 
     def step(self, instant):
-        """One colour everywhere."""
         with torch.inference_mode():
             return Rendering(self.gain * self.network(instant.target).permute(1, 2, 0).numpy(force=True))
 
@@ -81,12 +79,10 @@ class ToyRecipe(TrainingRecipe[ToyNetwork]):
     term_weights: ClassVar = {"squared_loss": 1.0, "ssim_loss": 1.0}
 
     def terms(self, network, sample, step):
-        """Squared error and structure."""
         image, truth = network(sample.instant.target), sample.truth_tensor
         return {"squared_loss": (image - truth).square().mean(), "ssim_loss": structural_loss(image[None], truth[None])}
 
     def rendered(self, network, instant):
-        """The whole view."""
         return network(instant.target)
 
 

@@ -34,12 +34,10 @@ def wall_seen_by(target, cameras, square_x=BARE_WALL):
 
 
 def at(x, y=0.0, width=WIDTH, height=HEIGHT):
-    """A camera of the row."""
     return camera_at(x, y, width=width, height=height)
 
 
 def psnr_db(image, truth):
-    """Of images in [0, 1]."""
     return float(-10 * np.log10(np.mean((image - truth) ** 2)))
 
 

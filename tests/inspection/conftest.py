@@ -43,7 +43,6 @@ def frames() -> dict[str, Frames]:
 
 @pytest.fixture(scope="session")
 def records(frames) -> list[CameraRecord]:
-    """What a check records of them."""
     return [recorded(seen, name) for name, seen in frames.items()]
 
 

@@ -23,7 +23,6 @@ def stripes(slope, poses=9, width=160, period_px=11.0):
 
 
 def epis_of(poses):
-    """EPIs and depth of all rows."""
     images, depths = np.stack([pose.image for pose in poses]), np.stack([pose.depth for pose in poses])
     return [(images[:, row], depths[:, row]) for row in range(images.shape[1])]
 

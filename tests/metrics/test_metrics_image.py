@@ -10,10 +10,8 @@ from ggvs_eval.metrics.image.corrected import ColourMoments, apply_colour_map, f
 from ggvs_eval.metrics.image.l1 import l1
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
-from helpers.places import DATA_FOLDER
 from helpers.refusals import refused
 
-DATA = DATA_FOLDER
 SKIMAGE = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "channel_axis": 2}
 
 

@@ -23,7 +23,6 @@ from ggvs_eval.metrics.time.tcc import tcc, temporal_change_ssim
 from helpers.places import DATA_FOLDER
 from helpers.refusals import refused
 
-DATA = DATA_FOLDER
 ALL_BUT_LPIPS = ["PSNR", "SSIM", "L1", "PSNR_cc", "TCC", "STED", "STED_ssn", "SDT", "SDV"]  # with a truth, view by view
 STED_PARTS = {f"{name}_{part}" for name in ("STED", "STED_ssn") for part in ("spatial", "temporal")}
 EACH_FRAME = MetricOptions(colour_scope="frame")
@@ -44,7 +43,7 @@ def values_of(scores, metric):
 
 def test_tcc_and_sdt_equal_recorded_values():
     """A recorded pair of clips has the recorded TCC (valid 11 x 11 window), per-frame L1, and SDT under both ddof."""
-    clips, wanted = np.load(DATA / "ssim_tcc_inputs.npz"), json.loads((DATA / "ssim_tcc_oracles.json").read_text())
+    clips, wanted = np.load(DATA_FOLDER / "ssim_tcc_inputs.npz"), json.loads((DATA_FOLDER / "ssim_tcc_oracles.json").read_text())
     rendered, truth = clips["rendered_video"], clips["gt_video"]
     errors = [l1(*frames) for frames in zip(rendered, truth, strict=True)]
     assert tcc(rendered, truth) == pytest.approx(wanted["tcc"]["valid_11x11_gauss"], abs=1e-6)

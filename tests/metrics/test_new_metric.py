@@ -117,7 +117,6 @@ def scored_run(tmp_path_factory) -> Iterator[RunFolder]:
 
 
 def stacked(view: str) -> tuple[np.ndarray, np.ndarray]:
-    """Rendered and true frames of a view."""
     rows = [(rendered(view, frame), truth(view, frame)) for frame in FRAMES]
     return tuple(np.stack(images) for images in zip(*rows, strict=True))
 

@@ -25,13 +25,11 @@ EVERY_SCENE = pytest.mark.parametrize("name", SCENES)
 
 
 def measured(poses):
-    """The numbers of the whole path."""
     return {name: value for name, pose, value in score_path(poses).values if pose is None}
 
 
 @cache
 def truth_of(name):
-    """The numbers of an exact rendering."""
     return measured(exact(name))
 
 

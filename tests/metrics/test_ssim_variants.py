@@ -12,7 +12,6 @@ from ggvs_eval.metrics.image.ssim import SSIM_VARIANTS, ssim, ssim_map, ssim_var
 from helpers.places import DATA_FOLDER
 from helpers.refusals import refused
 
-DATA = DATA_FOLDER
 RECORDED_AS = {
     "gaussian-valid": "valid_11x11_gauss",
     "gaussian-zero": "zero_pad_3dgs",
@@ -47,7 +46,7 @@ def splatting_ssim(rendered, truth):
 @pytest.mark.parametrize("name", SSIM_VARIANTS)
 def test_variants_equal_recorded_values(name):
     """On the recorded noisy and blurred images each variant has its own value: 0.791, 0.820, 0.839 or 0.867 for the noise."""
-    images, wanted = np.load(DATA / "ssim_tcc_inputs.npz"), json.loads((DATA / "ssim_tcc_oracles.json").read_text())
+    images, wanted = np.load(DATA_FOLDER / "ssim_tcc_inputs.npz"), json.loads((DATA_FOLDER / "ssim_tcc_oracles.json").read_text())
     for image, case in (("b", "noise.05"), ("c", "blur1.5")):
         assert ssim_variant(images[image], images["a"], name) == pytest.approx(wanted[case][RECORDED_AS[name]], abs=1e-6)
 

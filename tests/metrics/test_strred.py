@@ -11,15 +11,14 @@ from ggvs_eval.metrics.time.strred import PairDifference, block_entropies, luma,
 from helpers.places import DATA_FOLDER, SHARED
 from helpers.refusals import refused
 
-DATA = DATA_FOLDER
 REAL_CLIP = SHARED / "data/video_carphone"
-RECORDED = json.loads((DATA / "strred_oracles.json").read_text())
+RECORDED = json.loads((DATA_FOLDER / "strred_oracles.json").read_text())
 CLIPS = ["carphone12", "synth_noise5", "synth_blur1p5", "synth_flicker5pct", "synth_oddsize_97x131", "const_ref_vs_noise"]
 
 
 def clip(name):
     """Distorted and pristine grey frames of a recorded clip, (T, H, W) uint8."""
-    recorded = np.load(DATA / f"strred_{name}.npz")
+    recorded = np.load(DATA_FOLDER / f"strred_{name}.npz")
     return recorded["dis"], recorded["ref"]
 
 
@@ -38,7 +37,7 @@ def test_pyramid_taps_equal_recorded_ones():
     """The filters that pyrtools holds are those of the recorded reference."""
     from ggvs_eval.metrics.time.strred import _pyramid_kernels
 
-    recorded = np.load(DATA / "sp5_filters.npz")
+    recorded = np.load(DATA_FOLDER / "sp5_filters.npz")
     wanted = (recorded["lo0"], recorded["lo"], recorded["bands_as_correlation_kernels"][0])
     first_lowpass, lowpass, band = _pyramid_kernels()
     np.testing.assert_allclose(first_lowpass, wanted[0], atol=1e-7)
@@ -48,7 +47,7 @@ def test_pyramid_taps_equal_recorded_ones():
 
 def test_bands_scales_and_entropies_equal_recorded_ones():
     """The band is within 1e-3, the block scales within 1e-4 and the entropies within 1e-3 of the recorded ones."""
-    recorded = np.load(DATA / "strred_intermediate.npz")
+    recorded = np.load(DATA_FOLDER / "strred_intermediate.npz")
     first, second = spatial_band(recorded["frame1"]), spatial_band(recorded["frame2"])
     np.testing.assert_allclose(first, recorded["y1"], atol=1e-3)
     np.testing.assert_allclose(second, recorded["y2"], atol=1e-3)

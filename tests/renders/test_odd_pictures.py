@@ -29,7 +29,6 @@ from helpers.render_folders import (
 
 
 def refusal(run: RunFolder, source: Path) -> str:
-    """The one line."""
     with pytest.raises(GgvsError) as caught:
         import_renders(run, "mine", source)
     assert "\n" not in str(caught.value)

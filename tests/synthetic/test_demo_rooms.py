@@ -44,7 +44,6 @@ TINY = DemoOptions(width=64, height=48, n_frames=2, cameras_per_row=3, path_pose
 
 
 def camera_names(options: DemoOptions) -> list[str]:
-    """As the layout calls them."""
     return [name.removeprefix("cam") if options.layout == "enerf-outdoor" else name for name in options.camera_names]
 
 

@@ -59,7 +59,6 @@ def test_another_room_is_refused(demo):
 
 
 def content(folder):
-    """Name -> bytes of every file."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 

@@ -126,7 +126,6 @@ def yuv_420(image) -> list[np.ndarray]:
 
 
 def psnr_of_some(some: slice) -> float:
-    """Mean of the PSNR of some frames of each view."""
     pairs = [pair for rendered, truth in FRAMES for pair in zip(rendered[some], truth[some], strict=True)]
     return float(np.mean([decibels(squared(*pair)) for pair in pairs]))
 

@@ -44,7 +44,6 @@ def scored(root, shape):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Three methods in two views of eight frames."""
     return scored(tmp_path_factory.mktemp("table_check") / "run", SHAPE)
 
 

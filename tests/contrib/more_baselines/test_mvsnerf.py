@@ -37,19 +37,16 @@ def gentle(networks: Networks) -> Networks:
 
 @pytest.fixture(scope="module")
 def networks():
-    """The networks with seeded weights."""
     return gentle(seed_weights(Networks())).requires_grad_(False)
 
 
 def checkpoint(networks):
-    """What the authors write of them."""
     states = networks.network_mvs.state_dict(), networks.network_fn.state_dict()
     return {"global_step": 181104, **dict(zip(STATES, states, strict=True))}
 
 
 @pytest.fixture(scope="module")
 def weights(networks, tmp_path_factory):
-    """A checkpoint as the authors write it."""
     path = tmp_path_factory.mktemp("mvsnerf") / "mvsnerf.tar"
     torch.save(checkpoint(networks), path)
     return path
@@ -76,7 +73,6 @@ def single_thread():
 
 
 def shapes_of(state):
-    """Name -> shape."""
     return {name: list(tensor.shape) for name, tensor in state.items()}
 
 

@@ -41,7 +41,6 @@ def gentle(network):
 
 @pytest.fixture(scope="module")
 def full():
-    """The authors' network with seeded weights."""
     return gentle(seed_weights(MvsplatNetwork())).requires_grad_(False)
 
 
@@ -53,7 +52,6 @@ def compact():
 
 @pytest.fixture(scope="module")
 def weights(compact, tmp_path_factory):
-    """A file as our training writes it."""
     from safetensors.torch import save_file
 
     path = tmp_path_factory.mktemp("mvsplat") / "mvsplat.safetensors"

@@ -41,7 +41,6 @@ def videos(tmp_path_factory):
 
 @pytest.fixture
 def studied(videos, tmp_path, monkeypatch):
-    """A study of them with a metric that ignores its input."""
     monkeypatch.setitem(registry.METRICS.shipped, DEAF.name, DEAF)
     options = StudyOptions(("PSNR", "SDV", "Flicker", "reprojection", DEAF.name), ("noise", "frozen", "switch"), **SMALL)
     return run_study(tmp_path / "study", [videos], options), options, tmp_path / "study"

@@ -62,7 +62,6 @@ def cache(tmp_path_factory, plane_capture):
 
 
 def small_task(what, cache):
-    """The task of a baseline with small crops on the small samples."""
     baseline = TRAINED_BASELINES[what]
     samples = (SamplePool(cache, InstantKind(baseline.takes_depth), [plan]) for plan in (PLAN, VALIDATION))
     return BaselineTask(*samples, baseline, replace(RECIPES[what]("compact", 0), crop_width=64, crop_height=48))
@@ -155,7 +154,6 @@ def test_trained_weights_learn_under_the_statistics_that_they_are_used_with(what
 
 
 def statistics_of(network):
-    """Running means and variances of a network by name."""
     return {name: tensor.clone() for name, tensor in network.named_buffers() if "running" in name}
 
 

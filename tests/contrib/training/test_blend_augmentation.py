@@ -14,7 +14,6 @@ MAPS = (*SHIFTED, "fused_depth")
 
 
 def crop() -> tuple[RawViews, np.ndarray]:
-    """Two views of a scene, and the truth."""
     views = raw_views(inputs_of(instant(0, TARGET, [camera_at(-0.1), camera_at(0.15)])))
     return views, (look(TARGET)[0] / 255).astype(np.float32)
 

@@ -68,7 +68,6 @@ def cache(tmp_path_factory, plane_capture):
 
 @pytest.fixture
 def task(cache) -> BlendTask:
-    """A tiny task on them."""
     samples = (SamplePool(cache, BlendKind(), [plan]) for plan in (PLAN, VALIDATION))
     return BlendTask(*samples, CONFIG, crop_width=64, crop_height=48, batch_size=2)
 

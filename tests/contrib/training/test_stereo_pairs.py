@@ -69,6 +69,22 @@ def evenly_lit(*surfaces: Surface) -> Instant:
     return Instant(geometry, None, np.ones_like(geometry.vertices), np.zeros((0, 3), np.float32), [])
 
 
+@pytest.mark.proof
+def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
+    """A sample is a function of its arguments alone: also where its scene is laid out and lit anew."""
+    threads = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(1)
+        first = stereo_sample(3, 160, 96)
+        stereo_pairs._kept_scene.cache_clear()
+        cv2.setNumThreads(4)
+        second = stereo_sample(3, 160, 96)
+    finally:
+        cv2.setNumThreads(threads)
+    for name in ("left", "right", "disparity", "visible"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
 def test_neighbouring_seeds_take_turns_among_scenes():
     """Seeds of a batch show several scenes, and each scene serves as many pairs as are meant before others are lit."""
     per_scene, at_a_time = stereo_pairs.PAIRS_PER_SCENE, stereo_pairs.SCENES_AT_A_TIME

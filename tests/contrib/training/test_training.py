@@ -38,18 +38,15 @@ class LineTask:
     step_pixels = 16
 
     def network(self):
-        """One weight, one offset."""
         torch.manual_seed(0)
         return nn.Linear(1, 1)
 
     def batch(self, step):
-        """Sixteen points of a step."""
         rng = np.random.default_rng(step)
         x = rng.uniform(-1, 1, (16, 1))
         return {"x": torch.from_numpy(x).float(), "y": torch.from_numpy(2 * x - 1 + rng.normal(0, 0.01, x.shape)).float()}
 
     def loss(self, network, batch):
-        """Squared distance."""
         error = (network(batch["x"]) - batch["y"]).square().mean()
         return error, {"squared": float(error.detach())}
 
@@ -57,7 +54,6 @@ class LineTask:
         """Nothing."""
 
     def validate(self, network):
-        """Distance at 0.5."""
         return {"distance": float(network(torch.tensor([[0.5]])).detach().abs())}
 
 
@@ -65,12 +61,10 @@ OPTIONS = TrainingOptions(steps=120, device="cpu", precision="float32", save_eve
 
 
 def state_of(folder):
-    """Everything in the folder's state that changes."""
     return torch.load(folder / "state.pt", weights_only=True)
 
 
 def assert_equal_states(one, other):
-    """Equal bits throughout."""
     if isinstance(one, torch.Tensor):
         assert torch.equal(one, other)
     elif isinstance(one, dict):
@@ -111,7 +105,6 @@ class DyingTask(LineTask):
     """Dies at step 57, seven steps after the last checkpoint."""
 
     def batch(self, step):
-        """Points, or death."""
         if step == 57:
             raise Killed
         return super().batch(step)
@@ -196,7 +189,6 @@ class BrokenTask(LineTask):
     """One batch of infinities."""
 
     def batch(self, step):
-        """Points, or nonsense."""
         points = super().batch(step)
         return {name: tensor * (float("inf") if step == 5 else 1) for name, tensor in points.items()}
 

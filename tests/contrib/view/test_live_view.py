@@ -30,7 +30,6 @@ PROTOCOL = Protocol("plane", "plane", Views(("cam00",), "test"), Frames(0, 3), S
 
 @pytest.fixture
 def stock(playback):
-    """Frames as captured."""
     return FrameStock(playback, ALL)
 
 
@@ -113,7 +112,6 @@ def test_time_that_jumps_begins_anew(playback, stock):
 
 
 def moved(camera, along_x: float):
-    """The camera, moved sideways."""
     world_to_camera = camera.world_to_camera.copy()
     world_to_camera[0, 3] -= along_x
     return replace(camera, world_to_camera=world_to_camera)

@@ -38,7 +38,6 @@ def _quiet(started):
 
 
 def session_of(viewer: Viewer):
-    """The session of the only window."""
     (session,) = viewer._sessions.values()
     return session
 

@@ -193,13 +193,11 @@ def compiled_path(options=None):
 
 @pytest.fixture(scope="module")
 def compiled():
-    """Renderings of the demo room by the compiled path."""
     return rendered(compiled_path(), room_instants())
 
 
 @pytest.fixture(scope="module")
 def on_device():
-    """The same by the device's."""
     return rendered(DeviceGuided(), room_instants())
 
 

@@ -57,12 +57,10 @@ def run(quick) -> RunFolder:
 
 @pytest.fixture(scope="module")
 def page(run) -> Path:
-    """The page of that run."""
     return write_page([run.root], run.root / "report" / "index.html")
 
 
 def picture(address: str) -> Image8:
-    """Decode a picture of a page."""
     return cv2.imdecode(np.frombuffer(base64.b64decode(address.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
 
 

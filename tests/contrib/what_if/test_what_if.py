@@ -56,7 +56,6 @@ def views_of(
 
 
 def late(view: ViewFrames) -> Callable[[int], np.ndarray]:
-    """Every frame shows the instant before."""
     return lambda index: view.rendered(max(index - 1, 0))
 
 

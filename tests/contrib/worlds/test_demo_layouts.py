@@ -35,7 +35,6 @@ JPEG_LOSS, VIDEO_LOSS = 2.5, 5.0
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
-    """The tiny demo in a layout, written once."""
     root = tmp_path_factory.mktemp("demo")
     return lambda layout: write_demo(root / layout, tiny_options(layout), workers=1)
 
@@ -64,13 +63,11 @@ def recall(index):
 
 @cache
 def rendered(layout):
-    """All frames of all cameras of a layout's `TINY` demo."""
     options = tiny_options(layout)
     return [list(Footage(options, shot, recall).frames()) for shot in shots_of(options)]
 
 
 def shots_of(options):
-    """What is rendered, but for the true path."""
     return [shot for shot in LAYOUTS[options.layout].shots(options) if shot.sensor is not None]
 
 

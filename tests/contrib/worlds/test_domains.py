@@ -47,7 +47,6 @@ def spacing_of(options: DemoOptions) -> float:
 
 
 def grey_card(size: int = 64, level: float = 0.5) -> np.ndarray:
-    """An sRGB picture of one grey."""
     return np.full((size, size, 3), level, np.float32)
 
 
@@ -290,7 +289,6 @@ def _names(views: tuple[Camera, list[Camera]]) -> list[str]:
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory) -> Capture:
-    """A sequence of a hand-held camera."""
     options = replace(WALK, width=32, height=24, n_frames=12)
     return open_capture(write_demo(tmp_path_factory.mktemp("walk") / "walk", options, workers=1))
 
