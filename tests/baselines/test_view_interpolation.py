@@ -16,6 +16,7 @@ from ggvs_eval.reports.figures.slices import path_folders
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
+from helpers.photographs import psnr_db
 from helpers.run_folders import write_run
 from helpers.scenes import camera_at, look
 from helpers.seeded_baselines import turned
@@ -35,10 +36,6 @@ def wall_seen_by(target, cameras, square_x=BARE_WALL):
 
 def at(x, y=0.0, width=WIDTH, height=HEIGHT):
     return camera_at(x, y, width=width, height=height)
-
-
-def psnr_db(image, truth):
-    return float(-10 * np.log10(np.mean((image - truth) ** 2)))
 
 
 @pytest.mark.parametrize("x", [-0.15, -0.1, 0.0, 0.11])

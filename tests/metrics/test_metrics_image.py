@@ -10,26 +10,20 @@ from ggvs_eval.metrics.image.corrected import ColourMoments, apply_colour_map, f
 from ggvs_eval.metrics.image.l1 import l1
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
+from helpers.photographs import noisy_pair
 from helpers.refusals import refused
 
 SKIMAGE = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "channel_axis": 2}
 
 
-def noisy_pair(height, width, strength=12.0, seed=0):
-    """A crop of a photograph and the same with Gaussian noise, both uint8."""
-    truth = np.ascontiguousarray(data.astronaut()[50 : 50 + height, 60 : 60 + width])
-    noise = np.random.default_rng(seed).normal(0, strength, truth.shape)
-    return np.rint(np.clip(truth + noise, 0, 255)).astype(np.uint8), truth
-
-
 # Widths and heights on both sides of a tile of the kernel (64 RGB pixels, 128 rows) and of the window (11).
 @pytest.mark.parametrize("shape", [(11, 11), (12, 75), (37, 74), (139, 53), (150, 211)])
 def test_ssim_equals_scikit_image(shape):
-    """SSIM equals scikit-image's Gaussian variant within 1e-6, for 8-bit and float frames of any size."""
+    """SSIM equals scikit-image's Gaussian variant within 2e-6, for 8-bit and float frames of any size."""
     rendered, truth = noisy_pair(*shape)
     wanted = structural_similarity(rendered / 255, truth / 255, data_range=1, **SKIMAGE)
-    assert ssim(rendered, truth) == pytest.approx(wanted, abs=1e-6)
-    assert ssim(rendered / 255, truth / 255) == pytest.approx(wanted, abs=1e-6)
+    assert ssim(rendered, truth) == pytest.approx(wanted, abs=2e-6)
+    assert ssim(rendered / 255, truth / 255) == pytest.approx(wanted, abs=2e-6)
 
 
 def test_ssim_takes_views_of_larger_frames():

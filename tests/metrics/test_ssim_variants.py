@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from skimage import data
 from skimage.metrics import structural_similarity
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.ssim import SSIM_VARIANTS, ssim, ssim_map, ssim_variant
+from helpers.photographs import noisy_pair
 from helpers.places import DATA_FOLDER
 from helpers.refusals import refused
 
@@ -18,13 +18,6 @@ RECORDED_AS = {
     "uniform7": "skimage_default_7x7_uniform",
     "uniform7-range2": "skimage_7x7_data_range2",
 }
-
-
-def noisy_pair(height=60, width=71, strength=12.0):
-    """A crop of a photograph and the same with Gaussian noise, both uint8."""
-    truth = np.ascontiguousarray(data.coffee()[50 : 50 + height, 60 : 60 + width])
-    noise = np.random.default_rng(0).normal(0, strength, truth.shape)
-    return np.rint(np.clip(truth + noise, 0, 255)).astype(np.uint8), truth
 
 
 def splatting_ssim(rendered, truth):
@@ -70,7 +63,7 @@ def test_zero_padded_variant_equals_a_convolution_with_padding(shape):
 
 def test_map_of_the_default_has_the_mean_of_the_fast_kernel():
     """The map of valid windows and the compiled kernel are one metric, also on bright flat frames."""
-    rendered, truth = noisy_pair()
+    rendered, truth = noisy_pair(60, 71)
     for pair in ((rendered, truth), (rendered // 16 + 235, truth // 16 + 235), (np.full_like(truth, 254), truth // 64 + 252)):
         values = ssim_map(*pair)
         assert values.shape == (50, 61, 3)
@@ -80,14 +73,14 @@ def test_map_of_the_default_has_the_mean_of_the_fast_kernel():
 
 def test_one_window_of_the_map_is_the_score_of_its_pixels():
     """The value at row 7 and column 9 is the SSIM of the 11 x 11 pixels that begin there."""
-    rendered, truth = noisy_pair()
+    rendered, truth = noisy_pair(60, 71)
     window = np.s_[7:18, 9:20]
     np.testing.assert_allclose(ssim_map(rendered, truth)[7, 9].mean(), ssim(rendered[window], truth[window]), atol=1e-4)
 
 
 def test_what_cannot_be_scored_is_refused():
     """An unknown variant, frames that do not fit, and values that are not finite are errors."""
-    rendered, truth = noisy_pair()
+    rendered, truth = noisy_pair(60, 71)
     with refused(MetricError, "'luma'", "gaussian-valid, gaussian-zero, uniform7, uni"):
         ssim_variant(rendered, truth, "luma")
     with refused(MetricError, "(59, 71, 3)"):
