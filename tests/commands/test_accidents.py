@@ -166,6 +166,7 @@ def test_a_disk_that_fills_while_a_demo_is_filmed(small_disk):
     assert sorted(item.name for item in small_disk.iterdir()) == ["other"]
 
 
+@pytest.mark.slow
 def test_weights_and_states_name_a_full_disk(small_disk):
     """The libraries that write them would say that something failed."""
     network = torch.nn.Linear(200, 200)

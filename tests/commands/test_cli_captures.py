@@ -16,6 +16,7 @@ def run(*arguments: object) -> None:
     run_command([str(argument) for argument in arguments])
 
 
+@pytest.mark.slow
 def test_a_capture_that_does_not_open_is_a_bad_verdict(dynerf, tmp_path, capsys):
     """A NaN pose: the table says so, the JSON too, the exit code is 1, and of the rest what frames tell."""
     poses = np.load(dynerf / "poses_bounds.npy")

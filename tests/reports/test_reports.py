@@ -88,6 +88,7 @@ def test_no_run_and_a_run_twice_are_refused(small_run, tmp_path):
         write_report([small_run, small_run.parent / "." / "run"], tmp_path / "report")
 
 
+@pytest.mark.slow
 def test_two_scenes_share_one_page(tmp_path):
     """Two scenes under one protocol have one main table, the mean over both, and a viewer, heat maps and linked slices each."""
     shapes = (replace(SMALL, scene=scene, poses=2) for scene in ("room", "kitchen"))

@@ -69,6 +69,7 @@ def test_a_sweep_of_one_k_has_a_table_alone(sweep, tmp_path):
     assert sweep_runs(tmp_path) == [tmp_path / "a" / "demo", tmp_path / "b" / "demo"]
 
 
+@pytest.mark.slow
 def test_a_sweep_may_stand_without_its_runs(sweep, tmp_path, monkeypatch):
     """As `tables_of` it follows the groups, says on what it was measured, and which command shows its runs."""
     monkeypatch.setattr(report, "_figures", lambda *_: [])  # of the run

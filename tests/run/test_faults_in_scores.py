@@ -166,6 +166,7 @@ def test_honest_renders_of_few_frames_hold_no_copy(run, count):
         assert find_copied(name, replace(view, frames=frames, truth_frames=frames)) == []
 
 
+@pytest.mark.slow
 def test_renders_better_than_a_perfect_one_have_seen_the_view(room, tmp_path):
     """Nine tenths captured, one tenth ours lies above the ceiling of every view: `score` says so, and `doctor` by itself."""
     protocol = load_protocol(room / "p.toml")

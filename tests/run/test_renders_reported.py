@@ -19,7 +19,7 @@ from helpers.render_folders import FRAMES, make_run, truth, write_folders
 def partial_run(tmp_path_factory) -> RunFolder:
     """Two whole methods, and a perfect one of one view and two frames, with its report; nobody changes it."""
     tmp_path = tmp_path_factory.mktemp("partial")
-    run = make_run(tmp_path / "run", ("PSNR", "L1", "SDT"))
+    run = make_run(tmp_path / "run", ("PSNR",))
     import_renders(run, "a", write_folders(tmp_path / "a"))
     import_renders(run, "b", write_folders(tmp_path / "b"))
     for frame in FRAMES[:2]:

@@ -238,7 +238,9 @@ def test_the_numbering_is_printed_and_can_be_said(coffee_folder, protocol_path, 
     assert Results.read(tmp_path / "run").summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
 
 
-@pytest.mark.parametrize(("name", "label"), [("enerf", "enerf-renders"), ("my renders (2)", "my-renders-2")])
+@pytest.mark.parametrize(
+    ("name", "label"), [("enerf", "enerf-renders"), pytest.param("my renders (2)", "my-renders-2", marks=pytest.mark.slow)]
+)
 def test_a_folder_may_be_called_as_a_method_is(name, label, coffee_folder, protocol_path, theirs, tmp_path, capsys):
     """doctor, explain and score find a free name for it; who names renders so explicitly is told."""
     folder = theirs.rename(tmp_path / name)
