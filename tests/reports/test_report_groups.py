@@ -185,8 +185,8 @@ def test_a_value_measured_twice_is_refused_with_both_places(scene, tmp_path):
 def test_two_values_in_one_run_are_refused(tmp_path):
     """A table that holds a value twice is scored again, not cut to one of them."""
     run = write_run(tmp_path / "run", SMALL)
-    found = Results.read(run)
-    replace(found, table=pd.concat([found.table, found.table[:1]], ignore_index=True)).write(run)
+    results = Results.read(run)
+    replace(results, table=pd.concat([results.table, results.table[:1]], ignore_index=True)).write(run)
     with refused(ResultsError, run.name, "PSNR", LABELS[0], "room", "two values", "score"):
         write_report([run])
 
@@ -238,7 +238,7 @@ def made_table(psnr: dict[str, tuple[float, Outcome]], kinds: tuple[str, ...] = 
 
 
 def test_leaders_are_the_judgements_best_and_its_ties():
-    """The best, with its cell; what is as good and what the clip is too short for are told apart, and worse is neither."""
+    """The best with its cell, what is as good and what the clip is too short for; one method leads alone, grey rows never."""
     table = made_table({"a": (31.0, "equal"), "b": (30.9, "as good"), "c": (30.8, "too short"), "d": (20.0, "worse")})
     (psnr,) = leaders([table])
     assert (psnr.column.name, psnr.name, psnr.cell.text, psnr.cell.spread) == ("PSNR", "a", "31.0", "± 0.1")
@@ -246,10 +246,6 @@ def test_leaders_are_the_judgements_best_and_its_ties():
     (sure,) = leaders([made_table({"a": (31.0, "equal"), "d": (20.0, "worse")})])
     assert (sure.ties, sure.short, sure.judgement.winner, sure.judgement.undecided) == ((), (), "a", "")
     assert [leader.column.name for leader in leaders([table], ["absent"])] == ["PSNR"]
-
-
-def test_one_method_leads_alone_and_grey_rows_never():
-    """With a single method its values are told; published and partial rows are never called the best."""
     values = {"a": (30.0, "equal"), "paper": (99.0, "equal"), "b": (98.0, "equal")}
     (psnr,) = leaders([made_table(values, kinds=("measured", "published", "partial"))])
     assert (psnr.name, psnr.ties, psnr.judgement.winner) == ("a", (), "")
