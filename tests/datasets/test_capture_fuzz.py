@@ -28,7 +28,7 @@ LONGEST_S = 20
 MOST_BYTES = 1 << 30
 
 
-EXAMPLES = 20  # of damage to each layout
+EXAMPLES = 12  # of damage to each layout
 
 
 @pytest.fixture(scope="module")

@@ -83,10 +83,10 @@ def test_depth_of_points_in_view():
     """Only points in front of the camera and inside the image count; percentiles 1, 50 and 99.9."""
     pose = np.eye(4)
     pose[2, 3] = 1.0  # the camera stands at z = -1
-    in_view = np.stack([np.zeros(101), np.zeros(101), np.linspace(1.0, 11.0, 101)], axis=-1)
+    in_view = np.stack([np.zeros(101), np.zeros(101), np.linspace(-0.5, 9.5, 101)], axis=-1)
     others = np.array([[0.0, 0.0, -50.0], [30.0, 0.0, 3.0], [0.0, -30.0, 3.0], [0.0, 0.36, -0.5]])  # the last one at v = 60
     found = points_depth_range(np.concatenate([in_view, others]), pose, K, (64, 48))
-    assert found == pytest.approx((2.1, 7.0, 11.99), abs=1e-9)
+    assert found == pytest.approx((0.6, 5.5, 10.49), abs=1e-9)
     assert points_depth_range(others, pose, K, (64, 48)) is None
 
 

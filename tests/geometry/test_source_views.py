@@ -104,7 +104,7 @@ def test_nearest_shares_fall_towards_the_first_camera_that_is_not_chosen():
     assert shares(chosen) == {"x+1.00": 1.0, "x+2.80": pytest.approx(0.2 / 0.9, abs=1e-6)}
 
 
-@pytest.mark.parametrize("k", [2, 4])
+@pytest.mark.parametrize("k", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_coverage_covers_what_nearest_covers(k):
     """By the measure that it maximises it is never worse; by the plain one it is better on average and never much worse."""
     plain = []
@@ -122,7 +122,7 @@ def test_a_panning_camera_gets_sources_that_look_where_it_looks():
     """Of a walk with pans the two nearest places leave half of a view out; chosen ones see it."""
     cameras = make_rig("walk")
     covered = {
-        how: [covered_share(target, [each.camera for each in choose_sources(target, cameras, 2, how)]) for target in cameras]
+        how: [covered_share(target, [each.camera for each in choose_sources(target, cameras, 2, how)]) for target in cameras[::2]]
         for how in CHOICES
     }
     assert min(covered["nearest"]) < 0.5

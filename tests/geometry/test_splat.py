@@ -37,7 +37,7 @@ def assert_close(ours: Splat, theirs: Splat) -> None:
     assert difference.max() < 0.05
 
 
-@settings(deadline=None, max_examples=8)
+@settings(deadline=None, max_examples=5)
 @given(seeds, sizes, sizes, st.integers(1, 4), st.integers(1, 3), st.booleans())
 def test_agrees_with_its_twin(seed, source_size, target_size, channels, count, normalised):
     """Any sizes, channels and number of sources give the twin's images."""

@@ -61,7 +61,7 @@ def test_weights_of_a_plane_and_of_a_spike():
     assert fusion_weights(depth, 0.02, 0.001)[7, 7] == 0.0
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=12)
 @given(seeds, sizes, sizes, st.integers(1, 3), st.booleans())
 def test_march_agrees_with_its_twin(seed, source_size, target_size, count, temporal):
     """Views of any size, with and without a previous frame from another pose, give the twin's surface and weight."""
@@ -74,7 +74,7 @@ def test_march_agrees_with_its_twin(seed, source_size, target_size, count, tempo
     assert (np.abs(ours.weight - theirs.weight) > 1e-3 * (1 + theirs.weight)).mean() <= 2 * flips
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=12)
 @given(seeds, sizes, sizes, st.integers(1, 3), st.booleans(), st.floats(0.005, 0.2))
 def test_skipping_empty_space_changes_no_bit(seed, source_size, target_size, count, temporal, tau):
     """The march that skips empty slabs gives exactly the full march's result."""

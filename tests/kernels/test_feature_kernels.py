@@ -85,7 +85,7 @@ def test_bits_are_equal_for_all_threads_and_instruction_sets():
             assert np.array_equal(_features.compare_features(ours, theirs, weights, threads, level), distances)
 
 
-@pytest.mark.parametrize("size", [(4, 5), (31, 20), (33, 21), (67, 12)])
+@pytest.mark.parametrize("size", [(4, 5), (33, 21), pytest.param((67, 12), marks=pytest.mark.slow)])
 def test_bands_have_the_bits_of_whole_maps(size):
     """Heights that a band of 32 rows, tiles of four and halvings divide or not: what is handed on, distances of both taps."""
     layers = packed(drawn_layers(((3, 64, False), (64, 64, True), (64, 128, False), (128, 128, True))))

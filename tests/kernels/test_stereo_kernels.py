@@ -64,7 +64,7 @@ def matching_inputs(seed, height=12, width=15, planes=32):
     return costs, random.integers(0, 256, (height, width)).astype(np.uint8), 8, large
 
 
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=8)
 @given(seeds, st.integers(1, 35), st.integers(1, 140), st.integers(1, 5), st.integers(1, 3), st.booleans())
 def test_costs_agree_with_their_twin(seed, height, width, n_partners, radius, visible):
     """Any sizes, partners and windows give the twin's costs to one grey level, single pixels at borders apart."""
@@ -235,8 +235,6 @@ def test_wrong_arrays_are_refused():
     for other, message in ((guide[:-1], "guide"), (guide[:, ::-1], "guide: .*not C-contiguous"), (guide.astype(int), "guide")):
         with pytest.raises(TypeError, match=message):
             sweep(reference, other, partners)
-    with refused(TypeError, "ranges", "int32 (2, 2, 2)"):
-        sweep(reference, guide, partners, all_planes(40, 70)[:1])
     costs, grey, small, large = matching_inputs(0)
     left, right = grey_pair(0, 20, 50)
     flat, narrow = np.zeros((20, 50), np.float32), np.zeros((20, 49), np.float32)

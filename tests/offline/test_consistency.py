@@ -218,7 +218,7 @@ def test_average_moves_along_the_ray():
     assert (result.depth / truth - 1)[evaluated] == pytest.approx(0.001, rel=0.01)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(exponent=st.integers(-8, 8))
 def test_units_do_not_matter(exponent):
     """In a world of other units all depths are scaled and nothing else changes, bit for bit for powers of two."""

@@ -176,6 +176,7 @@ def test_a_pass_can_be_recorded(network):
     assert not forbidden
 
 
+@pytest.mark.slow
 def test_half_precision_is_close(weights):
     """Convolutions in half precision move the median depth by less than 1e-3 of itself; weights of noise amplify the rest."""
     cameras, images = rig_of_four()

@@ -63,7 +63,7 @@ def shifted_pair(disparity, height=120, width=200):
     return np.ascontiguousarray(texture[:, disparity:][:, :width]), np.ascontiguousarray(texture[:, :width])
 
 
-@pytest.mark.parametrize("largest_side_px", [1000, 100])
+@pytest.mark.parametrize("largest_side_px", [pytest.param(1000, marks=pytest.mark.slow), 100])
 def test_a_known_shift_is_found(standing, largest_side_px):
     """Disparity of a shifted picture is the shift, sizes that are no multiples of 32 included, at full and at half size."""
     right, left = shifted_pair(14)
@@ -135,7 +135,7 @@ def test_a_dense_matcher_keeps_what_is_not_confirmed(standing):
     assert np.array_equal(confidence, dense > 0)
 
 
-@pytest.mark.parametrize("before", [None, 64.0])
+@pytest.mark.parametrize("before", [None, pytest.param(64.0, marks=pytest.mark.slow)])
 def test_wide_pairs_are_moved_together(moving, before):
     """What the smallest disparity leaves is matched as if it were a narrow pair, and columns without a match are told by 0."""
     network = matcher(moving, warm_iterations=5)

@@ -62,7 +62,11 @@ def assert_alike(there, here):
     assert (np.abs(there - here) <= 1e-3).mean() >= 0.999
 
 
-@pytest.mark.parametrize("changes", [{"largest_side_px": 100}, {"from_matching": False, "refine_window": 6}])
+@pytest.mark.parametrize(
+    "changes",
+    [{"largest_side_px": 100}, pytest.param({"from_matching": False, "refine_window": 6}, marks=pytest.mark.slow)],
+    ids=["half", "whole"],
+)
 def test_a_pair_is_matched_as_on_the_cpu(changes):
     """Disparity and confidence of a pair, at half size from matching and at full size from nothing."""
     here, there = (replace(find_matcher("raft", device), **changes).match(*pair()) for device in ("cpu", "cpu:0"))
@@ -71,6 +75,7 @@ def test_a_pair_is_matched_as_on_the_cpu(changes):
     assert ((there[0] > 0) == (there[1] > 0)).all()
 
 
+@pytest.mark.slow
 def test_nothing_is_computed_elsewhere_and_nothing_waits():
     """No tensor is made on a default device, the host sees nothing before the end, and uploads are one of each kind."""
     operations = []

@@ -66,6 +66,7 @@ def test_points_at_or_before_the_near_plane_are_left_out():
         splat_points(source, TARGET, near=0.0)
 
 
+@pytest.mark.slow
 def test_the_slow_march_is_the_fast_one_in_our_reading():
     """With our reading both marches find the same surface, with a previous depth in the field too."""
     views = weighted_depths(0.7)

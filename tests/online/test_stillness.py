@@ -74,7 +74,7 @@ def test_motion_of_any_contrast_leaves_no_trail(contrast, noise):
     assert (with_past <= 1.2 * without).all()
 
 
-@pytest.mark.parametrize("k", [2, 4])
+@pytest.mark.parametrize("k", [2, pytest.param(4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("grain", "pixels"), [(0.0, 0.1), (1.0, 0.4), (8.0, 4.0)])
 def test_motion_of_any_speed_and_grain_leaves_no_trail(grain, pixels, k):
     """Slow motion, which the mean lags behind by less than a pixel, and fast motion, which looks like noise in one view."""
