@@ -168,6 +168,7 @@ def test_a_stream_goes_from_instant_to_instant(sliding_footage, tmp_path):
     assert own > still + 6  # at a rate that moves all planes' nodes alike it gains 2.4 dB
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_said_in_a_line(sliding_footage, tmp_path):
     """An unknown motion, a damaged state, a file that is no scene, and an instant that was not fitted are errors one can mend."""
     with refused(RenderError, "4dgs", "steps", "got 0"):

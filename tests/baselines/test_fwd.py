@@ -150,6 +150,7 @@ def test_half_the_size_is_the_same_view():
     assert (half.depth[1:-1, 1:-1] == expected_depth[1:-1, 1:-1]).mean() > 0.95
 
 
+@pytest.mark.slow
 def test_completion_gives_positive_depth_everywhere():
     """Whatever the size, inverse depth is above 0 and at most 1 as a share, also where none was known."""
     torch.manual_seed(7)

@@ -278,7 +278,8 @@ def rig(count):
     return [camera_at(x, y) for x, y in [(0.1, 0.0), (-0.2, 0.05), (0.35, -0.1), (-0.4, 0.2), (0.0, 0.5)][:count]]
 
 
-@pytest.mark.parametrize(("count", "depth"), [(2, "given"), pytest.param(5, "own", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "depth"), [(2, "given"), (5, "own")])
 def test_a_step_gives_an_image(weights, count, depth):
     """A finite image of the target's size, in [0, 1], the same bits from a fresh object and whatever the threads."""
     target = camera_at(0.0, width=70, height=50)

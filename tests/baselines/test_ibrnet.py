@@ -130,7 +130,7 @@ def test_a_published_checkpoint_loads_strictly(networks, weights, tmp_path):
         assert all(torch.equal(tensor, loaded[name]) for name, tensor in networks.state_dict().items())
 
 
-@pytest.mark.parametrize("views", [2, 5])
+@pytest.mark.parametrize("views", [2, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_step_gives_a_picture(weights, views):
     """Of any number of views from two: finite, of the target's size, not flat, in [0, 1]; depth within the range or 0."""
     instant = small_target(views)

@@ -21,7 +21,7 @@ from helpers.epi_scenes import POSES, SCENES, changed, exact, path, rendered, so
 from helpers.refusals import refused
 
 SWITCHES = np.array(switch_steps([sources_of(camera) for camera in path()]))
-EVERY_SCENE = pytest.mark.parametrize("name", SCENES)
+EVERY_SCENE = pytest.mark.parametrize("name", ["wall", pytest.param("slanted", marks=pytest.mark.slow), "two planes"])
 
 
 def measured(poses):
@@ -66,7 +66,9 @@ def test_exact_path_is_near_ideal_in_every_measure(name):
     assert values["switch_ratio"] == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("name", "apply"), [("wall", moved), ("slanted", brighter), ("two planes", moved)])
+@pytest.mark.parametrize(
+    ("name", "apply"), [("wall", moved), pytest.param("slanted", brighter, marks=pytest.mark.slow), ("two planes", moved)]
+)
 def test_a_jump_at_the_switches_raises_the_switch_score(name, apply):
     """A jump of colour or texture where the cameras switch multiplies the score; the same jump elsewhere does not raise it."""
     truth = truth_of(name)

@@ -22,7 +22,6 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.jobs.machine import pace
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.registry import usual_methods
 from ggvs_eval.pipelines.run.render import note_labels
@@ -272,4 +271,3 @@ def test_the_outlook_follows_the_machine(tmp_path):
     (tmp_path / "report").mkdir()
     (tmp_path / "report" / "index.html").touch()
     assert not demo_runs.describe_outlook(tmp_path, labels, 2)
-    assert pace() > 0

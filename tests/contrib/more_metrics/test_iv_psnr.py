@@ -68,7 +68,7 @@ def test_rgb_frames_have_the_reference_softwares_value():
 
 
 @pytest.mark.usefixtures("kernel_settings")
-@pytest.mark.parametrize("shape", [(1, 1), (3, 300), (70, 523)])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 300), pytest.param((70, 523), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("is_rgb", [False, True])
 @pytest.mark.parametrize("masked", [False, True])
 def test_the_kernel_equals_its_twin(shape, is_rgb, masked):

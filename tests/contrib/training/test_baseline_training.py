@@ -204,6 +204,7 @@ class Blind(SamplePool):
         return replace(sample, instant=replace(sample.instant, sources=sources))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["fwd", "gps-gaussian"])
 def test_a_window_that_no_depth_reaches_teaches_nothing(what, cache):
     """What is made of given depth shows nothing there, so the next view is learned from."""
@@ -251,6 +252,7 @@ def test_crops_are_as_large_as_is_asked(tmp_path):
             baseline_task("fwd", tmp_path, rooms, crop=size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", TRAINED_BASELINES)
 def test_the_least_crop_teaches_every_baseline(what, cache):
     """Of the smallest sides that are allowed, which no coarse level divides without rest but the coarsest."""
