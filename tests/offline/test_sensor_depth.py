@@ -115,7 +115,7 @@ def test_speckles_go():
 
 @pytest.mark.usefixtures("unsmoothed")
 def test_only_the_cameras_range_counts():
-    """Depth before near, behind far, infinite or not a number is unknown."""
+    """Depth before near, behind far, infinite or not a number is unknown; where nothing is known, all of it."""
     camera = make_camera()
     depth = plane(camera)
     for column, value in zip((10, 25, 40, 55, 70), (0.4, 8.1, np.inf, np.nan, -1.0), strict=True):
@@ -125,6 +125,7 @@ def test_only_the_cameras_range_counts():
     assert not result.depth[unknown].any()
     assert not result.confidence[unknown].any()
     assert np.array_equal(result.depth[~unknown], depth[~unknown])
+    assert not filter_sensor_depth(np.zeros_like(depth), grey(camera), camera).depth.any()
 
 
 def test_narrow_holes_in_a_plane_are_closed_exactly():
@@ -295,14 +296,6 @@ def test_units_do_not_matter(exponent, seed):
     assert np.array_equal(plain.depth > 0, scaled.depth > 0)
     assert np.allclose(scaled.depth, plain.depth * scale, rtol=1e-6)
     assert np.allclose(scaled.confidence, plain.confidence, atol=1e-5)
-
-
-def test_nothing_known_is_nothing():
-    """A map without depth gives one without depth."""
-    camera = make_camera()
-    result = filter_sensor_depth(np.zeros((HEIGHT, WIDTH), np.float32), grey(camera), camera)
-    assert not result.depth.any()
-    assert not result.confidence.any()
 
 
 class Measured:

@@ -44,7 +44,7 @@ def test_changing_the_future_does_not_change_the_present(label):
     assert not np.array_equal(first[3], second[3])
 
 
-@pytest.mark.parametrize("label", SHIPPED)
+@pytest.mark.parametrize("label", sorted({*SHIPPED} - {*ONLINE}))  # of the others the test above says it
 def test_equal_inputs_give_equal_bits(label):
     """Playing a sequence twice gives the same images to the last bit."""
     for once, again in zip(play(label, [0.0, 0.1], depth_noise=0.02), play(label, [0.0, 0.1], depth_noise=0.02), strict=True):
