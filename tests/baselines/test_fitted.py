@@ -75,7 +75,7 @@ def test_a_cloud_with_known_linear_motion_is_recovered(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("motion", ["hexplane", "linear"])
+@pytest.mark.parametrize("motion", [pytest.param("hexplane", marks=pytest.mark.proof), "linear"])
 def test_moving_footage_is_learned_in_each_motion(motion, sliding_footage, tmp_path):
     """A camera that was held out is rendered at the last instant better by 2 dB than at the first one, which differs from it."""
     held = sliding_footage.cameras[2]
@@ -89,7 +89,7 @@ def test_moving_footage_is_learned_in_each_motion(motion, sliding_footage, tmp_p
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("motion", ["hexplane", "linear"])
+@pytest.mark.parametrize("motion", [pytest.param("hexplane", marks=pytest.mark.proof), "linear"])
 def test_a_killed_fit_goes_on_with_equal_bits(motion, sliding_footage, tmp_path, kernel_settings):
     """A fit that was killed after a checkpoint, and goes on with another number of threads, leaves the same bytes and curve."""
     fitter = FourD(motion, **SHORT)

@@ -178,7 +178,7 @@ def test_weights_come_back_bit_for_bit(tmp_path, suffix, completes_depth):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("completes_depth", [False, True])
+@pytest.mark.parametrize("completes_depth", [pytest.param(False, marks=pytest.mark.proof), True])
 def test_every_parameter_can_be_trained(completes_depth):
     """The error of a view reaches each parameter through decoder, fusion and splat, the completion's by the points' positions."""
     torch.manual_seed(8)
@@ -200,7 +200,7 @@ def rig(count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [2, 5])
+@pytest.mark.parametrize("count", [2, pytest.param(5, marks=pytest.mark.proof)])
 def test_a_step_gives_an_image(weights, count):
     """A finite image of the target's odd size, in [0, 1], the same bits from a fresh object and whatever the threads."""
     moment = instant(3, camera_at(0.0, width=57, height=41), rig(count), square_x=0.4)

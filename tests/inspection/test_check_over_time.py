@@ -72,7 +72,7 @@ def test_a_zoom_in_mid_clip_is_told_from_a_push(filmed):
     assert "zoomed by x 1.03" in still.measured
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_a_rig_that_moves_as_a_whole_is_said_of_the_rig(filmed):
     """All cameras pushed at once have another cause than one tripod."""
     check = spoilt(filmed, dict.fromkeys(NAMES, bump(4, 0, 10)))
@@ -108,7 +108,7 @@ def test_a_white_balance_that_jumps_is_found_with_its_time(filmed):
     assert abs(drift.values["first_frame"] - 14) <= 1
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_lamps_that_fade_for_all_are_no_fault_of_a_camera(filmed):
     """Half the light over the clip: nobody is minded, and the rig's line gives the change."""
     check = spoilt(filmed, dict.fromkeys(NAMES, expose(0.5)))

@@ -151,8 +151,8 @@ def test_honest_renders_have_no_finding(kind, honest, truth):
 
 
 def quick_first(names: Iterable[str]) -> list:
-    """Those that are not quick are slow."""
-    return [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in names]
+    """Those that are not quick are proofs."""
+    return [name if name in QUICK else pytest.param(name, marks=pytest.mark.proof) for name in names]
 
 
 @pytest.mark.parametrize("planted", quick_first(PLANTED))

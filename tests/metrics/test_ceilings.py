@@ -76,7 +76,7 @@ def test_ceilings_of_a_room_filmed_twice_and_coded(accuracy, filmed_twice, crf, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("crf", "sigma"), [(12, 0.5), (23, 2)])
+@pytest.mark.parametrize(("crf", "sigma"), [(12, 0.5), pytest.param(23, 2, marks=pytest.mark.proof)])
 def test_noise_that_the_codec_hides_leaves_bounds(accuracy, filmed_twice, crf, sigma):
     """What is lost cannot be lost again: the noise-free row is a bound that holds, and no second recording is predicted."""
     clean, recordings = filmed_twice

@@ -79,7 +79,7 @@ def test_flips_median_is_told_from_its_mean():
 
 
 @pytest.mark.skipif(not (dists_weights_path().is_file() and weights_path("vgg").is_file()), reason="no weights of DISTS")
-@pytest.mark.slow
+@pytest.mark.proof
 def test_dists_of_half_size_is_told():
     """A number of smaller frames is recognised as that."""
     halves = [

@@ -30,6 +30,10 @@ WIDTH, HEIGHT = 100, 75
 PLAN = RoomPlan(rooms=1, targets=2, views=3, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = domain_validation_plan(PLAIN, views=3, targets=1, size=(WIDTH, HEIGHT))
 
+# One is slow; that the others are trained in the same way is proved.
+DEAREST_LAST = [
+    pytest.param(what, marks=pytest.mark.slow if what == "enerf" else pytest.mark.proof) for what in TRAINED_BASELINES
+]
 ONE_CROP = {
     "samples": torch.tensor([0]),
     "places": torch.tensor([[0.5, 0.5]]),
@@ -117,8 +121,7 @@ def test_focused_sources_show_all_that_the_window_can(cache):
     assert cut.instant.sources[0].image.size < whole.instant.sources[0].image.size
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("what", TRAINED_BASELINES)
+@pytest.mark.parametrize("what", DEAREST_LAST)
 def test_a_batch_is_learned(what, cache):
     """Some steps on one batch lower its loss; the same step draws the same crops, another one others."""
     task = small_task(what, cache)
@@ -157,8 +160,7 @@ def statistics_of(network):
     return {name: tensor.clone() for name, tensor in network.named_buffers() if "running" in name}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("what", TRAINED_BASELINES)
+@pytest.mark.parametrize("what", DEAREST_LAST)
 def test_what_a_training_writes_renders(what, cache, tmp_path):
     """The file says its configuration and renders by the method's label; its picture is the one that was validated."""
     task = small_task(what, cache)

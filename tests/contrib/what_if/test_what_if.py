@@ -99,7 +99,7 @@ PLANTED: dict[str, tuple[str, Spoil, float]] = {
 QUICK = ("shift (.4, .2)", "gain 1.03", "one frame late", "GBR")
 
 
-@pytest.mark.parametrize("planted", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in PLANTED])
+@pytest.mark.parametrize("planted", [name if name in QUICK else pytest.param(name, marks=pytest.mark.proof) for name in PLANTED])
 def test_a_fault_undone_gives_back_the_score(planted, soft, truth):
     """The row of the fault has the unspoilt score, bit for bit where nothing is interpolated, and the gain is beyond doubt."""
     fault, spoil, most_db = PLANTED[planted]

@@ -97,12 +97,12 @@ def contents(folder):
     ("layout", "loss"),
     [
         ("dynerf", VIDEO_LOSS),
-        ("meetroom", VIDEO_LOSS),
+        pytest.param("meetroom", VIDEO_LOSS, marks=pytest.mark.proof),
         ("rgbd", JPEG_LOSS),
-        ("panoptic", JPEG_LOSS),
+        pytest.param("panoptic", JPEG_LOSS, marks=pytest.mark.proof),
         ("d3dmv", 0),
-        ("technicolor", 0),
-        ("colmap", VIDEO_LOSS),
+        pytest.param("technicolor", 0, marks=pytest.mark.proof),
+        pytest.param("colmap", VIDEO_LOSS, marks=pytest.mark.proof),
     ],
 )
 def test_reading_back_gives_the_same_images(demo, layout, loss):
@@ -128,7 +128,7 @@ def test_reading_back_gives_the_wrong_calibration_that_was_asked_for(quick, layo
     assert np.abs(cameras[0].rotation - true.rotation).max() > 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_same_options_give_same_bytes_in_every_layout(quick, tmp_path, layout):
     """Written twice, all files are the same, and none is left that only the writing needed."""
@@ -293,7 +293,7 @@ def depth_at(instant, camera: Camera, uv):
     return float(render_depth(instant, camera.cropped(uv[0] - 0.5, uv[1] - 0.5, 1, 1))[0, 0])
 
 
-@pytest.mark.slow
+@pytest.mark.proof
 def test_colmap_points_are_seen_where_the_model_says(demo):
     """Hundreds of points, each in at least two tracks; sightings are exact, and what is not sighted is hidden."""
     cameras, points = read_model(demo("colmap") / "sparse" / "0")
