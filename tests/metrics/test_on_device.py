@@ -35,7 +35,7 @@ def uploaded(image: np.ndarray) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("name", SSIM_VARIANTS)
-@pytest.mark.parametrize(("size", "tolerance"), [((11, 11), 1e-4), ((150, 170), 1e-6)])  # of one window, of a frame
+@pytest.mark.parametrize(("size", "tolerance"), [((11, 11), 1e-4), ((90, 110), 2e-6)])  # of one window, of a frame
 def test_every_ssim_is_that_of_the_cpu(name, size, tolerance):
     """Each channel, as near as single precision on the CPU lets it be."""
     ((rendered, truth),) = clip(*size, frames=1)
