@@ -24,5 +24,5 @@ def test_neither_the_limit_nor_the_disk_is_exceeded(tmp_path, monkeypatch, allow
     if fits:
         assert unpacked() == tmp_path / "out" / "cam00"
     else:
-        with pytest.raises(RenderError, match="renders.zip"):
+        with pytest.raises(RenderError, match=r"renders\.zip"):
             unpacked()
