@@ -348,7 +348,9 @@ def many_models(folder: Path, count: int) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("write", [many_frames, many_rows, pytest.param(many_poses, marks=pytest.mark.slow), many_names, many_models])
+@pytest.mark.parametrize(
+    "write", [many_frames, many_rows, pytest.param(many_poses, marks=pytest.mark.slow), many_names, many_models]
+)
 def test_a_rig_of_more_than_10_000_cameras_is_refused_at_once(write, tmp_path):
     """Before poses are read, and before anything of every pair of cameras is held in memory."""
     folder = write(tmp_path / "rig", 10_002)

@@ -51,6 +51,7 @@ def test_a_bump_in_mid_clip_is_found_with_its_size_and_time(filmed):
     assert "at frame 0" in found["epipolar error", "cam04"].measured
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("far", "at"), [(1.6, 15), pytest.param(70.0, 9, marks=pytest.mark.slow)])
 def test_small_and_large_bumps_are_found(filmed, far, at):
     """A bump of a pixel and a half is found, and one so large that no corner can be followed."""
@@ -97,6 +98,7 @@ def test_an_exposure_that_grows_is_found_with_its_amount(filmed):
     assert propose_corrections(check.findings, {}) == {}
 
 
+@pytest.mark.slow
 def test_a_white_balance_that_jumps_is_found_with_its_time(filmed):
     """Red up and blue down by 6 % from frame 14 on."""
 
@@ -252,6 +254,7 @@ def test_one_zoom_under_a_shared_lens_is_named_and_can_be_freed(filmed, tmp_path
     assert freed.mean_reprojection_error_px < calibrated.mean_reprojection_error_px
 
 
+@pytest.mark.slow
 def test_own_lenses_want_a_shared_one_and_known_names(filmed, tmp_path):
     """Options that contradict each other, and a camera that is not there."""
     with pytest.raises(CaptureError, match="wanted shared intrinsics with --own-lens"):

@@ -44,6 +44,7 @@ def answer(check: CaptureCheck, question: str, subject: str):
     return next(finding for finding in check.of(question) if finding.subject == subject)
 
 
+@pytest.mark.slow
 def test_a_rig_without_fault_has_no_bad_line_and_no_camera_to_look_at(filmed):
     """Nothing but the guessed units is remarked on, every question but that is ok, and estimates have intervals."""
     check = filmed.check()
@@ -71,6 +72,7 @@ def test_swapped_cameras_are_named_with_the_mend(filmed):
     assert answer(check, "time offset", "cam01").verdict == "unknown"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.05, pytest.param(0.95, marks=pytest.mark.slow)])
 def test_a_wrong_focal_length_is_named_with_its_factor(filmed, factor):
     """One camera whose focal length is 5 % off is bad, and the factor that mends it is found within 1 %."""
@@ -94,6 +96,7 @@ def test_a_focal_length_wrong_in_all_cameras_is_said_of_the_rig(filmed):
     assert found.values["focal_factor"] == pytest.approx(1 / 1.1, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_mirrored_pose_that_is_still_a_rotation_is_found(filmed):
     """A pose mirrored in a world plane passes as a rotation; its epipolar error gives it away and the mirror is named."""
     check = filmed.check(changed(filmed, "cam03", lambda camera: mirror_world(camera, 0)))
@@ -117,6 +120,7 @@ def test_a_mirrored_system_of_all_cameras_is_named(filmed, axis):
     assert found.advice == "correct all cameras as named"
 
 
+@pytest.mark.slow
 def test_a_pose_turned_round_is_found_by_pose_and_by_matches(filmed):
     """Half a turn about the x axis, as OpenGL's axes would be, looks away from the scene and puts the matches behind it."""
     half_turn = np.diag([1.0, -1.0, -1.0, 1.0])

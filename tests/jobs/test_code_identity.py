@@ -115,6 +115,7 @@ def stale_jobs(tree: CodeTree, before: dict[str, Any]) -> set[str]:
     return {job for job in before if before[job] != after[job]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STALE)
 def test_exactly_the_right_jobs_go_stale(name, before, copied):
     """A changed line makes those methods, scores and depth maps stale that run it, and no other."""
@@ -124,6 +125,7 @@ def test_exactly_the_right_jobs_go_stale(name, before, copied):
     assert stale == wanted
 
 
+@pytest.mark.slow
 def test_code_of_messages_and_pages_makes_nothing_stale(before, copied):
     """Nor does a comment in the code of a method, or a module of its own with its line in the table of its kind."""
     entries = "".join(f'{table}["added"] = "ggvs_eval.added:psnr"\n' for table in TABLES)
@@ -137,6 +139,7 @@ def test_code_of_messages_and_pages_makes_nothing_stale(before, copied):
     (copied.folder / "added.py").unlink()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "stale"), [("warp/step.py", {"ours on a GPU"}), ("export/gltf_reading.py", {"Gaussians of a file"})]
 )

@@ -180,6 +180,7 @@ def test_median_moves_an_edge_to_that_of_the_image():
     assert np.array_equal(_stereo.weighted_median(slope, guide, 64, 5, 7.0, 5.0, 1), slope)
 
 
+@pytest.mark.slow
 def test_bits_depend_on_neither_threads_nor_instruction_set():
     """Costs, surface, margin and median are equal to the bit for 1, 2 and 5 threads on every instruction set."""
     for visible in (True, False):

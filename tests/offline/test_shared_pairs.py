@@ -44,6 +44,7 @@ def filled(store, planned, monkeypatch, shares=True):
     return {(job.key, frame): store.read(job.key, frame) for job in jobs for frame in FRAMES}, len(pairs)
 
 
+@pytest.mark.slow
 def test_a_pair_is_matched_once(planned, tmp_path, monkeypatch):
     """As many matchings as there are ordered pairs, fewer than job by job, and the same maps; later what is lost alone."""
     _, jobs = planned

@@ -126,6 +126,7 @@ def test_what_does_not_belong_to_its_results_is_named(damage, words, tmp_path):
         write_report([run])
 
 
+@pytest.mark.slow
 def test_single_frame_is_enough(tmp_path):
     """A run of one frame has a report that says once that nothing is drawn over time: no curves, heat maps, slices or videos."""
     run = write_run(
@@ -139,6 +140,7 @@ def test_single_frame_is_enough(tmp_path):
     assert "of the only frame of each view" in text
 
 
+@pytest.mark.slow
 def test_run_without_path_says_so(tmp_path):
     """Without frames along a camera path the page says that there is no epipolar plane image, and the rest is there."""
     page = write_report([write_run(tmp_path / "run", SMALL)], with_figures=False)
@@ -161,6 +163,7 @@ def test_page_tells_nothing_of_the_machine(whole_run, report):
     assert "ggvs-eval prepare run --capture room" in text
 
 
+@pytest.mark.slow
 def test_page_names_the_depth(tmp_path):
     """The facts and commands of a run name the matcher of its depth, without folders; a measured scale has four digits."""
     run = write_run(tmp_path / "run", SMALL)

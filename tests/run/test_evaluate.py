@@ -200,6 +200,7 @@ def test_a_folder_belongs_to_one_protocol(run, whole_run):
         prepare(run.root, capture_of(whole_run), dataclasses.replace(PROTOCOL, synthesis=Synthesis(2)))
 
 
+@pytest.mark.slow
 def test_the_path_may_show_another_instant_than_the_protocol(room, tmp_path):
     """A true camera path at an instant beyond the protocol's frames has its depth computed and is rendered."""
     shutil.copytree(room.path, tmp_path / "late")

@@ -82,6 +82,7 @@ def test_each_certain_fault_is_kept_with_the_scores(run):
     assert all("t-1" in one.measured and "-1" in one.advice for one in results.faults if one.label == "late")
 
 
+@pytest.mark.slow
 def test_a_spoilt_row_says_so_and_is_compared_with_no_other(run, monkeypatch):
     """In the name of its row, below the table and in the headline; nothing is bold, shaded or better because of it."""
     leave_out_figures(monkeypatch)

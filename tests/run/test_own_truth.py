@@ -72,6 +72,7 @@ def test_the_same_scores_with_and_without_the_capture(folder, tmp_path, capsys):
     assert Results.read(tmp_path / "with").table["value"].tolist() == with_capture["value"].tolist()
 
 
+@pytest.mark.slow
 def test_own_truth_is_said_everywhere(folder, tmp_path, capsys):
     """Results, rows, tables for papers and the page say that the truth came with the renders; nothing is rendered there."""
     archive = write_archive(folder, tmp_path / f"{VIEW}.npz")

@@ -238,6 +238,7 @@ def test_the_numbering_is_printed_and_can_be_said(coffee_folder, protocol_path, 
     assert Results.read(tmp_path / "run").summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "label"), [("enerf", "enerf-renders"), pytest.param("my renders (2)", "my-renders-2", marks=pytest.mark.slow)]
 )

@@ -107,6 +107,7 @@ def test_depth_for_checks_alone_goes_and_is_found_again_where_a_check_is_lost(de
     assert {file: file.read_bytes() for file in plan.run.depth.rglob("*.npz")} == whole
 
 
+@pytest.mark.slow
 def test_a_shared_store_keeps_depth_for_checks_until_all_runs_are_done(demo_capture, protocol, tmp_path):
     """The next variant of a sweep finds what the first one has found; after the sweep nothing of it is left."""
     sweep = Sweep("s", "", (SweepRow("A", "no-blending"),), k=(2, 3))

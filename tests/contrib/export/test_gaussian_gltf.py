@@ -212,6 +212,7 @@ def test_fewer_harmonics(tmp_path):
         same(read_glb(tmp_path / "flat.glb", mesh), replace(clouds()[frame], sh=clouds()[frame].sh[:, :4]))
 
 
+@pytest.mark.slow
 def test_one_cloud_is_in_memory_at_a_time(tmp_path):
     """When the next one is asked for, the one before is gone."""
     alive = []

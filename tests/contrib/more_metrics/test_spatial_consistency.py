@@ -141,6 +141,7 @@ def test_what_is_wrong_everywhere_alike_does_not_bend():
     assert spatial_consistency(late).translation < spatial_consistency(bent(1)).translation
 
 
+@pytest.mark.slow
 def test_what_moves_has_no_vote_where_its_depth_is_unknown():
     """A quarter that stands still, with depth 0: what is left is the true path."""
     poses = [(camera, image, depth.copy()) for camera, image, depth in bent(4)]
@@ -186,6 +187,7 @@ def test_it_is_measured_only_where_it_is_named():
     ]
 
 
+@pytest.mark.slow
 def test_cameras_that_only_turn_have_no_translation():
     """The rotations of their regions are compared; of translations it says why there are none."""
     poses = []

@@ -201,6 +201,7 @@ def test_the_two_cameras_differ():
     assert max(noises) > 2.5
 
 
+@pytest.mark.slow
 def test_paint_is_changed_but_for_what_shines():
     """No share leaves all materials, the whole share replaces those that send out no light."""
     lamp = Material(plain((0.9, 0.9, 0.9)), emission=1.0)

@@ -122,6 +122,7 @@ def test_a_killed_training_goes_on_with_equal_bits(trained, tmp_path):
     assert logs[0] == logs[1]  # but for the seconds, those of the clock and those of the processor
 
 
+@pytest.mark.slow
 def test_trained_weights_can_be_the_beginning(trained, tmp_path):
     """Without a state a training begins with given weights, whose pixels count; those of another network are refused."""
     weights = trained / "line.safetensors"
@@ -158,6 +159,7 @@ def test_statistics_are_those_of_whole_views():
     assert torch.equal(norm.running_mean, before)
 
 
+@pytest.mark.slow
 def test_more_steps_go_on_with_a_finished_training(trained, tmp_path):
     """A finished training is not run again; with more steps it goes on, and its picture follows the logs, byte for byte."""
     folder = Path(shutil.copytree(trained, tmp_path / "more"))

@@ -13,6 +13,8 @@ from ggvs_eval.contrib.view.viewer import Listener, Viewer, export_page
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from helpers.browser import DESKTOP
 
+pytestmark = pytest.mark.slow  # WebGL by software
+
 CANVAS = "canvas"
 
 
