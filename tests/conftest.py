@@ -5,7 +5,7 @@ installed wheel.
 
 A test has one home. Without a marker it is of ``make test``; ``pytest.mark.slow`` puts it into ``make test-all`` and
 ``pytest.mark.proof`` into ``make validate``. A test of ``make test`` that takes more than a second of a core fails, and so does
-one that is the first to use a shared fixture of more than two; a slow test fails beyond ten (`helpers.time_limits`).
+one that is the first to use a shared fixture of more than two; a slow test fails beyond fifteen (`helpers.time_limits`).
 """
 
 import gc

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import pytest
 
-MOST_S = {"slow": 10.0, "wheel": 30.0}  # of a test with the fixtures that are its own, by marker; proofs may take any time
+MOST_S = {"slow": 15.0, "wheel": 30.0}  # of a test with the fixtures that are its own, by marker; proofs may take any time
 MOST_OTHER_S = 1.0
 MOST_SHARED_S = {"whole_run": 20.0}  # of a fixture that tests share, by name
 MOST_OTHER_SHARED_S = 2.0
