@@ -2,7 +2,8 @@
 
 Each fault of `worth_of_tests.toml` is one line of the package, written wrongly. It is planted in a copy of the checkout, where
 the tests nearest to it run first and, as long as none fails, all others of `make test`; slow tests and time limits do not count,
-nor does the test of the list itself, which no planted line passes. Prints the first test that fails, or that none does, and ends with 1 if fewer than `LEAST_FOUND` of the faults are found.
+nor does the test of the list itself, which no planted line passes. Prints the first test that fails, or that none does, and ends
+with 1 if fewer than `LEAST_FOUND` of the faults are found.
 """
 
 import os
@@ -85,21 +86,8 @@ def copied_checkout() -> Iterator[Path]:
 
 def first_failure(checkout: Path, tests: Sequence[str]) -> str:
     """Return the name of the first test that fails, or that cannot be collected; empty if all pass."""
-    options = [
-        "-x",
-        "-q",
-        "-m",
-        OF_MAKE_TEST,
-        "-p",
-        "no:randomly",
-        "-p",
-        "no:time_limits",
-        "-p",
-        "no:cacheprovider",
-        "--tb=no",
-        f"--ignore={TEST_OF_LIST}",
-    ]
-    options.append(f"--ignore={TEST_OF_LIST}")
+    without = ["-p", "no:randomly", "-p", "no:time_limits", "-p", "no:cacheprovider", f"--ignore={TEST_OF_LIST}"]
+    options = ["-x", "-q", "--tb=no", "-m", OF_MAKE_TEST, *without]
     environment = os.environ | {
         "PYTHONPATH": f"{checkout / 'view'}{os.pathsep}{checkout}",
         "PYTHONSAFEPATH": "1",

@@ -186,11 +186,11 @@ def torch_threads() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def started(tmp_path_factory):
+def started():
     """One real browser for all tests that share a process."""
     from helpers.browser import open_browser
 
-    with open_browser(tmp_path_factory.mktemp("browser")) as browser:
+    with open_browser() as browser:
         yield browser
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from PIL import Image
@@ -36,8 +37,8 @@ def find_browser() -> tuple[str, str]:
 
 
 @contextmanager
-def open_browser(profile: Path) -> Iterator["Browser"]:
-    """Start a browser that keeps its files in a folder; it ends with the block."""
+def open_browser() -> Iterator["Browser"]:
+    """Start a browser, which ends with the block and with it the folder of its files."""
     binary, driver = find_browser()
     from selenium import webdriver
     from selenium.webdriver.chrome.options import Options
@@ -45,23 +46,20 @@ def open_browser(profile: Path) -> Iterator["Browser"]:
 
     options = Options()
     options.binary_location = binary
-    # Containers run as root, where Chromium's sandbox cannot start; the page under test is our own.
-    arguments = (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-dev-shm-usage",
-        "--enable-unsafe-swiftshader",
-    )  # WebGL without a GPU
-    for argument in (*arguments, f"--user-data-dir={profile}"):
+    # Containers run as root, where Chromium's sandbox cannot start; the page under test is our own. WebGL needs no GPU.
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--enable-unsafe-swiftshader"):
         options.add_argument(argument)
     # Whatever the page asks of a network, it does not get.
     options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driven = webdriver.Chrome(options=options, service=Service(driver))
-    try:
-        yield Browser(driven)
-    finally:
-        driven.quit()
+    # Chromium opens a socket among its temporary files, whose path may have 107 bytes at most.
+    with TemporaryDirectory(dir="/tmp", ignore_cleanup_errors=True) as profile:
+        options.add_argument(f"--user-data-dir={profile}")
+        driven = webdriver.Chrome(options=options, service=Service(driver, env=os.environ | {"TMPDIR": profile}))
+        try:
+            yield Browser(driven)
+        finally:
+            driven.quit()
 
 
 class Browser:
