@@ -195,11 +195,14 @@ def started():
 
 
 @pytest.fixture(scope="session")
-def painted(tmp_path_factory) -> Path:
-    """A page whose pictures say what they are of; nobody changes it."""
+def painted(shared_folder) -> Path:
+    """A page whose pictures say what they are of, once for all processes; nobody changes it."""
+    from ggvs_eval.files.atomic import locked
     from helpers.painted_page import write_painted_page
 
-    return write_painted_page(tmp_path_factory.mktemp("painted"))
+    page = shared_folder / "painted" / "index.html"
+    with locked(page.parent.with_name("painted.lock")):
+        return page if page.is_file() else write_painted_page(page.parent)
 
 
 @pytest.fixture
