@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 IDLE_S = 10.0  # after which the process gives back its memory
+LONGEST_LOG = 1 << 20  # bytes of what a library writes about one file
 
 
 class ReaderError(Exception):
@@ -35,6 +36,7 @@ class ReaderProcess:
         self._log = tempfile.TemporaryFile()  # noqa: SIM115, lives as long as this does
         self._child: subprocess.Popen[str] | None = None
         self._parent_pid = 0
+        atexit.register(self.end)
 
     def ask(self, path: Path, timeout_s: float) -> Any:
         """Return what the script makes of a file or folder; it comes as JSON.
@@ -49,6 +51,8 @@ class ReaderProcess:
             except BaseException:  # after Ctrl-C, too, the late answer would be taken for that of the next request
                 self.end()
                 raise
+        if not line:
+            raise ReaderError("the reader ended twice without an answer")
         answer = json.loads(line)
         if "refusal" in answer:
             raise ReaderError(answer["refusal"])
@@ -77,9 +81,8 @@ class ReaderProcess:
             raise TimeoutError(f"{path}: took over {timeout_s:g} s")
         line = child.stdout.readline()
         if not line and child.wait() != 0:
-            last_words = os.pread(self._log.fileno(), 1 << 20, log_start).decode("utf-8", "replace").split("\n")
-            told = [words.strip() for words in last_words if words.strip()]
-            raise ReaderError(told[-1] if told else f"the reader ended with {child.returncode}")
+            log = os.pread(self._log.fileno(), LONGEST_LOG, log_start).decode("utf-8", "replace").strip()
+            raise ReaderError(log.splitlines()[-1] if log else f"the reader ended with {child.returncode}")
         return line
 
     def _started(self) -> "subprocess.Popen[str]":
@@ -93,7 +96,6 @@ class ReaderProcess:
                 encoding="utf-8",
             )
             self._parent_pid = os.getpid()
-            atexit.register(self.end)
         return self._child
 
 
@@ -101,10 +103,11 @@ def serve(read: Callable[[Path], Any]) -> None:
     """Answer the requests of a `ReaderProcess` until there are none: what the script of such a process calls.
 
     Args:
-        read: makes a value that JSON can hold of a path; what it raises is told as a refusal.
+        read: makes a value that JSON can hold of a path; what it raises is reported as a refusal.
     """
     with os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8") as answers:
-        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no answer
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())  # what a library prints is neither an answer nor an error
         while select.select([sys.stdin], [], [], IDLE_S)[0] and (line := sys.stdin.readline()):
             try:
                 answer = {"value": read(Path(json.loads(line)))}

@@ -14,15 +14,15 @@ import os, sys, time
 from ggvs_eval.files import reader_process
 
 def read(path):
+    print("chatter", flush=True)
     if path.name == "abort":
         os.abort()
-    print("chatter")
     os.write(1, b'{"value": "chatter of a library"}\\n')
     match path.name:
         case "pid":
             return os.getpid()
         case "refused":
-            raise ValueError("told before\\nno camera in it")
+            raise ValueError("a first line\\nno camera in it")
         case "missing":
             raise KeyError("model")
         case "exit":
@@ -61,7 +61,7 @@ def test_one_process_answers_and_what_it_prints_is_no_answer(reader):
     assert reader.ask(Path("pid"), LONG_S) == pid
 
 
-def test_a_refusal_is_told_and_survived(reader):
+def test_a_refusal_is_reported_and_survived(reader):
     """By the last line of its reason, with the kind of error where it is no ValueError."""
     pid = reader.ask(Path("pid"), LONG_S)
     for name, reason in (("refused", "no camera in it"), ("missing", "KeyError: 'model'")):
