@@ -8,9 +8,6 @@ from pathlib import Path
 
 TESTS = Path(__file__).resolve().parents[1]
 FOLDERS = ("pipelines", "baselines", "contrib", "metrics", "reports")
-# Modules that name others as text, "room.module:OBJECT": who reads such a table imports what it names.
-TEXT_TABLES = ("built_in",)
-MODULE_IN_TEXT = re.compile(r'"ggvs_eval\.([\w.]+):\w+"|"([\w.]+):\w+"')
 IMPORT = re.compile(r"^[ \t]*(?:from (ggvs_eval[\w.]*) import (\([^)]*\)|.*)|import (ggvs_eval[\w.]*))", re.MULTILINE)
 TAKEN = re.compile(r"(\w+)(?: as \w+)?\s*(?:,|\)|$)")
 COMMENT = re.compile("#.*")

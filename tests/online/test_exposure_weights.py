@@ -12,8 +12,8 @@ def test_a_pair_weighs_its_share_of_the_samples_of_both(monkeypatch):
     """Eight of 100 + 300 look-ups are a share of .02; the log ratio is split between the two against the prior."""
     looks = np.zeros((8, 4), np.float32)
     looks[:, :3] = 0.4
-    told = {(0, 1): looks}, np.array([100, 300]), np.ones((2, 2))
-    monkeypatch.setattr(exposure_compensation, "shared_looks", lambda _sources, _tolerance: told)
+    shared = {(0, 1): looks}, np.array([100, 300]), np.ones((2, 2))
+    monkeypatch.setattr(exposure_compensation, "shared_looks", lambda _sources, _tolerance: shared)
     sources = [SimpleNamespace(camera=SimpleNamespace(name=name)) for name in ("left", "right")]
     share = 8 / 400
     half = share * 0.4 / (PRIOR + 2 * share)

@@ -70,8 +70,8 @@ def test_the_wheel_holds_the_files_that_are_listed(checkout):
 
 def test_every_module_can_be_imported():
     """What fails misses a package of an extra that is not installed, never a file of ours."""
-    told = subprocess.run([sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, check=True).stdout
-    failures = json.loads(told.splitlines()[-1])
+    output = subprocess.run([sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, check=True).stdout
+    failures = json.loads(output.splitlines()[-1])
 
     assert {missing for missing in failures.values() if missing.startswith("ggvs_eval")} == set()
     assert set(failures.values()) <= {"warp", "distributed", "dask", "viser", "tensorboardX", "mlflow", "wandb", "cvvdp"}
