@@ -10,7 +10,7 @@ import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 IDLE_S = 10.0  # after which the process gives back its memory
 LONGEST_LOG = 1 << 20  # bytes of what a library writes about one file
@@ -33,7 +33,7 @@ class ReaderProcess:
     def __init__(self, script: Path) -> None:
         self._script = script
         self._lock = threading.Lock()
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115, lives as long as this does
+        self._log: IO[bytes] | None = None
         self._child: subprocess.Popen[str] | None = None
         self._parent_pid = 0
         atexit.register(self.end)
@@ -64,12 +64,15 @@ class ReaderProcess:
         if child is not None and self._parent_pid == os.getpid():
             child.kill()
             child.communicate()
+        if self._log is not None:
+            self._log.close()
 
     def _answer(self, path: Path, timeout_s: float) -> str:
         """Return the line that answers a request; an empty one if the process had ended, or did so without being at fault."""
         child = self._started()
         assert child.stdin is not None
         assert child.stdout is not None
+        assert self._log is not None
         log_start = os.fstat(self._log.fileno()).st_size
         try:
             child.stdin.write(json.dumps(str(path)) + "\n")
@@ -88,6 +91,8 @@ class ReaderProcess:
     def _started(self) -> "subprocess.Popen[str]":
         """Return the process; a new one where there is none, it has ended, or it is of the process that this was forked from."""
         if self._child is None or self._parent_pid != os.getpid() or self._child.poll() is not None:
+            self.end()
+            self._log = tempfile.TemporaryFile()  # noqa: SIM115, closed by `end`
             self._child = subprocess.Popen(
                 [sys.executable, "-P", str(self._script)],
                 stdin=subprocess.PIPE,

@@ -101,8 +101,9 @@ def test_an_answer_that_nobody_waited_for_is_not_the_next_ones(reader, monkeypat
 
 
 def test_a_process_that_is_not_asked_ends(tmp_path):
-    """It gives back its memory; the next request starts another without an error."""
+    """Nothing is opened before the first request; idle, it gives back its memory, and the next request starts another."""
     reader = started(tmp_path, idle_s=0.1)
+    assert (reader._child, reader._log) == (None, None)
     pid = reader.ask(Path("pid"), LONG_S)
     began = time.monotonic()
     while reader._child.poll() is None:
