@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def make(folder: Path, setting: dict[str, str], film_only: bool) -> None:
     """Film and evaluate in processes of this setting; what is there already is left as it is."""
     for layout, options in CAPTURES.items():
-        _ggvs_eval(setting, "demo", folder / layout, *SIZE, *options)
+        _ggvs_eval(setting, "film", folder / layout, *SIZE, *options)
     if not film_only:
         protocol = folder / "short.toml"
         protocol.write_text(_short_protocol())

@@ -30,14 +30,12 @@ class Verb(NamedTuple):
         about: the first line of its help.
         group: heading under which the overview lists it.
         example: arguments of one call, which its help shows; NETWORK represents the name of a subcommand.
-        wider: the verb that is called instead for options that this verb lacks.
     """
 
     target: str
     about: str
     group: str
     example: str
-    wider: str = ""
 
 
 START, CAPTURE, EVALUATE, LOOK, MORE = "start", "capture", "evaluate", "look", "more"
@@ -49,7 +47,6 @@ VERBS: dict[str, Verb] = {
         "Unpack a demo capture (a procedural dynamic room) in seconds.",
         START,
         "room",
-        "film",
     ),
     "get": Verb(
         f"{VERBS_ROOM}.captures:get",
@@ -116,7 +113,6 @@ VERBS: dict[str, Verb] = {
         "Find the metric conventions that give a quoted number.",
         EVALUATE,
         "out/mine ssim 0.936 --method mine",
-        "check-table",
     ),
     "check-table": Verb(
         "ggvs_eval.contrib.explain.command:check_table",

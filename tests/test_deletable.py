@@ -34,7 +34,7 @@ ASKED = {
     "view": ("view ROOM", "view is part of"),
     "training": ("train blend OUT", "train is part of"),
     "what_if": ("what-if MINE --capture ROOM", "what-if is part of"),
-    "worlds": ("demo OUT --seed 3", "film is part of"),
+    "worlds": ("film OUT --seed 3", "film is part of"),
 }
 # In a checkout an editable install would find again what was taken away.
 DONE = """

@@ -28,7 +28,7 @@ def explain(
 ) -> None:
     """Find the metric conventions that give a quoted number.
 
-    `explain --table FILE RUN ...` checks a whole published table; see `check-table --help`.
+    `ggvs-eval check-table` checks a whole published table.
 
     Args:
         renders: frames in any form that `score` accepts, with --capture; or a run folder.
@@ -60,7 +60,7 @@ def check_table(runs: Scored, table: Path, rows: Rows = (), metric: str | None =
     """Check every cell of a published table against scored runs.
 
     Each cell is reproduced (to its printed digits), equal under another convention, undecided (within the interval of this clip)
-    or not reproduced. Ends with 1 if a cell is not reproduced, or none was checked. `explain --table FILE RUN ...` is the same.
+    or not reproduced. Ends with 1 if a cell is not reproduced, or none was checked.
 
     Args:
         runs: scored run folders, one per scene.

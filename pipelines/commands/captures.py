@@ -36,8 +36,6 @@ Calibrating = tyro.conf.OmitArgPrefixes[CalibrationOptions]
 def demo(out: Output, room: RoomName = MAIN, quick: bool = False) -> None:
     """Unpack a demo capture (a procedural dynamic room) in seconds.
 
-    Any option of `ggvs-eval film` films another room instead.
-
     Args:
         out: folder to write; absent, or holding this demo.
         room: room to unpack: the main one (DyNeRF's layout) or a small one.

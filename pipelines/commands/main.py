@@ -8,8 +8,7 @@ import re
 import sys
 import textwrap
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shutil import get_terminal_size
 from typing import Any, TextIO
@@ -122,8 +121,6 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
         raise CommandError(f"no command {called!r}; commands are {', '.join(commands)}{suggestion}") from None
     if isinstance(command, Mapping):
         call_command(f"{program} {name}", command, words[1:])
-    elif commands is COMMANDS and name in VERBS and (wider := VERBS[name].wider) and _is_of(wider, command, words[1:]):
-        call_command(program, commands, [wider, *words[1:]])
     else:
         import tyro  # not before a command is called
 
@@ -132,22 +129,6 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
         verb = VERBS.get(called.split()[1])
         example = f"\n\nExample: {called} {verb.example.replace('NETWORK', name)}" if verb else ""  # a plug-in's has none
         tyro.cli(command, prog=called, args=words[1:], description=_about(command) + example, config=(tyro.conf.DisallowNone,))
-
-
-def _is_of(wider: str, command: Callable[..., None], words: Sequence[str]) -> bool:
-    """Return whether an option is none of a command's but one of a wider one's, which is loaded only then."""
-    asked = (word[2:].partition("=")[0].replace("_", "-") for word in words if word.startswith("--"))
-    further = {option.removeprefix("no-") for option in asked} - {"help", *_option_names(command)}
-    return bool(further) and not further.isdisjoint(_option_names(COMMANDS[wider]))
-
-
-def _option_names(given: Any) -> Iterator[str]:
-    """Names of the options of a command as they are typed, and of those in options that are a dataclass."""
-    named = fields(given) if is_dataclass(given) else inspect.signature(given).parameters.values()
-    for each in named:
-        yield each.name.replace("_", "-")
-        if is_dataclass(each.default):
-            yield from _option_names(each.default)
 
 
 def _about(command: Callable[..., None]) -> str:

@@ -160,7 +160,7 @@ def test_a_disk_that_fills_while_a_demo_is_filmed(small_disk):
     (small_disk / "other").write_bytes(bytes(90_000))
     room = ["--n-frames", "2", "--width", "64", "--height", "48", "--cameras-per-row", "2", "--supersampling", "1"]
 
-    line = refusal("demo", small_disk / "demo", *room, "--path-poses", "0", "--jobs", "1")
+    line = refusal("film", small_disk / "demo", *room, "--path-poses", "0", "--jobs", "1")
 
     assert re.fullmatch(rf"ggvs-eval: {small_disk}.*No space left on device; make room; {GO_ON}", line)
     assert sorted(item.name for item in small_disk.iterdir()) == ["other"]

@@ -146,26 +146,7 @@ def test_a_verb_of_a_package_that_is_not_there_is_one_line(monkeypatch):
     assert refusal("fly") == f"ggvs-eval: {wanted}"
 
 
-@pytest.mark.parametrize(
-    ("words", "called"),
-    [
-        (["out"], "demo"),
-        (["out", "--room=demo-d3dmv"], "demo"),
-        (["out", "--n-frames", "8"], "film"),
-        (["out", "--seed=3"], "film"),
-    ],
-)
-def test_demo_hands_on_what_only_film_knows(words, called, monkeypatch):
-    """A room that ships is unpacked; any option of `film` films another one."""
-    taken = []
-    for verb in ("demo", "film"):
-        recorded = wraps(COMMANDS[verb])(lambda verb=verb, **options: taken.append(verb))
-        monkeypatch.setitem(COMMANDS.shipped, verb, recorded)
-    run_command(["demo", *words])
-    assert taken == [called]
-
-
-def test_a_mistyped_option_of_demo_is_not_handed_on(capsys):
+def test_a_mistyped_option_names_the_nearest_of_its_command(capsys):
     """`demo --quik` is told of `--quick`, `run --protcol` of `--protocol`, once and not of that of every other command."""
     with pytest.raises(SystemExit, match="2"):
         run_command(["demo", "out", "--quik"])
@@ -204,7 +185,7 @@ def test_a_mistyped_name_suggests_the_nearest(arguments, ends):
     assert re.search(ends.replace("?", r"\?") + "$", refusal(*arguments))
 
 
-@pytest.mark.parametrize("verb", [("demo", "out"), ("check", "room"), ("score", "out"), ("play", "room", "out.mp4")])
+@pytest.mark.parametrize("verb", [("film", "out"), ("check", "room"), ("score", "out"), ("play", "room", "out.mp4")])
 def test_no_process_at_all_is_one_line(verb):
     """Each verb that starts processes wants at least one, also where it would find nothing to do."""
     assert refusal(*verb, "--jobs", "0").endswith("--jobs 0: wanted at least 1")
