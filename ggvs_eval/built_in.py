@@ -360,6 +360,14 @@ MATCHERS = {
     "raft": f"{_OFFLINE}.stereo.raft_matcher:matcher_of_weights",
     "itermvs": f"{_OFFLINE}.itermvs.estimator:matcher_of_weights",
 }
+# What runs need before they are rendered, besides captured frames and depth; in the order in which it is made.
+_RUN = "ggvs_eval.pipelines.run"
+PREPARATIONS = {
+    "camera path": f"{_RUN}.camera_path",
+    "live depth": f"{_RUN}.live_depth",
+    "disocclusion": f"{_RUN}.disocclusion",
+}
+
 # Depth that another program has computed, in place of a matcher's.
 DEPTH_FILES = {"maps": "ggvs_eval.contrib.given_depth.attach:attach_depth"}
 NETWORK_MATCHERS = ("raft", "itermvs")

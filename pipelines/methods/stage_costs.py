@@ -5,7 +5,7 @@ from ggvs_eval.results import split_label
 
 # Core-seconds per megapixel at `pace` 1, K = 4, frames of 480 x 360 to 1352 x 1014; a plug-in's method has none until it has
 # rendered a frame.
-DECODED, CHECKED_DEPTH, MASK, PATH_DEPTH = 0.3, 0.5, 0.3, 0.6
+DECODED, CHECKED_DEPTH = 0.3, 0.5
 DEPTH = {"sgbm": 4.0, "live": 0.9, "raft": 25.0, "itermvs": 26.0}
 RENDERED = {
     "no-blending": 0.3,

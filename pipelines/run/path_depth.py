@@ -13,9 +13,10 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.geometry.tsdf import fusion_weights, ray_march
 from ggvs_eval.jobs.code_identity import code_identity
-from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 from ggvs_eval.pipelines.run.derived_files import MadeFiles, seen_from
 from ggvs_eval.progress import track
+
+TAU_M, NOISE_M = 0.02, 0.001  # as `OnlineOptions` has them
 
 
 def write_path_depth(
@@ -42,12 +43,11 @@ def write_path_depth(
 
 def path_files(folder: Path, capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int) -> MadeFiles:
     """Return the depth of a path as a folder holds it; arguments as of `write_path_depth`."""
-    options = OnlineOptions()
     made_from = {
         "poses": [seen_from(target, keys) for target, keys in poses],
         "frame": frame,
         "units_per_metre": capture.units_per_metre,
-        "lengths_m": [options.tau_m, options.depth_noise_m],
+        "lengths_m": [TAU_M, NOISE_M],
         "code": code_identity(__name__, ray_march.__module__, unfollowed=(__name__,)),
     }
     return MadeFiles(folder, made_from)
@@ -76,8 +76,7 @@ def pose_file(folder: Path, pose: int) -> Path:
 
 
 def _fused_depth(capture: Capture, target: Camera, keys: dict[str, str], frame: int, store: DepthStore) -> NDArray[np.float32]:
-    options = OnlineOptions()
-    tau, noise = (length * capture.units_per_metre for length in (options.tau_m, options.depth_noise_m))
+    tau, noise = TAU_M * capture.units_per_metre, NOISE_M * capture.units_per_metre
     depths = [store.read(key, frame).depth for key in keys.values()]
     weights = [fusion_weights(depth, tau, noise) for depth in depths]
     return ray_march(target, [capture.camera(name) for name in keys], depths, weights, tau=tau).depth

@@ -1,7 +1,4 @@
-"""Prepare: the input of every method under a protocol - truth frames, source views, depth, a camera path.
-
-Live depth is timed: how long a picture waits for the depth of its sources where depth is computed as frames arrive.
-"""
+"""Prepare: the input of every method under a protocol - truth frames, source views, depth, a camera path."""
 
 import os
 from collections.abc import Sequence
@@ -11,20 +8,13 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.kernels import get_threads
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, finds_live
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import drop_found, prepare_depth
-from ggvs_eval.pipelines.offline.depth.rig_depth import RigDepth
 from ggvs_eval.pipelines.run.claim import claim_folder
-from ggvs_eval.pipelines.run.derived_files import cache_frames, cache_path
-from ggvs_eval.pipelines.run.disocclusion import write_disocclusions
-from ggvs_eval.pipelines.run.path_depth import write_path_depth
-from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, fit_capture, plan_run
-from ggvs_eval.pipelines.run.score_path import write_path_record
+from ggvs_eval.pipelines.run.derived_files import cache_frames
+from ggvs_eval.pipelines.run.run_plan import PREPARATIONS, RunPlan, RunRequest, fit_capture, plan_run
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, write_json
-
-TIMED_FRAMES = 4  # of each test view, behind one that warms caches
 
 
 def prepare(
@@ -63,17 +53,11 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
         write_json(run.depth_record, plan.depth.record(plan.depth_device) | plan.compared)
     cache_frames(plan.original, plan.frames_of_cameras(), run.root / "truth", workers)
     store = DepthStore(run.depth)
-    _write_path_truth(plan)
     _fill_store(plan, store, workers)
     if plan.request.shared is None:
         drop_found_depth([plan])
-    time_live_depth(plan)
-    if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
-        views = {view: (each.target, each.depth_keys) for view, each in plan.plans.items()}
-        write_disocclusions(plan.capture, views, plan.frames, run.depth, run.root / "disoccluded", workers)
-    if plan.path:
-        poses = [(pose.target, pose.depth_keys) for pose in plan.path]
-        write_path_depth(plan.capture, poses, plan.path_frame, store, run.path_depth)
+    for preparation in PREPARATIONS.built_in().values():
+        preparation.prepare(plan, workers)
     return plan
 
 
@@ -114,39 +98,3 @@ def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Wor
     claim_folder(run, protocol, capture)
     cache_frames(capture, dict.fromkeys(protocol.views.test, protocol.frames.numbers), run.root / "truth", workers)
     return run
-
-
-def _write_path_truth(prepared: RunPlan) -> None:
-    """Write the path's images where the capture has them, and its poses."""
-    if prepared.path_images is not None:
-        size, resize_filter = prepared.path[0].target.size, prepared.protocol.synthesis.resize_filter
-        cache_path(prepared.path_images, size, resize_filter, prepared.run.path("truth"))
-    write_path_record(prepared.run, prepared.path_frame, [(plan.target, list(plan.depth_keys)) for plan in prepared.path])
-
-
-def time_live_depth(plan: RunPlan) -> None:
-    """Measure it on the first frames of each test view, once, in this process alone; nothing if depth is not live.
-
-    What is timed is what the run's depth was made by: all sources of the view together, by pairs that are matched once or in one
-    batch on a GPU, and each map checked against the others. The seconds of each frame and the threads are written next to the
-    depth's record.
-    """
-    options, run, capture = plan.depth_options, plan.run, plan.capture
-    is_live = finds_live(plan.depth.record(plan.depth_device))
-    if plan.protocol.stream is None or not is_live or run.live_depth_record.is_file():
-        return
-    seconds: list[float] = []
-    for source_plan in plan.plans.values():
-        partners = {job.camera_name: job.partner_names for job in source_plan.jobs if job.partner_names}
-        if not partners:
-            continue
-        rig = RigDepth(capture.cameras, options, partners)
-        names, frames = list(partners), plan.frames[: TIMED_FRAMES + 1]
-        for frame in frames:
-            images = {name: capture.frame(name, frame) for name in rig.needed(names)}
-            begun_s = rig.clock_s()
-            rig.estimate(names, images)
-            if frame != frames[0] or len(frames) == 1:
-                seconds.append(rig.clock_s() - begun_s)
-    if seconds:
-        write_json(run.live_depth_record, {"seconds": seconds, "threads": get_threads()})

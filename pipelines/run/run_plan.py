@@ -9,9 +9,11 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from typing import Protocol as Door
 
 import numpy as np
 
+from ggvs_eval import built_in
 from ggvs_eval.camera import Camera, nearest_cameras, translated_path
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import listed
@@ -20,6 +22,7 @@ from ggvs_eval.datasets.llff import CameraPath, open_path
 from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.errors import CameraError, CaptureError, DepthError, GgvsWarning, ProtocolError
 from ggvs_eval.geometry.sight import require_sight
+from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import find_method
@@ -33,9 +36,12 @@ from ggvs_eval.pipelines.run.claim import require_owner
 from ggvs_eval.pipelines.run.derived_files import cached_capture
 from ggvs_eval.pipelines.run.folds import FitPlan, fill_folds, plan_fits, plan_folds, visible_cameras
 from ggvs_eval.pipelines.run.render import RunJobs, fit_job, render_job
+from ggvs_eval.plugins import Registry
 from ggvs_eval.progress import counted
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, read_json
+
+TRUTH_BYTES = 2.1  # per pixel, PNG of frames with and without sensor noise as on the demo
 
 
 def choose_path(capture: Capture, protocol: Protocol) -> CameraPath:
@@ -95,6 +101,27 @@ class RunRequest:
     def only_prepares(self) -> bool:
         """True if nothing of it is rendered."""
         return self.views is not None and not self.views
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of the remaining work: files that are missing in one folder, or a scene to fit.
+
+    Attributes:
+        kind: see `ggvs_eval.pipelines.methods.stage_costs.stage_of`.
+        folder: where they will be; runs that share it have the piece in common.
+        label: of the method that renders them.
+        core_seconds: of all of them at `pace` 1; None if they are not known.
+        passing: they are removed before anything is rendered.
+    """
+
+    kind: str
+    folder: Path
+    count: int
+    n_bytes: float = 0.0
+    label: str = ""
+    core_seconds: float | None = None
+    passing: bool = False
 
 
 @dataclass(frozen=True)
@@ -219,6 +246,27 @@ class RunPlan:
         """Depth that the camera path needs, each once."""
         return sorted({job for plan in self.path for job in plan.jobs})
 
+    def piece(
+        self,
+        kind: str,
+        folder: Path,
+        count: int,
+        cost: float | None,
+        pixel_bytes: float = 0.0,
+        label: str = "",
+        passing: bool = False,
+    ) -> Piece:
+        """Return work that is left in one folder.
+
+        Args:
+            cost: core-seconds per megapixel of each file at `pace` 1; None if it is not known.
+            pixel_bytes: bytes per pixel of each.
+        """
+        width, height = self.original.cameras[0].size
+        n_pixels = count * width * height
+        seconds = None if cost is None else n_pixels / 1e6 * cost
+        return Piece(kind, folder, count, n_pixels * pixel_bytes, label, seconds, passing)
+
     def frames_of_cameras(self) -> dict[str, list[int]]:
         """Frames of each camera that take part: test views, source cameras and those that their depth is matched with."""
         numbers: dict[str, list[int]] = {view: list(self.frames) for view in self.plans}
@@ -230,6 +278,22 @@ class RunPlan:
             for name in fit.fold.cameras:
                 numbers[name] = sorted({*numbers.get(name, []), *fit.indices})
         return numbers
+
+
+class Preparation(Door):
+    """Something that runs need before they are rendered, besides captured frames and depth; each is a module."""
+
+    def complete(self, plan: RunPlan, /) -> RunPlan:
+        """Return the plan with what it adds to it."""
+
+    def work_left(self, plan: RunPlan, /) -> list[Piece]:
+        """List what `prepare` would make."""
+
+    def prepare(self, plan: RunPlan, workers: Workers, /) -> None:
+        """Make what is missing, when frames and depth are there."""
+
+
+PREPARATIONS: Registry[Preparation] = Registry("preparations", built_in.PREPARATIONS)
 
 
 def plan_run(request: RunRequest) -> RunPlan:

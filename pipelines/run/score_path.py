@@ -15,24 +15,10 @@ from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.run.path_depth import pose_file, read_path_depth
 from ggvs_eval.pipelines.run.score_code import path_code
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, frame_path, missing_frames, read_json, require_frames, write_json
+from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, frame_path, missing_frames, read_json, require_frames
 
 PATH_VIEW = "path"  # the name in the table's column of views
 TRUTH = "truth"
-
-
-def write_path_record(run: RunFolder, frame: int, poses: Sequence[tuple[Camera, Sequence[str]]]) -> None:
-    """Record the path's poses and the source cameras of each; nothing if there is no path.
-
-    Args:
-        poses: each pose with the names of its source cameras, nearest first.
-    """
-    if not poses:
-        return
-    cameras = [camera.to_json() for camera, _ in poses]
-    centres = [camera.centre.tolist() for camera, _ in poses]
-    record = {"frame": frame, "centres": centres, "cameras": cameras, "sources": [list(sources) for _, sources in poses]}
-    write_json(run.path_record, record)
 
 
 def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list[Job]:

@@ -3,10 +3,10 @@
 import shutil
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import GgvsError, ProtocolError, ResultsError
@@ -18,8 +18,6 @@ from ggvs_eval.pipelines.methods.render_unit import PATH
 from ggvs_eval.pipelines.methods.stage_costs import (
     CHECKED_DEPTH,
     DECODED,
-    MASK,
-    PATH_DEPTH,
     STAGES,
     depth_cost,
     render_cost,
@@ -29,42 +27,18 @@ from ggvs_eval.pipelines.methods.stage_costs import (
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_left
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
-from ggvs_eval.pipelines.run.derived_files import frames_left, path_left
-from ggvs_eval.pipelines.run.disocclusion import mask_files
-from ggvs_eval.pipelines.run.path_depth import path_files, poses_left
+from ggvs_eval.pipelines.run.derived_files import frames_left
 from ggvs_eval.pipelines.run.render import method_code
-from ggvs_eval.pipelines.run.run_plan import RunPlan
+from ggvs_eval.pipelines.run.run_plan import PREPARATIONS, TRUTH_BYTES, Piece, RunPlan
 from ggvs_eval.pipelines.run.score_code import metric_code
 from ggvs_eval.progress import counted, duration
 from ggvs_eval.protocol import COSTLIEST
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 
-# Bytes per pixel: depth as it is stored, PNG of frames with and without sensor noise as on the demo.
-DEPTH_BYTES, TRUTH_BYTES, RENDER_BYTES, PATH_DEPTH_BYTES = 2.9, 2.1, 1.5, 4.0
+DEPTH_BYTES, RENDER_BYTES = 2.9, 1.5  # per pixel: depth as it is stored, PNG of renders
 PAGE_SHARE = 0.3  # of the renders; a page keeps small copies of them
 GB = 1e9
 WORTH_A_TABLE_S = 120.0  # of a core; below, two lines are enough
-Kind = Literal["truth", "depth", "checked depth", "mask", "path depth", "fit", "render", "path render", "score"]
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A part of the remaining work: files that are missing in one folder, or a scene to fit.
-
-    Attributes:
-        folder: where they will be; runs that share it have the piece in common.
-        label: of the method that renders them.
-        core_seconds: of all of them at `pace` 1; None if they are not known.
-        passing: they are removed before anything is rendered.
-    """
-
-    kind: Kind
-    folder: Path
-    count: int
-    n_bytes: float = 0.0
-    label: str = ""
-    core_seconds: float | None = None
-    passing: bool = False
 
 
 @dataclass(frozen=True)
@@ -112,7 +86,7 @@ class Workload:
     jobs: int = 1
     pace: Callable[[], float] = pace
 
-    def count(self, *kinds: Kind) -> int:
+    def count(self, *kinds: str) -> int:
         """Return the number of pieces left of some kinds."""
         return sum(piece.count for piece in self.pieces if piece.kind in kinds)
 
@@ -287,62 +261,43 @@ def _identity(folder: Path) -> dict[str, Any]:
 
 def work_left(plan: RunPlan) -> list[Piece]:
     """List the missing parts of one run."""
-    width, height = plan.original.cameras[0].size
-    n_pixels, run, of_path = width * height, plan.run, len(plan.path)
-    pieces: list[Piece] = []
+    return [piece for piece in _pieces(plan) if piece.count]
 
-    def add(
-        kind: Kind, folder: Path, count: int, cost: float | None, pixel_bytes: float = 0.0, label: str = "", passing: bool = False
-    ) -> None:
-        if count:
-            seconds = None if cost is None else count * n_pixels / 1e6 * cost
-            pieces.append(Piece(kind, folder, count, count * n_pixels * pixel_bytes, label, seconds, passing))
 
-    for folder, count in _truth_left(plan).items():
-        add("truth", folder, count, DECODED, TRUTH_BYTES)
+def _pieces(plan: RunPlan) -> Iterator[Piece]:
+    run, root = plan.run, plan.shared_root / "truth"
+    for name, frames in frames_left(plan.original, plan.frames_of_cameras(), root).items():
+        yield plan.piece("truth", root / name, len(frames), DECODED, TRUTH_BYTES)
     depth_costs = {"depth": depth_cost(plan.depth.matcher), "checked depth": CHECKED_DEPTH}
     store = DepthStore(plan.shared_root / "depth")
     kept = {store.folder(job.key) for jobs, _ in plan.depth_work() for job in jobs}
     for kind, counts in _depth_left(plan, store).items():
         for folder, count in counts.items():
             passing = plan.request.shared is None and folder not in kept
-            add(kind, folder, count, depth_costs[kind], DEPTH_BYTES, passing=passing)
-    if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
-        for view, source_plan in plan.plans.items():
-            files = mask_files(run.disoccluded(view), plan.capture, source_plan.target, source_plan.depth_keys)
-            add("mask", run.disoccluded(view), len(files.missing_frames(plan.frames)), MASK)
-    poses = [(pose.target, pose.depth_keys) for pose in plan.path]
-    along_path = path_files(run.path_depth, plan.capture, poses, plan.path_frame)
-    add("path depth", run.path_depth, len(poses_left(along_path, of_path)), PATH_DEPTH, PATH_DEPTH_BYTES)
+            yield plan.piece(kind, folder, count, depth_costs[kind], DEPTH_BYTES, passing=passing)
+    for preparation in PREPARATIONS.built_in().values():
+        yield from preparation.work_left(plan)
     for fit in plan.jobs.needed_fits:
-        add("fit", fit.folder, int(not fit.is_done()), None)
-    missing = [job for job in plan.jobs.render if not job.is_done()]
-    for job in missing:
+        yield plan.piece("fit", fit.folder, int(not fit.is_done()), None)
+    left = [job for job in plan.jobs.render if not job.is_done()]
+    for job in left:
         is_path = job.units == (PATH,)
-        count = of_path if is_path else len(plan.frames)
-        rendered: Kind = "path render" if is_path else "render"
-        add(rendered, job.folder, count, render_cost(job.label), RENDER_BYTES * (1 + PAGE_SHARE), job.label)
-    stale, views = {unit for job in missing for unit in job.units}, plan.request.views
+        kind, count = ("path render", len(plan.path)) if is_path else ("render", len(plan.frames))
+        pixel_bytes = RENDER_BYTES * (1 + PAGE_SHARE)
+        cost = render_cost(job.label)
+        yield plan.piece(kind, job.folder, count, cost, pixel_bytes, job.label)
+    stale, views = {unit for job in left for unit in job.units}, plan.request.views
     for view in plan.plans if plan.methods else ():
-        if (views is None or view in views) and (view in stale or not _is_scored(run, view, [*plan.methods])):
+        is_asked = views is None or view in views
+        if is_asked and (view in stale or not _is_scored(run, view, [*plan.methods])):
             cost = score_cost(plan.protocol.measurement) * len(plan.methods)
-            add("score", run.scores(view), len(plan.frames), cost)
-    return pieces
+            yield plan.piece("score", run.scores(view), len(plan.frames), cost)
 
 
-def _truth_left(plan: RunPlan) -> dict[Path, int]:
-    """Return the captured frames that are missing or were changed, of each camera and along the path."""
-    root, images, folder = plan.shared_root / "truth", plan.path_images, plan.run.path("truth")
-    left = {root / name: len(frames) for name, frames in frames_left(plan.original, plan.frames_of_cameras(), root).items()}
-    if images is not None:
-        left[folder] = len(path_left(images, plan.path[0].target.size, plan.protocol.synthesis.resize_filter, folder))
-    return left
-
-
-def _depth_left(plan: RunPlan, store: DepthStore) -> dict[Kind, dict[Path, int]]:
+def _depth_left(plan: RunPlan, store: DepthStore) -> dict[str, dict[Path, int]]:
     """Return the missing depth maps by folder of the store: as found, and checked against others."""
-    kinds: tuple[Kind, Kind] = ("depth", "checked depth")
-    counts: dict[Kind, dict[Path, int]] = {kind: {} for kind in kinds}
+    kinds = "depth", "checked depth"
+    counts: dict[str, dict[Path, int]] = {kind: {} for kind in kinds}
     for jobs, frames in plan.depth_work():
         for kind, left in zip(kinds, depth_left(jobs, frames, store), strict=True):
             for job, missing in left.items():

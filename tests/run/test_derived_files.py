@@ -10,6 +10,8 @@ import pytest
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.jobs import code_identity as identity
 from ggvs_eval.jobs.code_identity import CodeTree, installed_code
+from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
+from ggvs_eval.pipelines.run import path_depth
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, digest_folder
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
@@ -26,6 +28,13 @@ def plan(tmp_path_factory) -> RunPlan:
     made = plan_run(RunRequest(folder / "run", write_small_capture(folder / "demo", 2), protocol))
     prepare_run(made)
     return made
+
+
+def test_path_depth_is_fused_at_the_lengths_of_the_online_method():
+    """The same two numbers, which a run without that method keeps."""
+    options = OnlineOptions()
+
+    assert (options.tau_m, options.depth_noise_m) == (path_depth.TAU_M, path_depth.NOISE_M)
 
 
 def damage(plan: RunPlan) -> tuple[Path, Path]:

@@ -24,8 +24,8 @@ from ggvs_eval.pipelines.run import work_left as counting
 from ggvs_eval.pipelines.run.derived_files import digest_folder
 from ggvs_eval.pipelines.run.evaluate import measure, render
 from ggvs_eval.pipelines.run.prepare import prepare_run
-from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.run.work_left import DEPTH_BYTES, Piece, Workload, count_work, work_left
+from ggvs_eval.pipelines.run.run_plan import Piece, RunPlan, RunRequest, plan_run
+from ggvs_eval.pipelines.run.work_left import DEPTH_BYTES, Workload, count_work, work_left
 from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis

@@ -14,14 +14,14 @@ from ggvs_eval.jobs.job import run_jobs
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import score
-from ggvs_eval.pipelines.run.score_path import path_jobs, read_paths, write_path_record
+from ggvs_eval.pipelines.run.score_path import path_jobs, read_paths
 from ggvs_eval.protocol import Measurement
 from ggvs_eval.reports.figures.curves import curve_panels
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.page.heat_map import heat_maps
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
-from ggvs_eval.run_folder import frame_path
+from ggvs_eval.run_folder import frame_path, write_json
 from helpers.command_line import refusal
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, write_folders
 
@@ -51,7 +51,7 @@ def test_colmap_is_run_along_a_path_where_the_protocol_names_it(tmp_path):
     """Its metrics get values beside the path's others, and another protocol's path is not stale by them."""
     folder = make_run(tmp_path / "run", ("PSNR", "E_warp", "COLMAP_matches"))
     cameras = [Camera(f"path{pose}", np.diag([50.0, 50.0, 1.0]), np.eye(4), 64, 48, near=1.0, far=9.0) for pose in range(5)]
-    write_path_record(folder, 0, [(camera, ()) for camera in cameras])
+    write_json(folder.path_record, {"cameras": [camera.to_json() for camera in cameras], "sources": [()] * 5})
     for pose in range(5):
         write_image(frame_path(folder.path("one"), pose), rendered(VIEWS[0], 2 + pose % 3))
     protocol = folder.protocol()

@@ -1,0 +1,48 @@
+"""Time of live depth: how long a picture waits for the depth of its sources where depth is computed as frames arrive."""
+
+from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.kernels import get_threads
+from ggvs_eval.pipelines.offline.depth.depth_choice import finds_live
+from ggvs_eval.pipelines.offline.depth.rig_depth import RigDepth
+from ggvs_eval.pipelines.run.run_plan import Piece, RunPlan
+from ggvs_eval.run_folder import write_json
+
+TIMED_FRAMES = 4  # of each test view, behind one that warms caches
+
+
+def complete(plan: RunPlan) -> RunPlan:
+    """Return the plan as it is."""
+    return plan
+
+
+def work_left(_plan: RunPlan) -> list[Piece]:
+    """Return nothing: it takes seconds."""
+    return []
+
+
+def prepare(plan: RunPlan, _workers: Workers) -> None:
+    """Measure it on the first frames of each test view, once, in this process alone; nothing if depth is not live.
+
+    What is timed is what the run's depth was made by: all sources of the view together, by pairs that are matched once or in one
+    batch on a GPU, and each map checked against the others. The seconds of each frame and the threads are written next to the
+    depth's record.
+    """
+    options, run, capture = plan.depth_options, plan.run, plan.capture
+    is_live = finds_live(plan.depth.record(plan.depth_device))
+    if plan.protocol.stream is None or not is_live or run.live_depth_record.is_file():
+        return
+    seconds: list[float] = []
+    for source_plan in plan.plans.values():
+        partners = {job.camera_name: job.partner_names for job in source_plan.jobs if job.partner_names}
+        if not partners:
+            continue
+        rig = RigDepth(capture.cameras, options, partners)
+        names, frames = list(partners), plan.frames[: TIMED_FRAMES + 1]
+        for frame in frames:
+            images = {name: capture.frame(name, frame) for name in rig.needed(names)}
+            begun_s = rig.clock_s()
+            rig.estimate(names, images)
+            if frame != frames[0] or len(frames) == 1:
+                seconds.append(rig.clock_s() - begun_s)
+    if seconds:
+        write_json(run.live_depth_record, {"seconds": seconds, "threads": get_threads()})
