@@ -22,9 +22,9 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import write_video
+from ggvs_eval.finding import RIG, Finding
 from ggvs_eval.pipelines.inspection.capture.check import examine
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, record_camera
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
 
 Frames = list[Image8]

@@ -12,8 +12,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from ggvs_eval.pipelines.inspection.renders.examine import examine
-from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, ViewFrames, cameras_of_run, views_of_run
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, views_of_run
 from ggvs_eval.run_folder import RunFolder
+from ggvs_eval.scoring import FrameReader
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the faults are the tests' own
 from helpers.planted_renders import PLANTED, Fault  # type: ignore[import-not-found]

@@ -317,6 +317,19 @@ COLMAP_METRICS = ("COLMAP_registered", "COLMAP_track_length", "COLMAP_matches") 
 METRICS_OF_VIDEOS = ("mTV", "Sharpness", "mTV2")  # that have a form without truth
 METRICS_WITH_CEILING = ("PSNR", "SSIM", "TCC", "STED")  # that perfect renderings are scored with
 
+# Questions that scoring asks of every method's frames, and what it measures besides the frames of test views: a function that
+# plans it.
+_RUN = "ggvs_eval.pipelines.run"
+QUESTIONS = {
+    "quick checks": "ggvs_eval.pipelines.inspection.renders.quick_checks:QUESTION",
+    "test view seen": f"{_RUN}.seen_views:QUESTION",
+}
+SCORE_PARTS = {
+    "noise ceilings": f"{_RUN}.references:plan_ceilings",
+    "camera path": f"{_RUN}.score_path:plan_path_scores",
+    "stream": f"{_RUN}.screens:plan_screens",
+}
+
 # The learned baselines: of each a description; and every method by its label, in the order in which they are listed.
 _BASELINES, _MORE_BASELINES = "ggvs_eval.baselines", "ggvs_eval.contrib.more_baselines"
 LEARNED_BASELINES = {
@@ -347,6 +360,8 @@ METHODS: dict[str, Derived] = {
     **{name: Derived(f"{_METHODS}.fitted:FITTED", _OF, (name,)) for name in ("4dgs", "3dgs-per-instant", "3dgstream")},
     **{label: Derived(f"{_METHODS}.ours:OURS", _OF, (label,)) for label in _OURS},
 }
+# Scenes that others have fitted, which become a method of the label that the user gives.
+STORED_SCENES = {"splats": f"{_METHODS}.fitted:StoredSplats"}
 # Those that are rendered where none are named.
 USUAL_METHODS = ("no-blending", "distance-based", "ours+no-tsdf", "ours+no-temporal", "ours", "ours-geometric")
 

@@ -17,6 +17,7 @@ from ggvs_eval.kernels.portable import length, transformed
 
 ROUNDING = 1e-4  # of a rotation's products of axes: numbers as files keep them
 RangeOrigin = Literal["given", "measured", "guessed"]
+SourceChoice = Literal["nearest", "coverage", "triplet"]  # how source cameras are chosen, see `geometry.source_views`
 LARGEST_DEVIATION = 1e-2  # of a rotation's entries from the nearest rotation's, for one that is still meant to be a rotation
 
 

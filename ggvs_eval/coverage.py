@@ -1,11 +1,25 @@
 """Frames that each method of a run has: all of the protocol's, or fewer where it refused views or renders are partial."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
-from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, as_ranges, frame_path, read_json, require_frames
+from ggvs_eval.files.images import read_image
+from ggvs_eval.measured_frames import resized_frame
+from ggvs_eval.protocol import Measurement
+from ggvs_eval.run_folder import (
+    JOB_FILE,
+    REFUSED,
+    RunFolder,
+    as_ranges,
+    frame_path,
+    missing_frames,
+    read_json,
+    require_frames,
+)
 
 IMPORT_FILE = "import.json"
 SHOWN_FIELDS = ("kind", "source", "sha256", "notes")
@@ -90,6 +104,29 @@ def require_imported(run: RunFolder, labels: Sequence[str]) -> None:
         if lost := next((frame for frame in frames if not frame.exists()), None):
             remedy = f"restore them, or run `ggvs-eval score {run.root} --renders {label}=NEWPLACE`"
             raise RenderError(f"{run.root}: wanted the frames of {label} in {lost.readlink().parent}, got none; {remedy}")
+
+
+def frame_reader(folder: Path, measurement: Measurement | None = None) -> Callable[[int], Image8]:
+    """Return the frames of a folder as they are there, or at the size at which a protocol measures them."""
+
+    def read(index: int) -> Image8:
+        image = read_image(frame_path(folder, index))
+        return image if measurement is None else resized_frame(image, measurement)
+
+    return read
+
+
+def path_poses(run: RunFolder) -> range:
+    """Return the numbers of the poses of the camera path; none if there is no path."""
+    return range(len(read_json(run.path_record)["cameras"]) if run.path_record.is_file() else 0)
+
+
+def lacks_path(run: RunFolder, label: str) -> bool:
+    """Tell whether a method was rendered along the path and some of it is lost; one that refused the path has no picture."""
+    record = run.path(label) / JOB_FILE
+    if not record.is_file() or REFUSED in read_json(record):
+        return False
+    return bool(missing_frames(run.path(label), path_poses(run)))
 
 
 def _refusals(run: RunFolder, label: str, views: Sequence[str]) -> dict[str, str]:

@@ -122,6 +122,12 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         """True if a name ships and its package is there."""
         return name in self.shipped and not self.why_absent(str(name))
 
+    def installed(self) -> dict[str, Entry]:
+        """Return what ships and is there, loaded, in order; of what is not there a line says so."""
+        for reason in filter(None, map(self.why_absent, self.shipped)):
+            _say_once(reason)
+        return self.built_in()
+
     def built_in(self) -> dict[str, Entry]:
         """Return the built-in object of a name, loaded."""
         return {name: self[name] for name in self.present()}

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any, Literal
 
+from ggvs_eval.camera import SourceChoice
 from ggvs_eval.errors import ProtocolError, did_you_mean, no_such_path
 from ggvs_eval.files.images import ResizeFilter
 from ggvs_eval.files.toml_tables import build_table, key_of, parse_toml, read_toml
-from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.metric_choices import LATER, MetricChoices
 
 WayName = Literal["as-is", "mvsnerf", "enerf"]

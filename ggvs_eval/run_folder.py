@@ -63,6 +63,14 @@ class RunFolder:
         return self.root / "live_depth.json"
 
     @property
+    def has_live_depth(self) -> bool:
+        """True if depth is found by a matcher that keeps up with cameras: `live`, or IterMVS alone on a GPU."""
+        record = read_json(self.depth_record) if self.depth_record.is_file() else {}
+        matcher = record.get("matcher", "")
+        is_network_on_gpu = matcher.partition(":")[0] == "itermvs" and "device" in record
+        return matcher == "live" or is_network_on_gpu
+
+    @property
     def stream_record(self) -> Path:
         """File of what each method has on the screen while frames keep coming; only where the protocol asks for it."""
         return self.root / "stream.json"

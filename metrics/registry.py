@@ -18,12 +18,12 @@ from ggvs_eval.metrics.metric import (
     Row,
     Scorer,
     ScorerFactory,
+    ScreenMetric,
     TableMetric,
     TruthFrame,
     Value,
     ViewMetric,
 )
-from ggvs_eval.metrics.time.on_screen import ScreenMetric
 from ggvs_eval.plugins import Registry, foreign
 
 

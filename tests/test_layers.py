@@ -16,14 +16,14 @@ LEARNED = tuple(sorted(IN_BASELINES))
 # Rooms from the ground up; rooms of one floor do not import each other. A module of the package itself, e.g.
 # `ggvs_eval.camera`, is a room of its own; what stands in a folder belongs to the longest name listed here.
 FLOORS = (
-    ("arrays", "built_in", "errors", "kernels", "metric_choices", "raft_config", "residual_block"),
+    ("arrays", "built_in", "errors", "finding", "kernels", "metric_choices", "raft_config", "residual_block"),
     ("camera", "progress", "plugins", "raft_update"),
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
     ("depth_store", "protocol", "gaussians"),
     ("measured_frames", "run_folder", "results", "scene_fitter", "sweep"),
     ("statistics", "merged_results", "datasets", "jobs", "synthetic.d3dmv_scene", "coverage"),
-    ("synthetic", "renders"),
+    ("synthetic", "renders", "scoring"),
     ("baselines", "metrics.inputs", "metrics.metric"),
     ("metrics.on_device",),
     (*LEARNED, "metrics.image", "metrics.noise"),

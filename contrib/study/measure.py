@@ -22,7 +22,8 @@ from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.metrics.registry import METRICS, derived_rows, scored_by_view, scored_on_screen, select_metrics
 from ggvs_eval.metrics.stream import fit_colour_maps, score_view
 from ggvs_eval.metrics.time.on_screen import STREAM
-from ggvs_eval.pipelines.run.score_code import PATH_SCORES, metric_code
+from ggvs_eval.pipelines.run.score_code import metric_code
+from ggvs_eval.pipelines.run.score_path import PATH_SCORES
 from ggvs_eval.pipelines.run.score_view import fresh_metrics
 from ggvs_eval.run_folder import JOB_FILE, read_json
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.pipelines.inspection.finding import Finding, Verdict, worst
+from ggvs_eval.finding import Finding, Verdict, worst
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, take_sample
 from ggvs_eval.pipelines.inspection.renders.quick_checks import CHANNELS, SAMPLED_FRAMES
 from ggvs_eval.pipelines.inspection.renders.tone import VIDEO_BLACK, VIDEO_SLOPE, tone_curves

@@ -8,18 +8,19 @@ from typing import Any
 from ggvs_eval import built_in
 from ggvs_eval.contrib.what_if.undo import Undo, apply, list_undos
 from ggvs_eval.errors import MetricError, RenderError
+from ggvs_eval.finding import Finding
 from ggvs_eval.measured_frames import measured_frame
 from ggvs_eval.metrics.metric import ViewMetric
 from ggvs_eval.metrics.registry import METRICS, pooling_records, select_metrics
 from ggvs_eval.metrics.stream import score_view
-from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.examine import examine
-from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, ViewFrames
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.pipelines.inspection.table import text_table
 from ggvs_eval.pipelines.run.score_view import metric_options
 from ggvs_eval.protocol import Measurement
 from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import as_ranges
+from ggvs_eval.scoring import FrameReader
 from ggvs_eval.statistics.paired import Comparison, compare
 
 FEWEST_FRAMES = 8  # four to estimate on, fewer do not distinguish neighbouring instants

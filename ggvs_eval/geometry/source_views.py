@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
 from math import comb
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.camera import Camera, SourceChoice, nearest_cameras
 from ggvs_eval.errors import CameraError
 
 NEED = 3  # cameras of a triangle
@@ -113,7 +113,6 @@ def _unit(vector: Array) -> Array:
     return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-300))
 
 
-SourceChoice = Literal["nearest", "coverage", "triplet"]
 CHOSEN_AS: dict[SourceChoice, str] = {
     "nearest": "the nearest",
     "coverage": "chosen by their coverage of the target",

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ggvs_eval.metrics.metric import Group, Metric, MetricOptions, ViewMetric
+from ggvs_eval.metrics.metric import Group, MetricOptions, ScreenMetric, ViewMetric
 from ggvs_eval.protocol import ON_SCREEN, Stream
 from ggvs_eval.statistics.pooling import Pooling
 
@@ -101,22 +101,6 @@ def on_screen(stages_s: Sequence[float], count: int, stream: Stream) -> Screen:
     waits = {number: time - number for time, number in ready}
     latencies = tuple(waits[number] / stream.fps for number in sorted({each for each in shown if each is not None}))
     return Screen(tuple(shown), latencies, stream.fps / busy if busy else math.inf, stream.warm_up)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScreenMetric(Metric):
-    """A metric of frames, of the displayed frames at each instant.
-
-    Attributes:
-        of: the metric.
-    """
-
-    of: ViewMetric
-
-    @property
-    def modules(self) -> tuple[str, ...]:
-        """See `Metric.modules`."""
-        return (*self.of.modules, __name__)
 
 
 def metric_on_screen(metric: ViewMetric) -> ScreenMetric:

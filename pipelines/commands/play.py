@@ -5,8 +5,8 @@ from typing import Annotated
 
 import tyro
 
+from ggvs_eval.camera import SourceChoice
 from ggvs_eval.capture import Capture
-from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.pipelines.commands.flags import (
     CAPTURE_DEFAULTS,
     LIVE_DEPTH,

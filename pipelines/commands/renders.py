@@ -87,7 +87,7 @@ def doctor(
     from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, views_there
     from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering
     from ggvs_eval.pipelines.inspection.renders.steadiness import steadiness_line
-    from ggvs_eval.pipelines.run.references import find_seen_views
+    from ggvs_eval.pipelines.run.seen_views import find_seen_views
 
     certain = False
     with source.open(renders, allow_partial=True) as (folder, labels):

@@ -4,7 +4,7 @@ import io
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 
-from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding, worst
+from ggvs_eval.finding import RIG, SEVERITY, Finding, worst
 
 WIDTH = 130  # characters
 # A rig's cameras fit; of a moving camera's hundreds of pictures the worst are shown.

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 from ggvs_eval import built_in
 from ggvs_eval.errors import AbsentPartError, RenderError, did_you_mean
-from ggvs_eval.pipelines.methods.fitted import StoredSplats
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.spec import MethodSpec, OnlineMethod
 from ggvs_eval.plugins import Registry, imported
@@ -26,6 +26,9 @@ def _checked(name: str, offered: object) -> MethodSpec:
 
 # Every method by its label, `method` or `method+variant`; its renders are in a folder of that name.
 METHODS: Registry[MethodSpec] = Registry("methods", built_in.METHODS, _checked)
+
+
+STORED_SCENES: Registry[Any] = Registry("stored scenes", built_in.STORED_SCENES)
 
 
 def usual_methods() -> tuple[str, ...]:
@@ -47,7 +50,7 @@ def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec
             cannot be made.
     """
     if label in networks.splats:
-        return StoredSplats.of(label, networks.splats[label])
+        return STORED_SCENES["splats"].of(label, networks.splats[label])
     return _found(label, networks.checkpoints).on(networks.device)
 
 

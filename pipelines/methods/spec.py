@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from pkgutil import resolve_name
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -23,7 +23,9 @@ from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.method import Instant, LookaheadMethod, Method, Rendering, SourceView
 from ggvs_eval.pipelines.methods.render_unit import RenderUnit
 from ggvs_eval.plugins import foreign
-from ggvs_eval.scene_fitter import FittedScene
+
+if TYPE_CHECKING:
+    from ggvs_eval.scene_fitter import FittedScene
 
 SMALLEST_PX = 16  # of the shorter side
 
@@ -189,6 +191,7 @@ class OnlineMethod(MethodSpec):
         weights: files of the trained weights it renders with.
         checkpoint: what the user can give instead of weights that ship, or has to give where none do.
         title_from: how tables call it then, if not by `title`: weights trained here are labelled so.
+        options_type: dataclass of its ``options``, as ``module:class``.
         device_modules: what it renders with besides on a device that is not the CPU.
     """
 
@@ -199,6 +202,7 @@ class OnlineMethod(MethodSpec):
     weights: tuple[Path, ...] = ()
     checkpoint: str = ""
     title_from: str = ""
+    options_type: str = "ggvs_eval.pipelines.online.geometry_guided:OnlineOptions"
     device_modules: tuple[str, ...] = ()
 
     @property
@@ -243,8 +247,6 @@ class OnlineMethod(MethodSpec):
         Raises:
             RenderError: unknown options, or an invalid scale.
         """
-        from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
-
         values, given, modules, departs = option_values(variant), dict(self.given), self.modules, self.departs
         if "scale" in values:
             given["scale"] = scale = values.pop("scale")
@@ -254,7 +256,7 @@ class OnlineMethod(MethodSpec):
         if values and "options" not in self.takes:
             raise RenderError(f"method {label}: {self.title} has no option but scale, got {', '.join(values)}")
         if values:
-            given["options"] = build_table(OnlineOptions, values, f"method {label}", "", RenderError)
+            given["options"] = build_table(resolve_name(self.options_type), values, f"method {label}", "", RenderError)
             departs = f"{departs}, except for {', '.join(values)}" if departs else ""
         title = f"{self.title}, {variant.replace('+', ', ')}"
         return replace(self, title=title, usual=False, given=given, modules=modules, departs=departs)
@@ -320,7 +322,7 @@ class SceneMethod(MethodSpec):
     """A method that renders from a scene, which was made of a whole capture before; it makes no step."""
 
     @abstractmethod
-    def scene(self, unit: RenderUnit) -> FittedScene:
+    def scene(self, unit: RenderUnit) -> "FittedScene":
         """Open the scene of a unit."""
 
     def make(self) -> Method:

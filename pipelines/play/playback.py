@@ -8,12 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import Camera, SourceChoice
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import CameraError, RenderError
 from ggvs_eval.files.digest import digest_values
-from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
+from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth, without_unmatched
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs

@@ -12,14 +12,13 @@ from typing import Any, get_args
 import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import Camera, SourceChoice
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, GgvsWarning, RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.geometry.source_views import (
     ChosenSource,
-    SourceChoice,
     choose_sources,
     ray_angles,
     sample_view,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from ggvs_eval.capture import Capture, CaptureEdit, GivenDepth
-from ggvs_eval.coverage import read_coverage, require_imported
+from ggvs_eval.coverage import lacks_path, read_coverage, require_imported
 from ggvs_eval.datasets import DEPTH_FILES, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.errors import ResultsError
@@ -29,7 +29,6 @@ from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.render import note_labels
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import Scores, plan_scores
-from ggvs_eval.pipelines.run.score_path import lacks_path
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder

@@ -2,7 +2,6 @@
 
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.pipelines.offline.depth.depth_choice import finds_live
 from ggvs_eval.pipelines.offline.depth.rig_depth import RigDepth
 from ggvs_eval.pipelines.run.run_plan import Piece, RunPlan
 from ggvs_eval.run_folder import write_json
@@ -28,8 +27,7 @@ def prepare(plan: RunPlan, _workers: Workers) -> None:
     depth's record.
     """
     options, run, capture = plan.depth_options, plan.run, plan.capture
-    is_live = finds_live(plan.depth.record(plan.depth_device))
-    if plan.protocol.stream is None or not is_live or run.live_depth_record.is_file():
+    if plan.protocol.stream is None or not run.has_live_depth or run.live_depth_record.is_file():
         return
     seconds: list[float] = []
     for source_plan in plan.plans.values():

@@ -1,7 +1,6 @@
-"""Rows that belong to no method but give its numbers a scale: noise ceilings, and the captured images along a path."""
+"""Noise ceilings: rows of the report that belong to no method but give its numbers a scale."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,27 +10,28 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.coding import Coding
+from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.ceilings import ceilings
-from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
-from ggvs_eval.pipelines.inspection.finding import Finding
-from ggvs_eval.pipelines.inspection.renders.examine import COMPARED, find_seen
-from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
-from ggvs_eval.pipelines.run.score_code import ceilings_code
-from ggvs_eval.pipelines.run.score_path import TRUTH
+from ggvs_eval.pipelines.run.score_code import READING, SHARED
 from ggvs_eval.pipelines.run.score_view import digest_frames, metric_options, truth_frames
 from ggvs_eval.protocol import Measurement, Protocol
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
+from ggvs_eval.scoring import ScorePart, ScoreRequest
 
 NOISE_FREE, SECOND = "Ceiling: perfect and noise-free", "Ceiling: second recording"
 NOTES = {
     NOISE_FREE: "estimated score of the scene without the camera's noise and codec against this capture.",
     SECOND: "estimated score of another recording by the same camera, with independent noise; a codec softens both alike.",
 }
-LEAST_DB = 30.0
 UNRECORDED = "not recorded in this run folder; prepare it again"
-PATH_NOTE = "ground truth of a camera on the path, measured like the methods."
+
+
+def plan_ceilings(request: ScoreRequest) -> ScorePart:
+    """Plan the ceilings of a run's test views."""
+    jobs = ceiling_jobs(request.run, request.protocol, request.views)
+    return ScorePart(jobs=tuple(jobs), references=partial(reference_rows, jobs))
 
 
 def ceiling_jobs(run: RunFolder, protocol: Protocol, views: Sequence[str]) -> list[Job]:
@@ -40,59 +40,36 @@ def ceiling_jobs(run: RunFolder, protocol: Protocol, views: Sequence[str]) -> li
     Returns:
         One per test view; empty if the protocol wants none.
     """
-    metrics = [name for name in ceiling_metrics() if name in protocol.measurement.metrics]
-    if not protocol.measurement.ceilings or not metrics:
+    metrics = _wanted(protocol)
+    if not metrics:
         return []
     frames = protocol.frames.numbers
     return [_job(run, view, frames, metrics, protocol.measurement) for view in views]
 
 
-def read_ceilings(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
-    """Read the results of `ceiling_jobs`.
+def _wanted(protocol: Protocol) -> list[str]:
+    """Metrics of a protocol that perfect renderings are scored with; none if it wants no ceilings."""
+    metrics = [name for name in ceiling_metrics() if name in protocol.measurement.metrics]
+    return metrics if protocol.measurement.ceilings else []
+
+
+def read_ceiling(run: RunFolder, protocol: Protocol, view: str) -> dict[str, Any] | None:
+    """Read what a perfect rendering of a view scores; None if the protocol wants no ceilings, or there is none yet.
 
     Returns:
-        view -> ``noise_free`` and ``second_recording``, metric -> value, and ``not_computed``, metric -> reason.
+        ``noise_free`` and ``second_recording``, metric -> value, and ``not_computed``, metric -> reason.
     """
-    return {job.folder.name: read_json(job.folder / JOB_FILE) for job in jobs}
+    file = run.ceilings(view) / JOB_FILE
+    return read_json(file) if _wanted(protocol) and file.is_file() else None
 
 
-def find_seen_view(view: str, psnrs_db: Collection[float], perfect: Mapping[str, Any] | None) -> list[Finding]:
-    """Report a view whose renders are better than a perfect one's, see `find_seen`.
-
-    Args:
-        view: name.
-        psnrs_db: of its frames; empty if they were not measured.
-        perfect: its record of `read_ceilings`; None if there is none.
-    """
-    ceiling_db = (perfect or {}).get("noise_free", {}).get(COMPARED)
-    return [] if ceiling_db is None or not psnrs_db else find_seen(view, float(np.mean(list(psnrs_db))), ceiling_db)
-
-
-def find_seen_views(run: RunFolder, label: str) -> list[Finding]:
-    """Ask the same of frames that need not have been scored, and of a protocol that wants no ceilings.
-
-    They are estimated only where renders are so good that they may be above: noise of `LEAST_DB` would be seen by everybody.
-    """
-    protocol, findings = run.protocol(), []
-    wanted = replace(protocol, measurement=replace(protocol.measurement, metrics=(COMPARED,), ceilings=True))
-    for name, view in views_of_run(run, label, as_measured=True).items():
-        psnrs_db = [psnr(*pair) for pair in view.pairs(list(view.frames))]
-        if np.mean(psnrs_db) > LEAST_DB:
-            (job,) = ceiling_jobs(run, wanted, [name])
-            findings += find_seen_view(name, psnrs_db, job.work(run.root))
-    return findings
-
-
-def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], records: Mapping[str, dict[str, Any]]) -> None:
-    """Write ``references.json``, which the report shows as grey rows.
-
-    Args:
-        records: see `read_ceilings`.
-    """
+def reference_rows(jobs: Sequence[Job]) -> list[dict[str, Any]]:
+    """Return the grey rows of the report: perfect renderings, and a second recording."""
+    records = {job.folder.name: read_json(job.folder / JOB_FILE) for job in jobs}
     groups: dict[str, list[str]] = {}
     for name in ceiling_metrics():
         groups.setdefault(METRICS[name].group.key, []).append(name)
-    entries = [
+    return [
         {
             "group": group,
             "name": name,
@@ -104,10 +81,6 @@ def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], record
         for name, kind in ((NOISE_FREE, "noise_free"), (SECOND, "second_recording"))
         if records
     ]
-    if TRUTH in paths:
-        values = {name: value for name, pose, value in paths[TRUTH]["values"] if pose < 0} | paths[TRUTH]["not_computed"]
-        entries.append({"group": "path", "name": "Captured images", "note": PATH_NOTE, "values": values})
-    write_json(run.root / "references.json", entries)
 
 
 def _means(records: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[str]) -> dict[str, float | str]:
@@ -139,6 +112,12 @@ def _job(run: RunFolder, view: str, frames: range, metrics: Sequence[str], measu
     }
     work = partial(_estimate, run, view, frames, metrics, measurement, coding and Coding(**coding))
     return Job(f"ceilings of {view}", run.ceilings(view), identity, work)
+
+
+def ceilings_code(names: Sequence[str]) -> str:
+    """Return the hash of the code that estimates the ceilings of some metrics."""
+    modules = [module for name in names for module in METRICS[name].modules]
+    return code_identity("ggvs_eval.metrics.ceilings", *modules, READING, *SHARED, unfollowed=SHARED)
 
 
 def _estimate(

@@ -9,30 +9,25 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ggvs_eval.coverage import Coverage, guessed_first, read_coverage
+from ggvs_eval.coverage import Coverage, read_coverage
 from ggvs_eval.errors import RenderError
+from ggvs_eval.finding import Finding
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.machine import pace
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
-from ggvs_eval.pipelines.inspection.finding import Finding
-from ggvs_eval.pipelines.inspection.renders.examine import COMPARED
-from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering
-from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.pipelines.methods.registry import METHODS, known_method
 from ggvs_eval.pipelines.methods.spec import LEARNED, OnlineMethod, digest_weights
 from ggvs_eval.pipelines.methods.stage_costs import STAGES, score_cost
-from ggvs_eval.pipelines.run.references import ceiling_jobs, find_seen_view, read_ceilings, write_references
-from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
-from ggvs_eval.pipelines.run.screens import Clock, read_clocks, screens_of, write_screens
 from ggvs_eval.progress import counted, duration
 from ggvs_eval.protocol import COSTLIEST, Protocol
 from ggvs_eval.renders.request import read_header
 from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table, split_label
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
+from ggvs_eval.scoring import QUESTIONS, SCORE_PARTS, ScoredMethod, ScorePart, ScoreRequest
 
 GIVEN = "weights that were given"
 
@@ -82,25 +77,21 @@ class Scores:
 
     Attributes:
         views: a job per test view, for all methods.
-        ceilings: a job per test view, where the protocol wants them.
-        paths: a job per method along the camera path.
+        parts: what is scored besides, see `ScorePart`.
         device: where metrics compute that can.
-        clocks: label -> time of a picture where the protocol has a stream, or why it is not on the screen.
     """
 
     run: RunFolder
     labels: tuple[str, ...]
     coverage: Coverage
     views: tuple[Job, ...]
-    ceilings: tuple[Job, ...]
-    paths: tuple[Job, ...]
+    parts: tuple[ScorePart, ...]
     device: str
-    clocks: Mapping[str, Clock | str]
 
     @property
     def jobs(self) -> tuple[Job, ...]:
         """All, the longest first, so that all workers end at about the same time."""
-        return (*self.views, *self.ceilings, *self.paths)
+        return (*self.views, *(job for part in self.parts for job in part.jobs))
 
     def time_words(self, workers: int) -> str:
         """State the expected time of the views left to score, and how to shorten it; empty if seconds."""
@@ -125,15 +116,16 @@ class Scores:
 
     def collect(self) -> Results:
         """Collect all values, when every job is done, into the results of the run folder."""
-        paths, found = read_paths(self.paths), read_ceilings(self.ceilings)
-        results = _collect(self.run, self.run.protocol(), self.coverage, self.labels, paths, found)
+        results = _collect(self)
         if self.device != "cpu":
             from ggvs_eval.compute_device import describe_device
 
             results.provenance.setdefault("devices", {})[METRICS_ON_DEVICE] = describe_device(self.device)
         results.write(self.run.root)
-        write_references(self.run, paths, found)
-        write_screens(self.run, self.run.protocol(), self.clocks)
+        references = [row for part in self.parts for row in part.references()]
+        write_json(self.run.root / "references.json", references)
+        for part in self.parts:
+            part.write()
         write_shown_names(self.run, self.run.protocol(), self.labels)
         return results
 
@@ -181,24 +173,18 @@ def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | 
     views = [view for view in protocol.views.test if units is None or view in units]
     coverage = read_coverage(run, protocol.frames.numbers, labels)
     coverage.require(run, views, labels)
-    clocks = read_clocks(run, protocol, coverage, labels)
-    screens = screens_of(protocol, clocks)
-    of_views = (view_job(run, protocol, coverage, labels, view, device, screens) for view in views)
-    of_paths = path_jobs(run, protocol, labels) if units is None or PATH_VIEW in units else []
-    ceilings = ceiling_jobs(run, protocol, views)
-    return Scores(run, tuple(labels), coverage, tuple(of_views), tuple(ceilings), tuple(of_paths), device, clocks)
+    request = ScoreRequest(run=run, protocol=protocol, coverage=coverage, labels=labels, views=views, units=units)
+    parts = tuple(plan_part(request) for plan_part in SCORE_PARTS.installed().values())
+    displayed = {label: screen for part in parts for label, screen in part.displayed.items()}
+    jobs = (view_job(run, protocol, coverage, labels, view, device, displayed) for view in views)
+    return Scores(run=run, labels=tuple(labels), coverage=coverage, views=tuple(jobs), parts=parts, device=device)
 
 
-def _collect(
-    run: RunFolder,
-    protocol: Protocol,
-    coverage: Coverage,
-    labels: Sequence[str],
-    paths: Mapping[str, dict[str, Any]],
-    perfect: Mapping[str, dict[str, Any]],
-) -> Results:
+def _collect(scores: Scores) -> Results:
     """Return one tidy table of all jobs, with the metrics that are made of the values of several, such as SDV."""
-    capture = run.capture_record()
+    run, coverage, labels = scores.run, scores.coverage, scores.labels
+    protocol, capture = run.protocol(), run.capture_record()
+    questions = QUESTIONS.installed().values()
     records = {view: read_json(run.scores(view) / JOB_FILE)["methods"] for view in protocol.views.test}
     rows: list[tuple[Any, ...]] = []
     absences: list[Absence] = []
@@ -208,8 +194,7 @@ def _collect(
         values: dict[str, dict[str, dict[int, float]]] = {}  # metric -> view -> frame -> value
         own: list[tuple[Any, ...]] = []
         reasons: dict[str, str] = {}  # of what belongs to no single view
-        found: list[Fault] = []
-        counted_from = guessed_first(run, label)
+        findings: dict[str, list[Finding]] = {}
         for view, methods in records.items():
             if why := coverage.refused.get(label, {}).get(view):
                 absences += [Absence(metric, label, capture["scene"], view, why) for metric in protocol.measurement.metrics]
@@ -220,15 +205,20 @@ def _collect(
             for name, frame, value in methods[label]["values"]:
                 own.append((view, frame, name, value))
                 values.setdefault(name, {}).setdefault(view, {})[frame] = value
-            seen = find_seen_view(view, values.get(COMPARED, {}).get(view, {}).values(), perfect.get(view))
-            checked = (Finding(**one) for one in methods[label].get("faults", ()))
-            doubted = (doubt_numbering(one, counted_from, protocol.frames.start) for one in checked)
-            found += [_fault(label, capture["scene"], one) for one in (*doubted, *seen)]
+            findings[view] = [Finding(**fields) for fields in methods[label].get("faults", ())]
             lacking = methods[label]["not_computed"]
             absences += [Absence(name, label, capture["scene"], view, reason) for name, reason in lacking.items()]
-        faults += of_all_views(found, sum(label in methods for methods in records.values()))
+        method = ScoredMethod(run=run, protocol=protocol, label=label, values=values)
+        for question in questions:
+            findings = question.of_method(method, findings)
+        scene = capture["scene"]
+        faults += [_fault(label, scene, finding) for of_view in findings.values() for finding in of_view]
         own += _derived(protocol, values, reasons)
-        own += _along_path(protocol, paths.get(label), reasons)
+        for part in scores.parts:
+            if part.rows is not None:
+                part_rows, part_reasons = part.rows(label)
+                own += part_rows
+                reasons |= part_reasons
         absences += [Absence(name, label, capture["scene"], "", reason) for name, reason in reasons.items()]
         rows += [(*head, *row) for row in own]
     renders = {
@@ -270,16 +260,6 @@ def _derived(
     rows, reasons = derived_rows(select_metrics(measurement.metrics), values, metric_options(measurement))
     not_computed |= reasons
     return [(view, frame, name, value) for name, of_metric in rows.items() for view, frame, value in of_metric]
-
-
-def _along_path(protocol: Protocol, path: dict[str, Any] | None, not_computed: dict[str, str]) -> list[tuple[Any, ...]]:
-    """Return the rows (view, frame, metric, value) of the measures of a camera path, each over the whole path."""
-    names = [metric.name for metric in select_metrics(protocol.measurement.metrics) if metric.kind == "path"]
-    if path is None:
-        not_computed.update(dict.fromkeys(names, "no images along a camera path"))
-        return []
-    not_computed.update({name: reason for name, reason in path["not_computed"].items() if name in names})
-    return [(PATH_VIEW, -1, name, value) for name, pose, value in path["values"] if pose < 0 and name in names]
 
 
 def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, str]) -> dict[str, Any]:

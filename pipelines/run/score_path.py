@@ -1,24 +1,59 @@
 """Score the camera path: view consistency of each method's images along it, without any truth."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.coverage import lacks_path, path_poses
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import read_image
+from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose
-from ggvs_eval.metrics.path_scores import score_path
-from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.metrics.path_scores import measured_on_path, score_path
+from ggvs_eval.metrics.registry import METRICS, select_metrics
 from ggvs_eval.pipelines.run.path_depth import pose_file, read_path_depth
-from ggvs_eval.pipelines.run.score_code import path_code
+from ggvs_eval.pipelines.run.score_code import READING
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, frame_path, missing_frames, read_json, require_frames
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, require_frames
+from ggvs_eval.scoring import Row, ScorePart, ScoreRequest
 
 PATH_VIEW = "path"  # the name in the table's column of views
 TRUTH = "truth"
+TRUTH_NOTE = "ground truth of a camera on the path, measured like the methods."
+PATH_SCORES = "ggvs_eval.metrics.path_scores"
+
+
+def plan_path_scores(request: ScoreRequest) -> ScorePart:
+    """Plan what is measured along the camera path of a run."""
+    is_asked = request.units is None or PATH_VIEW in request.units
+    jobs = path_jobs(request.run, request.protocol, request.labels) if is_asked else []
+    rows = partial(path_rows, jobs, request.protocol)
+    return ScorePart(jobs=tuple(jobs), rows=rows, references=partial(true_rows, jobs))
+
+
+def path_rows(jobs: Sequence[Job], protocol: Protocol, label: str) -> tuple[list[Row], dict[str, str]]:
+    """Return the measures of a method's camera path, each over the whole path, and why some are not there."""
+    metrics = select_metrics(protocol.measurement.metrics)
+    names = [metric.name for metric in metrics if metric.kind == "path"]
+    scores = read_paths(jobs).get(label)
+    if scores is None:
+        return [], dict.fromkeys(names, "no images along a camera path")
+    reasons = {name: why for name, why in scores["not_computed"].items() if name in names}
+    values = [(name, value) for name, pose, value in scores["values"] if pose < 0 and name in names]
+    return [(PATH_VIEW, -1, name, value) for name, value in values], reasons
+
+
+def true_rows(jobs: Sequence[Job]) -> list[dict[str, Any]]:
+    """Return the report's row of the captured images along the path, where the capture has some."""
+    scores = read_paths(jobs).get(TRUTH)
+    if scores is None:
+        return []
+    values = {name: value for name, pose, value in scores["values"] if pose < 0}
+    values |= scores["not_computed"]
+    return [{"group": "path", "name": "Captured images", "note": TRUTH_NOTE, "values": values}]
 
 
 def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list[Job]:
@@ -40,17 +75,6 @@ def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list
     return [_job(run, label, len(poses), costly) for label in rendered]
 
 
-def path_poses(run: RunFolder) -> range:
-    """Return the numbers of the poses of the camera path; none if there is no path."""
-    return range(len(read_json(run.path_record)["cameras"]) if run.path_record.is_file() else 0)
-
-
-def lacks_path(run: RunFolder, label: str) -> bool:
-    """Return whether a method was rendered along the path and some of it is lost; one that refused the path has no picture."""
-    record = run.path(label) / JOB_FILE
-    return record.is_file() and REFUSED not in read_json(record) and bool(missing_frames(run.path(label), path_poses(run)))
-
-
 def read_paths(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
     """Read the results of `path_jobs`.
 
@@ -70,6 +94,12 @@ def _job(run: RunFolder, label: str, n_poses: int, costly: Sequence[str]) -> Job
         "code": path_code(costly),
     }
     return Job(f"path of {label}", run.path_scores(label), identity, partial(_score, run, label, costly))
+
+
+def path_code(names: Collection[str]) -> str:
+    """Hash of the code that measures a camera path: one pass over it measures all that it has, and what is named of the rest."""
+    modules = [module for metric in measured_on_path(names) for module in metric.modules]
+    return code_identity(PATH_SCORES, "ggvs_eval.metrics.path.rendered_path", *modules, READING, unfollowed=(PATH_SCORES,))
 
 
 def _score(run: RunFolder, label: str, costly: Sequence[str], _folder: Path) -> dict[str, Any]:

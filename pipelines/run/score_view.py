@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.arrays import Image8, Mask
-from ggvs_eval.coverage import Coverage
+from ggvs_eval.coverage import Coverage, frame_reader
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.jobs.job import Job
@@ -18,17 +18,14 @@ from ggvs_eval.kernels import _core
 from ggvs_eval.measured_frames import measured_frame, measured_mask, measuring_way
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metric_choices import MetricChoices
-from ggvs_eval.metrics.metric import MetricOptions, ViewMetric
+from ggvs_eval.metrics.metric import MetricOptions, ScreenMetric, ViewMetric
 from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen, select_metrics
-from ggvs_eval.metrics.time.on_screen import Screen, ScreenMetric
-from ggvs_eval.pipelines.inspection.renders.identity import frame_reader
-from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
 from ggvs_eval.pipelines.run.score_code import checks_code, metric_code
 from ggvs_eval.protocol import ON_SCREEN, Measurement, Protocol
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json
+from ggvs_eval.scoring import NONE_DISPLAYED, QUESTIONS, Displayed
 
-NO_SCREENS: Mapping[str, Screen | str] = {}
 Shown = Callable[[int], Path]  # instant -> file of the picture that is measured at it
 
 
@@ -39,13 +36,12 @@ def view_job(
     labels: Sequence[str],
     view: str,
     device: str = "cpu",
-    screens: Mapping[str, Screen | str] = NO_SCREENS,
+    displayed: Mapping[str, Displayed | str] = NONE_DISPLAYED,
 ) -> Job:
     """Return the job of one view; in it all values of a method are stale when a frame changes, and one metric when its code does.
 
     Args:
-        screens: label -> what is on the screen, or why nothing is, see `read_screens`; a value is stale when that changes, not
-            when a time does.
+        displayed: label -> what is on the screen, or why nothing is; a value is stale when that changes, not when a time does.
     """
     options = metric_options(protocol.measurement, device)
     measurement = protocol.measurement
@@ -62,10 +58,10 @@ def view_job(
         label: common
         | {"rendered": digest_frames(run.renders(label, view), coverage.frames(label, view))}
         | coverage.identity(label, view)
-        | {"metrics": common["metrics"] | _on_screen_identity(measurement, options, screens.get(label, ""))}
+        | {"metrics": common["metrics"] | _on_screen_identity(measurement, options, displayed.get(label, ""))}
         for label in stretches
     }
-    work = partial(_score_view, run, view, tuple(labels), identities, stretches, screens, protocol, options)
+    work = partial(_score_view, run, view, tuple(labels), identities, stretches, displayed, protocol, options)
     return Job(f"scores of {view}", run.scores(view), identities, work, renews=True)
 
 
@@ -76,9 +72,9 @@ def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, An
     return {"code": metric_code(metric)} | weights | elsewhere
 
 
-def _on_screen_identity(measurement: Measurement, options: MetricOptions, screen: Screen | str) -> dict[str, Any]:
+def _on_screen_identity(measurement: Measurement, options: MetricOptions, screen: Displayed | str) -> dict[str, Any]:
     """Return the same of the metrics of the screen, which also depend on the displayed frames."""
-    seen = {"absent": screen} if isinstance(screen, str) else {"shown": list(screen.shown), "first": screen.first}
+    seen = {"absent": screen} if isinstance(screen, str) else {"shown": list(screen.frames), "first": screen.first}
     metrics = scored_on_screen(measurement.metrics)
     return {metric.name: _metric_identity(metric.of, options) | {"code": metric_code(metric)} | seen for metric in metrics}
 
@@ -100,7 +96,7 @@ def _score_view(
     asked: Sequence[str],
     identities: dict[str, Any],
     stretches: dict[str, tuple[range, ...]],
-    screens: Mapping[str, Screen | str],
+    displayed: Mapping[str, Displayed | str],
     protocol: Protocol,
     options: MetricOptions,
     _folder: Path,
@@ -126,7 +122,7 @@ def _score_view(
             alike[stretches[label], waited_for].append(label)
         if streamed := [name for name in stale if isinstance(METRICS[name], ScreenMetric)]:
             with _computing(options.device):
-                seen = _score_screen(run, view, label, screens[label], streamed, protocol, options)
+                seen = _score_screen(run, view, label, displayed[label], streamed, protocol, options)
             methods[label] |= _replaced(methods[label], seen)
     for (there, metrics), labels in alike.items():
         shown = [partial(frame_path, run.renders(label, view)) for label in labels]
@@ -134,10 +130,12 @@ def _score_view(
             scores = _score_methods(run, view, shown, there, metrics, protocol, options)
         for label, measured in zip(labels, scores, strict=True):
             methods[label] |= _replaced(methods[label], measured)
-    checks = QuickChecks(view, frame_reader(run.truth(view)), protocol.frames.numbers)
+    truth, numbers = frame_reader(run.truth(view)), protocol.frames.numbers
+    checks = [question.of_view(view, truth, numbers) for question in QUESTIONS.built_in().values()]
     for label in unchecked:  # behind the metrics, which refuse frames of another size
-        found = checks.check(frame_reader(run.renders(label, view)), max(stretches[label], key=len))
-        methods[label]["faults"] = [asdict(finding) for finding in found]
+        rendered, longest = frame_reader(run.renders(label, view)), max(stretches[label], key=len)
+        findings = [finding for check in checks for finding in check(rendered, longest)]
+        methods[label]["faults"] = [asdict(finding) for finding in findings]
     parts = [(*one.pooling(options).parts, one.name) for one in select_metrics(protocol.measurement.metrics)]
     order = {name: place for place, name in enumerate(dict.fromkeys(name for names in parts for name in names))}
     for record in methods.values():  # whatever was measured together; what belongs to no frame comes last
@@ -222,7 +220,7 @@ def _score_screen(
     run: RunFolder,
     view: str,
     label: str,
-    screen: Screen | str,
+    screen: Displayed | str,
     metrics: Sequence[str],
     protocol: Protocol,
     options: MetricOptions,
@@ -235,7 +233,7 @@ def _score_screen(
     assert first is not None
 
     def shown(instant: int) -> Path:
-        frame = screen.shown[instant - start]
+        frame = screen.frames[instant - start]
         assert frame is not None
         return frame_path(folder, start + frame)
 

@@ -1,6 +1,7 @@
 """Screens of a run: what each method shows at each instant, from the times that its pictures took; ``stream.json`` for tables."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,14 +10,25 @@ from ggvs_eval.coverage import Coverage
 from ggvs_eval.errors import RenderError
 from ggvs_eval.metrics.time.on_screen import Screen, on_screen
 from ggvs_eval.pipelines.methods.registry import known_method
-from ggvs_eval.pipelines.offline.depth.depth_choice import finds_live
 from ggvs_eval.protocol import Protocol, Stream
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
+from ggvs_eval.scoring import Displayed, ScorePart, ScoreRequest
 
 DEPTH, FIT, STATED = "depth", "fit", "stated"  # stages besides those of the method
 UNTIMED = "unknown render time; state it in the protocol: [[stream.stated]] method, ms"
 WHOLE_CLIP = "offline: it needs the whole clip before its first frame, which is not live"
 Clock = dict[str, float]  # stage -> seconds of a picture
+
+
+def plan_screens(request: ScoreRequest) -> ScorePart:
+    """Find what a viewer sees of each method; nothing if the protocol has no stream."""
+    clocks = read_clocks(request.run, request.protocol, request.coverage, request.labels)
+    displayed = {
+        label: screen if isinstance(screen, str) else Displayed(screen.shown, screen.first)
+        for label, screen in screens_of(request.protocol, clocks).items()
+    }
+    write = partial(write_screens, request.run, request.protocol, clocks)
+    return ScorePart(write=write, displayed=displayed)
 
 
 def read_clocks(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str]) -> dict[str, Clock | str]:
@@ -83,7 +95,7 @@ def _depth_seconds(run: RunFolder, stream: Stream) -> float:
     """Time of the depth of all sources of a picture: stated, measured where it is live, none if it was computed before."""
     if stream.depth_ms is not None:
         return stream.depth_ms / 1000
-    if not _is_live(run):
+    if not run.has_live_depth:
         return 0.0
     if not run.live_depth_record.is_file():
         raise RenderError(f"{run.live_depth_record}: wanted the time of live depth, got no file; run `ggvs-eval run`")
@@ -94,10 +106,6 @@ def _depth_note(run: RunFolder, stream: Stream) -> str:
     """State which time the depth counts for."""
     if stream.depth_ms is not None:
         return f"{stream.depth_ms:g} ms per frame for the depth of its sources, by the protocol"
-    if _is_live(run):
+    if run.has_live_depth:
         return "with live depth of its sources, measured here"
     return "without depth, which was precomputed (set its time by depth_ms in [stream] of the protocol)"
-
-
-def _is_live(run: RunFolder) -> bool:
-    return run.depth_record.is_file() and finds_live(read_json(run.depth_record))

@@ -9,8 +9,8 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.corrections import FILE, Correction, read_corrections, write_corrections
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import write_video
+from ggvs_eval.finding import Finding
 from ggvs_eval.pipelines.inspection.capture.colour import propose_corrections, repair_capture
-from ggvs_eval.pipelines.inspection.finding import Finding
 from helpers.captures import FPS, NAMES, make_rig, write_poses
 
 N_FRAMES = 9

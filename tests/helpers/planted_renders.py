@@ -9,7 +9,8 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, ViewFrames
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
+from ggvs_eval.scoring import FrameReader
 from helpers.packed_films import unpack_film
 
 Spoil = Callable[[ViewFrames], FrameReader]

@@ -8,8 +8,8 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from ggvs_eval.finding import Finding
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.run_folder import read_json
 
 # They take --jobs; processes would only take longer to start here.

@@ -11,6 +11,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
+from ggvs_eval.finding import Finding, graded, worst
 from ggvs_eval.geometry.epipolar import (
     Features,
     MatchedPair,
@@ -48,7 +49,6 @@ from ggvs_eval.pipelines.inspection.capture.records import (
     record_camera,
 )
 from ggvs_eval.pipelines.inspection.capture.timing import best_lag, plane_angles
-from ggvs_eval.pipelines.inspection.finding import Finding, graded, worst
 from helpers.captures import make_image, make_rig, write_dynerf, write_folders, write_poses
 
 TARGET = np.array([0.5, -0.25, 6.0])

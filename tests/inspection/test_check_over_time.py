@@ -11,12 +11,12 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.corrections import FILE, read_corrections
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import write_video
+from ggvs_eval.finding import Finding
 from ggvs_eval.pipelines.commands.captures import check as check_command
 from ggvs_eval.pipelines.inspection.capture import check as check_module
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture
 from ggvs_eval.pipelines.inspection.capture.colour import describe_repair, propose_corrections, repair_capture
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, record_camera
-from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
 from helpers.small_rig import N_FRAMES, NAMES, Frames, brighten, bump, expose, lose, warp
 

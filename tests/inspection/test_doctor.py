@@ -9,7 +9,7 @@ import pytest
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
-from ggvs_eval.pipelines.inspection.finding import Finding
+from ggvs_eval.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, views_of_run, views_there
 from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering

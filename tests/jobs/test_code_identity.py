@@ -18,8 +18,10 @@ from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
+from ggvs_eval.pipelines.run.references import ceilings_code
 from ggvs_eval.pipelines.run.render import method_code
-from ggvs_eval.pipelines.run.score_code import ceilings_code, metric_code, path_code
+from ggvs_eval.pipelines.run.score_code import metric_code
+from ggvs_eval.pipelines.run.score_path import path_code
 from helpers.places import ROOT
 
 checkout = pytest.mark.skipif(not (ROOT / "setup.py").exists(), reason="the kernels' sources are in the checkout alone")

@@ -11,22 +11,23 @@ import pytest
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.finding import Finding
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.metrics import stream
-from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
-from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, views_of_run
+from ggvs_eval.pipelines.inspection.renders.identity import views_of_run
 from ggvs_eval.pipelines.inspection.renders.quick_checks import QuickChecks
 from ggvs_eval.pipelines.run import score_view
 from ggvs_eval.pipelines.run.import_renders import import_renders, run_for
-from ggvs_eval.pipelines.run.references import find_seen_views
 from ggvs_eval.pipelines.run.score import score
+from ggvs_eval.pipelines.run.seen_views import find_seen_views
 from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.reports.page import page as page_module
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.compare_runs import differences, method_sides
 from ggvs_eval.results import Fault, Results
 from ggvs_eval.run_folder import RunFolder, frame_path
+from ggvs_eval.scoring import FrameReader
 from helpers.small_runs import leave_out_figures, small_protocol, write_small_capture
 
 VIEWS, FRAMES = ("cam00", "cam01", "cam04"), Frames(2, 5)

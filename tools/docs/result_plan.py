@@ -22,7 +22,8 @@ from ggvs_eval.pipelines.offline.depth import camera_depth, consistency
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.run.render import method_code
-from ggvs_eval.pipelines.run.score_code import metric_code, path_code
+from ggvs_eval.pipelines.run.score_code import metric_code
+from ggvs_eval.pipelines.run.score_path import path_code
 from ggvs_eval.protocol import Protocol, load_protocol
 from ggvs_eval.run_folder import read_json
 from ggvs_eval.sweep import load_sweep

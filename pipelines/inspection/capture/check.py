@@ -23,6 +23,7 @@ from ggvs_eval.datasets.units import GivenUnits, Units
 from ggvs_eval.datasets.unread_files import unread_note
 from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_files
+from ggvs_eval.finding import RIG, SEVERITY, Finding
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.inspection.capture import (
     colour,
@@ -38,7 +39,6 @@ from ggvs_eval.pipelines.inspection.capture import (
 from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
 from ggvs_eval.pipelines.inspection.capture.pairs import triangulated_depths
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, record_camera
-from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json

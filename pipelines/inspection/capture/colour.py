@@ -15,11 +15,11 @@ from ggvs_eval.datasets.corrections import (
     read_corrections,
     write_corrections,
 )
+from ggvs_eval.finding import RIG, Finding, graded
 from ggvs_eval.geometry.epipolar import MatchedPair
 from ggvs_eval.pipelines.inspection.capture import timing
 from ggvs_eval.pipelines.inspection.capture.pairs import solve_with_errors
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding, graded
 
 GAIN, DRIFT, NOISE = "colour gain", "colour over time", "noise"
 # 4 % is just visible at a seam. Published captures differ by up to 19 % (flame_steak), which costs every method alike; at 25 % no

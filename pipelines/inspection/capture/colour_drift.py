@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.finding import RIG, Finding, Verdict
 from ggvs_eval.geometry.epipolar import MatchedPair
 from ggvs_eval.pipelines.inspection.capture.colour import (
     CHANNELS,
@@ -24,7 +25,6 @@ from ggvs_eval.pipelines.inspection.capture.colour import (
 from ggvs_eval.pipelines.inspection.capture.pairs import solve_with_errors
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, robust_sigma
 from ggvs_eval.pipelines.inspection.capture.stillness import BEGUN, DONE, describe_when
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict
 
 QUESTION = DRIFT
 # As for constant gains: just visible at a seam; no constant divides a tenth away.

@@ -13,8 +13,8 @@ from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.depth_range import neighbour_distances
 from ggvs_eval.errors import GgvsError
+from ggvs_eval.finding import RIG, SEVERITY, Finding, Verdict, graded
 from ggvs_eval.geometry.sight import LEAST_SHOWN, advise_sight, describe_sight, shown_share
-from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding, Verdict, graded
 from ggvs_eval.pipelines.offline.sensor.registered_capture import displacement, is_sequence
 from ggvs_eval.pipelines.offline.sensor.registration import Registration
 from ggvs_eval.pipelines.offline.sensor.registration_estimate import Displacement

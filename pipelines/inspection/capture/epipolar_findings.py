@@ -11,6 +11,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
+from ggvs_eval.finding import RIG, SEVERITY, Finding, Verdict, graded
 from ggvs_eval.geometry.epipolar import Features, MatchedPair, neighbour_pairs, tolerances
 from ggvs_eval.pipelines.inspection.capture.pairs import (
     FRONT_SHARE,
@@ -22,7 +23,6 @@ from ggvs_eval.pipelines.inspection.capture.pairs import (
     match_pairs,
     pair_error,
 )
-from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding, Verdict, graded
 
 FOCAL_FACTORS = np.linspace(0.85, 1.15, 31)
 FINE_STEPS = np.linspace(-0.01, 0.01, 9)

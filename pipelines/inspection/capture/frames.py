@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ggvs_eval.capture import Capture, source_chain
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.files.video import DEINTERLACE, VideoFrames
+from ggvs_eval.finding import RIG, Finding
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 
 FRAMES, FROZEN = "frames", "frozen frames"
 # A repeated frame differs from its twin by the codec's rounding only; a real one by noise and motion.

@@ -5,7 +5,7 @@ from typing import Any
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import GgvsError
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding
+from ggvs_eval.finding import RIG, Finding
 from ggvs_eval.pipelines.offline.calibration.calibrate import RECORD, OddLens, own_lens_option
 from ggvs_eval.run_folder import read_json
 

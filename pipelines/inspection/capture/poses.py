@@ -6,7 +6,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict, graded
+from ggvs_eval.finding import RIG, Finding, Verdict, graded
 
 POSES_QUESTION = "poses"
 # Rotations stored as 32-bit numbers are off by 1e-6; more is rounding in a text file, or no rotation.

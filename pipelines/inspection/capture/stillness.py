@@ -9,9 +9,9 @@ from scipy.ndimage import median_filter
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
+from ggvs_eval.finding import RIG, Finding, graded
 from ggvs_eval.geometry.epipolar import Features, match_features
 from ggvs_eval.pipelines.inspection.capture.records import FEWEST_CORNERS, CameraRecord, fit_similarity, robust_sigma
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding, graded
 
 QUESTION = "stands still"
 # Of the picture, pixels and share of the longer side: what a calibration is good for, and what no method can make good again.

@@ -15,12 +15,12 @@ from scipy.ndimage import gaussian_filter1d
 
 from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
+from ggvs_eval.finding import RIG, Finding, Verdict, graded
 from ggvs_eval.geometry.epipolar import neighbour_pairs
 from ggvs_eval.pipelines.inspection.capture.frames import frozen_frames
 from ggvs_eval.pipelines.inspection.capture.pairs import solve_differences
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, robust_sigma
 from ggvs_eval.pipelines.inspection.capture.stillness import describe_when
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict, graded
 
 PLANES = 48
 # Share of pixels at the rims that may be outside the planes compared.

@@ -17,12 +17,12 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
 from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.finding import SEVERITY, Finding
 from ggvs_eval.geometry.epipolar import MatchedPair, neighbour_pairs
 from ggvs_eval.pipelines.inspection.capture import colour, colour_drift, frames, stillness, timing
 from ggvs_eval.pipelines.inspection.capture.check import LAYOUT, placeholder_camera
 from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, Recorder
-from ggvs_eval.pipelines.inspection.finding import SEVERITY, Finding
 
 # What can go wrong while cameras film; poses, lenses and overlap do not change by themselves.
 WATCHED = (frames.FRAMES, frames.FROZEN, stillness.QUESTION, timing.QUESTION, timing.DROPPED, colour.DRIFT)

@@ -12,8 +12,9 @@ import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.files.images import mean_of_channels
-from ggvs_eval.pipelines.inspection.finding import Finding, Verdict, verdict_of
-from ggvs_eval.pipelines.inspection.renders.identity import FrameReader, ViewFrames, named_frames, spread
+from ggvs_eval.finding import Finding, Verdict, verdict_of
+from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, named_frames, spread
+from ggvs_eval.scoring import FrameReader
 
 FineReader = Callable[[int], Array32]
 # The middle of a large picture says as much as is needed.

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.files.images import mean_of_channels
+from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.metrics.image.psnr import PSNR_CEILING_DB, psnr
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.copied import WINDOW, find_copied
 from ggvs_eval.pipelines.inspection.renders.identity import (
     CameraPictures,
-    FrameReader,
     ViewFrames,
     find_identity,
     longest_run,
@@ -27,6 +26,7 @@ from ggvs_eval.pipelines.inspection.renders.placement import find_placement, sha
 from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, check_sample, find_repeated, resized, scan_frames
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
+from ggvs_eval.scoring import FrameReader
 
 QUESTION = "test view seen"
 FORGIVING, PLAIN = "IV_PSNR", "PSNR_YCbCr"  # what misregistration, colour offset and noise have in an error is between them

@@ -6,20 +6,18 @@ Frames of a view, rendered and captured, are read on request.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 
 import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
+from ggvs_eval.coverage import frame_reader
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import mean_of_channels, read_image
-from ggvs_eval.measured_frames import resized_frame
-from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
-from ggvs_eval.protocol import Measurement
-from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path, missing_frames, require_frames
+from ggvs_eval.files.images import mean_of_channels
+from ggvs_eval.finding import Finding, verdict_of
+from ggvs_eval.run_folder import RunFolder, as_ranges, missing_frames, require_frames
+from ggvs_eval.scoring import FrameReader
 
-FrameReader = Callable[[int], Image8]
 # Everything but registration and coding is decided on pictures of this size, so that a dozen of them are a few megabytes.
 SMALL_SIDE_PX = 192
 LARGEST_OFFSET = 8
@@ -196,16 +194,6 @@ def cameras_of_run(run: RunFolder) -> dict[str, FrameReader]:
     root = run.root / "truth"
     folders = sorted(folder for folder in root.iterdir() if folder.is_dir()) if root.is_dir() else []
     return {folder.name: frame_reader(folder) for folder in folders if not missing_frames(folder, frames)}
-
-
-def frame_reader(folder: Path, measurement: Measurement | None = None) -> FrameReader:
-    """Return the frames of a folder as they are there, or at the size at which a protocol measures them."""
-
-    def read(index: int) -> Image8:
-        image = read_image(frame_path(folder, index))
-        return image if measurement is None else resized_frame(image, measurement)
-
-    return read
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.files.images import mean_of_channels
-from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
+from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, shrink, spread
 
 ITERATIONS = 12

@@ -4,7 +4,7 @@ Channels in another order, rendered frames that show other instants than the cap
 rendered frame once, as a stream: of another size, blank, or a repetition of the one before.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import permutations
@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
+from ggvs_eval.coverage import guessed_first
 from ggvs_eval.files.images import mean_of_channels
-from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
+from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
 from ggvs_eval.pipelines.inspection.renders.identity import (
     LARGEST_OFFSET,
-    FrameReader,
     Sample,
     ViewFrames,
     correlation,
@@ -30,8 +30,9 @@ from ggvs_eval.pipelines.inspection.renders.identity import (
     shrink,
     take_sample,
 )
-from ggvs_eval.pipelines.inspection.renders.tone import find_tone
+from ggvs_eval.pipelines.inspection.renders.tone import find_tone, of_all_views
 from ggvs_eval.run_folder import as_ranges
+from ggvs_eval.scoring import FrameCheck, FrameReader, ScoredMethod
 
 FEWEST_FRAMES = 4
 # Motion left unexplained, 1 - correlation^2, relative to no offset on the same frames. Honest renders of 18 to 30 dB had 1.09 and
@@ -112,6 +113,26 @@ class QuickChecks:
         repeated = find_repeated(self._view, view, scan, sampled)
         middle = ViewFrames(rendered, self._truth, middle_of(usable, COPIED_FRAMES), self._numbers)
         return [*scan.findings, *repeated, *mirrored, *sampled, *find_copied(self._view, middle)]
+
+
+class _QuickQuestion:
+    """The quick checks as scoring asks them."""
+
+    def of_view(self, view: str, truth: FrameReader, numbers: range) -> FrameCheck:
+        """See `Question`."""
+        return QuickChecks(view, truth, numbers).check
+
+    def of_method(self, method: ScoredMethod, findings: Mapping[str, list[Finding]]) -> dict[str, list[Finding]]:
+        """Doubt the numbers of imported frames, and leave out likely tone curves of few views."""
+        counted_from, start = guessed_first(method.run, method.label), method.protocol.frames.start
+        doubted = [
+            (view, doubt_numbering(finding, counted_from, start)) for view, of_view in findings.items() for finding in of_view
+        ]
+        told = of_all_views([finding for _, finding in doubted], len(findings))
+        return {view: [finding for of_view, finding in doubted if of_view == view and finding in told] for view in findings}
+
+
+QUESTION = _QuickQuestion()
 
 
 def check_sample(name: str, view: ViewFrames, count: int = SAMPLED_FRAMES) -> tuple[list[Finding], ViewFrames]:

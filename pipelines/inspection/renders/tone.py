@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
+from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.identity import Sample
 
 # Levels are compared where nothing misplaced can mix them: pixels around which both pictures are flat, except for noise.

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -31,12 +31,6 @@ FILLER = re.compile(rf"\+(?=(?:{'|'.join(built_in.NETWORK_MATCHERS)})(?::|$))") 
 def default_matcher() -> str:
     """Return the matcher of those who name none: with IterMVS where its weights are in the cache folder."""
     return f"{FREE_MATCHER}+{ITERMVS}" if os.path.isfile(cached_weights()) else FREE_MATCHER  # a foreign folder has none
-
-
-def finds_live(record: Mapping[str, Any]) -> bool:
-    """True if a record of depth names a matcher that keeps up with cameras: `live`, or IterMVS alone on a GPU."""
-    matcher = record.get("matcher", "")
-    return matcher == LIVE_MATCHER or (matcher.partition(":")[0] == ITERMVS and DEVICE in record)
 
 
 def find_matcher(name: str, device: str = "cpu", *, dense: bool = False) -> StereoMatcher | PlaneSweep | IterMvs:

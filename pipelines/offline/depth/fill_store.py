@@ -8,12 +8,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import Camera, SourceChoice
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, describe_depth
 from ggvs_eval.errors import CameraError, DepthError
-from ggvs_eval.geometry.source_views import ChosenSource, SourceChoice, choose_sources
+from ggvs_eval.geometry.source_views import ChosenSource, choose_sources
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers, as_engine, run_all
 from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthOptions, check_depth, check_measured_depth, finish

@@ -1,0 +1,112 @@
+"""Doors of scoring: questions that are asked of every method's frames, and what is scored besides the frames of test views.
+
+Both are listed in `ggvs_eval.built_in` and loaded by name, so that `score` works without any of them.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from ggvs_eval import built_in
+from ggvs_eval.arrays import Image8
+from ggvs_eval.coverage import Coverage
+from ggvs_eval.finding import Finding
+from ggvs_eval.jobs.job import Job
+from ggvs_eval.plugins import Registry
+from ggvs_eval.protocol import Protocol as ScoreProtocol
+from ggvs_eval.run_folder import RunFolder
+
+FrameReader = Callable[[int], Image8]  # frame number -> (H, W, 3) uint8 RGB
+FrameCheck = Callable[[FrameReader, range], list[Finding]]  # of rendered frames with these numbers, in a row
+Row = tuple[str, int, str, float]  # view, frame (-1: of no single one), metric, value
+
+
+@dataclass(frozen=True)
+class ScoredMethod:
+    """A method whose frames have been measured.
+
+    Attributes:
+        values: metric -> view -> frame -> value.
+    """
+
+    run: RunFolder
+    protocol: ScoreProtocol
+    label: str
+    values: Mapping[str, Mapping[str, Mapping[int, float]]]
+
+
+class Question(Protocol):
+    """A question that scoring asks of every method's frames; its findings stand next to the scores."""
+
+    def of_view(self, view: str, truth: FrameReader, numbers: range) -> FrameCheck:
+        """Return what checks a method's frames of a view; work on the captured ones is shared by all methods.
+
+        Args:
+            view: name of the test view.
+            truth: captured frames of the view.
+            numbers: of the captured frames.
+        """
+
+    def of_method(self, method: ScoredMethod, findings: Mapping[str, list[Finding]]) -> dict[str, list[Finding]]:
+        """Return the findings of a method by view, once all its views have been measured: some more, some fewer.
+
+        Args:
+            method: with its values.
+            findings: view -> those of all questions so far.
+        """
+
+
+@dataclass(frozen=True)
+class ScoreRequest:
+    """Methods of a run that are to be scored.
+
+    Attributes:
+        views: test views that are scored.
+        units: the shard's test views, or ``path``; None for all.
+    """
+
+    run: RunFolder
+    protocol: ScoreProtocol
+    coverage: Coverage
+    labels: Sequence[str]
+    views: Sequence[str]
+    units: Collection[str] | None
+
+
+@dataclass(frozen=True)
+class Displayed:
+    """Frames on a viewer's screen at each instant of a clip, which counts from 0.
+
+    Attributes:
+        frames: number of the picture at each instant; None while there is none yet.
+        first: first instant that is scored; None if there is none.
+    """
+
+    frames: tuple[int | None, ...]
+    first: int | None
+
+
+NONE_DISPLAYED: Mapping[str, Displayed | str] = {}
+
+
+@dataclass(frozen=True)
+class ScorePart:
+    """Something that is scored besides the frames of test views: a camera path, noise ceilings, a viewer's screen.
+
+    Attributes:
+        jobs: measure it.
+        rows: label -> values, and metric -> why there are none, once the jobs are done; None if it has no rows.
+        references: rows of the report that belong to no method, once the jobs are done.
+        write: writes further records into the run folder.
+        displayed: label -> what a viewer sees of its frames, or why nothing.
+    """
+
+    jobs: tuple[Job, ...] = ()
+    rows: Callable[[str], tuple[list[Row], dict[str, str]]] | None = None
+    references: Callable[[], list[dict[str, Any]]] = list
+    write: Callable[[], None] = lambda: None
+    displayed: Mapping[str, Displayed | str] = field(default_factory=lambda: NONE_DISPLAYED)
+
+
+QUESTIONS: Registry[Question] = Registry("questions", built_in.QUESTIONS)
+SCORE_PARTS: Registry[Callable[[ScoreRequest], ScorePart]] = Registry("scores", built_in.SCORE_PARTS)
