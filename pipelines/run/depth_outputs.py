@@ -5,10 +5,8 @@ from pathlib import Path
 from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE
-from ggvs_eval.pipelines.offline.depth.fill_store import FILLED
 from ggvs_eval.pipelines.offline.export.dense_workspace import write_dense_workspace
 from ggvs_eval.pipelines.offline.export.surfaces import FusedFiles, fuse_instant
-from ggvs_eval.pipelines.offline.sensor.registration import Registration
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.reports.depth_page.page import write_depth_page
 from ggvs_eval.reports.depth_page.record import StoredDepth
@@ -16,21 +14,14 @@ from ggvs_eval.reports.depth_page.record import StoredDepth
 
 def write_prepared_page(prepared: RunPlan, workers: int = 1) -> Path:
     """Write ``RUN/depth_page/`` of the first, middle and last instant."""
-    frames, width_px = prepared.frames, prepared.capture.cameras[0].width
+    frames = prepared.frames
     shown = tuple(sorted({frames[0], frames[len(frames) // 2], frames[-1]}))
-    stored = [StoredDepth(job, shown, _registration(job, width_px)) for job in prepared.view_jobs]
+    stored = [StoredDepth(job, shown) for job in prepared.view_jobs]
     of_views = {job.camera_name for job in prepared.view_jobs}  # cameras of the path alone were prepared at its instant alone
     alone = [job for job in prepared.path_jobs if job.camera_name not in of_views]
-    stored += [StoredDepth(job, (prepared.path_frame,), _registration(job, width_px)) for job in alone]
+    stored += [StoredDepth(job, (prepared.path_frame,)) for job in alone]
     store = DepthStore(prepared.run.depth)
     return write_depth_page(prepared.run.root / "depth_page", prepared.capture, stored, store, FILLED_CONFIDENCE, workers)
-
-
-def _registration(job: DepthJob, width_px: int) -> str:
-    """Describe the registration of a job's sensor depth in words; empty if there was none."""
-    sensor = job.spec.get(FILLED, job.spec["options"])
-    applied = sensor.get("registration") if isinstance(sensor, dict) else None
-    return Registration(**applied).describe(width_px) if applied else ""
 
 
 def fuse_prepared(prepared: RunPlan, frame: int | None = None) -> FusedFiles:

@@ -331,7 +331,7 @@ def plan_run(request: RunRequest) -> RunPlan:
     k, choice = protocol.synthesis.k, protocol.synthesis.sources
     partners = DepthPartners(visible, options)
     chosen = {target.name: partners.sources(target, k, choice) for target in targets}
-    sensed = visible.sensed_cameras if options.sensor is not None else frozenset[str]()
+    sensed = visible.sensed_cameras if options.sensor else frozenset[str]()
     if sensed and not options.sensor_fills and depth.matcher != default_matcher():
         words = f"--matcher {depth.matcher} has no effect on {counted(len(sensed), 'camera')} whose depth is measured or given"
         warnings.warn(f"{capture.path}: {words}; use it with --sensor fill or --sensor no", GgvsWarning, stacklevel=2)

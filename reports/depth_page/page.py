@@ -139,8 +139,7 @@ def examine_depth(
     unmatched = tuple(name for name in capture.camera_names if name not in matched)
     errors = tuple(pair for pair, _ in pairs.values())
     units = capture.units_per_metre, capture.units_origin
-    registrations = tuple(dict.fromkeys(each.registration for each in stored if each.registration))
-    return DepthRecord(capture.scene, *units, tuple(cameras), errors, unmatched, registrations)
+    return DepthRecord(capture.scene, *units, tuple(cameras), errors, unmatched)
 
 
 def _all(pool: Executor, running: list[Future[Any]], doing: str) -> list[Any]:
@@ -248,7 +247,6 @@ def find_notes(record: DepthRecord) -> list[str]:
         )
     if record.unmatched:
         notes.append(f"No camera is matched with {_listed(record.unmatched)}.")
-    notes += [f"Sensor depth was registered to its colour by the images: {each}." for each in record.registrations]
     return notes
 
 

@@ -286,12 +286,10 @@ class StoredDepth:
     Attributes:
         job: the camera and the partners it was matched with.
         frames: instants to show, ascending; the features of the first one show the calibration.
-        registration: what was done to a sensor's depth, in words; empty if nothing was.
     """
 
     job: DepthJob
     frames: tuple[int, ...]
-    registration: str = ""
 
     @property
     def key(self) -> str:
@@ -343,7 +341,6 @@ class DepthRecord:
         cameras: source cameras in the order of the capture.
         pairs: every pair of a camera and a partner, measured at the first instant.
         unmatched: cameras of the capture that no camera is matched with.
-        registrations: what was done to sensor depth before it was used, in words.
     """
 
     scene: str
@@ -352,7 +349,6 @@ class DepthRecord:
     cameras: tuple[CameraRecord, ...]
     pairs: tuple[PairErrors, ...]
     unmatched: tuple[str, ...]
-    registrations: tuple[str, ...] = ()
 
     def pair(self, camera: str, partner: str) -> PairErrors:
         """Return the errors of two cameras, in whichever order they were measured."""

@@ -69,7 +69,7 @@ class SampleMaker:
         return SourceView(source, image, checked.depth, checked.confidence)
 
     def _sensor(self, source: Camera) -> DepthSource | None:
-        return None if self._options.sensor is None else self.capture.extras_of(source.name).depth
+        return self.capture.extras_of(source.name).depth if self._options.sensor else None
 
 
 Sample = TypeVar("Sample")

@@ -37,6 +37,7 @@ from ggvs_eval.pipelines.inspection.capture import (
     timing,
 )
 from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
+from ggvs_eval.pipelines.inspection.capture.depth_registration import check_depth_registration
 from ggvs_eval.pipelines.inspection.capture.pairs import triangulated_depths
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, record_camera
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
@@ -211,7 +212,7 @@ def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...
         lambda: colour_drift.check_drift(names, records, first, capture.fps),
         lambda: colour.check_noise(records),
         lambda: check_scale(capture, depths),
-        lambda: depth_range.check_depth_registration(capture),
+        lambda: check_depth_registration(capture),
     )
     return tuple(finding for answer in answers for finding in answer())
 

@@ -19,7 +19,6 @@ from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.colour_fill import fill_by_colour
-from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.live import LiveEstimator, LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
@@ -53,7 +52,7 @@ class DepthOptions:
             any can be computed alone; otherwise those between start from the disparity of the one before and are computed again
             only where the picture changed.
         consistency: depth is checked against that of the other sources of a view.
-        sensor: registration of measured depth, which takes the place of stereo where the capture has it; None ignores it.
+        sensor: measured depth takes the place of stereo where the capture has it.
         sensor_fills: ... or fills what stereo does not find.
     """
 
@@ -63,7 +62,7 @@ class DepthOptions:
     partners: int = 4
     keyframe_every: int = 1
     consistency: bool = True
-    sensor: RegistrationName | None = "given"
+    sensor: bool = True
     sensor_fills: bool = False
 
     def first_needed(self, frame: int) -> int:
@@ -243,7 +242,7 @@ def check_measured_depth(
         image: what it saw, RGB, (H, W, 3).
         depth_map: filtered depth and confidence, (H, W).
     """
-    if not options.consistency or options.sensor is None:
+    if not options.consistency or not options.sensor:
         return depth_map
     checked = check_consistency(camera, depth_map, others)
     return fill_by_colour(checked, image)

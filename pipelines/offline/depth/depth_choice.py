@@ -12,7 +12,6 @@ from ggvs_eval.errors import DepthError, did_you_mean
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs, cached_weights
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
-from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.plugins import Registry
@@ -61,7 +60,6 @@ class DepthRunOptions:
         stereo_weights: checkpoint of RAFT-Stereo's authors; the same as --matcher raft:FILE.
         sensor: filtered depth of a sensor (RGB-D): alone, filling what stereo does not find, or no use of it; compare: alone if
             it explains the pictures of other cameras better than stereo, else filling.
-        registration: estimated: align sensor depth with colour, if clearly off; given: leave it.
         reuse_static: recompute depth only where the picture changes, and all every 16 instants.
     """
 
@@ -69,7 +67,6 @@ class DepthRunOptions:
     stereo_weights: Path | None = None
     sensor: SensorUse = "compare"
     reuse_static: bool = False
-    registration: RegistrationName = "given"
 
     @property
     def is_learned(self) -> bool:
@@ -89,7 +86,7 @@ class DepthRunOptions:
             raise DepthError(f"matcher {self.matcher}: wanted sgbm, sweep or raft before the +, got {name}; use one of these")
         filler = cast(IterMvs | StereoMatcher, find_matcher(fillers[0], device, dense=True)) if fillers else None
         keyframe_every = KEYFRAME_EVERY if self.reuse_static else 1
-        sensor, fills = None if self.sensor == "no" else self.registration, self.sensor == "fill"
+        sensor, fills = self.sensor != "no", self.sensor == "fill"
         return DepthOptions(matcher, filler, keyframe_every=keyframe_every, sensor=sensor, sensor_fills=fills)
 
     def record(self, device: str = "cpu") -> dict[str, Any]:
@@ -99,8 +96,8 @@ class DepthRunOptions:
 
     @classmethod
     def from_record(cls, record: dict[str, Any]) -> "DepthRunOptions":
-        """Restore the options that `record` wrote, all except what was found where it was written."""
+        """Restore the options that `record` wrote, all except what was found where it was written or is no option any more."""
         weights = record.get("stereo_weights")
         values = record | {"stereo_weights": None if weights is None else Path(weights)}
         values["sensor"] = {True: "alone", False: "no"}.get(values["sensor"], values["sensor"])  # as older folders have it
-        return cls(**{name: value for name, value in values.items() if name not in (DEVICE, UNEXPLAINED)})
+        return cls(**{name: value for name, value in values.items() if name not in (DEVICE, UNEXPLAINED, "registration")})

@@ -21,7 +21,6 @@ from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.sensor_and_stereo import fill_by_sensor, partners_of_sensed
 from ggvs_eval.pipelines.offline.sensor.colour_fill import describe_fill
-from ggvs_eval.pipelines.offline.sensor.registered_capture import registered
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
 from ggvs_eval.pipelines.offline.stereo.pairwise import SharedMatches
@@ -149,16 +148,14 @@ def _checked(job: DepthJob, jobs_by_source: Mapping[str, DepthJob], options: Dep
     if not options.consistency or not others:
         return job
     described = describe_check()
-    if options.sensor is not None and not job.partner_names:
+    if options.sensor and not job.partner_names:
         described |= {"fill": describe_fill()}
     return job.checked_against(others, described)
 
 
 def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEstimator | None:
     """Return the filter of the depth that a sensor measured; None if there is no such depth or it is not wanted."""
-    if options.sensor is None or capture.extras_of(name).depth is None:
-        return None
-    source = registered(capture, options.sensor).extras_of(name).depth
+    source = capture.extras_of(name).depth if options.sensor else None
     return None if source is None else SensorDepthEstimator(capture.camera(name), source)
 
 
@@ -198,9 +195,6 @@ def prepare_depth(
         jobs: what to compute, see `plan_depth`; equal jobs are computed once.
         frames: instants, ascending.
     """
-    if options.sensor is not None:  # estimated once, here, for all workers
-        capture = registered(capture, options.sensor)
-        options = replace(options, sensor="given")
     found, checked = depth_left(jobs, frames, store)
     if isinstance(options.matcher, LiveMatcher) and options.keyframe_every == 1:
         _share_pairs(capture, found, store, options, workers)

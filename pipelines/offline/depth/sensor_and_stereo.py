@@ -1,7 +1,8 @@
 """Depth that a sensor measured and depth that stereo finds, of the same camera: held against each other, and both used."""
 
+import hashlib
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import cv2
@@ -16,7 +17,6 @@ from ggvs_eval.geometry.rectification import can_rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import LEAST_CONFIDENCE
 from ggvs_eval.pipelines.offline.sensor.colour_fill import fill_by_colour
-from ggvs_eval.pipelines.offline.sensor.registered_capture import ByContent, registered
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 from ggvs_eval.progress import track
 
@@ -63,7 +63,24 @@ def unexplained(capture: Capture, names: tuple[str, ...], options: DepthOptions,
     Returns:
         Geometric means over the asked cameras; None where none has partners and judges. Kept for the next question.
     """
-    return _unexplained(ByContent.of(registered(capture, options.sensor)), names, options, frame)
+    return _unexplained(ByContent.of(capture), names, options, frame)
+
+
+@dataclass(frozen=True)
+class ByContent:
+    """A capture that is identified by its content, for what is kept of it."""
+
+    digest: str
+    capture: Capture = field(compare=False)
+
+    @classmethod
+    def of(cls, capture: Capture) -> "ByContent":
+        """Return a capture by its pictures, its depth and its cameras."""
+        total = hashlib.sha256()
+        for camera in capture.cameras:
+            source = capture.extras_of(camera.name).depth
+            total.update(repr([capture.digest(camera.name), source and source.digest, camera.to_json()]).encode())
+        return cls(total.hexdigest(), capture)
 
 
 @lru_cache(maxsize=4)

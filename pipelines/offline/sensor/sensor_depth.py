@@ -1,8 +1,5 @@
 """Depth that a sensor measured next to the images, made fit for rendering: outliers removed, small holes closed."""
 
-from dataclasses import asdict
-from typing import Literal
-
 import cv2
 import numpy as np
 
@@ -13,14 +10,10 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.jobs.code_identity import code_identity
-from ggvs_eval.pipelines.offline.sensor.registration import RegisteredDepth
 from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid, close_edges, close_holes
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, smooth_surfaces
 
 STEPS = 1000  # of the logarithm of depth in which OpenCV looks for speckles; one is a thousandth of the depth
-RegistrationName = Literal[
-    "given", "estimated"
-]  # of sensor depth: as it is, or from a sequence's images where that is significant
 # The filter; pixels are the sensor's.
 STEP = 0.03  # neighbours whose depths differ by more than this share of them are on two surfaces, ...
 STEEPEST_RAD = 1.4  # ... unless a surface whose normal is this far off the ray explains the difference
@@ -57,10 +50,7 @@ class SensorDepthEstimator:
 
     def describe(self) -> dict[str, object]:
         """Describe what the depth depends on besides camera and images: the options of `describe_depth`."""
-        described = {**describe_filter(), "sensor": self.source.digest}
-        if isinstance(self.source, RegisteredDepth):
-            described["registration"] = asdict(self.source.registration)
-        return described
+        return {**describe_filter(), "sensor": self.source.digest}
 
 
 def describe_filter() -> dict[str, object]:
