@@ -61,19 +61,19 @@ VERBS: dict[str, Verb] = {
         "my_videos out/rig --frames 30",
     ),
     "check": Verb(
-        f"{VERBS_ROOM}.captures:check",
+        f"{VERBS_ROOM}.check:check",
         "Check a capture for faults in frames, poses, timing and colour.",
         CAPTURE,
         "my_capture --repair",
     ),
     "calibrate": Verb(
-        f"{VERBS_ROOM}.captures:calibrate",
+        f"{VERBS_ROOM}.calibrate:calibrate",
         "Calibrate a fixed rig from one instant with COLMAP.",
         CAPTURE,
         "my_videos my_capture",
     ),
     "undistort": Verb(
-        f"{VERBS_ROOM}.captures:undistort",
+        f"{VERBS_ROOM}.calibrate:undistort",
         "Convert videos of known lenses to pinhole videos.",
         CAPTURE,
         "raw_videos pinhole_videos --lenses rig.yml",
@@ -97,7 +97,7 @@ VERBS: dict[str, Verb] = {
         "--renders mine=my_renders --capture my_capture --protocol mine.toml",
     ),
     "doctor": Verb(
-        f"{VERBS_ROOM}.renders:doctor",
+        f"{VERBS_ROOM}.doctor:doctor",
         "Find faults in rendered frames before they are scored.",
         EVALUATE,
         "my_renders --capture my_capture --protocol mine.toml",
@@ -199,7 +199,7 @@ VERBS: dict[str, Verb] = {
         "room --layout dynerf --n-frames 8",
     ),
     "steadiness": Verb(
-        f"{VERBS_ROOM}.renders:steadiness",
+        f"{VERBS_ROOM}.steadiness:steadiness",
         "Measure stability and sharpness of videos without a reference.",
         MORE,
         "mine=my_video.mp4 theirs=their_video.mp4",

@@ -58,12 +58,20 @@ class TruthFrame:
         image: the frame, (H, W, 3).
         previous: the captured frame before; None for the first.
         disoccluded: where no source camera sees the view, (H, W); None if that is unknown.
+        renderings: frames of all methods that will be compared with it, so that a metric can look at them in one pass.
     """
 
-    def __init__(self, image: Image8, previous: Image8 | None = None, disoccluded: Mask | None = None) -> None:
+    def __init__(
+        self,
+        image: Image8,
+        previous: Image8 | None = None,
+        disoccluded: Mask | None = None,
+        renderings: Sequence[Image8] = (),
+    ) -> None:
         self.image = image
         self.previous = previous
         self.disoccluded = disoccluded
+        self.renderings = tuple(renderings)
         self._derived: dict[Hashable, Any] = {}
 
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:

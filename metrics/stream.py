@@ -6,8 +6,7 @@ from functools import partial
 
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError, WeightsError
-from ggvs_eval.metrics.image.corrected import ColourMoments
-from ggvs_eval.metrics.image.lpips import note_renderings
+from ggvs_eval.metrics.colour_moments import ColourMoments
 from ggvs_eval.metrics.inputs import check_pair
 from ggvs_eval.metrics.metric import ColourMap, Metric, MetricOptions, Scorer, TruthFrame, Value
 from ggvs_eval.metrics.registry import derived_rows, make_scorers, scored_by_view, select_metrics
@@ -96,8 +95,7 @@ def score_views(
             scores = [ViewScores([], {}) for _ in renderings]
             per_view = colour_maps if options.colour_scope == "view" and colour_maps else [None] * len(renderings)
             scorers = [make_scorers(streamed, options, colour_map) for colour_map in per_view]
-        truth = TruthFrame(image, previous, next(masks) if masks else None)
-        note_renderings(truth, renderings)
+        truth = TruthFrame(image, previous, next(masks) if masks else None, renderings)
         previous = image
         for i, rendered in enumerate(renderings):
             check_pair(rendered, image)

@@ -25,7 +25,7 @@ FLOORS = (
     ("statistics", "merged_results", "datasets", "jobs", "synthetic.d3dmv_scene", "coverage"),
     ("synthetic", "renders", "scoring"),
     ("baselines", "metrics.inputs", "metrics.metric"),
-    ("metrics.on_device",),
+    ("metrics.on_device", "metrics.colour_moments"),
     (*LEARNED, "metrics.image", "metrics.noise"),
     ("baselines.registry", "metrics.path", "metrics.time"),
     ("metrics",),
@@ -78,7 +78,7 @@ FORBIDDEN = {
     "pipelines": ("reports",),
 }
 MAY_START_REPORTS = {
-    *("pipelines.commands.figures", "pipelines.commands.renders"),
+    *("pipelines.commands.figures", "pipelines.commands.steadiness"),
     *("pipelines.run.evaluate", "pipelines.run.depth_outputs"),
 }
 

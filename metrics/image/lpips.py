@@ -208,19 +208,14 @@ class _Remembered:
 _remembered = _Remembered(REMEMBERED_BYTES)
 
 
-def note_renderings(truth: TruthFrame, renderings: Sequence[Image8]) -> None:
-    """Note the frames that will be compared with a truth, so that those too large to remember its features share one pass."""
-    truth.once(note_renderings, lambda: tuple(renderings))
-
-
 def _bands_of(rendered: Image, truth: TruthFrame) -> list[NDArray[np.float32]]:
-    """`compare_in_bands` of a frame, together with others that were noted where it is one of them."""
-    noted: tuple[Image, ...] = truth.once(note_renderings, tuple)
-    at = next((n for n, each in enumerate(noted) if each is rendered), None)
+    """`compare_in_bands` of a frame, together with others of `TruthFrame.renderings` where it is one of them."""
+    renderings = truth.renderings
+    at = next((n for n, rendering in enumerate(renderings) if rendering is rendered), None)
     if at is None:
         return compare_in_bands(truth.image, [rendered])[0]
     first = at - at % MOST_AT_ONCE
-    together = noted[first : first + MOST_AT_ONCE]
+    together = renderings[first : first + MOST_AT_ONCE]
     return truth.once((compare_in_bands, first), lambda: compare_in_bands(truth.image, together))[at - first]
 
 

@@ -1,36 +1,26 @@
-"""The verbs of the command line that deal with captures alone: demo, check, calibrate, protocol, undistort."""
+"""The verbs of the command line that deal with captures alone: demo, get, protocol."""
 
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from ggvs_eval.datasets.assemble import Crop, write_crop
-from ggvs_eval.datasets.public_captures import find_scene, get_capture, locate
-from ggvs_eval.errors import CaptureError, CommandError, ProtocolError, no_such_path
+from ggvs_eval.datasets.public_captures import find_scene, get_capture
+from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.pipelines.commands.flags import (
     CAPTURE_DEFAULTS,
-    ONE_PER_CORE,
     CaptureFlags,
     CaptureFolder,
-    Jobs,
-    Layout,
     Output,
-    given_units,
 )
-from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
-from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
 from ggvs_eval.protocol import Stream, checked_protocol
 from ggvs_eval.synthetic.shipped import MAIN, RoomName
 
 MOST_NAMES = 6  # of cameras in one line
-Frames = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FRAMES")]
-Calibrating = tyro.conf.OmitArgPrefixes[CalibrationOptions]
 
 
 def demo(out: Output, room: RoomName = MAIN, quick: bool = False) -> None:
@@ -58,94 +48,6 @@ def get(scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATAS
     dataset, _ = find_scene(scene)
     print(f"{dataset.title}; licence: {dataset.licence}; {dataset.page}", file=sys.stderr)
     print(get_capture(scene))
-
-
-def check(
-    capture: CaptureFolder,
-    layout: Layout = None,
-    units: str | None = None,
-    out: Path | None = None,
-    repair: bool = False,
-    crop: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="COLUMN ROW")] = None,
-    jobs: Jobs = ONE_PER_CORE,
-    watch: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
-    rig: Path | None = None,
-    page: Path | None = None,
-    json: bool = False,
-) -> None:
-    """Check a capture for faults in frames, poses, timing and colour.
-
-    Prints one verdict per question, writes them as JSON, and exits with 1 if a verdict is bad. Videos without poses get the
-    checks that need none.
-
-    Args:
-        capture: capture, or videos without poses.
-        layout: layout on disk; detected by default.
-        units: world units per metre, or a TOML file with a known distance (docs/captures.md).
-        out: JSON file; CAPTURE.check.json in the current folder by default.
-        repair: write CAPTURE/corrections.toml (whole-frame delays, colour gains), which all commands apply.
-        crop: first column and row of cropped frames; written to CAPTURE/crop.toml, which all commands apply.
-        jobs: parallel processes, at least 1.
-        watch: seconds between checks of a folder during capture; prints changes of a camera's state.
-        rig: with --watch: calibrated capture of the same cameras, for time offsets and colours.
-        page: with --watch: HTML file of the state, which refreshes itself.
-        json: with --watch: print every round as JSON lines.
-    """
-    if watch is not None:
-        _watch(capture, watch, rig, page, json)
-        return
-    from ggvs_eval.pipelines.inspection.capture.check import run_check
-    from ggvs_eval.pipelines.inspection.capture.colour import describe_repair, repair_capture
-
-    capture = locate(capture)
-    if not capture.exists():
-        raise CaptureError(no_such_path(capture, "a folder or a file with a capture"))
-    out = out or Path(f"{capture.resolve().name}.check.json")
-    if crop is not None:
-        print(write_crop(capture if capture.is_dir() else capture.parent, Crop(*crop)))
-    look = partial(run_check, capture, out, layout=layout, units=given_units(units), workers=jobs)
-    inspected, table = look()
-    if repair and (written := repair_capture(capture, inspected.findings)):
-        print(written)
-        before = inspected.findings
-        inspected, table = look()
-        print(*describe_repair(before, inspected.findings), sep="\n")
-    print(table)
-    print(out)
-    if not inspected.is_usable:
-        sys.exit(1)
-
-
-def _watch(frames: Path, every_s: float, rig: Path | None, page: Path | None, as_json: bool) -> None:
-    from ggvs_eval.pipelines.inspection.capture.watch import watch
-
-    if not every_s > 0:
-        raise CommandError(f"--watch {every_s:g}: wanted a positive number of seconds")
-    try:
-        for line in watch(frames, every_s, rig=rig and locate(rig), page=page, as_json=as_json):
-            print(line, flush=True)
-    except KeyboardInterrupt:
-        return
-
-
-def calibrate(frames: Frames, out: Output, calibration: Calibrating = CalibrationOptions()) -> None:  # noqa: B008 - frozen
-    """Calibrate a fixed rig from one instant with COLMAP.
-
-    Args:
-        frames: videos, folders of images, or one image per camera.
-        out: capture to write, absent or empty.
-        calibration: known and assumed parameters.
-    """
-    from ggvs_eval.pipelines.offline.calibration.calibrate import calibrate as find_cameras
-    from ggvs_eval.pipelines.offline.calibration.calibrate import own_lens_option
-
-    rig = find_cameras(frames, out, calibration)
-    for name, reason in rig.missing.items():
-        print(f"{name} left out: {reason}", file=sys.stderr)
-    for name, lens in rig.odd_lenses.items():
-        print(f"{name} {lens.describe()}: another zoom? calibrate again with {own_lens_option(rig.odd_lenses)}", file=sys.stderr)
-    error = f"mean reprojection error {rig.mean_reprojection_error_px:.3f} px over {rig.n_points} points"
-    print(f"{rig.path}: {len(rig.cameras)} cameras, {error}")
 
 
 def protocol(
@@ -177,9 +79,8 @@ def protocol(
         reading: capture reading.
     """
     from ggvs_eval.metrics.registry import select_metrics
-    from ggvs_eval.pipelines.inspection.capture.check import read_doubts
     from ggvs_eval.pipelines.inspection.table import text_table
-    from ggvs_eval.pipelines.run.suggest_protocol import hold_out, propose_protocol, published_protocols
+    from ggvs_eval.pipelines.run.suggest_protocol import hold_out, propose_protocol, published_protocols, read_doubts
 
     if out.exists():
         raise ProtocolError(f"{out}: wanted a new file for the protocol, got an existing one; choose another name")
@@ -220,25 +121,3 @@ def _together(reasons: Mapping[str, str]) -> list[tuple[str, str]]:
         (", ".join(each) if len(each) <= MOST_NAMES else f"{each[0]} ... {each[-1]} ({len(each)})", reason)
         for reason, each in names.items()
     ]
-
-
-def undistort(
-    source: Frames,
-    out: Output,
-    lenses: Path | None = None,
-    output: tyro.conf.OmitArgPrefixes[UndistortOptions] = UndistortOptions(),  # noqa: B008 - frozen
-) -> None:
-    """Convert videos of known lenses to pinhole videos.
-
-    Writes the new intrinsics next to them, for `calibrate`.
-
-    Args:
-        source: folder of raw videos, with --lenses; or a capture whose layout includes lenses.
-        out: folder to write, absent or empty.
-        lenses: lens file of EasyMocap, D3DMV, Qualisys, OpenCV, anipose or freemocap (docs/captures.md).
-        output: output format.
-    """
-    from ggvs_eval.pipelines.offline.calibration.undistort import undistort_videos
-
-    written = undistort_videos(source, lenses, out, output)
-    print(f"{written.path}: {len(written.cameras)} cameras of {written.n_frames} frames")

@@ -8,8 +8,8 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.errors import CaptureError, CommandError, no_such_path
-from ggvs_eval.pipelines.commands import captures, runs
-from ggvs_eval.pipelines.commands.captures import Calibrating
+from ggvs_eval.pipelines.commands import calibrate, captures, check, runs
+from ggvs_eval.pipelines.commands.calibrate import Calibrating
 from ggvs_eval.pipelines.commands.flags import (
     CAPTURE_DEFAULTS,
     DEPTH_DEFAULTS,
@@ -70,7 +70,7 @@ def evaluate(
     capture = out / "capture" if needs_poses else videos
     if capture != videos and not (capture / CALIBRATED).is_file():
         shown.begin("calibrate", videos, capture, *changed_flags(calibration, CalibrationOptions()))
-        captures.calibrate(videos, capture, calibration)
+        calibrate.calibrate(videos, capture, calibration)
     elif capture != videos and (lenses := changed_flags(calibration, RAW_VIDEOS)):
         print(f"{capture} is kept, {' '.join(lenses)} are ignored; choose another OUT for others", file=sys.stderr)
     flags = changed_flags(reading, CAPTURE_DEFAULTS)
@@ -79,7 +79,7 @@ def evaluate(
     out.mkdir(parents=True, exist_ok=True)
     shown.begin("check", capture, "--out", verdicts, *(["--repair"] if repair else []), *opened)
     try:
-        captures.check(capture, reading.layout, reading.units, verdicts, repair, jobs=engine.jobs)
+        check.check(capture, reading.layout, reading.units, verdicts, repair, jobs=engine.jobs)
     except SystemExit:
         raise CommandError(
             f"{capture}: stopped: check found faults, see above and {verdicts}; fix them and run this again "

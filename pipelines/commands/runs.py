@@ -33,8 +33,7 @@ from ggvs_eval.pipelines.commands.flags import (
     changed_flags,
 )
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
-from ggvs_eval.pipelines.methods.registry import METHODS, find_method, weights_takers
-from ggvs_eval.pipelines.methods.splats import named_splats, splats_notes
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method, named_scenes, weights_takers
 from ggvs_eval.plugins import Registry
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
@@ -105,7 +104,7 @@ def render(
     from ggvs_eval.pipelines.run.evaluate import render as synthesise
     from ggvs_eval.pipelines.run.evaluate import reopen
 
-    methods, splats = named_splats(methods)
+    methods, splats = named_scenes(methods)
     networks = _networks(weights, device, splats)
     _require_methods(methods, networks)
     prepared = reopen(engine.place(run), engine, methods, networks)
@@ -243,7 +242,7 @@ def run(
     from ggvs_eval.pipelines.run.work_left import print_plan
     from ggvs_eval.pipelines.sweep.demo_runs import demo_plans, room_labels, run_demos, unpack_rooms
 
-    methods, splats = named_splats(methods)
+    methods, splats = named_scenes(methods)
     root, networks = engine.place(run), _networks(weights, device, splats)
     _require_methods(methods, networks)
     unpack = unpack_rooms(reading.open, dry_run)
@@ -364,9 +363,7 @@ def _networks(weights: tuple[str, ...], device: str, splats: Mapping[str, Path] 
 def _require_methods(methods: Sequence[str], networks: NetworkOptions) -> None:
     """Refuse a mistyped method before anything is read."""
     for label in methods:
-        find_method(label, networks)
-    for path in networks.splats.values():
-        for note in splats_notes(path):
+        for note in find_method(label, networks).notes:
             print(note, file=sys.stderr)
 
 

@@ -12,7 +12,15 @@ from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.jobs.ledger import Entry
 from ggvs_eval.pipelines.methods.render_unit import RenderUnit
 from ggvs_eval.pipelines.methods.spec import SceneMethod, option_values, option_words
-from ggvs_eval.pipelines.methods.splats import open_splats, reading_modules, require_instants, splats_files, splats_settings
+from ggvs_eval.pipelines.methods.splats import (
+    named_splats,
+    open_splats,
+    reading_modules,
+    require_instants,
+    splats_files,
+    splats_notes,
+    splats_settings,
+)
 from ggvs_eval.run_folder import JOB_FILE, REFUSED, read_json
 from ggvs_eval.scene_fitter import FittedScene, SceneFitter
 
@@ -130,6 +138,13 @@ class StoredSplats(SceneMethod):
     """
 
     path: Path
+
+    named = staticmethod(named_splats)
+
+    @property
+    def notes(self) -> list[str]:
+        """What is passed over in its files, and what is assumed."""
+        return splats_notes(self.path)
 
     @classmethod
     def of(cls, label: str, path: Path) -> "StoredSplats":

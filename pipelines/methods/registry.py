@@ -1,10 +1,10 @@
 """Every method by the name that the command line and the folders use."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from ggvs_eval import built_in
 from ggvs_eval.errors import AbsentPartError, RenderError, did_you_mean
@@ -29,6 +29,18 @@ METHODS: Registry[MethodSpec] = Registry("methods", built_in.METHODS, _checked)
 
 
 STORED_SCENES: Registry[Any] = Registry("stored scenes", built_in.STORED_SCENES)
+SPLATS = "splats"
+
+
+def named_scenes(labels: Sequence[str]) -> tuple[tuple[str, ...], dict[str, Path]]:
+    """Give each scene of others among some methods, ``splats:PATH``, a name that folders can bear.
+
+    Returns:
+        The labels, and label -> path of those that are scenes.
+    """
+    if not any(f"{SPLATS}:" in label for label in labels):
+        return tuple(labels), {}
+    return cast("tuple[tuple[str, ...], dict[str, Path]]", STORED_SCENES[SPLATS].named(labels))
 
 
 def usual_methods() -> tuple[str, ...]:
@@ -50,7 +62,7 @@ def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec
             cannot be made.
     """
     if label in networks.splats:
-        return STORED_SCENES["splats"].of(label, networks.splats[label])
+        return STORED_SCENES[SPLATS].of(label, networks.splats[label])
     return _found(label, networks.checkpoints).on(networks.device)
 
 

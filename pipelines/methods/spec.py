@@ -137,6 +137,11 @@ class MethodSpec(ABC):
         """Options of its classes that the label fixes, by name; neither files nor the device, which are recorded apart."""
         return {}
 
+    @property
+    def notes(self) -> list[str]:
+        """What a user of it should know about its files, a line each."""
+        return []
+
     @abstractmethod
     def make(self) -> Method:
         """Make a fresh object that renders one sequence.

@@ -1,12 +1,15 @@
 """The protocol that a capture is evaluated under when none is named."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CameraError, CaptureError, did_you_mean
+from ggvs_eval.finding import RIG, SEVERITY, Finding
 from ggvs_eval.geometry.sight import LEAST_SHOWN, shown_share
 from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol, packaged_protocols
@@ -31,6 +34,24 @@ class Proposal:
     reasons: Mapping[str, str]
 
 
+def read_doubts(file: Path) -> dict[str, str]:
+    """Doubts that a check has about single cameras, the worst of each.
+
+    Args:
+        file: JSON that `check` wrote.
+
+    Returns:
+        Camera -> question and answer, for cameras with a verdict of ``warn`` or ``bad``.
+    """
+    try:
+        findings = [Finding(**fields) for fields in json.loads(file.read_text(encoding="utf-8"))["findings"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CaptureError(f"{file}: wanted a file of 'ggvs-eval check', got {error!r:.120}; check the capture again") from error
+    doubtful = [finding for finding in findings if finding.subject != RIG and finding.verdict in ("warn", "bad")]
+    worst_last = sorted(doubtful, key=lambda finding: SEVERITY[finding.verdict])
+    return {finding.subject: f"{finding.question}: {finding.measured}" for finding in worst_last}
+
+
 def suggest_protocol(capture: Capture) -> Protocol:
     """Return the packaged protocol that fits a capture, or one by rule for a rig of your own; see `propose_protocol`."""
     return propose_protocol(capture).protocol
@@ -47,7 +68,7 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
     (`HAND_HELD`), the nearest places may look elsewhere: sources are chosen by what they see.
 
     Args:
-        doubts: camera -> what is wrong with it, as `ggvs_eval.pipelines.inspection.capture.check.read_doubts` gives it.
+        doubts: camera -> what is wrong with it, as `read_doubts` gives it.
     """
     doubts = doubts or {}
     if len(capture.cameras) < FEWEST_CAMERAS:

@@ -12,7 +12,7 @@ from ggvs_eval.datasets.corrections import FILE, read_corrections
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import write_video
 from ggvs_eval.finding import Finding
-from ggvs_eval.pipelines.commands.captures import check as check_command
+from ggvs_eval.pipelines.commands.check import check as check_command
 from ggvs_eval.pipelines.inspection.capture import check as check_module
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture
 from ggvs_eval.pipelines.inspection.capture.colour import describe_repair, propose_corrections, repair_capture

@@ -6,7 +6,8 @@ from skimage import data
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image.corrected import ColourMoments, apply_colour_map, fit_colour_map, psnr_colour_corrected, unit_range
+from ggvs_eval.metrics.colour_moments import ColourMoments
+from ggvs_eval.metrics.image.corrected import apply_colour_map, fit_colour_map, psnr_colour_corrected, unit_range
 from ggvs_eval.metrics.image.l1 import l1
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim

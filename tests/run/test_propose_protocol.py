@@ -12,8 +12,14 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.finding import Finding
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, read_doubts
-from ggvs_eval.pipelines.run.suggest_protocol import hold_out, propose_protocol, published_protocols, suggest_protocol
+from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck
+from ggvs_eval.pipelines.run.suggest_protocol import (
+    hold_out,
+    propose_protocol,
+    published_protocols,
+    read_doubts,
+    suggest_protocol,
+)
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import write_json
 from helpers.captures import make_rig

@@ -3,7 +3,6 @@
 World units per metre, where they come from and the sizes that they imply; and frames without a calibration yet.
 """
 
-import json
 import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import as_completed
@@ -23,7 +22,7 @@ from ggvs_eval.datasets.units import GivenUnits, Units
 from ggvs_eval.datasets.unread_files import unread_note
 from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_files
-from ggvs_eval.finding import RIG, SEVERITY, Finding
+from ggvs_eval.finding import RIG, Finding
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.inspection.capture import (
     colour,
@@ -148,24 +147,6 @@ def run_check(
     if out_json is not None:
         write_json(out_json, check.to_json())
     return check, check.table()
-
-
-def read_doubts(file: Path) -> dict[str, str]:
-    """Doubts that a check has about single cameras, the worst of each.
-
-    Args:
-        file: JSON that `run_check` wrote.
-
-    Returns:
-        Camera -> question and answer, for cameras with a verdict of ``warn`` or ``bad``.
-    """
-    try:
-        findings = [Finding(**each) for each in json.loads(file.read_text(encoding="utf-8"))["findings"]]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CaptureError(f"{file}: wanted a file of 'ggvs-eval check', got {error!r:.120}; check the capture again") from error
-    doubtful = [finding for finding in findings if finding.subject != RIG and finding.verdict in ("warn", "bad")]
-    worst_last = sorted(doubtful, key=lambda finding: SEVERITY[finding.verdict])
-    return {finding.subject: f"{finding.question}: {finding.measured}" for finding in worst_last}
 
 
 def record_cameras(capture: Capture, workers: int) -> list[CameraRecord]:

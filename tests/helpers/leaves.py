@@ -1,0 +1,52 @@
+"""Leaves of the package: parts that scoring and reporting anybody's renders can do without, each by its modules."""
+
+# Each leaf by its modules and packages; the folder of contrib adds its parts.
+LEAVES: dict[str, tuple[str, ...]] = {
+    **{
+        f"layout {name}": (f"datasets.{name}",)
+        for name in (
+            *("capture_toml", "d3dmv", "google_light_fields", "technicolor", "panoptic", "rgbd"),
+            *("easymocap", "nerfstudio", "calibration_file"),
+        )
+    },
+    "online method": (
+        *("pipelines.online", "pipelines.methods.ours"),
+        *(f"geometry.{name}" for name in ("contested_depth", "difference_mask", "per_pixel", "splat", "tsdf", "warp")),
+    ),
+    "networks": ("raft_config", "raft_update", "residual_block"),
+    "depth": ("pipelines.offline.depth",),
+    "matchers": ("pipelines.offline.stereo", "pipelines.offline.plane_sweep"),
+    "IterMVS": ("pipelines.offline.itermvs",),
+    "sensor depth": ("pipelines.offline.sensor",),
+    "calibration": ("pipelines.offline.calibration", "pipelines.commands.calibrate"),
+    "export": ("pipelines.offline.export",),
+    "check": ("pipelines.inspection.capture", "pipelines.commands.check", "pipelines.commands.evaluate"),
+    "doctor": ("pipelines.inspection.renders", "pipelines.run.seen_views", "pipelines.commands.doctor"),
+    "steadiness": ("pipelines.run.steadiness", "pipelines.commands.steadiness", "reports.tables.steadiness"),
+    "baselines": ("baselines", "pipelines.methods.baselines"),
+    "fitted methods": (
+        "pipelines.methods.fitted",
+        "pipelines.methods.splats",
+        "pipelines.methods.sequence",
+        "gaussians",
+        "scene_fitter",
+    ),
+    "camera path": (
+        *("metrics.path", "metrics.path_scores"),
+        *("pipelines.run.score_path", "pipelines.run.path_depth", "pipelines.run.camera_path"),
+    ),
+    "noise ceilings": ("metrics.noise", "metrics.ceilings", "pipelines.run.references"),
+    "stream": ("metrics.time.on_screen", "pipelines.run.screens", "pipelines.run.live_depth"),
+    "metrics": ("metrics.image", "metrics.time", "metrics.on_device"),
+    "play": ("pipelines.play", "pipelines.commands.play"),
+}
+
+
+def leaf_of(module: str) -> str | None:
+    """Return the leaf that a module is of; None for one of the trunk."""
+    if module.split(".")[0] == "contrib":
+        return ".".join(module.split(".")[:2])
+    for leaf, parts in LEAVES.items():
+        if any(module == part or module.startswith(f"{part}.") for part in parts):
+            return leaf
+    return None
