@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry import fusion_weights, ray_march, splat
+from ggvs_eval.geometry.splat import splat
+from ggvs_eval.geometry.tsdf import fusion_weights, ray_march
 from ggvs_eval.method import SourceView
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the twins are next to the tests that they define

@@ -11,6 +11,8 @@ from ggvs_eval.errors import CameraError
 
 LensModel = Literal["opencv", "fisheye"]
 COEFFICIENTS = {"opencv": (4, 5, 8, 12, 14), "fisheye": (4,)}
+# OpenCV calibrates with pixel centres at whole numbers, those of this package are at halves.
+PIXEL_CENTRE = 0.5
 BORDER_POINTS = 64
 LARGEST_ZOOM = 4.0
 RADIAL_STEPS = 16

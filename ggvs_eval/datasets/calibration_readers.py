@@ -15,12 +15,11 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.datasets.assemble import Crop, crop_lens
-from ggvs_eval.datasets.easymocap import PIXEL_CENTRE
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, parse_xml, refused
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.plain import comma_hint, read_plain_text, why_unread
 from ggvs_eval.files.toml_tables import read_toml
-from ggvs_eval.lens import Lens, LensModel, check_K_size
+from ggvs_eval.lens import PIXEL_CENTRE, Lens, LensModel, check_K_size
 
 LARGEST_XML_BYTES = 1 << 22
 LARGEST_NUMBER = 1e9

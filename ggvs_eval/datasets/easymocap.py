@@ -23,7 +23,7 @@ from ggvs_eval.datasets.layout import DatasetSpec
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_entries, list_files, list_images
-from ggvs_eval.lens import Lens, check_K_size
+from ggvs_eval.lens import PIXEL_CENTRE, Lens, check_K_size
 
 INTRINSICS, EXTRINSICS = "intri.yml", "extri.yml"
 MASK_FOLDERS = ("mask", "masks", "bgmtv2", "schp")
@@ -33,8 +33,6 @@ HULLS, BACKGROUND_POINTS = "vhull", "background.ply"
 OUTDOOR_FPS = 60.0
 # People move beyond the hulls of the frames that are there, and surfaces end beyond their points.
 MARGIN = 0.1
-# OpenCV calibrates with pixel centres at whole numbers, those of this package are at halves.
-PIXEL_CENTRE = 0.5
 
 
 @dataclass(frozen=True, eq=False)

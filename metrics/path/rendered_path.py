@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import read_image, to_8_bit, write_image
-from ggvs_eval.geometry import warp
+from ggvs_eval.geometry.warp import warp
 from ggvs_eval.metrics.image.sharpness import sharpness
 from ggvs_eval.metrics.inputs import Image, check_pair, white_level
 from ggvs_eval.metrics.metric import ALONG_PATH, Group, Kind, Metric, Value

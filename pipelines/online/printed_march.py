@@ -1,7 +1,7 @@
 """The ray march with the fused field as the paper prints it, or read otherwise: slow, to measure what a reading is worth.
 
-`ggvs_eval.geometry.ray_march` is the method's own; this one is numpy, all rays together, and differs by `FieldReading` alone. In
-this interpretation it is the definition that tests compare the fast one with.
+`ggvs_eval.geometry.tsdf.ray_march` is the method's own; this one is numpy, all rays together, and differs by `FieldReading` alone.
+In this interpretation it is the definition that tests compare the fast one with.
 """
 
 from collections.abc import Sequence
@@ -66,7 +66,7 @@ def printed_march(
     min_step: float = 0.1,
     reading: FieldReading,
 ) -> RayMarch:
-    """Find the first surface along each ray, see `ggvs_eval.geometry.ray_march` for the arguments.
+    """Find the first surface along each ray, see `ggvs_eval.geometry.tsdf.ray_march` for the arguments.
 
     Args:
         cameras: the K source cameras.

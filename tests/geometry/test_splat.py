@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.geometry import Splat, splat
-from ggvs_eval.geometry.splat import float_features, splat_depth
+from ggvs_eval.geometry.splat import Splat, float_features, splat, splat_depth
 from ggvs_eval.kernels import _core
 from helpers.geometry_scenes import random_camera, random_depth, random_source, seeds, sizes, view_of
 from helpers.places import DATA_FOLDER

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError, GgvsWarning
-from ggvs_eval.geometry import PreviousDepth, RayMarch, fusion_weights, ray_march
+from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch, fusion_weights, ray_march
 from ggvs_eval.kernels import _core
 from helpers.geometry_scenes import (
     TAU,

@@ -4,8 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.geometry import warp
-from ggvs_eval.geometry.warp import warp_change
+from ggvs_eval.geometry.warp import warp, warp_change
 from ggvs_eval.method import SourceView
 from helpers.geometry_scenes import TAU, moved, random_camera, random_depth, seeds, sizes
 from helpers.refusals import refused

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry import PreviousDepth, fusion_weights
+from ggvs_eval.geometry.tsdf import PreviousDepth, fusion_weights
 from ggvs_eval.method import SourceView
 
 TAU = 0.05

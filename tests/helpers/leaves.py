@@ -4,11 +4,14 @@
 LEAVES: dict[str, tuple[str, ...]] = {
     **{
         f"layout {name}": (f"datasets.{name}",)
-        for name in (
-            *("capture_toml", "d3dmv", "google_light_fields", "technicolor", "panoptic", "rgbd"),
-            *("easymocap", "nerfstudio", "calibration_file"),
-        )
+        for name in ("capture_toml", "google_light_fields", "technicolor", "panoptic", "nerfstudio")
     },
+    "layout d3dmv": ("datasets.d3dmv", "datasets.h5_frames"),
+    "layout rgbd": ("datasets.rgbd", "datasets.rgbd_files"),
+    "layouts with OpenCV files": (
+        *("datasets.easymocap", "datasets.calibration_file", "datasets.calibration_readers"),
+        "datasets.filestorage_yaml",
+    ),
     "online method": (
         *("pipelines.online", "pipelines.methods.ours"),
         *(f"geometry.{name}" for name in ("contested_depth", "difference_mask", "per_pixel", "splat", "tsdf", "warp")),

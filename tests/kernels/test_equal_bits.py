@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from ggvs_eval import kernels
-from ggvs_eval.geometry import fusion_weights, look_up, ray_march, splat, warp
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.per_pixel import largest_feature, weighted_mean
-from ggvs_eval.geometry.warp import warp_change
+from ggvs_eval.geometry.splat import splat
+from ggvs_eval.geometry.tsdf import fusion_weights, ray_march
+from ggvs_eval.geometry.warp import look_up, warp, warp_change
 from ggvs_eval.method import SourceView
 from ggvs_eval.metrics.image.ssim import ssim_per_channel
 from ggvs_eval.pipelines.online.blending import push_pull

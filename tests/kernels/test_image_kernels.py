@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.geometry import look_up, warp
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.per_pixel import largest_feature, weighted_mean
+from ggvs_eval.geometry.warp import look_up, warp
 from ggvs_eval.kernels import _core
 from ggvs_eval.pipelines.online.blending import push_pull
 from ggvs_eval.pipelines.online.temporal_filters import filter_depth

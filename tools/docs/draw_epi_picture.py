@@ -15,7 +15,7 @@ from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.contrib.worlds.film.raycast import rig
 from ggvs_eval.contrib.worlds.film.shots import path_shots
 from ggvs_eval.files.images import quantise
-from ggvs_eval.geometry import warp
+from ggvs_eval.geometry.warp import warp
 from ggvs_eval.metrics.path.rendered_path import PathPose
 from ggvs_eval.metrics.path.view_consistency import switch_steps
 from ggvs_eval.metrics.path_scores import score_path

@@ -7,8 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry import Splat
-from ggvs_eval.geometry.splat import float_features
+from ggvs_eval.geometry.splat import Splat, float_features
 from ggvs_eval.method import SourceView
 
 

@@ -22,5 +22,5 @@ def fusion_weights_twin(depth: NDArray, tau: float, depth_noise: float) -> Array
         return np.where(depth > 0, np.minimum(depth_noise / np.sqrt(nu / 49), 1.0), 0.0)
 
 
-# What `ggvs_eval.geometry.ray_march` computes, without skipping anything.
+# What `ggvs_eval.geometry.tsdf.ray_march` computes, without skipping anything.
 ray_march_twin = partial(printed_march, reading=FieldReading())

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry import Warp
+from ggvs_eval.geometry.warp import Warp
 from ggvs_eval.pipelines.online.printed_march import sample_depth
 
 
