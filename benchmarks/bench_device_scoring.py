@@ -18,8 +18,7 @@ from safetensors.torch import save_file
 
 from benchmarks.bench_device import scene
 from ggvs_eval.arrays import Image8
-from ggvs_eval.metrics.image.fetch_lpips import weights_path
-from ggvs_eval.metrics.image.lpips_network import LAYERS
+from ggvs_eval.metrics.image.lpips_network import LAYERS, weights_path
 from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.stream import score_view
 

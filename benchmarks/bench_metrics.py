@@ -21,9 +21,8 @@ from torch.nn import functional
 
 from ggvs_eval.metrics.colour_moments import ColourMoments
 from ggvs_eval.metrics.image.corrected import apply_colour_map
-from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.image.lpips import lpips
-from ggvs_eval.metrics.image.lpips_network import LAYERS, load_heads, load_weights, network_input, tapped_layers
+from ggvs_eval.metrics.image.lpips_network import LAYERS, load_heads, load_weights, network_input, tapped_layers, weights_path
 from ggvs_eval.metrics.image.ssim import masked_ssim, ssim
 from ggvs_eval.metrics.stream import score_view, score_views
 

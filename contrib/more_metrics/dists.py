@@ -10,8 +10,14 @@ import numpy as np
 from ggvs_eval.arrays import Mask
 from ggvs_eval.contrib.more_metrics.fetch_dists import CHANNELS, FETCH_COMMAND, dists_weights_path
 from ggvs_eval.errors import MetricError, WeightsError
-from ggvs_eval.metrics.image.fetch_lpips import weights_path
-from ggvs_eval.metrics.image.lpips_network import LAYERS, MIN_SIDE_PX, compiled_layers, load_weights, network_input
+from ggvs_eval.metrics.image.lpips_network import (
+    LAYERS,
+    MIN_SIDE_PX,
+    compiled_layers,
+    load_weights,
+    network_input,
+    weights_path,
+)
 from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite, white_level
 from ggvs_eval.metrics.metric import FURTHER, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
 

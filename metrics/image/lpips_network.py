@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import WeightsError
+from ggvs_eval.files.download import cache_folder
 from ggvs_eval.kernels import SIMD_LEVELS, _features, get_simd_level, get_threads
 from ggvs_eval.metric_choices import LpipsNet
-from ggvs_eval.metrics.image.fetch_lpips import FETCH_COMMAND, weights_path
 from ggvs_eval.metrics.inputs import Image, white_level
 
 if TYPE_CHECKING:
@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 # Mean and spread of ImageNet's colours for images in [-1, 1], per channel.
 COLOUR_SHIFT = (-0.030, -0.088, -0.188)
 COLOUR_SCALE = (0.458, 0.448, 0.450)
+FETCH_COMMAND = "python -m ggvs_eval.metrics.image.fetch_lpips"
+
+
+def weights_path(net: LpipsNet) -> Path:
+    """Return the safetensors file of a network, present or not."""
+    return cache_folder() / f"lpips-v0.1-{net.removesuffix('-bf16')}.safetensors"
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from ggvs_eval.contrib.more_metrics.dists import dists, load_dists_weights
 from ggvs_eval.contrib.more_metrics.flip import flip
 from ggvs_eval.errors import MetricError, WeightsError
 from ggvs_eval.metrics.image.dssim import dssim
-from ggvs_eval.metrics.image.fetch_lpips import weights_path
+from ggvs_eval.metrics.image.lpips_network import weights_path
 from ggvs_eval.metrics.image.ms_ssim import ms_ssim
 from ggvs_eval.metrics.image.regions import moving_mask
 from ggvs_eval.metrics.metric import FramePair, MetricOptions, TruthFrame, ViewMetric

@@ -17,7 +17,7 @@ from ggvs_eval.errors import MetricError, WeightsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.metrics.image import fetch_lpips
 from ggvs_eval.metrics.image import lpips as module
-from ggvs_eval.metrics.image.fetch_lpips import NETS, fetch_weights, read_checkpoint, weights_path
+from ggvs_eval.metrics.image.fetch_lpips import NETS, fetch_weights, read_checkpoint
 from ggvs_eval.metrics.image.lpips import lpips, lpips_between, lpips_features
 from ggvs_eval.metrics.image.lpips_network import (
     LAYERS,
@@ -26,6 +26,7 @@ from ggvs_eval.metrics.image.lpips_network import (
     load_weights,
     network_input,
     tapped_layers,
+    weights_path,
 )
 from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.registry import metric_notes

@@ -23,9 +23,10 @@ from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml
 from ggvs_eval.datasets.frames import has_shape
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files import pickle_reader
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.files.images import write_image
-from ggvs_eval.files.unpickler import unpickle_plain
+from ggvs_eval.files.reader_process import ReaderError, ReaderProcess
 from ggvs_eval.files.video import write_video
 from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.lens import Lens
@@ -33,7 +34,8 @@ from ggvs_eval.pipelines.offline.calibration.known_cameras import INTRINSICS, fi
 from ggvs_eval.progress import track
 
 KINDS = "intri.yml (EasyMocap), calib_*.pkl (D3DMV), .qca.txt (Qualisys), OpenCV's YAML or a .toml file with cameras"
-LARGEST_PICKLE_BYTES = 1 << 20
+LARGEST_PICKLE_BYTES, PICKLE_TIMEOUT_S = 1 << 20, 20
+_PICKLES = ReaderProcess(Path(pickle_reader.__file__))
 Size = tuple[int, int]
 
 
@@ -121,17 +123,21 @@ def read_pickle(path: Path) -> Any:
             f"{path}: wanted a pickled calibration below {LARGEST_PICKLE_BYTES >> 20} MiB, got {content}; restore it"
         )
     try:
-        return unpickle_plain(path.read_bytes())
-    except ValueError as error:
+        return _PICKLES.ask(path, PICKLE_TIMEOUT_S)
+    except (ReaderError, TimeoutError) as error:
         raise CaptureError(f"{path}: wanted a pickle of plain numbers and arrays, got: {error}; nothing was run") from error
 
 
 def _numbers(path: Path, name: str, entry: Any, key: str, count: int) -> Array:
     values = entry.get(key) if isinstance(entry, dict) else None
-    if not isinstance(values, np.ndarray) or values.size != count or not np.isfinite(values).all():
-        content = f"shape {values.shape}" if isinstance(values, np.ndarray) else "none"
+    try:
+        numbers = np.array(values, np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.size != count or not np.isfinite(numbers).all():
+        content = "none" if values is None else f"shape {numbers.shape}"
         raise CaptureError(f"{path}: {name}: wanted {count} finite numbers {key}, got {content}; restore the file")
-    return values.astype(np.float64).ravel()
+    return numbers.ravel()
 
 
 def _lens(path: Path, name: str, K: Array, model: Any, coefficients: tuple[float, ...], size: Size) -> Lens:

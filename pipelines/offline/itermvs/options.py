@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from ggvs_eval.metrics.image.fetch_lpips import cache_folder
+from ggvs_eval.files.download import cache_folder
 
 PUBLISHED = "https://github.com/FangjinhuaWang/IterMVS, checkpoints/blendedmvs/model_000015.ckpt"
 

@@ -24,7 +24,8 @@ from ggvs_eval.contrib.explain.frame_conventions import ALL_VIEWS, Recomputed
 from ggvs_eval.contrib.explain.ssim_conventions import frame_measures
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import write_image
-from ggvs_eval.metrics.image.fetch_lpips import NETS, weights_path
+from ggvs_eval.metrics.image.fetch_lpips import NETS
+from ggvs_eval.metrics.image.lpips_network import weights_path
 from ggvs_eval.metrics.image.ms_ssim import ms_ssim
 from ggvs_eval.metrics.time.strred import luma, pool, strred
 from ggvs_eval.metrics.time.tcc import tcc

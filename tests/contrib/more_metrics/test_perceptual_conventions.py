@@ -13,7 +13,7 @@ from ggvs_eval.contrib.more_metrics.dists import dists
 from ggvs_eval.contrib.more_metrics.fetch_dists import dists_weights_path
 from ggvs_eval.contrib.more_metrics.iv_psnr import WEIGHTS
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image.fetch_lpips import weights_path
+from ggvs_eval.metrics.image.lpips_network import weights_path
 from ggvs_eval.pipelines.inspection.renders.examine import forgiven_error
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from helpers.twins.iv_psnr import iv_psnr_twin

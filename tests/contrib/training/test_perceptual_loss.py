@@ -6,9 +6,8 @@ import torch
 
 from ggvs_eval.contrib.training.blend_task import NOISE_255, noise_255, perceptual_loss, require_perceptual
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.image.lpips import lpips
-from ggvs_eval.metrics.image.lpips_network import _torch_weights
+from ggvs_eval.metrics.image.lpips_network import _torch_weights, weights_path
 from helpers.refusals import refused
 
 needs_weights = pytest.mark.skipif(not weights_path("alex").is_file(), reason="the weights of LPIPS are not fetched")
