@@ -1,7 +1,7 @@
 """The ray march with the fused field as the paper prints it, or read otherwise: slow, to measure what a reading is worth.
 
-`ggvs_eval.geometry.tsdf.ray_march` is the method's own; this one is numpy, all rays together, and differs by `FieldReading` alone.
-In this interpretation it is the definition that tests compare the fast one with.
+`ggvs_eval.geometry.tsdf.ray_march` is the method's own; this one is numpy, all rays together, and differs by `FieldReading`
+alone. In this interpretation it is the definition that tests compare the fast one with.
 """
 
 from collections.abc import Sequence
