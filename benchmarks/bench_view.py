@@ -22,8 +22,8 @@ from ggvs_eval.contrib.view.scene import vertical_fov
 from ggvs_eval.contrib.view.session import ViewDefaults
 from ggvs_eval.contrib.view.viewer import Listener, Viewer
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.pipelines.methods.registry import METHODS
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import Playback, PlayOptions, camera_loop, playback_of_capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 

@@ -19,12 +19,12 @@ from ggvs_eval.contrib.training.samples.training_data import HELD_BACK, choose_v
 from ggvs_eval.contrib.worlds.demo import write_demo
 from ggvs_eval.contrib.worlds.domains import VALIDATION_SEEDS, find_domain
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.consistency import describe_check
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 
 VERSION = 2  # counts up whenever equal plans give other views

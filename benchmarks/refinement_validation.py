@@ -23,6 +23,7 @@ from ggvs_eval.contrib.training.samples.samples import SampleMaker
 from ggvs_eval.contrib.worlds.domains import VALIDATION_SEEDS
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.colmap_model import Sightings, write_model
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.geometry.epipolar import epipolar_errors
 from ggvs_eval.jobs.processes import finish_all, worker_pool
@@ -31,7 +32,6 @@ from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.run_folder import write_json
 
 DOMAIN, ROOMS, METHOD = "large", 2, "ours-geometric"

@@ -19,6 +19,7 @@ from ggvs_eval.compute_device import one_thread
 from ggvs_eval.contrib.training.samples.samples import SampleMaker
 from ggvs_eval.contrib.worlds.domains import VALIDATION_SEEDS
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.files.images import quantise
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
@@ -26,7 +27,6 @@ from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import WIDE_SHARE
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthPartners
 from ggvs_eval.progress import track
 

@@ -383,6 +383,7 @@ PREPARATIONS = {
     "disocclusion": f"{_RUN}.disocclusion",
 }
 
+DEPTH_CHOICES = {"depth": f"{_OFFLINE}.depth.depth_choice:depth_options"}  # all parameters of what a user chooses
 # Depth that another program has computed, in place of a matcher's.
 DEPTH_FILES = {"maps": "ggvs_eval.contrib.given_depth.attach:attach_depth"}
 NETWORK_MATCHERS = ("raft", "itermvs")

@@ -20,7 +20,7 @@ FLOORS = (
     ("camera", "progress", "plugins", "raft_update"),
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
-    ("depth_store", "protocol", "gaussians"),
+    ("depth_store", "depth_options", "protocol", "gaussians"),
     ("measured_frames", "run_folder", "results", "scene_fitter", "sweep"),
     ("statistics", "merged_results", "datasets", "jobs", "synthetic.d3dmv_scene", "coverage"),
     ("synthetic", "renders", "scoring"),

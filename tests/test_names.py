@@ -73,7 +73,7 @@ def test_pages_name_what_exists():
     assert missing({page.name: page.read_text(encoding="utf-8") for page in pages}) == []
 
 
-@pytest.mark.parametrize("name", ["metrics.image.psnr.psnr", "camera.Camera.rays", "geometry.ray_march"])
+@pytest.mark.parametrize("name", ["metrics.image.psnr.psnr", "camera.Camera.rays", "datasets.open_capture"])
 def test_what_does_not_exist_is_named(name):
     """A function, a class's method, a name that a package hands on; not a module that has moved, or a method that is gone."""
     assert missing({"here": f"see `ggvs_eval.{name}` and `{name}(1, 2)`"}) == []

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher

@@ -10,7 +10,7 @@ import pandas as pd
 
 from benchmarks.depth_validation.figures import Figures, Measure, figures_of
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import render
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.pipelines.run.score import score

@@ -14,11 +14,11 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera, SourceChoice
+from ggvs_eval.depth_options import LIVE_MATCHER
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.method import Rendering
-from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER
 from ggvs_eval.pipelines.offline.depth.rig_depth import DeviceDepth, RigDepth
 from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.play.synthesizer import LEAST_SEEN, OnlineSynthesizer, seen_share

@@ -11,11 +11,11 @@ from ggvs_eval.capture import Capture, CaptureEdit, GivenDepth
 from ggvs_eval.datasets import DATASETS, DEPTH_FILES, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.datasets.units import GivenUnits
+from ggvs_eval.depth_options import LIVE_MATCHER, DepthRunOptions
 from ggvs_eval.errors import CaptureError, CommandError
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
-from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER, DepthRunOptions
 
 NONE = "(none by default)"
 

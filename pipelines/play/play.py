@@ -9,10 +9,10 @@ from time import perf_counter
 import numpy as np
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.depth_options import LIVE_MATCHER
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import write_video
-from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER
 from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, LEAST_SEEN, SEEN_FROM_DEG, OnlineSynthesizer, seen_share
 from ggvs_eval.progress import track

@@ -13,6 +13,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera, SourceChoice
+from ggvs_eval.depth_options import LIVE_MATCHER, DepthRunOptions
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, GgvsWarning, RenderError
 from ggvs_eval.files.images import quantise
@@ -29,7 +30,6 @@ from ggvs_eval.method import Instant, LookaheadMethod, Method, Rendering, Source
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER, DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.rig_depth import DeviceDepth, RigDepth
 
 LEAST_FOCAL = 0.05  # of the image's width; a lens of 169 degrees

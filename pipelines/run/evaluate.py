@@ -15,6 +15,7 @@ from ggvs_eval.capture import Capture, CaptureEdit, GivenDepth
 from ggvs_eval.coverage import lacks_path, read_coverage, require_imported
 from ggvs_eval.datasets import DEPTH_FILES, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
@@ -22,7 +23,6 @@ from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
 from ggvs_eval.jobs.ledger import Failure, Ledger
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, MadeFiles, digest_folder
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare_run

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import drop_found, prepare_depth
 from ggvs_eval.pipelines.run.claim import claim_folder
 from ggvs_eval.pipelines.run.derived_files import cache_frames

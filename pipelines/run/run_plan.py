@@ -19,6 +19,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.llff import CameraPath, open_path
+from ggvs_eval.depth_options import DEVICE, UNEXPLAINED, DepthRunOptions, default_matcher
 from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.errors import CameraError, CaptureError, DepthError, GgvsWarning, ProtocolError
 from ggvs_eval.geometry.sight import require_sight
@@ -29,7 +30,6 @@ from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit, SourcePlan
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DEVICE, UNEXPLAINED, DepthRunOptions, default_matcher
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthPartners, plan_depth
 from ggvs_eval.pipelines.offline.depth.sensor_and_stereo import unexplained
 from ggvs_eval.pipelines.run.claim import require_owner

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import GgvsError, ProtocolError, ResultsError
 from ggvs_eval.jobs.machine import pace
@@ -24,7 +25,6 @@ from ggvs_eval.pipelines.methods.stage_costs import (
     score_cost,
     stage_of,
 )
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_left
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 from ggvs_eval.pipelines.run.derived_files import frames_left

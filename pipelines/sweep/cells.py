@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import ProtocolError, RenderError, WeightsError
 from ggvs_eval.jobs.shard import Shard
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.render_unit import PATH
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.run_plan import RunRequest
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder

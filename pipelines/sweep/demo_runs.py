@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.capture import Capture
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
 from ggvs_eval.jobs.ledger import Failure
@@ -19,7 +20,6 @@ from ggvs_eval.jobs.machine import pace
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.registry import usual_methods
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import measure, report
 from ggvs_eval.pipelines.run.prepare import drop_found_depth
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from ggvs_eval.coverage import read_import
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.atomic import atomic_file, locked
 from ggvs_eval.jobs.engine import Workers, as_engine
@@ -15,7 +16,6 @@ from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import Stages, attempt, measure_runs
 from ggvs_eval.pipelines.run.prepare import drop_found_depth
 from ggvs_eval.pipelines.run.run_plan import RunPlan, plan_run

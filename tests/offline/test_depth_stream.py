@@ -5,10 +5,11 @@ import re
 import numpy as np
 import pytest
 
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, WeightsError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import FORMS, KEYFRAME_EVERY, MATCHERS, DepthRunOptions, find_matcher
+from ggvs_eval.pipelines.offline.depth.depth_choice import FORMS, KEYFRAME_EVERY, MATCHERS, find_matcher
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_depth
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.contrib.view.command import view
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthMap, DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import exchange_roles, rectify
@@ -17,7 +18,6 @@ from ggvs_eval.pipelines.commands.play import play
 from ggvs_eval.pipelines.commands.runs import run
 from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_rig_depth, prepare_depth
 from ggvs_eval.pipelines.offline.stereo.live import SAME_SURFACE, LiveEstimator, LiveMatcher, RigEstimator, enlarge
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from ggvs_eval import kernels
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator, SweepLevel
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep, plan_planes

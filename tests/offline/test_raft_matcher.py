@@ -11,9 +11,10 @@ from safetensors.torch import save_file
 from ggvs_eval import kernels
 from ggvs_eval.contrib.training.stereo_pairs import stereo_sample
 from ggvs_eval.contrib.training.stereo_task import VALIDATION_SEED
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.files.images import quantise
 from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, DepthEstimator
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, find_matcher
+from ggvs_eval.pipelines.offline.depth.depth_choice import find_matcher
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
     RaftMatcher,
     fill_from_background,

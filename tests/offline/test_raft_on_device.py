@@ -17,12 +17,13 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from ggvs_eval.compute_device import rendering_on
 from ggvs_eval.contrib.view import viewer
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, find_matcher
+from ggvs_eval.pipelines.offline.depth.depth_choice import find_matcher
 from ggvs_eval.pipelines.offline.stereo import raft_matcher
 from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_disparity
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, load_network, shipped_weights, weights_digest

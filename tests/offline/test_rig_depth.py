@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthEstimator, DepthOptions, check_depth, finish
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.rig_depth import DeviceDepth, RigDepth
 from ggvs_eval.pipelines.offline.stereo.live import RigEstimator
 from helpers.itermvs_weights import write_checkpoint

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from ggvs_eval.capture import Extras, GivenDepth
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import GgvsWarning, ProtocolError
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED
 from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import LEAST_CONFIDENCE
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run

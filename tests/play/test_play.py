@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from ggvs_eval.camera import Camera, translated_path
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import GgvsError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.play import Timing, record
 from ggvs_eval.pipelines.play.playback import PlayOptions, blocks_of, camera_loop, playback_of_capture, playback_of_run
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer, seen_share

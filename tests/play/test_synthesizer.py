@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, GgvsError, RenderError
 from ggvs_eval.files.images import quantise, read_image
 from ggvs_eval.method import Rendering
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.rig_depth import RigDepth
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, OnlineSynthesizer

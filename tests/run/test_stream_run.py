@@ -6,8 +6,8 @@ from statistics import median
 import pytest
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.protocol import Stream

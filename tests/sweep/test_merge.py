@@ -8,10 +8,10 @@ import socket
 import numpy as np
 import pytest
 
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import measure, render
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run

@@ -13,13 +13,13 @@ from functools import cache, cached_property
 from pathlib import Path
 from types import CodeType, FunctionType
 
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.jobs.code_identity import code_identity, installed_code, what_runs
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.methods.registry import find_method, usual_methods
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, digest_weights
 from ggvs_eval.pipelines.offline.depth import camera_depth, consistency
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.run.render import method_code
 from ggvs_eval.pipelines.run.score_code import metric_code

@@ -13,10 +13,10 @@ from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.capture import Capture
 from ggvs_eval.contrib.worlds.domains import FIRST_TRAINING_SEED, VALIDATION_SEEDS
 from ggvs_eval.datasets.units import DEMO_NOTES
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.pipelines.offline.depth.consistency import describe_check
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 
 GRID = 8  # rays across and down, and depths

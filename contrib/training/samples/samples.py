@@ -11,12 +11,12 @@ from typing import ClassVar, Generic, Literal, Protocol, TypeVar
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, DepthSource
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth, check_measured_depth
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 
 

@@ -22,9 +22,9 @@ from ggvs_eval.contrib.worlds.demo import write_demo
 from ggvs_eval.contrib.worlds.domains import DOMAINS, FIRST_TRAINING_SEED, PLAIN, VALIDATION_SEEDS, domain_options, find_domain
 from ggvs_eval.contrib.worlds.film.options import DemoOptions
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.pipelines.offline.depth.consistency import describe_check
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
 
 FIRST_TRAINING_ROOM = FIRST_TRAINING_SEED

@@ -16,12 +16,13 @@ from torch.nn import functional
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import rendering_on
+from ggvs_eval.depth_options import cached_weights
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.pipelines.offline.itermvs.network import NEAREST_SHARE, SIZE_MULTIPLE, IterMvsNetwork, MatchedViews
-from ggvs_eval.pipelines.offline.itermvs.options import PUBLISHED, IterMvs, cached_weights
+from ggvs_eval.pipelines.offline.itermvs.options import PUBLISHED, IterMvs
 
 NETWORK = "IterMVS"  # in messages
 CHECKPOINT_KEY = "model"

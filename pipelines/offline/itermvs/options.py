@@ -4,14 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from ggvs_eval.files.download import cache_folder
-
 PUBLISHED = "https://github.com/FangjinhuaWang/IterMVS, checkpoints/blendedmvs/model_000015.ckpt"
-
-
-def cached_weights() -> Path:
-    """Return the weights that are taken where a user names none, present or not: itermvs-blendedmvs.ckpt in the cache folder."""
-    return cache_folder() / "itermvs-blendedmvs.ckpt"
 
 
 @dataclass(frozen=True)

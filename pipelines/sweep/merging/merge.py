@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.coverage import IMPORT_FILE
+from ggvs_eval.depth_options import UNEXPLAINED
 from ggvs_eval.errors import GgvsError, ProtocolError, ResultsError
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.jobs.ledger import JOBS_FOLDER
-from ggvs_eval.pipelines.offline.depth.depth_choice import UNEXPLAINED
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, join_records
 from ggvs_eval.pipelines.run.render import FITS
 from ggvs_eval.protocol import name_differences

@@ -16,12 +16,12 @@ from ggvs_eval.contrib.training.samples.samples import SampleMaker, SamplePool
 from ggvs_eval.contrib.training.samples.training_data import RoomPlan, choose_views, domain_validation_plan
 from ggvs_eval.contrib.training.train_one import LEAST_CROP_PX, BaselineTask, baseline_task
 from ggvs_eval.contrib.worlds.domains import PLAIN
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.files.weights_file import configuration_of
 from ggvs_eval.pipelines.methods import baselines
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from helpers.filled_pools import fill
 from helpers.refusals import refused
 from helpers.stereo_scenes import write_capture

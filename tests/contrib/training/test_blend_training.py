@@ -23,8 +23,8 @@ from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind, read_samp
 from ggvs_eval.contrib.training.samples.samples import SampleMaker, SamplePool
 from ggvs_eval.contrib.training.samples.training_data import RoomPlan, choose_views, domain_validation_plan, room_options
 from ggvs_eval.contrib.worlds.domains import PLAIN
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.online.blend_network import (
     WIDTHS,
     BlendNetwork,

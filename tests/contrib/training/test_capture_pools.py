@@ -19,9 +19,9 @@ from ggvs_eval.contrib.training.samples.capture_source import (
 from ggvs_eval.contrib.training.samples.sample_kinds import BlendKind
 from ggvs_eval.contrib.training.samples.samples import SampleMaker, SamplePool, make_samples
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image.psnr import psnr
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from helpers.refusals import refused
 from helpers.stereo_scenes import HEIGHT, WIDTH, look_from, plane_depth, see_plane, write_capture
 

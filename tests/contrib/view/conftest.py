@@ -2,7 +2,7 @@
 
 import pytest
 
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from helpers.stereo_scenes import write_capture
 

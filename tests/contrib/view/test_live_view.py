@@ -10,10 +10,10 @@ from ggvs_eval.contrib.view.live_view import LAYERS, FrameStock, LiveView, ViewR
 from ggvs_eval.contrib.view.scene import cloud, gazed_depth
 from ggvs_eval.contrib.view.session import Recording
 from ggvs_eval.contrib.view.viewer import require_viser
+from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import CommandError, RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
