@@ -383,6 +383,12 @@ PREPARATIONS = {
     "disocclusion": f"{_RUN}.disocclusion",
 }
 
+# What `prepare` makes of depth besides the store.
+DEPTH_OUTPUTS = {
+    "depth page": f"{_RUN}.depth_outputs:write_prepared_page",
+    "fused instant": f"{_RUN}.depth_outputs:fuse_prepared",
+    "dense workspace": f"{_RUN}.depth_outputs:export_prepared",
+}
 DEPTH_CHOICES = {"depth": f"{_OFFLINE}.depth.depth_choice:depth_options"}  # all parameters of what a user chooses
 # Depth that another program has computed, in place of a matcher's.
 DEPTH_FILES = {"maps": "ggvs_eval.contrib.given_depth.attach:attach_depth"}

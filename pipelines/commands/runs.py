@@ -39,6 +39,7 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 
 NO_SPLATS: Mapping[str, Path] = {}
+DEPTH_OUTPUTS: Registry[Any] = Registry("outputs of depth", built_in.DEPTH_OUTPUTS)
 PLANS: Registry[Any] = Registry("plans of sweeps", built_in.SWEEP_PLANS)
 
 
@@ -68,7 +69,6 @@ def prepare(
         engine: job execution.
         dry_run: print the remaining work, its disk use and estimated time, then exit.
     """
-    from ggvs_eval.pipelines.run.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
     from ggvs_eval.pipelines.run.prepare import prepare_run
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
     from ggvs_eval.pipelines.run.work_left import print_plan
@@ -81,12 +81,13 @@ def prepare(
     if dry_run:
         return
     prepared = prepare_run(plan, engine)
-    print(write_prepared_page(prepared, engine.jobs))
+    if write_page := DEPTH_OUTPUTS.installed().get("depth page"):
+        print(write_page(prepared, engine.jobs))
     if fuse:
-        fused = fuse_prepared(prepared)
+        fused = DEPTH_OUTPUTS["fused instant"](prepared)
         print(fused.points, fused.mesh, sep="\n")
     if dense_workspace:
-        print(export_prepared(prepared, dense_workspace))
+        print(DEPTH_OUTPUTS["dense workspace"](prepared, dense_workspace))
 
 
 def render(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ggvs_eval.baselines.registry import LEARNED_BASELINES
+from ggvs_eval.built_in import LEARNED_BASELINES
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import RenderError

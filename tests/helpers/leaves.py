@@ -22,10 +22,13 @@ LEAVES: dict[str, tuple[str, ...]] = {
     "IterMVS": ("pipelines.offline.itermvs",),
     "sensor depth": ("pipelines.offline.sensor",),
     "calibration": ("pipelines.offline.calibration", "pipelines.commands.calibrate"),
-    "export": ("pipelines.offline.export",),
+    "depth page": ("pipelines.offline.export", "pipelines.run.depth_outputs", "reports.depth_page"),
     "check": ("pipelines.inspection.capture", "pipelines.commands.check", "pipelines.commands.evaluate"),
     "doctor": ("pipelines.inspection.renders", "pipelines.run.seen_views", "pipelines.commands.doctor"),
-    "steadiness": ("pipelines.run.steadiness", "pipelines.commands.steadiness", "reports.tables.steadiness"),
+    "steadiness": (
+        *("pipelines.run.steadiness", "pipelines.commands.steadiness", "reports.tables.steadiness"),
+        *("metrics.series_scores", "renders.sequences"),
+    ),
     "baselines": ("baselines", "pipelines.methods.baselines"),
     "fitted methods": (
         "pipelines.methods.fitted",
