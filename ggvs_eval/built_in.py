@@ -169,13 +169,13 @@ VERBS: dict[str, Verb] = {
         "out/mine --columns PSNR SSIM LPIPS --to latex",
     ),
     "figure": Verb(
-        f"{VERBS_ROOM}.figures:figure",
+        f"{VERBS_ROOM}.figure:figure",
         "Draw a labelled figure for a paper.",
         LOOK,
         "crops out/mine figures/crops",
     ),
     "compare": Verb(
-        f"{VERBS_ROOM}.figures:compare",
+        f"{VERBS_ROOM}.compare:compare",
         "Compare two runs, or two methods of a run, with paired tests.",
         LOOK,
         "ours mine --run out/mine",

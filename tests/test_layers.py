@@ -78,7 +78,7 @@ FORBIDDEN = {
     "pipelines": ("reports",),
 }
 MAY_START_REPORTS = {
-    *("pipelines.commands.figures", "pipelines.commands.steadiness"),
+    *(f"pipelines.commands.{verb}" for verb in ("figures", "figure", "compare", "steadiness")),
     *("pipelines.run.evaluate", "pipelines.run.depth_outputs"),
 }
 

@@ -1,5 +1,8 @@
 """Leaves of the package: parts that scoring and reporting anybody's renders can do without, each by its modules."""
 
+from helpers.house_measures import imported_names
+from helpers.import_graph import modules
+
 # Each leaf by its modules and packages; the folder of contrib adds its parts.
 LEAVES: dict[str, tuple[str, ...]] = {
     **{
@@ -29,6 +32,7 @@ LEAVES: dict[str, tuple[str, ...]] = {
         *("pipelines.run.steadiness", "pipelines.commands.steadiness", "reports.tables.steadiness"),
         *("metrics.series_scores", "renders.sequences"),
     ),
+    "comparison": ("pipelines.commands.compare", "reports.tables.compare_runs"),
     "baselines": ("baselines", "pipelines.methods.baselines"),
     "fitted methods": (
         "pipelines.methods.fitted",
@@ -56,3 +60,21 @@ def leaf_of(module: str) -> str | None:
         if any(module == part or module.startswith(f"{part}.") for part in parts):
             return leaf
     return None
+
+
+def needs_of(own: set[str]) -> set[str]:
+    """Return the modules of other leaves that some modules import, directly or not, with the packages that they stand in."""
+    needed: set[str] = set()
+    waiting = [*own]
+    while waiting:
+        for imported, _ in imported_names(modules()[waiting.pop()]):
+            if leaf_of(imported) and imported not in needed | own:
+                needed.add(imported)
+                waiting.append(imported)
+    above = {".".join(module.split(".")[:end]) for module in needed | own for end in range(1, module.count(".") + 1)}
+    return needed | {package for package in above if package in modules()}
+
+
+def names_of_api() -> set[tuple[str, str]]:
+    """Module and name of everything that `ggvs_eval.api` lists; ``*`` is a module as a whole."""
+    return set(imported_names(modules()["api"]))
