@@ -23,7 +23,7 @@ from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import write_video
 from ggvs_eval.finding import RIG, Finding
-from ggvs_eval.pipelines.inspection.capture.check import examine
+from ggvs_eval.pipelines.inspection.capture.check import ExaminedRig, examine
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, record_camera
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
 
@@ -165,7 +165,7 @@ class Take:
     def check(self, spoilt: Mapping[str, CameraRecord]) -> tuple[Finding, ...]:
         """Findings with some cameras spoilt."""
         records = {**self._records, **spoilt}
-        return examine(self._shown({}), [records[name] for name in self.capture.camera_names])
+        return examine(ExaminedRig(self._shown({}), [records[name] for name in self.capture.camera_names]))
 
     def _shown(self, other: Mapping[str, Frames]) -> Capture:
         sources = [KeptFrames((other.get(name) or self.frames[name])[: self.n_frames]) for name in self.capture.camera_names]
@@ -247,7 +247,7 @@ def false_alarms(rigs: Sequence[Path], count: int) -> None:
             sources.append(KeptFrames(noisy))
         cameras = tuple(capture.cameras[index] for index in chosen)
         take = replace(capture, cameras=cameras, sources=tuple(sources), n_frames=n_frames, extras=())
-        findings = examine(take, [record_camera(take, name) for name in take.camera_names])
+        findings = examine(ExaminedRig(take, [record_camera(take, name) for name in take.camera_names]))
         false = [each for each in findings if each.verdict in ("warn", "bad") and each.question not in PLACING]
         alarms += bool(false)
         for each in false:

@@ -12,7 +12,7 @@ import pytest
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.inspection.capture import pairs
-from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, examine
+from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, ExaminedRig, examine
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord
 from helpers.small_rig import N_FRAMES, Frames, film, make_cameras, recorded, write_rig
 
@@ -32,7 +32,7 @@ class FilmedRig:
         records = [recorded(changed[old.name], old.name) if old.name in changed else old for old in self.records]
         cameras, sources = tuple(cameras or self.cameras), tuple(SimpleNamespace() for _ in self.cameras)
         capture = Capture("rig", "test", Path("rig"), cameras, sources, N_FRAMES, 30.0, 1.0, "guess: 2 m")
-        return CaptureCheck(capture.path, examine(capture, records))
+        return CaptureCheck(capture.path, examine(ExaminedRig(capture, records)))
 
 
 @pytest.fixture(scope="session")

@@ -4,9 +4,10 @@ World units per metre, where they come from and the sizes that they imply; and f
 """
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from ggvs_eval.pipelines.inspection.capture import (
     timing,
 )
 from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
-from ggvs_eval.pipelines.inspection.capture.depth_registration import check_depth_registration
+from ggvs_eval.pipelines.inspection.capture.depth_registration import REGISTRATION_QUESTION, check_depth_registration
 from ggvs_eval.pipelines.inspection.capture.pairs import triangulated_depths
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, record_camera
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
@@ -49,23 +50,6 @@ GUESS = "guess"
 SCENE_M, SPACING_M = (0.2, 100.0), (0.005, 10.0)
 LAYOUT = "no calibration"
 OPENS = "opens"
-QUESTIONS = (
-    frames.FRAMES,
-    frames.FROZEN,
-    stillness.QUESTION,
-    poses.POSES_QUESTION,
-    poses.INTRINSICS_QUESTION,
-    lens.QUESTION,
-    depth_range.DEPTH_QUESTION,
-    depth_range.OVERLAP_QUESTION,
-    epipolar_findings.QUESTION,
-    timing.QUESTION,
-    timing.DROPPED,
-    colour.GAIN,
-    colour.DRIFT,
-    colour.NOISE,
-    SIZE_QUESTION,
-)
 
 
 @dataclass(frozen=True)
@@ -118,12 +102,12 @@ def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = 
         return CaptureCheck(path, _examine_unopened(path, str(error), workers), time.perf_counter() - start)
     records = record_cameras(capture, workers)
     if uncalibrated:
-        findings = examine_frames(capture, records)
+        findings = examine_frames(ExaminedRig(capture, records))
         advice = f"ggvs-eval calibrate {capture.path} RIG, then check RIG"
         unanswered = _unanswered(findings)
         findings += tuple(Finding(RIG, question, "unknown", "no calibration yet", {}, advice) for question in unanswered)
     else:
-        findings = examine(capture, records)
+        findings = examine(ExaminedRig(capture, records))
     return CaptureCheck(path, findings, time.perf_counter() - start)
 
 
@@ -161,41 +145,38 @@ def record_cameras(capture: Capture, workers: int) -> list[CameraRecord]:
     return [job.result() for job in jobs]
 
 
-def examine_frames(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:
+@dataclass(frozen=True)
+class ExaminedRig:
+    """A capture whose frames have been read once, as the questions look at it.
+
+    Attributes:
+        records: of the frames of each camera.
+    """
+
+    capture: Capture
+    records: Sequence[CameraRecord]
+
+    @cached_property
+    def calibration(self) -> epipolar_findings.ClipVerdict:
+        """What matches between the cameras say of their poses."""
+        frames = sorted({*self.records[0].instants, 0})
+        instants = {frame: [record.instants.get(frame) for record in self.records] for frame in frames}
+        return epipolar_findings.check_clip(self.capture.cameras, instants)
+
+    @cached_property
+    def depths(self) -> Mapping[int, Array]:
+        """Depths of triangulated matches of the first instant by camera, world units."""
+        return triangulated_depths(self.capture.cameras, self.calibration.at[0].pairs, self.calibration.trusted)
+
+
+def examine_frames(rig: ExaminedRig) -> tuple[Finding, ...]:
     """Answer the questions that need frames alone."""
-    return (
-        *frames.check_frames(capture, records),
-        *frames.check_frozen(records),
-        *stillness.check_stillness(capture.cameras, records, capture.fps),
-        *colour.check_noise(records),
-    )
+    return tuple(finding for question in OF_FRAMES for finding in ANSWERS[question](rig))
 
 
-def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:
+def examine(rig: ExaminedRig) -> tuple[Finding, ...]:
     """Answer every question from the cameras and what was recorded of their frames."""
-    cameras, names = capture.cameras, capture.camera_names
-    instants = {frame: [record.instants.get(frame) for record in records] for frame in sorted({*records[0].instants, 0})}
-    verdict = epipolar_findings.check_clip(cameras, instants)
-    first = verdict.at[0].pairs
-    depths = triangulated_depths(cameras, first, verdict.trusted)
-    answers: tuple[Callable[[], tuple[Finding, ...]], ...] = (
-        lambda: frames.check_frames(capture, records),
-        lambda: frames.check_frozen(records),
-        lambda: stillness.check_stillness(cameras, records, capture.fps),
-        lambda: poses.check_poses(cameras, verdict.suspects),
-        lambda: poses.check_intrinsics(cameras),
-        lambda: lens.check_lens(capture),
-        lambda: depth_range.check_depth_range(cameras, depths, verdict.suspects),
-        lambda: depth_range.check_overlap(cameras, capture.sensed_cameras),
-        lambda: verdict.findings,
-        lambda: timing.check_timing(cameras, records, verdict.suspects, capture.fps),
-        lambda: colour.check_gain(names, verdict.pairs),
-        lambda: colour_drift.check_drift(names, records, first, capture.fps),
-        lambda: colour.check_noise(records),
-        lambda: check_scale(capture, depths),
-        lambda: check_depth_registration(capture),
-    )
-    return tuple(finding for answer in answers for finding in answer())
+    return tuple(finding for answer in ANSWERS.values() for finding in answer(rig))
 
 
 def _examine_unopened(path: Path, message: str, workers: int) -> tuple[Finding, ...]:
@@ -203,7 +184,7 @@ def _examine_unopened(path: Path, message: str, workers: int) -> tuple[Finding, 
     found: tuple[Finding, ...] = (Finding(RIG, OPENS, "bad", message, {}, "fix this first"),)
     try:
         filmed = uncalibrated_capture(path, find_rig_frames(path))
-        found += examine_frames(filmed, record_cameras(filmed, workers))
+        found += examine_frames(ExaminedRig(filmed, record_cameras(filmed, workers)))
     except GgvsError:
         pass  # no frames of a rig; the first finding says what is wrong
     return (*found, *(Finding(RIG, question, "unknown", "the capture does not open") for question in _unanswered(found)))
@@ -252,6 +233,33 @@ def _guessed(capture: Capture, depth: float, spacing: float, values: dict[str, o
     measured += f"; {capture.units_per_metre:.4g} units per metre assumed ({capture.units_origin})"
     advice = "measure one baseline or two points and give it (units.toml); thresholds in metres depend on it"
     return Finding(RIG, SIZE_QUESTION, "warn", measured, values, advice)
+
+
+# In the order of the table; a check of your own is one line here.
+ANSWERS: Mapping[str, Callable[[ExaminedRig], tuple[Finding, ...]]] = {
+    frames.FRAMES: lambda rig: frames.check_frames(rig.capture, rig.records),
+    frames.FROZEN: lambda rig: frames.check_frozen(rig.records),
+    stillness.QUESTION: lambda rig: stillness.check_stillness(rig.capture.cameras, rig.records, rig.capture.fps),
+    poses.POSES_QUESTION: lambda rig: poses.check_poses(rig.capture.cameras, rig.calibration.suspects),
+    poses.INTRINSICS_QUESTION: lambda rig: poses.check_intrinsics(rig.capture.cameras),
+    lens.QUESTION: lambda rig: lens.check_lens(rig.capture),
+    depth_range.DEPTH_QUESTION: lambda rig: depth_range.check_depth_range(
+        rig.capture.cameras, rig.depths, rig.calibration.suspects
+    ),
+    depth_range.OVERLAP_QUESTION: lambda rig: depth_range.check_overlap(rig.capture.cameras, rig.capture.sensed_cameras),
+    epipolar_findings.QUESTION: lambda rig: rig.calibration.findings,
+    timing.QUESTION: lambda rig: timing.check_timing(rig.capture.cameras, rig.records, rig.calibration.suspects, rig.capture.fps),
+    timing.DROPPED: lambda _: (),  # answered with the offset
+    colour.GAIN: lambda rig: colour.check_gain(rig.capture.camera_names, rig.calibration.pairs),
+    colour.DRIFT: lambda rig: colour_drift.check_drift(
+        rig.capture.camera_names, rig.records, rig.calibration.at[0].pairs, rig.capture.fps
+    ),
+    colour.NOISE: lambda rig: colour.check_noise(rig.records),
+    SIZE_QUESTION: lambda rig: check_scale(rig.capture, rig.depths),
+    REGISTRATION_QUESTION: lambda rig: check_depth_registration(rig.capture),
+}
+QUESTIONS = tuple(question for question in ANSWERS if question != REGISTRATION_QUESTION)  # that every capture has
+OF_FRAMES = (frames.FRAMES, frames.FROZEN, stillness.QUESTION, colour.NOISE)  # that need no poses
 
 
 def open_uncalibrated(path: Path) -> Capture | None:
