@@ -375,10 +375,13 @@ MATCHERS = {
     "raft": f"{_OFFLINE}.stereo.raft_matcher:matcher_of_weights",
     "itermvs": f"{_OFFLINE}.itermvs.estimator:matcher_of_weights",
 }
+# Depth of the source cameras of a run.
+DEPTH = {"depth": f"{_OFFLINE}.depth.run_depth:MatchedDepth"}
 # What runs need before they are rendered, besides captured frames and depth; in the order in which it is made.
 _RUN = "ggvs_eval.pipelines.run"
 PREPARATIONS = {
     "camera path": f"{_RUN}.camera_path",
+    "fits": f"{_RUN}.fits",
     "live depth": f"{_RUN}.live_depth",
     "disocclusion": f"{_RUN}.disocclusion",
 }

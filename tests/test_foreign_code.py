@@ -15,7 +15,8 @@ from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.metrics.stream import score_view
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.run.evaluate import measure, report
-from ggvs_eval.pipelines.run.folds import FoldPlan, plan_fits
+from ggvs_eval.pipelines.run.fits import plan_fits
+from ggvs_eval.pipelines.run.folds import FoldPlan
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.plugins import FILES, use_file
 from helpers.refusals import refused

@@ -21,7 +21,7 @@ FLOORS = (
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
     ("depth_store", "depth_options", "protocol", "gaussians"),
-    ("measured_frames", "run_folder", "results", "scene_fitter", "sweep"),
+    ("depth_work", "measured_frames", "run_folder", "results", "scene_fitter", "sweep"),
     ("statistics", "merged_results", "datasets", "jobs", "synthetic.d3dmv_scene", "coverage"),
     ("synthetic", "renders", "scoring"),
     ("baselines", "metrics.inputs", "metrics.metric"),

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any
+from typing import Any, ClassVar
 
 from ggvs_eval.errors import RenderError, ViewRefusedError
 from ggvs_eval.files.digest import digest_files
@@ -35,6 +35,7 @@ class FittedMethod(SceneMethod):
         seed: of the fit, ``4dgs+seed=1``.
     """
 
+    preparation: ClassVar[str] = "fits"
     fitter: str
     _: KW_ONLY
     options: Mapping[str, Any] = field(default_factory=dict)

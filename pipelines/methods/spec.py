@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from pkgutil import resolve_name
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import cv2
 import numpy as np
@@ -104,8 +104,10 @@ class MethodSpec(ABC):
         device: where its networks compute, if it has any.
         departs: what is not as its authors published it.
         foreign: whether a plug-in offers it: what goes wrong in it refuses the view.
+        preparation: a run's preparation that it cannot be rendered without; see `built_in.PREPARATIONS`.
     """
 
+    preparation: ClassVar[str] = ""
     title: str
     describe: str
     modules: tuple[str, ...]

@@ -4,7 +4,7 @@ A feed-forward method renders each test camera from all others at no cost. A fit
 far apart are held out together: the neighbours of each stay training cameras.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -14,13 +14,10 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthJob
-from ggvs_eval.errors import CameraError, RenderError
-from ggvs_eval.pipelines.methods.fitted import FittedMethod
+from ggvs_eval.errors import CameraError
 from ggvs_eval.pipelines.methods.render_unit import PATH
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.fill_store import plan_rig_depth
+from ggvs_eval.pipelines.run.depth_of_run import DepthProvider
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.scene_fitter import SceneFitter
 
 MOST_FOLDS = 3
 ALL = "all"  # the fit that holds nothing out, for the camera path
@@ -52,22 +49,6 @@ class FoldPlan:
     def units(self) -> tuple[str, ...]:
         """Test views that are rendered from it, or the camera path."""
         return self.held_out or (PATH,)
-
-
-@dataclass(frozen=True)
-class FitPlan:
-    """One fit of a method that is fitted to the capture.
-
-    Attributes:
-        label: of the method, its seed included.
-        fold: what it is shown, and what is held out.
-        depth_indices: those at which it wants depth.
-    """
-
-    label: str
-    fold: FoldPlan
-    indices: range
-    depth_indices: tuple[int, ...]
 
 
 def choose_folds(cameras: Sequence[Camera]) -> Folds:
@@ -139,7 +120,7 @@ def fill_folds(protocol: Protocol, capture: Capture) -> Protocol:
     return protocol.with_folds(((*unseen, *folds[0]), *folds[1:]))
 
 
-def plan_folds(capture: Capture, folds: Folds, along_path: bool, options: DepthOptions) -> tuple[FoldPlan, ...]:
+def plan_folds(capture: Capture, folds: Folds, along_path: bool, depth: DepthProvider) -> tuple[FoldPlan, ...]:
     """Plan the input of each fit.
 
     Args:
@@ -147,10 +128,10 @@ def plan_folds(capture: Capture, folds: Folds, along_path: bool, options: DepthO
         along_path: also plan the fit of all cameras that may be seen.
     """
     held_out = [(f"fold{number}", fold) for number, fold in enumerate(folds, start=1)] + ([(ALL, ())] if along_path else [])
-    return tuple(FoldPlan(name, fold, _rig_depth(capture, name, fold, options)) for name, fold in held_out)
+    return tuple(FoldPlan(name, fold, _rig_depth(capture, name, fold, depth)) for name, fold in held_out)
 
 
-def _rig_depth(capture: Capture, name: str, held_out: Sequence[str], options: DepthOptions) -> tuple[DepthJob, ...]:
+def _rig_depth(capture: Capture, name: str, held_out: Sequence[str], depth: DepthProvider) -> tuple[DepthJob, ...]:
     """Depth of what is left when some cameras are held out; nothing of those can reach it, as they are not in the capture."""
     training = capture.without(held_out, "held out")
     if len(training.cameras) < FEWEST_CAMERAS:
@@ -158,36 +139,4 @@ def _rig_depth(capture: Capture, name: str, held_out: Sequence[str], options: De
             f"{name} holds out {', '.join(held_out)} and leaves {len(training.cameras)} training cameras, wanted "
             f"{FEWEST_CAMERAS} or more; make the folds smaller (views.folds) or add cameras (views.sources)"
         )
-    return plan_rig_depth(training, options)
-
-
-def plan_fits(
-    methods: Mapping[str, FittedMethod], folds: Sequence[FoldPlan], frames: range, path_frame: int
-) -> tuple[FitPlan, ...]:
-    """Plan every fit of every fitted method.
-
-    Args:
-        folds: see `plan_folds`.
-    """
-    fits = []
-    for label, method in methods.items():
-        with method.guard("its fits cannot be planned", RenderError):
-            fitter = method.make_fitter()
-            for fold in folds:
-                indices = _path_instants(fitter, frames, path_frame) if fold.name == ALL else frames
-                with_depth = tuple(indices[indices.index(each)] for each in fitter.depth_indices(indices))
-                fits.append(FitPlan(label, fold, indices, with_depth))
-    return tuple(fits)
-
-
-def _path_instants(fitter: SceneFitter, frames: range, path_frame: int) -> range:
-    """Return the footage of a fit for the camera path, at one instant: as much of the sequence as the method uses."""
-    if fitter.look_ahead == "none" or path_frame not in frames:
-        return range(path_frame, path_frame + 1)
-    return range(frames.start, path_frame + 1) if fitter.look_ahead == "past" else frames
-
-
-def visible_cameras(capture: Capture, protocol: Protocol) -> Capture:
-    """Return the capture without the cameras that no method may see (``views.sources``)."""
-    sources = protocol.views.sources
-    return capture.without([name for name in capture.camera_names if name not in sources], "not seen") if sources else capture
+    return depth.of_rig(training)

@@ -2,7 +2,6 @@
 
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.pipelines.offline.depth.rig_depth import RigDepth
 from ggvs_eval.pipelines.run.run_plan import Piece, RunPlan
 from ggvs_eval.run_folder import write_json
 
@@ -26,15 +25,15 @@ def prepare(plan: RunPlan, _workers: Workers) -> None:
     batch on a GPU, and each map checked against the others. The seconds of each frame and the threads are written next to the
     depth's record.
     """
-    options, run, capture = plan.depth_options, plan.run, plan.capture
+    run, capture = plan.run, plan.capture
     if plan.protocol.stream is None or not run.has_live_depth or run.live_depth_record.is_file():
         return
     seconds: list[float] = []
     for source_plan in plan.plans.values():
         partners = {job.camera_name: job.partner_names for job in source_plan.jobs if job.partner_names}
-        if not partners:
+        rig = plan.depth.live_rig(capture.cameras, partners) if partners else None
+        if rig is None:
             continue
-        rig = RigDepth(capture.cameras, options, partners)
         names, frames = list(partners), plan.frames[: TIMED_FRAMES + 1]
         for frame in frames:
             images = {name: capture.frame(name, frame) for name in rig.needed(names)}

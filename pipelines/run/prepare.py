@@ -7,14 +7,13 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.errors import DeviceError
+from ggvs_eval.depth_work import drop_found
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.pipelines.offline.depth.fill_store import drop_found, prepare_depth
 from ggvs_eval.pipelines.run.claim import claim_folder
 from ggvs_eval.pipelines.run.derived_files import cache_frames
 from ggvs_eval.pipelines.run.run_plan import PREPARATIONS, RunPlan, RunRequest, fit_capture, plan_run
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import RunFolder, write_json
+from ggvs_eval.run_folder import RunFolder
 
 
 def prepare(
@@ -49,11 +48,11 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
     if plan.shared_root != run.root:
         _share_folders(run.root, plan.shared_root)
     claim_folder(run, plan.protocol, plan.original)
-    if plan.compared or not run.depth_record.is_file():  # which a run without depth may have left undecided
-        write_json(run.depth_record, plan.depth.record(plan.depth_device) | plan.compared)
+    plan.depth.write_record()
     cache_frames(plan.original, plan.frames_of_cameras(), run.root / "truth", workers)
     store = DepthStore(run.depth)
-    _fill_store(plan, store, workers)
+    for jobs, frames in plan.depth_work():
+        plan.depth.fill(plan.capture, jobs, frames, store, workers)
     if plan.request.shared is None:
         drop_found_depth([plan])
     for preparation in PREPARATIONS.built_in().values():
@@ -68,16 +67,6 @@ def _share_folders(root: Path, shared: Path) -> None:
         (shared / name).mkdir(parents=True, exist_ok=True)
         if not (root / name).exists():
             (root / name).symlink_to(os.path.relpath(shared / name, root), target_is_directory=True)
-
-
-def _fill_store(prepared: RunPlan, store: DepthStore, workers: Workers) -> None:
-    """Compute the depth that is missing, where the run's other depth was computed."""
-    try:
-        for jobs, frames in prepared.depth_work():
-            prepare_depth(prepared.capture, jobs, frames, store, prepared.depth_options, workers)
-    except DeviceError as error:
-        record = f"{prepared.run.depth_record}: this run's depth is found on {prepared.depth_device}"
-        raise DeviceError(f"{record}: {error}; or use a new run folder") from error
 
 
 def drop_found_depth(plans: Sequence[RunPlan]) -> None:

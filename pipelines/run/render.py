@@ -1,18 +1,15 @@
-"""Render: every test view, and a camera path, by every method; one job per method and unit. Before it, fits.
+"""Render: every test view, and a camera path, by every method; one job per method and unit.
 
-A fit is one scene per fold by a method that is fitted, one job per (method, seed, fold), which continues where it was killed.
 Diagnostics are a method's intermediate maps, as pictures next to its frames that the page shows.
 """
 
 import shutil
-import sys
-import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from operator import index
 from pathlib import Path
 from typing import Any
+from typing import Protocol as Door
 
 import numpy as np
 
@@ -20,30 +17,23 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.colour_maps import coloured, depth_colours
-from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.errors import RenderError, ViewRefusedError
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit
 from ggvs_eval.pipelines.methods.spec import MethodSpec
-from ggvs_eval.pipelines.run.folds import FitPlan
-from ggvs_eval.pipelines.run.footage import fold_footage
-from ggvs_eval.progress import LINE_EVERY_S, duration
-from ggvs_eval.results import describe_machine, installed_versions, split_label
+from ggvs_eval.results import installed_versions, split_label
 from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, diagnostics_path, frame_path, read_json, write_json
-from ggvs_eval.scene_fitter import Footage
 
 # Okabe and Ito's colours, which the colour-blind can distinguish: one for each source view, nearest first.
 VIEW_COLOURS = np.array(
     [(230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0), (204, 121, 167)], np.float32
 )
 FITS = "fits"  # folder next to truth and depth
-TIME_FILE = "seconds.json"  # in the folder of a fit that is not finished
-NOTE_EVERY_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -56,6 +46,32 @@ class UnitJob(Job):
 
     label: str = ""
     units: tuple[str, ...] = ()
+
+
+class SceneFit(Door):
+    """A scene that is fitted before a method renders from it.
+
+    Attributes:
+        label: of the method.
+        cameras: that it is shown.
+        indices: instants that it is shown.
+        depth: jobs of depth, and the instants that it wants it of.
+    """
+
+    @property
+    def label(self) -> str: ...  # noqa: D102
+
+    @property
+    def indices(self) -> range: ...  # noqa: D102
+
+    @property
+    def cameras(self) -> tuple[str, ...]: ...  # noqa: D102
+
+    @property
+    def depth(self) -> tuple[tuple[DepthJob, ...], tuple[int, ...]]: ...  # noqa: D102
+
+    def job(self, capture: Capture, shared: Path, /) -> UnitJob:
+        """Return the job that fits it."""
 
 
 @dataclass(frozen=True)
@@ -148,114 +164,6 @@ def _render(label: str, spec: MethodSpec, unit: RenderUnit, folder: Path) -> dic
     if REFUSED in took:
         return record
     return record | {"fit": {name: value for name, value in took.items() if name not in ("sha256", "identity")}}
-
-
-def fit_job(capture: Capture, fit: FitPlan, spec: FittedMethod, shared: Path) -> UnitJob:
-    """Return the job of one fit; its folder is the scene, and ``job.json`` says what it took.
-
-    Args:
-        capture: whose footage is prepared by the time the job runs.
-        shared: folder of the captured frames, of the depth store and of the fits.
-    """
-    footage = fold_footage(capture, fit, DepthStore(shared / "depth"), spec.seed)
-    name = f"{fit.label}, {fit.fold.name}"
-    work = partial(_fit, name, spec, footage)
-    folder = shared / FITS / fit.label / fit.fold.name
-    return UnitJob(name, folder, _identity(capture, fit, spec), work, resumes=True, label=fit.label, units=fit.fold.units)
-
-
-def _identity(capture: Capture, fit: FitPlan, spec: FittedMethod) -> dict[str, Any]:
-    """Everything that the scene depends on; what is held out is no part of it."""
-    cameras = {name: capture.camera(name).to_json() for name in fit.fold.cameras}
-    return {
-        "method": fit.label.partition("+")[0],
-        "code": code_identity(*spec.modules, fold_footage.__module__),
-        "settings": spec.settings,
-        "seed": spec.seed,
-        "cameras": cameras,
-        "frames": {name: capture.digest(name) for name in cameras},
-        "depth": {job.camera_name: job.key for job in fit.fold.jobs},
-        "instants": [fit.indices.start, fit.indices.stop],
-        "depth_instants": list(fit.depth_indices),
-        "fps": capture.fps,
-        "units_per_metre": capture.units_per_metre,
-        "resize": capture.resize_filter,
-        **({} if spec.device == "cpu" else {"device": spec.device}),
-    }
-
-
-def _fit(name: str, method: FittedMethod, footage: Footage, folder: Path) -> dict[str, Any]:
-    """Fit, or continue; returns the record for the tables, or why a plug-in left no scene."""
-    fitter, clock = method.make_fitter(), FitClock(name, folder)
-    try:
-        with PeakMemory() as memory, method.guard(f"failed to fit {name}"):
-            fitter.fit(footage, folder, clock.note)
-            size_bytes = index(fitter.load(folder).size_bytes)
-    except ViewRefusedError as error:
-        shutil.rmtree(folder)
-        folder.mkdir()
-        return {REFUSED: str(error)}
-    record = {
-        "seconds": clock.seconds,
-        "instants": len(footage.indices),
-        "cameras": len(footage.cameras),
-        "look_ahead": fitter.look_ahead,
-        "seed": footage.seed,
-        "size_bytes": size_bytes,
-        "threads": get_threads(),
-        "peak_bytes": memory.bytes,
-        "machine": _machine(method.device),
-    }
-    (folder / TIME_FILE).unlink(missing_ok=True)
-    return record
-
-
-def _machine(device: str) -> str:
-    if device == "cpu":
-        return describe_machine()["processor"]
-    from ggvs_eval.compute_device import describe_device
-
-    return describe_device(device)
-
-
-@dataclass
-class FitClock:
-    """Time of a fit over all its attempts, and a line per minute about the time left.
-
-    Attributes:
-        name: of the fit, for people.
-        folder: of the fit; keeps the time that earlier attempts took.
-    """
-
-    name: str
-    folder: Path
-    begun_s: float = field(default_factory=time.monotonic)
-
-    def __post_init__(self) -> None:
-        """Add the time of earlier attempts."""
-        file = self.folder / TIME_FILE
-        self._before_s: float = read_json(file)["seconds"] if file.is_file() else 0.0
-        self._first_done: int | None = None
-        self._noted_s = self._told_s = self.begun_s
-
-    @property
-    def seconds(self) -> float:
-        """Seconds so far, of all attempts; what passed between an attempt's last note and its death is lost."""
-        return self._before_s + time.monotonic() - self.begun_s
-
-    def note(self, done: int, total: int) -> None:
-        """Note how far the fit is."""
-        now_s = time.monotonic()
-        if self._first_done is None:
-            self._first_done = done
-        if now_s - self._noted_s >= NOTE_EVERY_S:
-            write_json(self.folder / TIME_FILE, {"seconds": self.seconds, "done": done, "total": total})
-            self._noted_s = now_s
-        if now_s - self._told_s >= LINE_EVERY_S:
-            pace = (done - self._first_done) / (now_s - self.begun_s)
-            left = f", about {duration((total - done) / pace)} left" if pace else ""
-            print(f"{self.name}: {done} of {total} steps in {duration(self.seconds)}{left}", file=sys.stderr, flush=True)
-            self._told_s = now_s
 
 
 def diagnostics_picture(name: str, values: Map, target: Camera) -> Image8:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.depth_work import depth_left
 from ggvs_eval.errors import GgvsError, ProtocolError, ResultsError
 from ggvs_eval.jobs.machine import pace
 from ggvs_eval.metrics.registry import METRICS
@@ -20,13 +20,11 @@ from ggvs_eval.pipelines.methods.stage_costs import (
     CHECKED_DEPTH,
     DECODED,
     STAGES,
-    depth_cost,
     render_cost,
     score_cost,
     stage_of,
 )
-from ggvs_eval.pipelines.offline.depth.fill_store import depth_left
-from ggvs_eval.pipelines.offline.sensor.sensor_depth import describe_filter
+from ggvs_eval.pipelines.run.depth_of_run import DEPTH, MATCHED
 from ggvs_eval.pipelines.run.derived_files import frames_left
 from ggvs_eval.pipelines.run.render import method_code
 from ggvs_eval.pipelines.run.run_plan import PREPARATIONS, TRUTH_BYTES, Piece, RunPlan
@@ -225,7 +223,7 @@ def describe_outdated(runs: Iterable[RunFolder]) -> str:
         for records in (_identity(run.scores(view)).values() for view in views):
             metrics = {name: known for each in records for name, known in each.get("metrics", {}).items() if name in METRICS}
             scored += any(known["code"] != metric_code(METRICS[name]) for name, known in metrics.items())
-        depth += _has_old_depth(run)
+        depth += MATCHED in DEPTH and DEPTH[MATCHED].is_outdated(run)
     parts = [f"{counted(len(renders), 'render')} ({', '.join(dict.fromkeys(renders))})"] if renders else []
     parts += ["the depth of renders"] if depth else []
     parts += [counted(scored, "scored view")] if scored else []
@@ -239,16 +237,6 @@ def _is_outdated(label: str, identity: Mapping[str, Any]) -> bool:
     except GgvsError:
         return False
     return "code" in identity and identity["code"] != method_code(method)
-
-
-def _has_old_depth(run: RunFolder) -> bool:
-    """Return whether all depth of a run was found by other code."""
-    found = {read_json(file)["options"].get("code") for file in run.depth.glob("*/spec.json")}
-    try:
-        options = DepthRunOptions.from_record(read_json(run.depth_record)).options()
-        return bool(found) and found.isdisjoint((options.describe()["code"], describe_filter()["code"]))
-    except (GgvsError, TypeError):
-        return False
 
 
 def _identity(folder: Path) -> dict[str, Any]:
@@ -268,7 +256,7 @@ def _pieces(plan: RunPlan) -> Iterator[Piece]:
     run, root = plan.run, plan.shared_root / "truth"
     for name, frames in frames_left(plan.original, plan.frames_of_cameras(), root).items():
         yield plan.piece("truth", root / name, len(frames), DECODED, TRUTH_BYTES)
-    depth_costs = {"depth": depth_cost(plan.depth.matcher), "checked depth": CHECKED_DEPTH}
+    depth_costs = {"depth": plan.depth.cost, "checked depth": CHECKED_DEPTH}
     store = DepthStore(plan.shared_root / "depth")
     kept = {store.folder(job.key) for jobs, _ in plan.depth_work() for job in jobs}
     for kind, counts in _depth_left(plan, store).items():
@@ -277,8 +265,6 @@ def _pieces(plan: RunPlan) -> Iterator[Piece]:
             yield plan.piece(kind, folder, count, depth_costs[kind], DEPTH_BYTES, passing=passing)
     for preparation in PREPARATIONS.built_in().values():
         yield from preparation.work_left(plan)
-    for fit in plan.jobs.needed_fits:
-        yield plan.piece("fit", fit.folder, int(not fit.is_done()), None)
     left = [job for job in plan.jobs.render if not job.is_done()]
     for job in left:
         is_path = job.units == (PATH,)

@@ -169,12 +169,12 @@ def request_for(five_cameras, tmp_path):
 def test_a_plan_takes_depth_to_the_device(request_for):
     """Learned depth, and no other; its jobs have keys of their own."""
     there, here = (plan_run(request_for(RAFT, networks)) for networks in (ELSEWHERE, NetworkOptions()))
-    assert there.depth_options.matcher.device == "cpu:0"
-    assert type(here.depth_options.matcher) is RaftMatcher
+    assert there.depth.options.matcher.device == "cpu:0"
+    assert type(here.depth.options.matcher) is RaftMatcher
     assert not {job.key for job in there.view_jobs} & {job.key for job in here.view_jobs}
     by_matching = [plan_run(request_for(SGBM, networks)) for networks in (ELSEWHERE, NetworkOptions())]
     assert by_matching[0].view_jobs == by_matching[1].view_jobs
-    assert by_matching[0].depth_device == "cpu"
+    assert by_matching[0].depth.device == "cpu"
     with pytest.raises(DeviceError, match="device 'gpu': wanted cpu"):
         plan_run(request_for(RAFT, NetworkOptions(device="gpu")))
 
@@ -192,12 +192,12 @@ def test_a_run_goes_on_where_its_depth_was_begun(request_for, monkeypatch):
         assert again.view_jobs == plan.view_jobs
     run.depth_record.write_text(json.dumps(RAFT.record("cuda")))
     begun = plan_run(request_for(None, NetworkOptions()))
-    assert begun.depth_device == "cuda"
+    assert begun.depth.device == "cuda"
     with refused(DeviceError, "depth.json", "cuda", "new run folder"):
         prepare_run(begun)
     run.depth_record.write_text(json.dumps(RAFT.record()))  # as it was written before there were devices
     assert "device" not in RAFT.record()
-    assert type(plan_run(request_for(None, ELSEWHERE)).depth_options.matcher) is RaftMatcher
+    assert type(plan_run(request_for(None, ELSEWHERE)).depth.options.matcher) is RaftMatcher
 
 
 def test_the_command_line_takes_depth_to_the_device(five_cameras, tmp_path, monkeypatch):
@@ -219,7 +219,7 @@ def test_the_command_line_takes_depth_to_the_device(five_cameras, tmp_path, monk
         run_command([*command, str(tmp_path / "out"), *of_capture])
     for command in (("play", five_cameras.path, tmp_path / "out.mp4"), ("view", five_cameras.path, "--out", tmp_path / "view")):
         assert refusal(*command, *words).endswith("far enough")
-    assert {plan.depth_options.matcher.device for plan in plans} == {"cpu:0"}
+    assert {plan.depth.options.matcher.device for plan in plans} == {"cpu:0"}
     assert len(plans) >= 3
     assert [each.matcher.device for each in options] == ["cpu:0", "cpu:0"]
     assert "gpu" in refusal("prepare", tmp_path / "run", "--capture", five_cameras.path, "--matcher", "raft", "--device", "gpu")

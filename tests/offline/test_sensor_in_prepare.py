@@ -142,13 +142,17 @@ def test_the_better_depth_is_used(sensed_plane, tmp_path, kind, chosen):
     protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=3))
     request = RunRequest(tmp_path / "run", with_sensors(sensed_plane, kind), protocol, ("ours-geometric",), None, AS_SHIPPED)
     plan = plan_run(request)
-    sensor, stereo = plan.compared["unexplained"]
-    assert plan.depth.sensor == chosen, (sensor, stereo)
+    sensor, stereo = plan.depth.compared["unexplained"]
+    assert plan.depth.choice.sensor == chosen, (sensor, stereo)
     assert (stereo < sensor) == (chosen == "fill")
 
     again = plan_run(replace(prepare_run(plan).request, depth=DepthRunOptions()))
 
-    assert (again.depth, again.compared, again.original.notes) == (plan.depth, plan.compared, plan.original.notes)
+    assert (again.depth.choice, again.depth.compared, again.original.notes) == (
+        plan.depth.choice,
+        plan.depth.compared,
+        plan.original.notes,
+    )
     assert f"stereo's {stereo:.1f}" in plan.original.notes[-1]
     with pytest.raises(ProtocolError, match="holds a run whose depth is found by"):
         plan_run(replace(request, depth=DepthRunOptions(sensor="no")))
@@ -159,7 +163,7 @@ def test_given_depth_is_used_as_it_is(sensed_plane, tmp_path):
     protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=3))
     given = replace(with_sensors(sensed_plane, FarSensor), given_depth=GivenDepth("maps"))
     plan = plan_run(RunRequest(tmp_path / "run", given, protocol, ("ours-geometric",), None, AS_SHIPPED))
-    assert (plan.depth.sensor, plan.compared) == ("alone", {})
+    assert (plan.depth.choice.sensor, plan.depth.compared) == ("alone", {})
 
 
 def test_a_sensor_fills_what_stereo_does_not_find(sensed_plane, tmp_path):
@@ -186,8 +190,8 @@ def test_a_run_without_depth_leaves_the_choice_to_the_first_with_it(sensed_plane
     """View interpolation wants no depth; the folder keeps what is chosen once a method does."""
     protocol = Protocol("sensed", "plane", Views(("cam02",), "by hand"), Frames(0, 1), Synthesis(k=2))
     request = RunRequest(tmp_path / "run", with_sensors(sensed_plane, FarSensor), protocol, ("interpolation",), None, AS_SHIPPED)
-    assert prepare_run(plan_run(request)).depth.sensor == "compare"
+    assert prepare_run(plan_run(request)).depth.choice.sensor == "compare"
     prepare_run(plan_run(replace(request, labels=("ours-geometric",))))
     again = plan_run(request)
-    assert again.depth.sensor == "fill"
-    assert again.compared
+    assert again.depth.choice.sensor == "fill"
+    assert again.depth.compared

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from ggvs_eval.pipelines.run.folds import _path_instants
+from ggvs_eval.pipelines.run.fits import _path_instants
 
 
 @pytest.mark.parametrize(

@@ -18,9 +18,9 @@ from ggvs_eval.jobs.ledger import describe_status
 from ggvs_eval.jobs.shard import Shard
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.run.evaluate import measure, render
+from ggvs_eval.pipelines.run.fits import FitClock
 from ggvs_eval.pipelines.run.footage import fold_footage
 from ggvs_eval.pipelines.run.prepare import prepare_run
-from ggvs_eval.pipelines.run.render import FitClock
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work
 from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
@@ -79,7 +79,7 @@ def lend(finished: RunPlan, root: Path) -> Path:
 def footage_of(plan: RunPlan, view: str):
     """What the fit is shown that renders a test view."""
     fit = next(fit for fit in plan.fits if fit.label == LABEL and view in fit.fold.units)
-    return fold_footage(plan.capture, fit, DepthStore(plan.run.depth), seed=0)
+    return fold_footage(plan.capture, fit.fold, fit.indices, DepthStore(plan.run.depth), seed=0)
 
 
 def test_a_run_fits_once_per_fold_and_once_for_the_path(finished):
@@ -177,7 +177,9 @@ def test_a_fit_that_was_killed_goes_on(finished, twin_plane, tmp_path):
     whole = tmp_path / "whole"
     whole.mkdir()
     (fit,) = (fit for fit in plan.fits if "cam03" in fit.fold.units)
-    find_method(LABEL).make_fitter().fit(fold_footage(plan.capture, fit, DepthStore(plan.run.depth), 0), whole, lambda *_: None)
+    find_method(LABEL).make_fitter().fit(
+        fold_footage(plan.capture, fit.fold, fit.indices, DepthStore(plan.run.depth), 0), whole, lambda *_: None
+    )
     for file in sorted(whole.rglob("*.png")):
         assert file.read_bytes() == (job.folder / file.relative_to(whole)).read_bytes()
 
@@ -185,7 +187,7 @@ def test_a_fit_that_was_killed_goes_on(finished, twin_plane, tmp_path):
 def test_time_and_progress_count_from_the_beginning(tmp_path, monkeypatch, capsys):
     """Seconds of earlier attempts are added; the time left follows from this attempt's pace."""
     now_s = [100.0]
-    monkeypatch.setattr("ggvs_eval.pipelines.run.render.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("ggvs_eval.pipelines.run.fits.time.monotonic", lambda: now_s[0])
     first = FitClock("4dgs, fold1", tmp_path, now_s[0])
     first.note(0, 1000)
     now_s[0] += 60

@@ -1,7 +1,6 @@
 """Fill a depth store: every camera and instant that the online part will ask for."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -12,6 +11,7 @@ from ggvs_eval.camera import Camera, SourceChoice
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, describe_depth
+from ggvs_eval.depth_work import Instants, depth_left, missing_maps
 from ggvs_eval.errors import CameraError, DepthError
 from ggvs_eval.geometry.source_views import ChosenSource, choose_sources
 from ggvs_eval.jobs.code_identity import code_identity
@@ -26,7 +26,6 @@ from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
 from ggvs_eval.pipelines.offline.stereo.pairwise import SharedMatches
 
 Item = TypeVar("Item")
-Instants = Mapping[DepthJob, Sequence[int]]  # of each job, ascending
 FILLED = "sensor"  # in a spec: the sensor that fills what stereo does not find
 MOST_TOGETHER = 12  # cameras whose depth one process computes at once: it holds the maps of all their pairs
 
@@ -35,22 +34,24 @@ class DepthPartners:
     """Partners of each source, found once for each target that it must not be matched with."""
 
     def __init__(self, capture: Capture, options: DepthOptions) -> None:
-        self._capture, self._options = capture, options
+        self.capture, self.options = capture, options
         self._found: dict[tuple[str, str | None], tuple[str, ...]] = {}
+        # Near targets share jobs, whose specs take a digest of every frame source.
+        self._jobs: dict[tuple[str, ...], DepthJob] = {}
         self.unmatched: dict[str, str] = {}  # camera that none can be matched with -> why
 
     def of(self, source: Camera, target: Camera | None = None) -> tuple[str, ...]:
         """The partners of a source, never the target; none if a sensor's depth is used alone, or where it is in `unmatched`."""
-        left_out = target.name if target and target.name in self._capture.camera_names else None
+        left_out = target.name if target and target.name in self.capture.camera_names else None
         key = source.name, left_out
         if key not in self._found:
-            is_sensed = _sensor(self._capture, source.name, self._options) is not None
+            is_sensed = _sensor(self.capture, source.name, self.options) is not None
             try:
-                others, excluded = self._capture.cameras, () if left_out is None else (left_out,)
+                others, excluded = self.capture.cameras, () if left_out is None else (left_out,)
                 if not is_sensed:
-                    chosen = self._options.choose_partners(source, others, excluded)
+                    chosen = self.options.choose_partners(source, others, excluded)
                 else:
-                    chosen = partners_of_sensed(source, others, self._options, excluded) if self._options.sensor_fills else []
+                    chosen = partners_of_sensed(source, others, self.options, excluded) if self.options.sensor_fills else []
                 self._found[key] = tuple(each.name for each in chosen)
             except DepthError as error:
                 self._found[key] = ()
@@ -60,11 +61,11 @@ class DepthPartners:
 
     def has_depth(self, source: Camera, target: Camera | None = None) -> bool:
         """Return whether a source has depth where the target is left out."""
-        return bool(self.of(source, target)) or _sensor(self._capture, source.name, self._options) is not None
+        return bool(self.of(source, target)) or _sensor(self.capture, source.name, self.options) is not None
 
     def sources(self, target: Camera, k: int, how: SourceChoice = "nearest") -> tuple[ChosenSource, ...]:
         """The K sources of a target: of those that have depth if there are enough, else as `choose_sources` takes them."""
-        cameras: Sequence[Camera] = self._capture.cameras
+        cameras: Sequence[Camera] = self.capture.cameras
         first = chosen = choose_sources(target, cameras, k, how)
         while without := {each.camera.name for each in chosen if not self.has_depth(each.camera, target)}:
             cameras = [camera for camera in cameras if camera.name not in without]
@@ -73,6 +74,19 @@ class DepthPartners:
             except CameraError:
                 return first
         return chosen
+
+    def jobs(self, target: Camera, sources: Sequence[ChosenSource]) -> tuple[DepthJob, ...]:
+        """Return the depth of the sources of a target, checked against each other; unknown where nothing can be matched."""
+        jobs, with_depth = {}, {}
+        for source in sources:
+            camera = source.camera
+            names = (camera.name, *self.of(camera, target))
+            if names not in self._jobs:
+                self._jobs[names] = depth_job(self.capture, camera.name, names[1:], self.options)
+            jobs[camera.name] = self._jobs[names]
+            if self.has_depth(camera, target):
+                with_depth[camera.name] = self._jobs[names]
+        return tuple(_checked(job, with_depth, self.options) if name in with_depth else job for name, job in jobs.items())
 
     def describe_unmatched(self) -> str:
         """Return one line that names all cameras without depth, and why; empty if there are none."""
@@ -83,37 +97,22 @@ class DepthPartners:
 
 
 def plan_depth(
-    capture: Capture,
-    targets: Sequence[Camera],
-    k: int,
-    options: DepthOptions,
-    sources: SourceChoice = "nearest",
-    partners: DepthPartners | None = None,
+    capture: Capture, targets: Sequence[Camera], k: int, options: DepthOptions, sources: SourceChoice = "nearest"
 ) -> dict[str, dict[str, DepthJob]]:
     """Plan the depth that each target needs: of its k sources, matched with any camera but the target.
 
     Args:
         targets: cameras to be rendered, of the capture (left out of everything) or of a virtual path.
-        partners: of the same capture and options, where they are wanted after; found here by default.
 
     Returns:
         For each target's name its sources' names, nearest first, each with its job and that job's key; equal jobs are shared
-        between targets. The depth of a source that nothing can be matched with is unknown everywhere.
+        between targets.
     """
-    partners = partners or DepthPartners(capture, options)
+    partners = DepthPartners(capture, options)
     plan = {}
-    cache: dict[tuple[str, ...], DepthJob] = {}  # near targets share jobs, whose specs take a digest of every frame source
     for target in targets:
-        jobs_by_source = {}
-        for source in (each.camera for each in partners.sources(target, k, sources)):
-            names = (source.name, *partners.of(source, target))
-            if names not in cache:
-                cache[names] = depth_job(capture, source.name, names[1:], options)
-            jobs_by_source[source.name] = cache[names]
-        has_depth = {name: job for name, job in jobs_by_source.items() if partners.has_depth(capture.camera(name), target)}
-        plan[target.name] = {
-            name: _checked(job, has_depth, options) if name in has_depth else job for name, job in jobs_by_source.items()
-        }
+        jobs = partners.jobs(target, partners.sources(target, k, sources))
+        plan[target.name] = {job.camera_name: job for job in jobs}
     return plan
 
 
@@ -204,38 +203,6 @@ def prepare_depth(
     run_all(partial(_check, capture, store, options), [*checked.items()], workers, "depth checked against other cameras")
 
 
-def depth_left(jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore) -> tuple[Instants, Instants]:
-    """List the maps that a store lacks of some jobs.
-
-    Returns:
-        Those to be found, where a missing check reads them or nothing checks them, and those to be checked.
-    """
-    found: dict[DepthJob, list[int]] = {}
-    checked = {}
-    for job in dict.fromkeys(jobs):
-        missing = _missing(store, job.key, frames)
-        if missing and job.checked_with:
-            checked[job] = missing
-        for each in (job.unchecked, *job.checked_with) if missing else ():
-            found[each] = sorted({*found.get(each, ()), *_missing(store, each.key, missing)})
-    return {job: numbers for job, numbers in found.items() if numbers}, checked
-
-
-def drop_found(work: Sequence[tuple[Sequence[DepthJob], Sequence[int]]], store: DepthStore) -> None:
-    """Remove maps that only checks read, once every check of the jobs is done; `depth_left` then lists none of them.
-
-    Args:
-        work: jobs with their instants, of all runs that use the store.
-    """
-    if any(left for jobs, frames in work for left in depth_left(jobs, frames, store)):
-        return
-    pairs = [(job, frame) for jobs, frames in work for job in jobs for frame in frames]
-    read = {(each.key, frame) for job, frame in pairs if job.checked_with for each in (job.unchecked, *job.checked_with)}
-    for key, frame in read.difference((job.key, frame) for job, frame in pairs):
-        with suppress(OSError):  # a disk that is read-only keeps it
-            store.path(key, frame).unlink()
-
-
 def _by_camera(needed: Instants, options: DepthOptions, processes: int) -> list[Instants]:
     """Jobs that match one camera together, so that they share its pairs; each alone where instants depend on each other.
 
@@ -270,7 +237,7 @@ def _split(items: Sequence[Item], parts: int) -> list[Sequence[Item]]:
 
 def _run_together(capture: Capture, store: DepthStore, options: DepthOptions, needed: Instants) -> None:
     """Compute some jobs at some instants, each pair of cameras matched once; runs in a worker."""
-    missing = {job: _missing(store, store.write_spec(job.spec), frames) for job, frames in needed.items()}
+    missing = {job: missing_maps(store, store.write_spec(job.spec), frames) for job, frames in needed.items()}
     instants = set().union(*missing.values())
     if not instants or not isinstance(options.matcher, LiveMatcher):
         return
@@ -307,7 +274,7 @@ def _check(capture: Capture, store: DepthStore, options: DepthOptions, item: tup
 
 def _run(capture: Capture, store: DepthStore, options: DepthOptions, needed: Instants) -> None:
     """Compute frames of jobs of one camera, each partner matched once an instant; runs in a worker."""
-    missing = {job: _missing(store, store.write_spec(job.spec), frames) for job, frames in needed.items()}
+    missing = {job: missing_maps(store, store.write_spec(job.spec), frames) for job, frames in needed.items()}
     jobs, wanted = [*missing], set().union(*missing.values())
     if not wanted:
         return
@@ -333,7 +300,3 @@ def _run(capture: Capture, store: DepthStore, options: DepthOptions, needed: Ins
                 depth_map = stream.step(frame, images[camera.name], [images[name] for name in job.partner_names])
                 if frame in missing[job]:
                     store.write(job.key, frame, _filled(capture, job, frame, depth_map, options))
-
-
-def _missing(store: DepthStore, key: str, frames: Sequence[int]) -> list[int]:
-    return [frame for frame in frames if not store.has(key, frame)]
