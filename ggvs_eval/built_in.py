@@ -405,8 +405,30 @@ SWEEP_PLANS = {"commands": "ggvs_eval.contrib.cluster.plan:write_commands"}
 SPLAT_FILES = {".glb": "ggvs_eval.contrib.export.gltf_reading:GLB"}
 TRACKERS = {name: "ggvs_eval.contrib.export.tracking:track_results" for name in ("tensorboard", "mlflow", "wandb")}
 
-# Renders of a run with their faults undone, which its page shows.
-UNDONE_FAULTS = {"what-if": "ggvs_eval.contrib.what_if.page:undo_faults"}
+# Sections of a report, in the order in which they are read; and published values for its main tables.
+_FIGURES, _PAGE, _TABLES = (f"ggvs_eval.reports.{room}" for room in ("figures", "page", "tables"))
+_OF_RUNS = "ggvs_eval.reports.section:tables_of_runs"
+SECTIONS: dict[str, str | Derived] = {
+    "sweep": f"{_PAGE}.sweep_section:sweeps_section",
+    "what-if": Derived("ggvs_eval.contrib.what_if.page:undo_faults", f"{_PAGE}.pictures:undone_section"),
+    "viewer": f"{_PAGE}.viewer:viewer_section",
+    "stream": f"{_FIGURES}.stream:stream_section",
+    "worst frames": Derived(f"{_TABLES}.worst_frames:worst_frames_table", _OF_RUNS, ("views",)),
+    "error budget": f"{_TABLES}.error_budget:error_section",
+    "drift": Derived(f"{_TABLES}.drift:drift_table", _OF_RUNS, ("views",)),
+    "heat maps": f"{_PAGE}.heat_map:heat_section",
+    "curves": f"{_FIGURES}.curves:curves_section",
+    "slices": f"{_FIGURES}.slices:slices_section",
+    "crops": f"{_FIGURES}.paper_figures:crops_section",
+    "timing": Derived(f"{_TABLES}.timing:timing_table", _OF_RUNS, ("timing",)),
+    "costs": f"{_TABLES}.costs:costs_section",
+    "quality over time": f"{_PAGE}.quality_over_time:over_time_section",
+    "paper": f"{_TABLES}.reproduction:paper_section",
+}
+PUBLISHED_VALUES = {
+    "paper": f"{_TABLES}.published:paper_beside",
+    "community": f"{_TABLES}.published:community_beside",
+}
 
 # Functions of metrics that `ggvs_eval.metrics` offers besides those of its own modules.
 METRIC_FUNCTIONS = {

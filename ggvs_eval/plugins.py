@@ -27,7 +27,7 @@ from ggvs_eval.built_in import DEVICE_PARTS as SHIPPED_DEVICE_PARTS
 from ggvs_eval.built_in import Derived
 from ggvs_eval.errors import AbsentPartError, GgvsError, PluginError, ViewRefusedError
 
-Kind = Literal["metrics", "methods", "datasets"]
+Kind = Literal["metrics", "methods", "datasets", "sections"]
 FILES = "GGVS_EVAL_PLUGINS"  # environment variable of plug-in files, which worker processes inherit
 Entry = TypeVar("Entry")
 
@@ -125,7 +125,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     def installed(self) -> dict[str, Entry]:
         """Return what ships and is there, loaded, in order; of what is not there a line says so."""
         for reason in filter(None, map(self.why_absent, self.shipped)):
-            _say_once(reason)
+            say_once(reason)
         return self.built_in()
 
     def built_in(self) -> dict[str, Entry]:
@@ -163,7 +163,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             try:
                 yield name, self[name]
             except PluginError as error:
-                _say_once(str(error))
+                say_once(str(error))
 
     def origins(self, names: Iterable[str]) -> dict[str, str]:
         """Return package and version, or file, of names from plug-ins, for the record of results."""
@@ -202,7 +202,7 @@ def use_file(path: Path) -> None:
     module = _module_of(file)
     if not any(isinstance(getattr(module, kind.upper(), None), Mapping) for kind in get_args(Kind)):
         raise PluginError(
-            f"{path}: wanted a table METRICS, METHODS or DATASETS of names and objects, got none; see docs/extending.md"
+            f"{path}: wanted a table METRICS, METHODS, DATASETS or SECTIONS of names and objects, got none; see docs/extending.md"
         )
     named = [each for each in os.environ.get(FILES, "").split(os.pathsep) if each]
     os.environ[FILES] = os.pathsep.join(dict.fromkeys([*named, str(file)]))
@@ -258,7 +258,7 @@ def _offered(kind: str, taken: frozenset[str]) -> dict[str, Plugin]:
     offered: dict[str, Plugin] = {}
     for plugin in (*_of_packages(kind), *_of_files(kind)):
         if plugin.name in taken or plugin.name in offered:
-            _say_once(f"plug-in {plugin.origin}: {kind} {plugin.name!r} is in use, so the plug-in's is ignored; rename it")
+            say_once(f"plug-in {plugin.origin}: {kind} {plugin.name!r} is in use, so the plug-in's is ignored; rename it")
         else:
             offered[plugin.name] = plugin
     return offered
@@ -297,7 +297,8 @@ def _reason(error: BaseException) -> str:
 
 
 @cache
-def _say_once(line: str) -> None:
+def say_once(line: str) -> None:
+    """Print a line to the terminal, once for the process."""
     print(f"ggvs-eval: {line}", file=sys.stderr, flush=True)
 
 

@@ -1,93 +1,20 @@
 """Runs of one protocol, which alone may share a table; a report holds one group of them or several."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from itertools import starmap
+from itertools import count
 from pathlib import Path
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.merged_results import merge_results
-from ggvs_eval.protocol import Protocol
-from ggvs_eval.reports.figures.curves import Panel, curve_panels
-from ggvs_eval.reports.figures.slices import Slices, all_slices
-from ggvs_eval.reports.figures.sweep_figures import RatePanel, rate_panels
 from ggvs_eval.reports.model.measured import MeasuredRun, name_scenes, read_run
-from ggvs_eval.reports.model.table import Table
-from ggvs_eval.reports.tables.costs import budget_tables, cost_tables, differences_table, price_tables
-from ggvs_eval.reports.tables.error_budget import budget_table, decomposition_table
-from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
-from ggvs_eval.reports.tables.timing import drift_table, stream_table, timing_table
-from ggvs_eval.reports.tables.worst_frames import worst_frames_table
-from ggvs_eval.results import Results
+from ggvs_eval.reports.section import RUNS_KEPT, RunGroup
+from ggvs_eval.reports.tables.report_tables import main_tables
+from ggvs_eval.reports.tables.verdict import evaluate_verdict
 
 HASH_DIGITS = 8  # of a protocol's hash, where nothing else distinguishes two groups
 RECORDS = (".json", ".parquet", ".toml")  # of a run; they name every frame that was measured by its content
-SECTIONS_KEPT = 8
-
-
-@dataclass(frozen=True)
-class RunSection:
-    """Everything that the page shows of one run.
-
-    Attributes:
-        view_tables: worst frames, place of the error, its variation, its drift over a long clip, and one per metric.
-        costs: of every method, and what else differs; where some are fitted, seeds, time to equal quality, the best by budget.
-        slices: along the path and over time.
-        on_time: what reaches the screen, where the protocol has a stream.
-        rate_panels: quality on the screen over pictures per second.
-    """
-
-    run: MeasuredRun
-    view_tables: tuple[Table, ...]
-    timing: Table
-    costs: tuple[Table, ...]
-    slices: Sequence[Slices]
-    panels: tuple[Panel, ...]
-    on_time: Table | None = None
-    rate_panels: tuple[RatePanel, ...] = ()
-
-
-@dataclass(frozen=True)
-class RunGroup:
-    """Runs of one protocol, with their tables and figures.
-
-    Attributes:
-        name: short, and no other group of the report has it.
-        heading: the same for a reader of the page.
-        results: of all runs in one.
-        tables: quality, consistency and all other measurements, over all runs.
-        price: of being online, where some method is fitted.
-    """
-
-    name: str
-    heading: str
-    sections: tuple[RunSection, ...]
-    results: Results
-    tables: tuple[Table, ...]
-    price: tuple[Table, ...]
-
-    @property
-    def protocol(self) -> Protocol:
-        """Under which all runs were measured."""
-        return self.sections[0].run.protocol
-
-    @property
-    def scenes(self) -> str:
-        """Names of the captured scenes."""
-        return ", ".join(dict.fromkeys(section.run.scene for section in self.sections))
-
-    @property
-    def titles(self) -> str:
-        """Titles of the captured scenes, as readers know them."""
-        return ", ".join(dict.fromkeys(section.run.title for section in self.sections))
-
-    @property
-    def all_tables(self) -> tuple[Table, ...]:
-        """The tables over all runs, then each run's own."""
-        of_runs = (table for one in self.sections for table in (one.on_time, *one.view_tables, one.timing, *one.costs))
-        return (*self.tables, *self.price, *(table for table in of_runs if table))
 
 
 def read_groups(roots: Sequence[Path]) -> tuple[RunGroup, ...]:
@@ -97,11 +24,37 @@ def read_groups(roots: Sequence[Path]) -> tuple[RunGroup, ...]:
         ResultsError: no run, a run given twice, or a folder that is not a scored run.
         RenderError: frames are missing.
     """
-    by_protocol = runs_by_protocol(roots, read_run)
+    by_protocol = runs_by_protocol(roots, _read)
     firsts = [runs[0] for runs in by_protocol]
     names = _name_groups(firsts, [run.scene for run in firsts])
     headings = _name_groups(firsts, [run.title for run in firsts])
-    return tuple(starmap(_make_group, zip(names, headings, by_protocol, strict=True)))
+    numbers = count()
+    groups = []
+    for at, (name, heading, runs) in enumerate(zip(names, headings, by_protocol, strict=True)):
+        results = merge_results([run.results for run in runs])
+        tables = main_tables(runs, results)
+        group = RunGroup(
+            id=f"group{at}",
+            name=name,
+            heading=heading,
+            runs={f"run{next(numbers)}": run for run in runs},
+            results=results,
+            tables=tables,
+            verdict=evaluate_verdict(runs, results, tables),
+        )
+        groups.append(group)
+    return tuple(groups)
+
+
+def _read(root: Path) -> MeasuredRun:
+    """Read a run, or return it as it was read; sections keep by it what they have read of its frames."""
+    records = [file for file in Path(root).glob("*") if file.suffix in RECORDS]
+    return _read_records(Path(root), digest_files(sorted(records)))
+
+
+@lru_cache(maxsize=RUNS_KEPT)
+def _read_records(root: Path, scored: str) -> MeasuredRun:
+    return read_run(root)
 
 
 def runs_by_protocol(roots: Sequence[Path], read: Callable[[Path], MeasuredRun]) -> list[list[MeasuredRun]]:
@@ -118,28 +71,6 @@ def runs_by_protocol(roots: Sequence[Path], read: Callable[[Path], MeasuredRun])
     for run in map(read, roots):
         by_protocol.setdefault(run.protocol.sha256, []).append(run)
     return [name_scenes(runs) for runs in by_protocol.values()]
-
-
-def _make_group(name: str, heading: str, runs: Sequence[MeasuredRun]) -> RunGroup:
-    results = merge_results([run.results for run in runs])
-    tables, price = main_tables(runs, results), price_tables(runs, results)
-    return RunGroup(name, heading, tuple(map(_make_section, runs)), results, tables, price)
-
-
-def _make_section(run: MeasuredRun) -> RunSection:
-    records = [file for file in run.folder.root.iterdir() if file.suffix in RECORDS]
-    return _read_section(run.folder.root, digest_files(sorted(records)), run.scene)
-
-
-@lru_cache(maxsize=SECTIONS_KEPT)
-def _read_section(root: Path, scored: str, scene: str) -> RunSection:
-    """The section of a run with these results: a page that grows with every run reads the frames of the earlier ones once."""
-    run = read_run(root).called(scene)
-    apart = (worst_frames_table(run), budget_table(run), decomposition_table(run), drift_table(run))
-    taken_apart = tuple(table for table in apart if table)
-    costs = tuple(table for table in (*cost_tables(run), *budget_tables(run), differences_table(run)) if table)
-    tables = taken_apart + view_tables(run), timing_table(run), costs
-    return RunSection(run, *tables, all_slices(run), curve_panels(run), stream_table(run), rate_panels([run]))
 
 
 def _name_groups(firsts: Sequence[MeasuredRun], scenes: Sequence[str]) -> list[str]:

@@ -30,6 +30,8 @@ FLOORS = (
     ("baselines.registry", "metrics.path", "metrics.time"),
     ("metrics",),
     ("reports.model",),
+    ("reports.tables.verdict",),
+    ("reports.section",),
     ("reports.figures", "reports.tables", "reports.depth_page"),
     ("reports.run_groups",),
     ("reports.page", "reports.tables_of_runs"),

@@ -107,7 +107,7 @@ def test_a_broken_plugin_is_one_line(monkeypatch, capsys, value, reason):
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
-        ("nothing.py", "x = 1", "wanted a table METRICS, METHODS or DATASETS"),
+        ("nothing.py", "x = 1", "wanted a table METRICS, METHODS, DATASETS or SECTIONS"),
         ("wrong.py", "1 / 0", "ZeroDivisionError"),
         ("my-file.py", "METRICS = {}", "whose name can be imported"),
         ("json.py", "METRICS = {}", "its name is that of the module"),

@@ -1,6 +1,6 @@
 """Frames with their faults undone for the page of a run: those that its scores report, and those that `what-if` found there."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -9,6 +9,7 @@ from ggvs_eval.contrib.what_if.undo import apply
 from ggvs_eval.contrib.what_if.what_if import ALL, FEWEST_FRAMES, HONEST, WhatIf, cell_text, estimate, score_undone
 from ggvs_eval.errors import RenderError
 from ggvs_eval.pipelines.inspection.renders.identity import cameras_of_run, middle_of, views_of_run
+from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.page.pictures import UndoneRenders
 from ggvs_eval.run_folder import RunFolder, as_ranges, read_json, write_json
 
@@ -28,18 +29,16 @@ def _kept(run: RunFolder) -> set[str]:
     return set(read_json(file)) if file.is_file() else set()
 
 
-def undo_faults(run: RunFolder, faulty: Collection[str]) -> Mapping[str, UndoneRenders]:
-    """Undo the faults of a run's renders.
-
-    Args:
-        faulty: labels of methods whose scores report a fault.
+def undo_faults(run: MeasuredRun) -> dict[str, UndoneRenders]:
+    """Undo the faults of a run's renders, those that its scores report and those that `what-if` found.
 
     Returns:
         Label -> its frames with every fault undone; without methods whose faults cannot be undone, or that have too few frames.
     """
-    labels = [label for label in run.labels() if label in _kept(run).union(faulty)]
-    found = {label: _undone(run, label) for label in labels if len(run.protocol().frames.numbers) >= FEWEST_FRAMES}
-    return {label: one for label, one in found.items() if one}
+    faulty = _kept(run.folder) | {fault.label for fault in run.results.faults}
+    labels = [label for label in run.pictured if label in faulty and len(run.frames) >= FEWEST_FRAMES]
+    undone = {label: _undone(run.folder, label) for label in labels}
+    return {label: renders for label, renders in undone.items() if renders}
 
 
 def _undone(run: RunFolder, label: str) -> UndoneRenders | None:

@@ -116,13 +116,14 @@ def report(
     Kept is a report of which every file is as it was written.
     """
     from ggvs_eval.reports.report import write_report
+    from ggvs_eval.reports.section import section_modules
     from ggvs_eval.reports.tables.table_formats import has_excel
 
     for run in map(RunFolder, roots):
         require_imported(run, run.labels())
     templates = Path(str(resources.files("ggvs_eval.reports")))
     made_from = {
-        "code": [code_identity(write_report.__module__), digest_folder(templates, without=["__pycache__"])],
+        "code": [code_identity(write_report.__module__, *section_modules()), digest_folder(templates, without=["__pycache__"])],
         "runs": [digest_folder(root, without=["report", "jobs"]) for root in (*roots, *tables_of)],
         "called": [[Path(root).name for root in each] for each in (roots, tables_of)],
         "options": [with_figures, standalone, [*columns]],

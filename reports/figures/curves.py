@@ -1,121 +1,13 @@
 """Error curves along time: one small panel per metric and view, every method in it."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
 
-from ggvs_eval.errors import ResultsError
-from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.reports.figures.axes import COLOURS, DASHES, Curve, Panel, method_numbers, save_figure, with_margin
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.results import label_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-# Metadata keys that would carry a date or a version.
-VOLATILE = {".png": ("Software",), ".pdf": ("CreationDate", "Producer", "Creator"), ".svg": ("Date", "Creator")}
-DOTS_PER_INCH = 200
-# Okabe and Ito's colours, which colour-blind readers can distinguish; the page repeats them as CSS variables.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#b8a800", "#777777")
-DASHES = ("", "7 3", "2 3", "9 3 2 3")
-SIZE = (340, 170)
-MARGIN = (46, 10, 10, 24)  # left, right, top, bottom
-
-
-def save_figure(figure: "Figure", out: Path) -> Path:
-    """Write a figure; the suffix of the file chooses the format."""
-    if out.suffix not in VOLATILE:
-        raise ResultsError(f"{out}: a figure's name must end in {', '.join(VOLATILE)}, got {out.suffix or 'no suffix'}")
-    import matplotlib
-
-    with (
-        atomic_file(out) as temporary,
-        matplotlib.rc_context({"svg.hashsalt": "ggvs-eval", "savefig.dpi": DOTS_PER_INCH}),
-    ):
-        figure.savefig(temporary, format=out.suffix[1:], metadata=dict.fromkeys(VOLATILE[out.suffix]))
-    return out
-
-
-@dataclass(frozen=True)
-class Curve:
-    """One method, by the name that is shown."""
-
-    name: str
-    frames: tuple[int, ...]
-    values: tuple[float, ...]
-
-    @property
-    def pairs(self) -> tuple[tuple[int, float], ...]:
-        """Each place along the axis with its value."""
-        return tuple(zip(self.frames, self.values, strict=True))
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One metric in one view along time.
-
-    Attributes:
-        unit: unit of the values; empty if there is none.
-        better: ``higher is better`` or ``lower is better``.
-        bounds: first and last frame, lower and upper end of the values; the same in all views.
-    """
-
-    metric: str
-    unit: str
-    better: str
-    view: str
-    curves: tuple[Curve, ...]
-    bounds: tuple[float, float, float, float]
-
-    def x(self, frame: float) -> float:
-        """Return the horizontal place of a frame in the drawing, in its pixels."""
-        first, last = self.bounds[:2]
-        return round(MARGIN[0] + (frame - first) / (last - first) * (SIZE[0] - MARGIN[0] - MARGIN[1]), 1)
-
-    def y(self, value: float) -> float:
-        """Return the vertical place of a value in the drawing, in its pixels."""
-        low, high = self.bounds[2:]
-        return round(MARGIN[2] + (high - value) / (high - low) * (SIZE[1] - MARGIN[2] - MARGIN[3]), 1)
-
-    def points(self, curve: Curve) -> str:
-        """Return a curve as the points of an SVG polyline."""
-        return " ".join(f"{self.x(frame)},{self.y(value)}" for frame, value in zip(curve.frames, curve.values, strict=True))
-
-    def value_ticks(self) -> list[tuple[float, str]]:
-        """Return the places and texts of the vertical axis, two to seven round numbers."""
-        return [(self.y(value), text) for value, text in round_ticks(*self.bounds[2:])]
-
-    def frame_ticks(self) -> list[tuple[float, str]]:
-        """Return the places and texts of the horizontal axis: first, middle and last frame."""
-        first, last = (int(bound) for bound in self.bounds[:2])
-        return [(self.x(frame), str(frame)) for frame in dict.fromkeys((first, (first + last) // 2, last))]
-
-    def logarithmic_ticks(self) -> list[tuple[float, str]]:
-        """Return the same of an axis of decimal logarithms: 1, 2, 5, 10, ... within it."""
-        low, high = self.bounds[:2]
-        numbers = (digit * 10.0**power for power in range(math.floor(low), math.ceil(high) + 1) for digit in (1, 2, 5))
-        return [(self.x(math.log10(number)), f"{number:g}") for number in numbers if low <= math.log10(number) <= high]
-
-
-def method_numbers(names: Iterable[str]) -> dict[str, int]:
-    """Number of each method by the name that is shown; it chooses the colour on every tab of a page and in its figures."""
-    return {name: number for number, name in enumerate(dict.fromkeys(names))}
-
-
-def round_ticks(low: float, high: float) -> list[tuple[float, str]]:
-    """Return two to seven round numbers from `low` to `high`, each with its text.
-
-    Examples:
-        >>> round_ticks(0, 400)
-        [(0.0, '0'), (100.0, '100'), (200.0, '200'), (300.0, '300'), (400.0, '400')]
-    """
-    step = 10.0 ** math.floor(math.log10((high - low) / 6))
-    step *= next(factor for factor in (1, 2, 5, 10) if (high - low) / (step * factor) <= 6)
-    decimals = max(0, -math.floor(math.log10(step)))
-    return [(index * step, f"{index * step:.{decimals}f}") for index in range(math.ceil(low / step), math.floor(high / step) + 1)]
+from ggvs_eval.reports.section import Draw, FigurePlaces, Report, SectionContent
 
 
 def curve_panels(run: MeasuredRun) -> tuple[Panel, ...]:
@@ -139,18 +31,11 @@ def _metric_panels(run: MeasuredRun, metric: str) -> list[Panel]:
 
 def _curves(run: MeasuredRun, metric: str, view: str) -> tuple[Curve, ...]:
     """Finite values of every method, in the order of the methods."""
-    values, curves = run.results.per_frame(metric, view), {}
-    for method, variant in cast("list[tuple[str, str]]", list(values.columns)):
-        series = values[(method, variant)].replace([math.inf, -math.inf], math.nan).dropna().sort_index()
-        label = label_of(method, variant)
+    curves = {}
+    for label, values in run.per_frame(metric, view).items():
+        series = values.replace([math.inf, -math.inf], math.nan).dropna().sort_index()
         curves[label] = Curve(run.name(label), tuple(series.index.astype(int)), tuple(map(float, series)))
     return tuple(curves[label] for label in dict.fromkeys([*run.labels, *curves]) if label in curves)
-
-
-def with_margin(low: float, high: float) -> tuple[float, float]:
-    """Ends of an axis on which values from `low` to `high` do not touch the rim."""
-    margin = 0.06 * (high - low) or max(abs(high), 1.0) * 0.01
-    return low - margin, high + margin
 
 
 def draw_curves(panels: Sequence[Panel], out: Path, numbers: Mapping[str, int] | None = None) -> Path:
@@ -174,3 +59,18 @@ def draw_curves(panels: Sequence[Panel], out: Path, numbers: Mapping[str, int] |
     handles, names = axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=2, fontsize=6, frameon=False)
     return save_figure(figure, out)
+
+
+def curves_section(report: Report) -> SectionContent:
+    """Return the curves of each run, for the page and as figures."""
+    panels = {key: curve_panels(run) for key, run in report.runs.items()}
+    values = {key: {"curves": len(run.frames) > 1, "panels": panels[key]} for key, run in report.runs.items()}
+
+    def figures(places: FigurePlaces) -> Iterator[Draw]:
+        for key, of_run in panels.items():
+            for metric in dict.fromkeys(panel.metric for panel in of_run):
+                of_metric = [panel for panel in of_run if panel.metric == metric]
+                out = places.folders[key] / f"curves_{metric}.png"
+                yield partial(draw_curves, of_metric, out, places.numbers)
+
+    return SectionContent(values=values, figures=figures)

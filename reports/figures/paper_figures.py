@@ -6,6 +6,7 @@ Frames of every method stand next to the reference, with the squares that a rule
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,7 +16,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.files.video import write_video
-from ggvs_eval.reports.figures.curves import COLOURS, save_figure
+from ggvs_eval.reports.figures.axes import COLOURS, save_figure
 from ggvs_eval.reports.figures.look import FULL_LOOK, FigureLook, only_methods, score_words
 from ggvs_eval.reports.figures.regions import (
     ERROR_FULL_SCALE,
@@ -27,9 +28,8 @@ from ggvs_eval.reports.figures.regions import (
     given_regions,
     read_errors,
 )
-from ggvs_eval.reports.figures.slices import draw_slices, slices_of
-from ggvs_eval.reports.figures.sweep_figures import draw_k, draw_rates, rate_panels
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
+from ggvs_eval.reports.section import Draw, FigurePlaces, Report, SectionContent
 from ggvs_eval.run_folder import frame_path
 
 if TYPE_CHECKING:
@@ -88,14 +88,20 @@ def write_figure(
             write_side_by_side(only_methods(read_run(folder), methods), out if out.suffix else out.with_suffix(".mp4"), view),
         )
     files = (out,) if out.suffix else tuple(out.with_suffix(suffix) for suffix in BOTH)
-    if kind == "k":
+    if kind == "k":  # figures of other parts, each of which this module is used without
+        from ggvs_eval.reports.figures.sweep_figures import draw_k
+
         return tuple(draw_k(folder, file, metrics, look) for file in files)
     look, run = look or FULL_LOOK, only_methods(read_run(folder), methods)
     scores = score_words(run, metrics) if has_scores else {}
     if kind in ("epi", "time"):
+        from ggvs_eval.reports.figures.slices import draw_slices, slices_of
+
         slices = slices_of(run, kind, row, view)
         return tuple(draw_slices(slices, file, look, scores) for file in files)
     if kind == "stream":
+        from ggvs_eval.reports.figures.stream import draw_rates, rate_panels
+
         return tuple(draw_rates(rate_panels([run]), file) for file in files)
     if not run.pictured:
         why = "; ".join(f"{label} {reason}" for label, reason in run.results.set_aside.items())
@@ -278,3 +284,19 @@ def _strip(name: str, width: int) -> Image8:
     canvas.figure.text(0.5, 0.5, name, color="white", ha="center", va="center", fontsize=points)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[:STRIP, :width, :3].copy()
+
+
+def crops_section(report: Report) -> SectionContent:
+    """Return two figures of each run: the squares in which methods differ most, and the worst ones of the first method."""
+
+    def figures(places: FigurePlaces) -> Iterator[Draw]:
+        for key, run in report.runs.items():
+            if run.pictured:
+                label = run.ours_first[0]
+                rule: Rule = "different" if len(run.pictured) > 1 else "worst"
+                regions = find_regions(run, rule, label, 2)
+                words = RULES[rule].format(name=run.name(label))
+                yield partial(draw_crops, run, [places.folders[key] / "crops.png"], regions, words)
+                yield partial(draw_failures, run, [places.folders[key] / "failures.png"], label)
+
+    return SectionContent(figures=figures)

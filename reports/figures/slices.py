@@ -1,9 +1,11 @@
 """Slices through a sequence: the row of an image over viewpoints (epipolar plane image) or over time (x-t)."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
+from urllib.parse import quote
 
 import cv2
 import numpy as np
@@ -12,11 +14,13 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.jobs.processes import in_threads
-from ggvs_eval.reports.figures.curves import save_figure
+from ggvs_eval.reports.figures.axes import round_ticks, save_figure
+from ggvs_eval.reports.figures.data_uris import png_uri, shrink, webp_uri
 from ggvs_eval.reports.figures.look import FULL_LOOK, FigureLook
 from ggvs_eval.reports.figures.regions import comparison_weight
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.run_folder import frame_path, require_frames
+from ggvs_eval.reports.section import RUNS_KEPT, Draw, FigurePlaces, Report, SectionContent
+from ggvs_eval.run_folder import frame_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +35,8 @@ BREAK_LEAST = 8.0  # levels of 255; noise and codec stay below it
 BREAK_TIMES = 4.0  # times the median of the strip
 NO_PATH = "Imported renders have no path; use `ggvs-eval figure time`, or render a path by `ggvs-eval run`"
 NO_TRUTH = "no reference on a virtual path"
+CONTEXT_WIDTH = 480
+SLICE_HEIGHT = 96  # of a picture of few samples
 
 
 @dataclass(frozen=True)
@@ -181,22 +187,6 @@ def most_different_row(folders: Mapping[str, Path], indices: range) -> int | Non
     return int(np.argmax(apart)) if np.max(apart) > 0 else None
 
 
-def path_folders(run: MeasuredRun, labels: Iterable[str]) -> tuple[dict[str, Path], int]:
-    """Find the frames along the camera path: the folders of the truth and of methods, and the number of poses.
-
-    Args:
-        labels: the methods; those without a path are left out.
-
-    Returns:
-        Label -> folder, and the number of poses, 0 if the run has no path.
-    """
-    counts = {label: len(list(run.folder.path(label).glob("*.png"))) for label in ("truth", *labels)}
-    folders = {label: run.folder.path(label) for label, count in counts.items() if count}  # none of a path that was refused
-    n_poses = max(counts.values())
-    require_frames({f"{run.name(label)} on the path": folder for label, folder in folders.items()}, range(n_poses))
-    return folders, n_poses
-
-
 def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
     """Return the epipolar plane images of the truth and every method; None if the run has no camera path.
 
@@ -205,7 +195,7 @@ def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
         is one method alone, or all are equal, it is the one with the strongest horizontal gradients in the middle pose of the
         truth, or of all methods together on a virtual path, which has no truth.
     """
-    folders, n_poses = path_folders(run, run.labels)
+    folders, n_poses = run.path_folders(run.labels)
     if not n_poses:
         return None
     middle = {label: read_image(frame_path(folder, n_poses // 2)) for label, folder in folders.items()}
@@ -260,6 +250,7 @@ def _choose_row(
     return otherwise(), words
 
 
+@lru_cache(maxsize=RUNS_KEPT)
 def all_slices(run: MeasuredRun) -> Sequence[Slices]:
     """Return the slices that the page shows: the camera path if there is one, and each view over time if time passes."""
     path = path_slices(run)
@@ -332,3 +323,59 @@ def _draw_strip(axis: "Axes", image: Image8, slices: Slices, is_last: bool) -> N
         seconds.yaxis.set_major_locator(MaxNLocator(3))
         seconds.set_ylabel("t (s)", fontsize=7)
         seconds.tick_params(labelsize=6)
+
+
+def slices_section(report: Report) -> SectionContent:
+    """Return the slices of each run, for the page and as figures; the viewer opens at the row of the first one over time."""
+    slices_of_runs = {key: all_slices(run) for key, run in report.runs.items()}
+    values = {}
+    data = {}
+    for key, of_run in slices_of_runs.items():
+        has_path = any(slices.kind == "epi" for slices in of_run)
+        values[key] = {"slices": list(map(_pictures, of_run)), "has_path": has_path}
+        rows = [slices.row for slices in of_run if slices.kind == "time"]
+        data[key] = {"row": rows[0]} if rows else {}
+
+    def figures(places: FigurePlaces) -> Iterator[Draw]:
+        for key, of_run in slices_of_runs.items():
+            for slices in of_run:
+                name = "epi" if slices.kind == "epi" else f"x-t_{slices.view}"
+                yield partial(draw_slices, slices, places.folders[key] / f"{name}.png")
+
+    return SectionContent(values=values, data=data, figures=figures)
+
+
+def _pictures(slices: Slices) -> dict[str, Any]:
+    """Return what the page shows of slices, pictures as data URIs."""
+    height, width = slices.context.shape[:2]
+    count = next(len(strip.image) for strip in slices.strips if strip.image is not None)
+    seconds = {at: f"{at / slices.fps:.2f} s" if slices.fps else "" for at in sorted({0, count // 2, count - 1})}
+    return {
+        "samples": [(round(100 * (at + 0.5) / count, 2), str(slices.first + at), second) for at, second in seconds.items()],
+        "pixels": [(round(100 * value / width, 2), text) for value, text in round_ticks(0, width)],
+        "has_seconds": slices.fps > 0,
+        "kind": slices.kind,
+        "view": slices.view,
+        "row": slices.row,
+        "chosen_by": slices.chosen_by,
+        "title": slices.title,
+        "context": webp_uri(shrink(slices.context, CONTEXT_WIDTH)),
+        "size": (width, height),
+        "strips": [_picture_of_strip(slices, strip) for strip in slices.strips],
+        "no_truth": NO_TRUTH if any(strip.image is None for strip in slices.strips) else "",
+    }
+
+
+def _picture_of_strip(slices: Slices, strip: Strip) -> dict[str, Any]:
+    """A slice as a picture, and its breaks: place in per cent, words, and what of an address leads there (over time alone)."""
+    if strip.image is None:
+        return {"name": strip.name, "picture": None}
+    count, width = strip.image.shape[:2]
+    number, breaks = ("frame" if slices.kind == "time" else "pose"), []
+    for one in strip.breaks:
+        words = f"{number} {slices.first + one.at}, x {one.x}: its change differs by {one.apart:.0f} levels from the reference's"
+        place = f"{quote(slices.view, safe='')}/{slices.first + one.at}/{one.x},{slices.row}/{quote(strip.label, safe='')},truth"
+        left, top = round(100 * (one.x + 0.5) / width, 2), round(100 * one.at / count, 2)
+        breaks.append({"left": left, "top": top, "words": words, "place": place if slices.kind == "time" else ""})
+    tall = np.repeat(strip.image, max(1, round(SLICE_HEIGHT / count)), axis=0)  # no value is changed
+    return {"name": strip.name, "picture": png_uri(tall), "breaks": breaks}

@@ -5,10 +5,12 @@ The score step writes the description of each metric into the run folder, so tha
 
 import dataclasses
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+
+import pandas as pd
 
 from ggvs_eval.coverage import read_coverage
 from ggvs_eval.datasets.units import DEMO_NOTES
@@ -16,10 +18,12 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.table import Cell, Row, RowKind, format_value
-from ggvs_eval.results import Results, without_labels
+from ggvs_eval.results import Results, label_of, without_labels
 from ggvs_eval.run_folder import RunFolder, read_json, require_frames
 
 METRICS_FILE = "metrics.json"
+SWEEP_FILE = "sweep.csv"
+MEAN_OF_CAPTURES = "mean"  # of the table of a sweep
 FURTHER = "further"  # group of the metrics that belong to no other
 REFERENCES_FILE = "references.json"
 METHODS_FILE = "methods.json"
@@ -160,7 +164,7 @@ def _cell(note: MetricNote, reference: Reference) -> Cell:
     return Cell(format_value(value, note.decimals), value, bound=reference.bounds.get(note.name, ""))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # so that what was read of a run can be kept by the run
 class MeasuredRun:
     """One run folder that was rendered and scored.
 
@@ -247,6 +251,8 @@ class MeasuredRun:
 
     def called(self, scene: str) -> "MeasuredRun":
         """Return the same run with another name of its scene."""
+        if self.results.scenes == (scene,):
+            return self
         names = dict.fromkeys(self.results.scenes, scene)
         everything = None if self.all_results is None else with_scenes(self.all_results, names)
         return replace(self, results=with_scenes(self.results, names), all_results=everything)
@@ -267,6 +273,26 @@ class MeasuredRun:
     def frame_folders(self, view: str) -> dict[str, Path]:
         """Folder of the captured frames of a view (key ``truth``, first) and of every method's that has all of them."""
         return {"truth": self.folder.truth(view)} | {label: self.folder.renders(label, view) for label in self.pictured}
+
+    def per_frame(self, metric: str, view: str) -> dict[str, "pd.Series[float]"]:
+        """Return label -> values of a metric in one view, by frame."""
+        table = self.results.per_frame(metric, view)
+        return {label_of(*cast(tuple[str, str], names)): table[names] for names in table.columns}
+
+    def path_folders(self, labels: Iterable[str]) -> tuple[dict[str, Path], int]:
+        """Find the frames along the camera path: the folders of the truth and of methods, and the number of poses.
+
+        Args:
+            labels: the methods; those without a path are left out.
+
+        Returns:
+            Label -> folder, and the number of poses, 0 if the run has no path.
+        """
+        counts = {label: len(list(self.folder.path(label).glob("*.png"))) for label in ("truth", *labels)}
+        folders = {label: self.folder.path(label) for label, count in counts.items() if count}  # none of a path that was refused
+        n_poses = max(counts.values())
+        require_frames({f"{self.name(label)} on the path": folder for label, folder in folders.items()}, range(n_poses))
+        return folders, n_poses
 
 
 def read_run(root: Path) -> MeasuredRun:
@@ -322,6 +348,20 @@ def read_scores(root: Path) -> MeasuredRun:
     own, everything = without_labels(results, hidden), results if replicas else None
     sources = frozenset(methods.get("from_sources", ()))  # which runs of earlier versions do not say
     return MeasuredRun(folder, protocol, own, shown, methods["names"], ours, notes, (), replicas, everything, sources)
+
+
+def is_sweep(root: Path) -> bool:
+    """Return whether a folder holds a sweep and its table, and is not a run itself."""
+    return (root / SWEEP_FILE).is_file() and not RunFolder(root).protocol_file.is_file()
+
+
+def sweep_runs(sweep: Path) -> list[Path]:
+    """Return the run folders of a sweep that its table has lines of, in their order there."""
+    table = pd.read_csv(sweep / SWEEP_FILE, dtype={"capture": str, "variant": str}).fillna({"capture": ""})
+    if "capture" not in table:
+        return [sweep / variant for variant in dict.fromkeys(table["variant"])]
+    names = dict.fromkeys(zip(table["capture"], table["variant"], strict=True))
+    return [sweep / capture / variant for capture, variant in names if capture != MEAN_OF_CAPTURES]
 
 
 def name_scenes(runs: Sequence[MeasuredRun]) -> list[MeasuredRun]:

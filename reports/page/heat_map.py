@@ -2,14 +2,15 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.reports.figures.data_uris import png_uri
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.results import label_of
+from ggvs_eval.reports.section import Report, SectionContent
 
 SIGNIFICANT = 5  # digits that a value keeps in the page
 
@@ -53,11 +54,9 @@ def _heat_map(run: MeasuredRun, metric: str) -> HeatMap | None:
     views = run.protocol.views.test
     values: dict[str, dict[str, list[float | None]]] = {label: {} for label in run.labels}
     for view in views:
-        table = run.results.per_frame(metric, view).reindex(list(run.frames))
-        for method, variant in cast("list[tuple[str, str]]", list(table.columns)):
-            label = label_of(method, variant)
+        for label, series in run.per_frame(metric, view).items():
             if label in values:
-                row = map(float, table[(method, variant)])
+                row = map(float, series.reindex(list(run.frames)))
                 values[label][view] = [float(f"{value:.{SIGNIFICANT}g}") if math.isfinite(value) else None for value in row]
     finite = [value for of_label in values.values() for row in of_label.values() for value in row if value is not None]
     if not finite:
@@ -74,3 +73,15 @@ def heat_colours(count: int = 64) -> Image8:
     """
     ramp = np.linspace(0, 255, count).round().astype(np.uint8)[None]
     return np.ascontiguousarray(cv2.applyColorMap(ramp, cv2.COLORMAP_CIVIDIS)[..., ::-1], dtype=np.uint8)
+
+
+def heat_section(report: Report) -> SectionContent:
+    """Return the heat maps of each run, which the page's viewer draws; those of one frame are not worth a part of the page."""
+    colours = ["#" + bytes(colour).hex() for colour in heat_colours()[0]]
+    values: dict[str, dict[str, Any]] = {"": {"heat_scale": png_uri(heat_colours())}}
+    data = {}
+    for key, run in report.runs.items():
+        maps = heat_maps(run)
+        data[key] = {"heat": {heat_map.metric: heat_map.record() for heat_map in maps}, "colours": colours}
+        values[key] = {"heat_map": len(run.frames) > 1 and report.data(key), "heat_maps": maps}
+    return SectionContent(values=values, data=data)

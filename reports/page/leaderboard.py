@@ -7,13 +7,10 @@ from typing import Any
 from ggvs_eval.files.atomic import write_text
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.reports.model.measured import MeasuredRun, distinct_names, read_scores
-from ggvs_eval.reports.page.page import fill_template
+from ggvs_eval.reports.page.page import STILL_FIRST_SCRIPTS, STILL_SCRIPTS, fill_template
 from ggvs_eval.reports.run_groups import runs_by_protocol
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import evaluate_verdict
-
-FIRST_SCRIPTS = ("theme",)
-SCRIPTS = ("picture_grid", "sortable_table", "table_copy", "leaderboard")
 
 
 def write_leaderboard(runs: Sequence[Path], out: Path) -> Path:
@@ -27,7 +24,7 @@ def write_leaderboard(runs: Sequence[Path], out: Path) -> Path:
         ResultsError: no run, a run given twice, a folder that is no scored run, or a method that two runs measured on one scene.
     """
     sections = [_section(group) for group in runs_by_protocol(runs, read_scores)]
-    write_text(out, fill_template("leaderboard.html.j2", FIRST_SCRIPTS, SCRIPTS, sections=sections))
+    write_text(out, fill_template("leaderboard.html.j2", STILL_FIRST_SCRIPTS, STILL_SCRIPTS, sections=sections))
     return out
 
 

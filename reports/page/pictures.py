@@ -5,7 +5,7 @@ All are text that the page carries in itself, compressed until they fit into eac
 
 import base64
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,19 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.built_in import UNDONE_FAULTS
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import mean_of_channels, read_image, resize
+from ggvs_eval.files.images import mean_of_channels, read_image
 from ggvs_eval.files.video import write_video
 from ggvs_eval.jobs.processes import in_threads
-from ggvs_eval.plugins import Registry
 from ggvs_eval.progress import track
+from ggvs_eval.reports.figures.data_uris import shrink, webp_bytes, webp_uri
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
-from ggvs_eval.reports.figures.slices import path_folders
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.run_folder import DIAGNOSTICS, RunFolder, frame_path, missing_frames
+from ggvs_eval.reports.section import Report, Section, SectionContent
+from ggvs_eval.run_folder import DIAGNOSTICS, frame_path, missing_frames
 
-WEBP_QUALITY = 80
 WEBP_WIDTHS = (960, 800, 720, 640, 560, 480, 400, 320, 256, 192)
 MEANINGS = {
     "depth": ("depth", "fused depth, near yellow, far dark blue, chequered where missing"),
@@ -67,14 +65,22 @@ class UndoneRenders:
     read: Callable[[str, int], Image8 | None]
 
 
-UNDOING: Registry[Callable[[RunFolder, Collection[str]], Mapping[str, UndoneRenders]]] = Registry("undone faults", UNDONE_FAULTS)
+def undone_section(undo: Callable[[MeasuredRun], Mapping[str, UndoneRenders]]) -> Section:
+    """Return the section of frames with their faults undone, which the viewer shows, and of their scores.
 
+    Args:
+        undo: returns label -> the frames of a run's faulty methods.
+    """
 
-def undone_renders(run: MeasuredRun) -> dict[str, UndoneRenders]:
-    """Return label -> its frames with their faults undone, of the methods that have some; empty without the part that undoes."""
-    faulty = {one.label for one in run.results.faults}
-    undone = {label: one for undo in UNDOING.built_in().values() for label, one in undo(run.folder, faulty).items()}
-    return {label: undone[label] for label in run.pictured if label in undone}
+    def section(report: Report) -> SectionContent:
+        values = {}
+        for key, run in report.runs.items():
+            frames = undo(run)
+            scores = {run.name(label): renders.scores for label, renders in frames.items()}
+            values[key] = {"undone_frames": frames, "undone": scores}
+        return SectionContent(values=values)
+
+    return section
 
 
 def diagnostics_label(run: MeasuredRun) -> str | None:
@@ -311,7 +317,7 @@ def path_pictures(run: MeasuredRun, byte_budget: int = PATH_BYTES) -> PathPictur
     Args:
         byte_budget: what they may take, before base64; it decides their width.
     """
-    folders, count = path_folders(run, run.pictured)
+    folders, count = run.path_folders(run.pictured)
     if not count:
         return None
     poses = range(0, count, math.ceil(count * len(folders) / POSES_AT_MOST))
@@ -352,31 +358,6 @@ def share_room(runs: Sequence[MeasuredRun]) -> list[PictureRoom]:
 def _shares(weights: Sequence[int]) -> list[float]:
     total = sum(weights)
     return [weight / total if total else 0.0 for weight in weights]
-
-
-def webp_bytes(image: Image8) -> bytes:
-    """Compress an RGB image for looking at, not for measuring."""
-    _, encoded = cv2.imencode(".webp", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
-    return encoded.tobytes()
-
-
-def webp_uri(image: Image8) -> str:
-    """Return an RGB image as the address of a WebP picture."""
-    return "data:image/webp;base64," + base64.b64encode(webp_bytes(image)).decode("ascii")
-
-
-def png_uri(image: Image8) -> str:
-    """Return an RGB image as the address of a PNG picture, lossless."""
-    _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    return "data:image/png;base64," + base64.b64encode(np.asarray(encoded).tobytes()).decode("ascii")
-
-
-def shrink(image: Image8, width: int) -> Image8:
-    """Reduce an image to a width by box averaging; smaller ones stay as they are."""
-    if image.shape[1] <= width:
-        return image
-    height = max(1, round(image.shape[0] * width / image.shape[1]))
-    return resize(image, width, height, "area")
 
 
 def fitting_width(samples: Sequence[Image8], bytes_each: float) -> int:

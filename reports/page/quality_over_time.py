@@ -4,9 +4,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ggvs_eval.reports.figures.curves import MARGIN, SIZE, Panel, with_margin
+from ggvs_eval.reports.figures.axes import MARGIN, SIZE, Panel, with_margin
 from ggvs_eval.reports.model.table import Column, Table
-from ggvs_eval.reports.tables.timing import TOTAL
+from ggvs_eval.reports.section import Report, SectionContent
+from ggvs_eval.reports.tables.timing import TOTAL, timing_table
 
 LINE_PX = 11  # between two names
 NAME_PX = 5.6  # of a sign of a name, in wide fonts
@@ -100,3 +101,16 @@ def _mean_time(name: str, timings: Sequence[Table]) -> float | None:
         if row.name == name and column.name == TOTAL and cell.value
     ]
     return sum(found) / len(found) if found else None
+
+
+def over_time_section(report: Report) -> SectionContent:
+    """Return the headline metric of each group over the time of a frame."""
+    values = {}
+    for group in report.groups:
+        verdict = group.verdict
+        if verdict.column:
+            methods = (*verdict.contenders, *verdict.parts)
+            numbers = [(method.name, method.cell.value) for method in methods if method.cell.value is not None]
+            timings = list(map(timing_table, group.runs.values()))
+            values[group.id] = {"over_time": quality_over_time(verdict.column, numbers, timings)}
+    return SectionContent(values=values)

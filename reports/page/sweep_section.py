@@ -2,18 +2,21 @@
 
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import ON_SCREEN
-from ggvs_eval.reports.figures.curves import Curve, Panel, with_margin
-from ggvs_eval.reports.figures.sweep_figures import SECONDS, SWEEP_FILE, USUAL, RatePanel, rate_panels, read_k_table, sweep_runs
-from ggvs_eval.reports.model.measured import MetricNote, read_scores
+from ggvs_eval.reports.figures.axes import Curve, Panel, with_margin
+from ggvs_eval.reports.figures.stream import RatePanel, draw_rates, rate_panels
+from ggvs_eval.reports.figures.sweep_figures import SECONDS, USUAL, draw_k, read_k_table
+from ggvs_eval.reports.model.measured import SWEEP_FILE, MetricNote, read_scores, sweep_runs
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value
+from ggvs_eval.reports.section import Draw, FigurePlaces, Report, SectionContent
 from ggvs_eval.run_folder import RunFolder
 
 CAPTION = "Table of `ggvs-eval sweep`. Each variant is a separate protocol, so nothing is ranked here"
@@ -46,11 +49,6 @@ class SweepSection:
     def title(self) -> str:
         """Heading of the section."""
         return "On the screen" if self.rates else "Quality and time over K" if self.panels else "Sweep"
-
-
-def is_sweep(root: Path) -> bool:
-    """Return whether a folder holds a sweep and its table, and is not a run itself."""
-    return (root / SWEEP_FILE).is_file() and not RunFolder(root).protocol_file.is_file()
 
 
 def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: bool = True) -> SweepSection:
@@ -123,3 +121,26 @@ def _panel(over_k: pd.DataFrame, metric: str, notes: Mapping[str, MetricNote]) -
     bounds = (int(min(ks)), int(max(ks)), 0.0 if metric == SECONDS else low, high)
     better = "higher is better" if column.higher_is_better else "lower is better"
     return Panel(metric, column.unit, better, "", tuple(curves), bounds)
+
+
+def sweeps_section(report: Report) -> SectionContent:
+    """Return a sheet for each sweep, and its figures."""
+    folders = (*report.sweeps, *report.tables_of)
+    notes = next(iter(report.runs.values())).metrics
+    swept = [sweep_section(folder, notes, runs_follow=folder in report.sweeps) for folder in folders]
+    sheets = []
+    names = []
+    for at, sweep in enumerate(swept):
+        place = {"id": f"sweep{at}", "title": sweep.title, "comes_first": sweep.runs_follow, "template": "sweep"}
+        sheets.append(place | vars(sweep))
+        names += [curve.name for panel in sweep.panels for curve in panel.curves]
+        names += [family.name for panel in sweep.rates for family in panel.families]
+
+    def figures(places: FigurePlaces) -> Iterator[Draw]:
+        for at, (folder, sweep) in enumerate(zip(folders, swept, strict=True)):
+            if sweep.panels:
+                yield partial(draw_k, folder, places.folders[""] / f"k{at or ''}.png", numbers=places.numbers)
+            if sweep.rates:
+                yield partial(draw_rates, sweep.rates, places.folders[""] / f"stream{at or ''}.png", places.numbers)
+
+    return SectionContent(sheets=sheets, names=names, figures=figures)

@@ -23,6 +23,7 @@ from ggvs_eval.reports.model.table import (
     signed,
     spread_text,
 )
+from ggvs_eval.reports.section import Report, SectionContent, tables_of_runs
 from ggvs_eval.reports.tables.timing import TOTAL, render_records, timing_table
 from ggvs_eval.results import Results, label_of
 from ggvs_eval.run_folder import read_json
@@ -352,3 +353,14 @@ def _same(run: MeasuredRun) -> str:
         f"{protocol.frames.count} frames of {size}, resized by {synthesis.resize_filter}; {sources}"
         f"scores from 8-bit images on disk{measured} by one implementation of each metric"
     )
+
+
+def costs_section(report: Report) -> SectionContent:
+    """Return the tables of each run, and of each group the price of being online."""
+    content = tables_of_runs(_tables, "timing")(report)
+    prices = {group.id: price_tables([*group.runs.values()], group.results) for group in report.groups}
+    return replace(content, tables={**prices, **content.tables})
+
+
+def _tables(run: MeasuredRun) -> tuple[Table | None, ...]:
+    return (*cost_tables(run), *budget_tables(run), differences_table(run))

@@ -5,7 +5,7 @@ A method's number alone has a ceiling, published values of the same data, its tr
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial, reduce
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.jobs.processes import in_threads
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+from ggvs_eval.reports.section import RUNS_KEPT, Report, SectionContent, tables_of_runs
 from ggvs_eval.results import split_label
 from ggvs_eval.run_folder import frame_path, missing_frames, read_json
 from ggvs_eval.statistics.decomposition import TwoWay, decompose_metric
@@ -221,6 +222,7 @@ def _misplaced(image: Array32, truth: Image8, coverage: Map, width: int) -> floa
     return float(np.where(best < MOST_LEFT * here, here - best, 0.0).mean())
 
 
+@lru_cache(maxsize=RUNS_KEPT)
 def budget_table(run: MeasuredRun) -> Table | None:
     """Return a row per method, and one per view of the one that the page shows first; None if there are no pictures."""
     if not run.pictured:
@@ -358,3 +360,18 @@ def largest_cause(name: str, budgets: Sequence[Table]) -> str:
         return ""
     largest = max(shares, key=lambda part: shares[part] or 0.0)
     return f"{shares[largest]:.0f} % of its squared error is {CAUSES[largest]}."
+
+
+def error_section(report: Report) -> SectionContent:
+    """Return the tables of each run, and of each group what the best method's number is next to."""
+    content = tables_of_runs(lambda run: (budget_table(run), decomposition_table(run)), "views")(report)
+    values = {}
+    for group in report.groups:
+        column = group.verdict.column
+        if column:
+            best = group.verdict.contenders[0]
+            table = next(table for table in group.tables if column in table.columns)
+            first = content.tables[next(iter(group.runs))]
+            absolute = describe_absolute(best.name, best.cell, column, table, first, [*group.runs.values()])
+            values[group.id] = {"absolute": absolute}
+    return replace(content, values=values)

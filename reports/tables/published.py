@@ -24,6 +24,7 @@ CAVEATS = (
     "It leaves the backbone of LPIPS and the variants of STED and SSIM open; the protocol states those used here.",
 )
 PAPER = " (paper)"  # ends the name of the paper's rows, which are not the only published ones
+PAPER_TABLES = ("quality", "consistency")
 UNITS = {"PSNR": "dB"}
 HIGHER_IS_BETTER = ("PSNR", "SSIM", "TCC")
 TIMING_WORDS = {
@@ -62,6 +63,17 @@ def is_higher_better(metric: str) -> bool:
 def paper_dataset(name: str) -> str:
     """Return the paper's own name of a data set; empty if it has none of that name."""
     return next((dataset for dataset in read_published("quality") if dataset.lower() == name.lower()), "")
+
+
+def paper_beside(
+    key: str, dataset: str, metrics: Sequence[str], runs: Sequence[MeasuredRun]
+) -> tuple[tuple[Row, ...], list[str]]:
+    """Return the paper's rows of a table if the runs are on its terms, or else the reason in words."""
+    if key not in PAPER_TABLES or not paper_dataset(dataset):
+        return (), []
+    if why := why_not_beside(paper_dataset(dataset), runs):
+        return (), [f"The paper's values are not shown here: {why}."]
+    return published_rows(key, dataset, metrics), []
 
 
 def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row, ...]:
@@ -120,6 +132,16 @@ def published_terms() -> dict[str, PublishedTerms]:
 def published_values() -> tuple[PublishedValue, ...]:
     """Return all values, in the order of the file."""
     return tuple(PublishedValue(**line) for line in _read("community"))
+
+
+def community_beside(
+    key: str, dataset: str, metrics: Sequence[str], runs: Sequence[MeasuredRun]
+) -> tuple[tuple[Row, ...], list[str]]:
+    """Return the rows of the runs' packaged protocol, with their source or the reason why there are none."""
+    protocol = runs[0].protocol
+    scenes = [f"{run.scene}, a demo capture," if run.is_demo else run.scene for run in runs]
+    rows = community_rows(protocol, scenes, metrics)
+    return rows, describe_published(protocol, scenes) if rows or key == PAPER_TABLES[0] else []
 
 
 def community_rows(protocol: Protocol, scenes: Collection[str], metrics: Sequence[str]) -> tuple[Row, ...]:

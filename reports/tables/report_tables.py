@@ -3,15 +3,17 @@
 Captions of the main tables say the extent of each mean, its images, and values that do not compare.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
 import pandas as pd
 
+from ggvs_eval import built_in
 from ggvs_eval.errors import ResultsError, did_you_mean
 from ggvs_eval.geometry.source_views import CHOSEN_AS
 from ggvs_eval.merged_results import BETWEEN
+from ggvs_eval.plugins import Registry
 from ggvs_eval.progress import counted
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.measured import (
@@ -25,7 +27,6 @@ from ggvs_eval.reports.model.measured import (
     shared_references,
 )
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, join_tables, measured_cell, rank
-from ggvs_eval.reports.tables.published import community_rows, describe_published, paper_dataset, published_rows, why_not_beside
 from ggvs_eval.reports.tables.verdict import certainty_captions, judge_metric
 from ggvs_eval.results import Results, label_of, without_labels
 from ggvs_eval.statistics.paired import Judgement
@@ -38,8 +39,10 @@ OWN_TRUTH_MEANS = (
 INTERCHANGE = (
     "A test view is excluded from its own rendering only and can be a source of others; set `views.sources` to forbid it."
 )
-PUBLISHED_GROUPS = ("quality", "consistency")
 ALONG_PATH = "path"  # table whose reference row is the captured images
+Published = Callable[[str, str, Sequence[str], Sequence[MeasuredRun]], tuple[Sequence[Row], Sequence[str]]]
+# Of the key, data set, metrics and runs of a table: grey rows, and words on their source or why there are none.
+PUBLISHED_VALUES: Registry[Published] = Registry("published values", built_in.PUBLISHED_VALUES)
 
 
 def main_tables(runs: Sequence[MeasuredRun], results: Results, columns: Sequence[str] = ()) -> tuple[Table, ...]:
@@ -83,27 +86,17 @@ def _main_table(
     }
     rows = measured_rows(runs, here, metrics, notes, results, judgements)
     marked = [judgements[name].marked if name in judgements else () for name in metrics]
-    published, remarks = _published(key, dataset, metrics, runs)
-    grey = reference_rows(references, key, notes) + published
+    grey, remarks = [*reference_rows(references, key, notes)], list[str]()
+    for beside in PUBLISHED_VALUES.built_in().values():
+        published, words = beside(key, dataset, metrics, runs)
+        grey += published
+        remarks += words
     names = {row.label: row.name for row in rows}
     means, *terms = main_captions(key, runs, results, names, metrics)
     marks, found = certainty_captions(judgements, names, results.set_aside)
     caption = " ".join([means, *marks])
     below = (*terms, *found, *reference_remarks(references, key, notes), *remarks)
-    return Table(key, title, caption, columns, rank(columns, rows, marked) + grey, dataset, below, judgements)
-
-
-def _published(key: str, dataset: str, metrics: Sequence[str], runs: Sequence[MeasuredRun]) -> tuple[tuple[Row, ...], list[str]]:
-    """Published rows of a table on whose terms the runs are, and where they are from or why there are none."""
-    protocol = runs[0].protocol
-    scenes = [f"{run.scene}, a demo capture," if run.is_demo else run.scene for run in runs]
-    rows = community_rows(protocol, scenes, metrics)
-    remarks = describe_published(protocol, scenes) if rows or key == PUBLISHED_GROUPS[0] else []
-    if key not in PUBLISHED_GROUPS or not paper_dataset(dataset):
-        return rows, remarks
-    if why := why_not_beside(paper_dataset(dataset), runs):
-        return rows, [f"The paper's values are not shown here: {why}.", *remarks]
-    return published_rows(key, dataset, metrics) + rows, remarks
+    return Table(key, title, caption, columns, (*rank(columns, rows, marked), *grey), dataset, below, judgements)
 
 
 def view_tables(run: MeasuredRun) -> tuple[Table, ...]:

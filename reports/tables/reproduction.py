@@ -11,8 +11,10 @@ from typing import Literal
 
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value, measured_cell, rank
+from ggvs_eval.reports.section import Report, SectionContent
 from ggvs_eval.reports.tables.published import (
     CAVEATS,
+    PAPER,
     SOURCE,
     TIMING_WORDS,
     UNITS,
@@ -23,7 +25,7 @@ from ggvs_eval.reports.tables.published import (
     published_cell,
     read_published,
 )
-from ggvs_eval.reports.tables.table_formats import csv_text, escape_markdown, markdown_table
+from ggvs_eval.reports.tables.table_formats import csv_text, escape_markdown, markdown_table, to_latex
 from ggvs_eval.reports.tables.timing import TIMINGS, evaluate_time
 from ggvs_eval.results import label_of
 from ggvs_eval.statistics.intervals import LEVEL, intervals
@@ -348,3 +350,44 @@ def _our_cell(entry: Reproduction | None) -> Cell:
     if entry is None:
         return Cell("nothing to compare")
     return Cell(entry.status) if entry.ours.value is None else entry.ours
+
+
+def paper_section(report: Report) -> SectionContent:
+    """Return the paper's values next to those of the runs: files, and a sheet of the page if any run is on its terms."""
+    entries = reproduce([*report.runs.values()])
+    named = [table for group in report.groups for table in group.tables if _has_paper_rows(table)]
+    files = {
+        "reproduction.md": reproduction_markdown(entries),
+        "reproduction.csv": reproduction_csv(entries),
+        "reproduction.tex": to_latex(paper_tables(entries), CAVEATS),
+    }
+    notes = (f"Grey or italic rows are published values: {SOURCE}", *CAVEATS) if named else ()
+    if all(entry.status == "data absent" for entry in entries):
+        values = {group.id: {"not_of_paper": len(entries)} for group in report.groups}
+        return SectionContent(files=files, notes=notes, values=values)
+    sheet = {
+        "id": "paper",
+        "title": "The paper",
+        "comes_first": False,
+        "template": "paper",
+        "heads": HEADS,
+        "details": [_without_empty_rows(table) for table in paper_tables(entries)],
+        "blocks": blocks(entries),
+        "counts": count_words(entries),
+        "meaning": MEANING,
+        "n_values": len(entries),
+        "map": PAPER_MAP,
+        "caveats": CAVEATS,
+        "has_rows": bool(named),
+    }
+    return SectionContent(files=files, notes=notes, sheets=[sheet])
+
+
+def _has_paper_rows(table: Table) -> bool:
+    return any(row.name.endswith(PAPER) for row in table.rows)
+
+
+def _without_empty_rows(table: Table) -> Table:
+    """Return the paper's rows, and those of this run that hold a number."""
+    rows = [row for row in table.rows if row.is_grey or any(cell.value is not None for cell in row.cells)]
+    return replace(table, rows=tuple(rows))

@@ -9,7 +9,6 @@ from typing import cast
 from ggvs_eval.progress import counted
 from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote
 from ggvs_eval.reports.model.table import SHORT_MEANS, Cell, Column, Table, format_value, signed, spread_text
-from ggvs_eval.reports.tables.error_budget import describe_absolute
 from ggvs_eval.results import Results, without_labels
 from ggvs_eval.statistics.intervals import LEVEL, intervals
 from ggvs_eval.statistics.paired import Comparison, Judgement, judge
@@ -137,8 +136,6 @@ class Verdict:
     Attributes:
         headline: who is best, or why none can be named, and which methods are set aside.
         margin: by how much, with its interval; or what to do, where nothing is ranked.
-        absolute: the first's number next to the capture's ceiling and published ones, and the sources of its error; empty where
-            there is nothing to compare with.
         column: the metric that this is in; None if nothing is ranked.
         meaning: what it measures, in plain words.
         contenders: every method that competes, the best first; of GGVS the full method, unless only its variants were measured.
@@ -149,7 +146,6 @@ class Verdict:
 
     headline: str
     margin: str
-    absolute: str = ""
     column: Column | None = None
     meaning: str = ""
     contenders: tuple[Contender, ...] = ()
@@ -164,9 +160,7 @@ class Verdict:
         return tuple(dict.fromkeys([*labels[:1], *beside, *labels[1:]]))[:2]
 
 
-def evaluate_verdict(
-    runs: Sequence[MeasuredRun], results: Results, tables: Sequence[Table], budgets: Sequence[Table] = ()
-) -> Verdict:
+def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequence[Table]) -> Verdict:
     """State the best method in the first headline metric, or why nothing is ranked, and the remedy.
 
     Reading:
@@ -200,9 +194,8 @@ def evaluate_verdict(
             others.setdefault(each.name if each.judgement.winner else "", []).append(each.column.name)
     tied = tuple(others.pop("", ()))
     meaning = PLAIN.get(first.column.name, first.column.describe)
-    absolute = describe_absolute(contenders[0].name, contenders[0].cell, first.column, table, budgets, runs)
     headline, margin = "; ".join([headline, *causes]), " ".join(filter(None, (f"{margin}.", *remedies)))
-    return Verdict(headline, margin, absolute, first.column, meaning, tuple(contenders), tuple(parts), others, tied)
+    return Verdict(headline, margin, first.column, meaning, tuple(contenders), tuple(parts), others, tied)
 
 
 def _set_aside(runs: Sequence[MeasuredRun], results: Results) -> tuple[list[str], list[str]]:

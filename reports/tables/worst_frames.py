@@ -1,12 +1,10 @@
 """Table of the worst frames: how bad the worst one of each method is, how bad the worst twentieth, and where both are."""
 
 import math
-from typing import cast
 
 from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote
 from ggvs_eval.reports.model.table import Cell, Column, Table, format_value, rank
 from ggvs_eval.reports.tables.verdict import HEADLINES
-from ggvs_eval.results import label_of
 
 TAIL = 5  # per cent of the frames that are at most so good
 CAPTION = (
@@ -33,12 +31,10 @@ def _values(run: MeasuredRun, metric: str) -> dict[str, list[Value]]:
     """Return label -> its finite values per frame, of all views, the worst first."""
     values: dict[str, list[Value]] = {}
     for view in run.protocol.views.test:
-        table = run.results.per_frame(metric, view)
-        for method, variant in cast("list[tuple[str, str]]", list(table.columns)):
-            series = table[(method, variant)]
+        for label, series in run.per_frame(metric, view).items():
             frames, numbers = series.index.astype(int), map(float, series)
             finite = [(value, view, frame) for frame, value in zip(frames, numbers, strict=True) if math.isfinite(value)]
-            values.setdefault(label_of(method, variant), []).extend(finite)
+            values.setdefault(label, []).extend(finite)
     sign = 1.0 if run.metrics[metric].higher_is_better else -1.0
     return {label: sorted(own, key=lambda one: sign * one[0]) for label, own in values.items() if own}
 

@@ -12,7 +12,6 @@ from ggvs_eval.errors import ViewRefusedError
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.run.evaluate import evaluate
 from ggvs_eval.protocol import Synthesis, Views
-from ggvs_eval.reports.figures.slices import path_folders
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
@@ -153,5 +152,5 @@ def test_a_path_that_was_refused_has_no_slice(tmp_path):
     label, *others = run.labels
     for picture in run.folder.path(label).glob("*.png"):
         picture.unlink()
-    folders, poses = path_folders(run, run.labels)
+    folders, poses = run.path_folders(run.labels)
     assert (set(folders), poses) == ({"truth", *others}, 6)

@@ -9,7 +9,7 @@ from ggvs_eval.files.atomic import write_text
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.run_groups import read_groups
-from ggvs_eval.reports.tables.reproduction import reproduce
+from ggvs_eval.reports.section import Report, with_sections
 from ggvs_eval.run_folder import write_json
 from helpers.run_folders import LABELS, RunShape, write_run
 
@@ -29,9 +29,8 @@ def paint(label: str, view: str, index: int) -> np.ndarray:
 
 def write_page(runs: Sequence[Path], page: Path, standalone: bool = True) -> Path:
     """The page of a report alone; its figures for print take longer than all that a browser does with it."""
-    groups, folder = read_groups(runs), None if standalone else page.parent
-    reproduced = reproduce([section.run for group in groups for section in group.sections])
-    write_text(page, render_page(groups, reproduced, folder=folder))
+    report = Report(read_groups(runs), folder=None if standalone else page.parent)
+    write_text(page, render_page(with_sections(report)))
     return page
 
 

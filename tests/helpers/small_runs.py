@@ -22,11 +22,11 @@ def leave_out_pixels(patch: pytest.MonkeyPatch) -> None:
 
 def leave_out_figures(patch: pytest.MonkeyPatch) -> None:
     """Let reports be written without figures of runs and parts of errors, most of their time; `tests/reports` shows both."""
-    from ggvs_eval.reports import report, run_groups
+    from ggvs_eval.reports import report
+    from ggvs_eval.reports.tables import error_budget
 
-    leave_out_pixels(patch)  # of sweeps
     patch.setattr(report, "_figures", lambda *_: [])
-    patch.setattr(run_groups, "budget_table", lambda _run: None)
+    patch.setattr(error_budget, "budget_table", lambda _run: None)
 
 
 def write_small_capture(folder: Path, n_frames: int = 12) -> Capture:

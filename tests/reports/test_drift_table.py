@@ -5,7 +5,7 @@ import pytest
 
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import read_run
-from ggvs_eval.reports.tables.timing import LEAST_FRAMES, PER_FRAMES, drift_table
+from ggvs_eval.reports.tables.drift import LEAST_FRAMES, PER_FRAMES, drift_table
 from ggvs_eval.results import Results
 from helpers.run_folders import RunShape, write_run
 

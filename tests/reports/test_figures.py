@@ -26,6 +26,7 @@ from ggvs_eval.statistics.intervals import intervals
 from helpers.command_line import refusal
 from helpers.refusals import refused
 from helpers.run_folders import RunShape, write_run
+from helpers.small_runs import leave_out_pixels
 from helpers.sweep_folders import write_sweep
 
 SHAPE = RunShape(frames=Frames(2, 3), labels=("no-blending", "ours-geometric"))
@@ -121,11 +122,9 @@ def test_the_figure_of_failures_is_about_our_method_itself(tmp_path, monkeypatch
     labels = ("ours-geometric+no-temporal", "ours-geometric", "no-blending")
     root = write_run(tmp_path / "run", replace(SHAPE, labels=labels))
     asked: list[str] = []
-    for module in (paper_figures, report):
-        monkeypatch.setattr(module, "draw_failures", lambda run, files, label, *rest: asked.append(label) or tuple(files))
+    monkeypatch.setattr(paper_figures, "draw_failures", lambda run, files, label, *rest: asked.append(label) or tuple(files))
     write_figure(root, "failures", tmp_path / "failures.png")
-    for others in ("draw_slices", "draw_crops", "draw_curves"):
-        monkeypatch.setattr(report, others, lambda *_: None)
+    leave_out_pixels(monkeypatch)
     report.write_report([root], tmp_path / "report")
     assert asked == ["ours-geometric"] * 2
 

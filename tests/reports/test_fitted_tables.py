@@ -6,7 +6,9 @@ import pytest
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import METHODS_FILE, read_run
 from ggvs_eval.reports.model.table import Cell
+from ggvs_eval.reports.report import all_tables
 from ggvs_eval.reports.run_groups import read_groups
+from ggvs_eval.reports.section import Report, with_sections
 from ggvs_eval.reports.tables.costs import _crossing, budget_tables, cost_tables, differences_table, price_tables
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
@@ -180,6 +182,5 @@ def test_what_differs_by_design_is_a_table_of_its_own(fitted_run):
 
 def test_runs_without_fitted_methods_show_none_of_it(tmp_path):
     """No price, no seeds, no time to equal quality."""
-    (group,) = read_groups([write_run(tmp_path / "run", RunShape(metrics=("PSNR",), poses=0))])
-    assert group.price == ()
-    assert not {"equal_quality", "budget", "seeds", "price"} & {table.key for table in group.all_tables}
+    report = with_sections(Report(read_groups([write_run(tmp_path / "run", RunShape(metrics=("PSNR",), poses=0))])))
+    assert not {"equal_quality", "budget", "seeds", "price"} & {table.key for table in all_tables(report, report.groups[0])}

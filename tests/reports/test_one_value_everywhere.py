@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from ggvs_eval.reports.model.table import Table
-from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.report import all_tables, write_report
 from ggvs_eval.reports.run_groups import read_groups
+from ggvs_eval.reports.section import Report, with_sections
 from ggvs_eval.reports.tables.table_formats import LATEX_SPECIAL
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
@@ -72,8 +73,8 @@ def report(everything_run) -> Path:
 @pytest.fixture(scope="module")
 def tables(everything_run) -> tuple[Table, ...]:
     """The tables before they have a format."""
-    (group,) = read_groups([everything_run])
-    return group.all_tables
+    report = with_sections(Report(read_groups([everything_run])))
+    return tuple(all_tables(report, report.groups[0]))
 
 
 def expected(table: Table) -> Rows:

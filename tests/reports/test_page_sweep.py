@@ -3,9 +3,10 @@
 import pytest
 
 from ggvs_eval.files.atomic import write_text
+from ggvs_eval.reports.model.measured import sweep_runs
 from ggvs_eval.reports.page.page import render_page
-from ggvs_eval.reports.page.sweep_section import sweep_runs, sweep_section
 from ggvs_eval.reports.run_groups import read_groups
+from ggvs_eval.reports.section import Report, with_sections
 from helpers.browser import DESKTOP, PHONE
 from helpers.sweep_folders import KS, LINES, write_sweep
 
@@ -14,9 +15,8 @@ from helpers.sweep_folders import KS, LINES, write_sweep
 def page(tmp_path_factory):
     """The page of a sweep of three K, with a group for each."""
     sweep = write_sweep(tmp_path_factory.mktemp("sweeps") / "by-k")
-    groups = read_groups(sweep_runs(sweep))
     page = sweep / "index.html"
-    write_text(page, render_page(groups, (), [sweep_section(sweep, groups[0].sections[0].run.metrics)]))
+    write_text(page, render_page(with_sections(Report(read_groups(sweep_runs(sweep)), sweeps=(sweep,)))))
     return page
 
 

@@ -21,7 +21,8 @@ from ggvs_eval.reports.page.leaderboard import write_leaderboard
 from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.run_groups import read_groups
-from ggvs_eval.reports.tables.verdict import evaluate_verdict, leaders
+from ggvs_eval.reports.section import Report, with_sections
+from ggvs_eval.reports.tables.verdict import leaders
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.paired import Comparison, Judgement, Outcome
 from helpers.page_reader import PageReader
@@ -47,7 +48,8 @@ def runs(tmp_path_factory) -> dict[str, Path]:
 def report(runs, tmp_path_factory) -> Path:
     """Folder of their common report; of the figures of a run, which others draw, the folder alone."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report_module, "_figures", lambda _section, folder, _numbers: [partial(folder.mkdir, parents=True)])
+        makers = lambda report, out: [partial((out / key).mkdir, parents=True) for key in report.runs]  # noqa: E731
+        patch.setattr(report_module, "_figures", makers)
         return write_report(list(runs.values()), tmp_path_factory.mktemp("groups") / "report").parent
 
 
@@ -56,11 +58,16 @@ def rows_of(report: Path) -> list[dict[str, str]]:
     return list(csv.DictReader((report / "tables.csv").open(encoding="utf-8")))
 
 
+def page_of(runs: list[Path]) -> str:
+    """The page of a report on them."""
+    return render_page(with_sections(Report(read_groups(runs))))
+
+
 def test_runs_are_grouped_by_protocol_in_the_order_given(runs):
     """Runs of one protocol stand together, where the first of them was given; each group has a name of its own."""
     first, second = read_groups(list(runs.values()))
-    assert [section.run.scene for section in first.sections] == ["room", "kitchen"]
-    assert [section.run.scene for section in second.sections] == ["street"]
+    assert [run.scene for run in first.runs.values()] == ["room", "kitchen"]
+    assert [run.scene for run in second.runs.values()] == ["street"]
     assert (first.name, second.name) == ("room, tiny, K = 2", "street, tiny, K = 2")
     assert [group.scenes for group in read_groups([runs["street"], runs["kitchen"]])] == ["street", "kitchen"]
 
@@ -80,12 +87,12 @@ def test_a_demo_is_called_by_its_data_set(tmp_path):
     record = json.loads((demo / "capture.json").read_text())
     (demo / "capture.json").write_text(json.dumps(record | {"units_origin": "demo.json"}))
     other = write_run(tmp_path / "other", replace(SMALL, scene="street", dataset="DyNeRF"))
-    text = render_page(read_groups([demo, other]))
+    text = page_of([demo, other])
     head = html.unescape(text[text.index("<h1") : text.index("</header>")])
     assert ">Demo room, D3DMV's layout · street</h1>" in head
     assert re.findall(r'data-room="run\d">([^<]*)<', head) == ["Demo room, D3DMV's layout", "street"]
     assert text.count(">scene000</h") == 1
-    assert "Demo room, D3DMV's layout</h1>" in html.unescape(render_page(read_groups([demo])))
+    assert "Demo room, D3DMV's layout</h1>" in html.unescape(page_of([demo]))
 
 
 @pytest.mark.slow
@@ -119,7 +126,7 @@ def test_page_has_a_part_for_each_protocol(report):
 def test_captures_of_one_name_have_an_address_each(tmp_path):
     """Names that are alike, or alike in an address, are told apart by scene, by protocol, and at last by their number."""
     shapes = (replace(SMALL, scene="a b"), replace(SMALL, scene="a-b"), replace(SMALL, scene="a b", k=3))
-    text = render_page(read_groups([write_run(tmp_path / str(at), shape) for at, shape in enumerate(shapes)]))
+    text = page_of([write_run(tmp_path / str(at), shape) for at, shape in enumerate(shapes)])
     names = re.findall(r'data-room="run\d">([^<]*)<', text)
     assert names == ["a b, tiny, K = 2, a b", "a b, tiny, K = 2, a-b", "a b, tiny, K = 3, a b"]
     addresses = re.findall(r'data-address="([^"]*)"', text)
@@ -204,7 +211,7 @@ def test_means_over_other_scenes_are_not_ranked(tmp_path):
     assert lacking.cells[0].value == max(values)
     assert (lacking.cells[0].best, lacking.cells[0].shade, lacking.competes) == (False, 0.0, False)
     assert f"{NAMES[LABELS[2]]} is not measured on room; it is not ranked." in quality.notes
-    verdict = evaluate_verdict([section.run for section in group.sections], group.results, group.tables)
+    verdict = group.verdict
     assert [one.label for one in verdict.contenders] == [LABELS[1], LABELS[0]]
     assert verdict.headline.startswith(NAMES[LABELS[1]])
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from ggvs_eval.reports import report
-from ggvs_eval.reports.model.measured import read_run
-from ggvs_eval.reports.page.sweep_section import sweep_runs, sweep_section
+from ggvs_eval.reports.model.measured import read_run, sweep_runs
+from ggvs_eval.reports.page.sweep_section import sweep_section
 from ggvs_eval.reports.report import write_report
+from helpers.small_runs import leave_out_pixels
 from helpers.sweep_folders import KS, LINES, write_sweep
 
 
@@ -22,7 +22,7 @@ def sweep(tmp_path_factory) -> Path:
 def page(sweep) -> str:
     """The page of the sweep, where it lies by default."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "_figures", lambda *_: [])  # of each run
+        leave_out_pixels(patch)
         file = write_report([sweep])
     assert file == sweep / "report" / "index.html"
     return file.read_text(encoding="utf-8")
@@ -72,7 +72,7 @@ def test_a_sweep_of_one_k_has_a_table_alone(sweep, tmp_path):
 @pytest.mark.slow
 def test_a_sweep_may_stand_without_its_runs(sweep, tmp_path, monkeypatch):
     """As `tables_of` it follows the groups, says on what it was measured, and which command shows its runs."""
-    monkeypatch.setattr(report, "_figures", lambda *_: [])  # of the run
+    leave_out_pixels(monkeypatch)
     page = write_report([sweep / "k2"], tmp_path / "report", tables_of=[sweep]).read_text(encoding="utf-8")
 
     assert 'class="group-name"' not in page  # one run, one group, which then has no frame of its own

@@ -13,13 +13,13 @@ import pytest
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.contrib.what_if import page as what_if_page
-from ggvs_eval.contrib.what_if.page import keep_for_page
+from ggvs_eval.contrib.what_if.page import keep_for_page, undo_faults
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.run.import_renders import import_renders, run_for
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.reports.model.measured import read_run
-from ggvs_eval.reports.page.pictures import UndoneRenders, undone_renders
+from ggvs_eval.reports.page.pictures import UndoneRenders
 from ggvs_eval.run_folder import RunFolder, frame_path
 from ggvs_eval.synthetic.shipped import FIXED, LATE, QUICK_ROOM, quick_protocol
 from helpers.painted_page import write_page
@@ -90,15 +90,15 @@ def test_what_is_undone_follows_scores_and_what_if(run, monkeypatch):
     """A method without a fault is left as it is; `what-if` adds the methods that it finds a fault in, and takes them back."""
     monkeypatch.setattr(what_if_page, "_undone", lambda _run, label: UndoneRenders(label, "", lambda _view, _frame: None))
     measured = read_run(run.root)
-    assert list(undone_renders(measured)) == ["late"]
+    assert list(undo_faults(measured)) == ["late"]
     clean = replace(measured, results=replace(measured.results, provenance=measured.results.provenance | {"faults": []}))
-    assert undone_renders(clean) == {}
+    assert undo_faults(clean) == {}
     try:
         keep_for_page(run, {"late": True})
         keep_for_page(run, {"mine": False})
-        assert list(undone_renders(clean)) == ["late"]
+        assert list(undo_faults(clean)) == ["late"]
         keep_for_page(run, {"late": False})
-        assert undone_renders(clean) == {}
+        assert undo_faults(clean) == {}
     finally:
         (run.root / "what_if.json").unlink()
 
