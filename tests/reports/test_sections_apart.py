@@ -54,7 +54,7 @@ def delete():
 @pytest.mark.slow
 @pytest.mark.parametrize("gone", sorted(OF_SECTIONS))
 def test_one_can_be_deleted(run, delete, tmp_path, capsys, gone):
-    """The page lacks what the module gives, and says so in a line, as the terminal does; the rest is there, and no link is dead."""
+    """The page lacks what the module gives, and says so in a line, as the terminal does; no link of the rest is dead."""
     delete({gone})
     page = write_report([run], tmp_path, with_figures=False).read_text(encoding="utf-8")
 
