@@ -410,7 +410,9 @@ _FIGURES, _PAGE, _TABLES = (f"ggvs_eval.reports.{room}" for room in ("figures", 
 _OF_RUNS = "ggvs_eval.reports.section:tables_of_runs"
 SECTIONS: dict[str, str | Derived] = {
     "sweep": f"{_PAGE}.sweep_section:sweeps_section",
-    "what-if": Derived("ggvs_eval.contrib.what_if.page:undo_faults", f"{_PAGE}.pictures:undone_section"),
+    "what-if": Derived(
+        "ggvs_eval.contrib.what_if.page:undo_faults", "ggvs_eval.reports.section:value_of_runs", ("undone_frames",)
+    ),
     "viewer": f"{_PAGE}.viewer:viewer_section",
     "stream": f"{_FIGURES}.stream:stream_section",
     "worst frames": Derived(f"{_TABLES}.worst_frames:worst_frames_table", _OF_RUNS, ("views",)),

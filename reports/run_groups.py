@@ -17,14 +17,17 @@ HASH_DIGITS = 8  # of a protocol's hash, where nothing else distinguishes two gr
 RECORDS = (".json", ".parquet", ".toml")  # of a run; they name every frame that was measured by its content
 
 
-def read_groups(roots: Sequence[Path]) -> tuple[RunGroup, ...]:
+def read_groups(roots: Sequence[Path], read: Callable[[Path], MeasuredRun] | None = None) -> tuple[RunGroup, ...]:
     """Read scored runs and group them by the hash of their protocol, in the order in which they are given.
+
+    Args:
+        read: reads a run; by default with a look for its frames, once while it is unchanged.
 
     Raises:
         ResultsError: no run, a run given twice, or a folder that is not a scored run.
         RenderError: frames are missing.
     """
-    by_protocol = runs_by_protocol(roots, _read)
+    by_protocol = runs_by_protocol(roots, read or _read)
     firsts = [runs[0] for runs in by_protocol]
     names = _name_groups(firsts, [run.scene for run in firsts])
     headings = _name_groups(firsts, [run.title for run in firsts])

@@ -198,3 +198,8 @@ def tables_of_runs(read: Callable[[MeasuredRun], Iterable[Table | None] | Table 
         return SectionContent(tables=tables, part=part)
 
     return section
+
+
+def value_of_runs(read: Callable[[MeasuredRun], object], name: str) -> Section:
+    """Return the section that gives one value of each run, by this name, to the sections and templates behind it."""
+    return lambda report: SectionContent(values={key: {name: read(run)} for key, run in report.runs.items()})

@@ -5,12 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.files.atomic import write_text
-from ggvs_eval.merged_results import merge_results
-from ggvs_eval.reports.model.measured import MeasuredRun, distinct_names, read_scores
+from ggvs_eval.reports.model.measured import distinct_names, read_scores
 from ggvs_eval.reports.page.page import STILL_FIRST_SCRIPTS, STILL_SCRIPTS, fill_template
-from ggvs_eval.reports.run_groups import runs_by_protocol
-from ggvs_eval.reports.tables.report_tables import main_tables
-from ggvs_eval.reports.tables.verdict import evaluate_verdict
+from ggvs_eval.reports.run_groups import read_groups
+from ggvs_eval.reports.section import RunGroup
 
 
 def write_leaderboard(runs: Sequence[Path], out: Path) -> Path:
@@ -23,19 +21,17 @@ def write_leaderboard(runs: Sequence[Path], out: Path) -> Path:
     Raises:
         ResultsError: no run, a run given twice, a folder that is no scored run, or a method that two runs measured on one scene.
     """
-    sections = [_section(group) for group in runs_by_protocol(runs, read_scores)]
+    sections = list(map(_section, read_groups(runs, read_scores)))
     write_text(out, fill_template("leaderboard.html.j2", STILL_FIRST_SCRIPTS, STILL_SCRIPTS, sections=sections))
     return out
 
 
-def _section(runs: Sequence[MeasuredRun]) -> dict[str, Any]:
-    results = merge_results([run.results for run in runs])
-    tables = main_tables(runs, results)
-    verdict = evaluate_verdict(runs, results, tables)
+def _section(group: RunGroup) -> dict[str, Any]:
+    verdict, runs = group.verdict, [*group.runs.values()]
     return {
         "nothing": "" if verdict.column else f"{verdict.headline}. {verdict.margin}",
-        "protocol": runs[0].protocol,
+        "protocol": group.protocol,
         "scenes": list(dict.fromkeys(run.scene for run in runs)),
-        "tables": tables,
+        "tables": group.tables,
         "runs": distinct_names([run.folder.root for run in runs]),
     }

@@ -24,7 +24,6 @@ from ggvs_eval.progress import track
 from ggvs_eval.reports.figures.data_uris import shrink, webp_bytes, webp_uri
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.reports.section import Report, Section, SectionContent
 from ggvs_eval.run_folder import DIAGNOSTICS, frame_path, missing_frames
 
 WEBP_WIDTHS = (960, 800, 720, 640, 560, 480, 400, 320, 256, 192)
@@ -63,24 +62,6 @@ class UndoneRenders:
     words: str
     scores: str
     read: Callable[[str, int], Image8 | None]
-
-
-def undone_section(undo: Callable[[MeasuredRun], Mapping[str, UndoneRenders]]) -> Section:
-    """Return the section of frames with their faults undone, which the viewer shows, and of their scores.
-
-    Args:
-        undo: returns label -> the frames of a run's faulty methods.
-    """
-
-    def section(report: Report) -> SectionContent:
-        values = {}
-        for key, run in report.runs.items():
-            frames = undo(run)
-            scores = {run.name(label): renders.scores for label, renders in frames.items()}
-            values[key] = {"undone_frames": frames, "undone": scores}
-        return SectionContent(values=values)
-
-    return section
 
 
 def diagnostics_label(run: MeasuredRun) -> str | None:

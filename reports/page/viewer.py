@@ -57,6 +57,7 @@ def _of_run(
         "insets": _insets(run, opening, comparison.full_size[0]),
         "comparison": comparison,
         "diagnostics": diagnostics_legend(comparison.keys),
+        "undone": {run.name(label): frames.scores for label, frames in undone.items()},
         "first_left": (*run.ours_first, "truth")[0],
         "videos": method_videos(run, fps, room.videos),
         "linked_slices": path is not None or len(run.frames) > 1,

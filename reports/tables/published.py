@@ -71,13 +71,17 @@ def paper_beside(
     """Return the paper's rows of a table if the runs are on its terms, or else the reason in words."""
     if key not in PAPER_TABLES or not paper_dataset(dataset):
         return (), []
-    if why := why_not_beside(paper_dataset(dataset), runs):
-        return (), [f"The paper's values are not shown here: {why}."]
+    comparable = find_comparable_runs(paper_dataset(dataset), runs)
+    if isinstance(comparable, NotComparable):
+        return (), [f"The paper's values are not shown here: {comparable.words}."]
+    for run in runs:
+        if run not in comparable.runs:
+            return (), [f"The paper's values are not shown here: {_name(run)} is none of its scenes."]
     return published_rows(key, dataset, metrics), []
 
 
 def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row, ...]:
-    """Return the paper's rows for one dataset, shown in grey below what was measured on its terms, see `why_not_beside`."""
+    """Return the paper's rows for one dataset, shown in grey below what was measured on its terms, see `paper_beside`."""
     methods = read_published(name).get(paper_dataset(dataset), {})
     return tuple(
         Row(f"{method}{PAPER}", tuple(published_cell(values.get(metric)) for metric in metrics), "published")
@@ -348,15 +352,6 @@ def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> Comparabl
     words = f"on {', '.join(dict.fromkeys(run.scene for run in alike))}"
     words += "" if terms.scenes else ", selected here, since the paper names no scenes"
     return ComparableRuns(tuple(alike), merge_results([run.results for run in alike]), words)
-
-
-def why_not_beside(dataset: str, runs: Sequence[MeasuredRun]) -> str:
-    """State why the paper's values are not in a table of these runs; empty if they are."""
-    found = find_comparable_runs(dataset, runs)
-    if isinstance(found, NotComparable):
-        return found.words
-    others = [run for run in runs if not any(run is one for one in found.runs)]
-    return f"{_name(others[0])} is none of its scenes" if others else ""
 
 
 def _name(run: MeasuredRun) -> str:

@@ -78,3 +78,43 @@ def test_all_can_be_deleted(run, delete, tmp_path, capsys):
     }
     assert len(capsys.readouterr().err.splitlines()) == len(SECTIONS.known())
     assert {*re.findall(r'<section id="([^"]+)"', page)} == {"results", "views", "measured"}
+
+
+PLUGIN = """
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+from ggvs_eval.reports.section import SectionContent
+
+
+def counts(report):
+    column = Column("methods", higher_is_better=None)
+    tables = {}
+    for key, run in report.runs.items():
+        row = Row("all", (Cell(str(len(run.labels)), float(len(run.labels))),))
+        tables[key] = [Table("counts", "Counted", "How many.", (column,), (row,))]
+    sheet = {"id": "mine", "title": "My sheet", "comes_first": False, "html": '<section id="mine" class="sheet"></section>'}
+    return SectionContent(tables=tables, part="views", sheets=[sheet])
+
+
+SECTIONS = {"counts": counts, "broken": lambda report: 1 / 0}
+"""
+
+
+def test_a_plugin_adds_a_section(run, monkeypatch, tmp_path, capsys):
+    """Its table is on the page and in the files, its sheet has a tab; another one that fails is a line."""
+    file = tmp_path / "my_sections.py"
+    file.write_text(PLUGIN)
+    monkeypatch.setenv(plugins.FILES, str(file))
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    plugins._offered.cache_clear()
+    try:
+        page = write_report([run], tmp_path / "report", with_figures=False).read_text(encoding="utf-8")
+    finally:
+        plugins._offered.cache_clear()
+
+    assert "## Counted" in (tmp_path / "report" / "tables.md").read_text(encoding="utf-8")
+    assert "Counted" in page
+    assert '<a href="#mine">My sheet</a>' in page
+    assert '<section id="mine" class="sheet"></section>' in page
+    line = f"section plug-in {file}: section 'broken' does not work (ZeroDivisionError: division by zero)"
+    assert line in html.unescape(page)
+    assert line in capsys.readouterr().err
