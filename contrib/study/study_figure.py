@@ -8,7 +8,7 @@ import numpy as np
 
 from ggvs_eval.contrib.study.metric_study import Study, answered_metrics, read_study
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.reports.figures.curves import save_figure
+from ggvs_eval.reports.figures.axes import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
