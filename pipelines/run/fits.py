@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from operator import index
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthJob, DepthStore
@@ -17,7 +17,6 @@ from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.run.folds import ALL, FoldPlan, fill_folds, plan_folds
 from ggvs_eval.pipelines.run.footage import fold_footage
 from ggvs_eval.pipelines.run.render import FITS, UnitJob
@@ -26,6 +25,9 @@ from ggvs_eval.progress import LINE_EVERY_S, duration
 from ggvs_eval.results import describe_machine
 from ggvs_eval.run_folder import REFUSED, read_json, write_json
 from ggvs_eval.scene_fitter import Footage, SceneFitter
+
+if TYPE_CHECKING:  # which can be deleted alone
+    from ggvs_eval.pipelines.methods.fitted import FittedMethod
 
 TIME_FILE = "seconds.json"  # in the folder of a fit that is not finished
 NOTE_EVERY_S = 5.0
@@ -45,7 +47,7 @@ class FitPlan:
     fold: FoldPlan
     indices: range
     depth_indices: tuple[int, ...]
-    method: FittedMethod
+    method: "FittedMethod"
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -80,13 +82,13 @@ class FitPlan:
 
 def complete(plan: RunPlan) -> RunPlan:
     """Return the plan with the fits of its methods that are fitted, and a protocol that states their folds."""
-    fitted = {label: spec for label, spec in plan.methods.items() if isinstance(spec, FittedMethod)}
+    fitted = {label: spec for label, spec in plan.methods.items() if spec.preparation == FITS}
     if not fitted:
         return plan
     protocol = fill_folds(plan.protocol, plan.original)
     visible = visible_cameras(plan.original, protocol)
     folds = plan_folds(visible, protocol.views.folds, bool(plan.path), plan.depth)
-    fits = plan_fits(fitted, folds, plan.frames, plan.path_frame)
+    fits = plan_fits(cast("Mapping[str, FittedMethod]", fitted), folds, plan.frames, plan.path_frame)
     return replace(plan, request=replace(plan.request, protocol=protocol), fits=fits)
 
 
@@ -101,7 +103,7 @@ def prepare(_plan: RunPlan, _workers: Workers) -> None:
 
 
 def plan_fits(
-    methods: Mapping[str, FittedMethod], folds: Sequence[FoldPlan], frames: range, path_frame: int
+    methods: Mapping[str, "FittedMethod"], folds: Sequence[FoldPlan], frames: range, path_frame: int
 ) -> tuple[FitPlan, ...]:
     """Plan every fit of every fitted method.
 
@@ -146,7 +148,7 @@ def _identity(capture: Capture, fit: FitPlan) -> dict[str, Any]:
     }
 
 
-def _fit(name: str, method: FittedMethod, footage: Footage, folder: Path) -> dict[str, Any]:
+def _fit(name: str, method: "FittedMethod", footage: Footage, folder: Path) -> dict[str, Any]:
     """Fit, or continue; returns the record for the tables, or why a plug-in left no scene."""
     fitter, clock = method.make_fitter(), FitClock(name, folder)
     try:

@@ -14,7 +14,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthJob
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import AbsentPartError, CaptureError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
@@ -257,9 +257,9 @@ def plan_run(request: RunRequest) -> RunPlan:
         path's shares, nearest sources score up to 0.17 dB less and chosen ones 0.08 to 0.18 dB (validation rooms).
     """
     run, methods = RunFolder(request.root), {label: find_method(label, request.networks) for label in request.labels}
-    for spec in methods.values():
-        if spec.preparation:
-            PREPARATIONS[spec.preparation]  # or a line that names the part that is absent
+    for label, spec in methods.items():
+        if reason := PREPARATIONS.why_absent(spec.preparation):
+            raise AbsentPartError(f"{label}: {reason}")
     protocol = request.protocol.over(request.capture.n_frames)
     if not protocol.views.folds and run.protocol_file.is_file() and (kept := run.protocol()).agrees_with(protocol):
         protocol = kept
