@@ -2,7 +2,7 @@
 
 import re
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.built_in import CONVENTIONS, PATH_METRICS
-from ggvs_eval.contrib.explain.frame_conventions import ALL_VIEWS, MaskReader, Recomputed
+from ggvs_eval.contrib.explain.conventions import ALL_VIEWS, MaskReader, Masks, Recomputed, Views
 from ggvs_eval.errors import AbsentPartError, MetricError, did_you_mean
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.listing import list_images
 from ggvs_eval.files.names import numbers_in
 from ggvs_eval.measured_frames import measured_mask
 from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
-from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.pipelines.inspection.table import WIDTH, text_table
 from ggvs_eval.plugins import Registry
 from ggvs_eval.progress import track
@@ -37,8 +36,7 @@ MOST_DIGITS = 100  # before or behind the point of a printed number
 PRINTED = re.compile(r"(?P<number>[+-]?\d+(?:[.,]\d+)?)\s*(?P<unit>dB|%)?")
 BOX = re.compile(r"\d+(,\d+){3}")
 OF_NO_VIEW = {"path": "a camera path", "depth": "depth videos"}
-Masks = Mapping[str, MaskReader]
-FAMILIES: Registry[Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = Registry("conventions", CONVENTIONS)
+FAMILIES: Registry[Callable[[Views, Masks], list[Recomputed]]] = Registry("conventions", CONVENTIONS)
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ class Convention:
     is_ours: bool
 
 
-def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Masks | None = None) -> list[Convention]:
+def explain(metric: str, quoted: str, views: Views, masks: Masks | None = None) -> list[Convention]:
     """Recompute a number under every known convention of its metric.
 
     Args:
@@ -86,11 +84,11 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
         for over, value in row.values.items()
         if len(views) > 1 or over == ALL_VIEWS
     ]
-    return sorted(conventions, key=lambda one: not one.is_ours)
+    return sorted(conventions, key=lambda convention: not convention.is_ours)
 
 
 @contextmanager
-def followed(views: Mapping[str, ViewFrames]) -> Iterator[Mapping[str, ViewFrames]]:
+def followed(views: Views) -> Iterator[Views]:
     """Yield the views with a bar that moves as their rendered frames are read, one for each time that all of them are."""
     frames = range(sum(len(view.frames) for view in views.values()))
     steps: Iterator[int] = iter(())
@@ -117,8 +115,8 @@ def metric_family(metric: str) -> str:
     of_other = {name.lower(): name for name in (*PATH_METRICS, *DEPTH_METRICS)}
     if family not in FAMILIES and family in of_other:
         name = of_other[family]
-        one = METRICS[name] if name in METRICS else DEPTH_METRICS[name]
-        raise MetricError(f"{one.name} is of {OF_NO_VIEW[one.kind]}, wanted a metric of test views; see {one.reference}")
+        absent = METRICS[name] if name in METRICS else DEPTH_METRICS[name]
+        raise MetricError(f"{absent.name} is of {OF_NO_VIEW[absent.kind]}, wanted a metric of test views; see {absent.reference}")
     if reason := FAMILIES.why_absent(family):
         raise AbsentPartError(reason)
     if family not in FAMILIES:
@@ -136,12 +134,12 @@ def printed(quoted: str) -> tuple[float, float]:
         >>> printed("31.52"), printed("31,52 dB"), printed("93.6 %")
         ((31.52, 0.005), (31.52, 0.005), (0.936, 0.0005))
     """
-    found = PRINTED.fullmatch(quoted.strip())
+    match = PRINTED.fullmatch(quoted.strip())
     try:
-        number = Decimal(found["number"].replace(",", ".")) if found else Decimal(quoted.strip())
+        number = Decimal(match["number"].replace(",", ".")) if match else Decimal(quoted.strip())
     except InvalidOperation:
         raise MetricError(f"wanted a number as printed, e.g. 0.936, got {quoted!r}") from None
-    if found and found["unit"] == "%":
+    if match and match["unit"] == "%":
         number = number.scaleb(-2)
     exponent = number.as_tuple().exponent
     if not isinstance(exponent, int) or max(abs(exponent), abs(number.adjusted())) > MOST_DIGITS:
@@ -181,27 +179,29 @@ def explanation_table(
     metric: str, quoted: str, conventions: Sequence[Convention], width: int = WIDTH, shows_all: bool = False
 ) -> str:
     """Write the result as text: a sentence, the matches, and of the others over all views the nearest and ours, or all."""
-    others = [one for one in conventions if one.views == ALL_VIEWS and not one.matches]
-    others.sort(key=lambda one: abs(one.value - printed(quoted)[0]))
-    nearest = [one for at, one in enumerate(others) if at < NEAREST or one.is_ours or shows_all]
-    shown = [one for one in conventions if one.matches] + nearest
-    rows = [
-        ("=" if one.matches else "", "this tool" if one.is_ours else "", f"{one.value:.6g}", one.views, one.name)
-        for one in sorted(shown, key=lambda one: (not one.matches, one.views != ALL_VIEWS, one.matches and not one.is_ours))
-    ]
+    everywhere = [row for row in conventions if row.views == ALL_VIEWS]
+    matching = [row for row in conventions if row.matches]
+    others = [row for row in everywhere if not row.matches]
+    others.sort(key=lambda row: abs(row.value - printed(quoted)[0]))
+    nearest = [row for at, row in enumerate(others) if at < NEAREST or row.is_ours or shows_all]
+    # Those over all views before those over one, and of these ours.
+    matching.sort(key=lambda row: (row.views != ALL_VIEWS, not row.is_ours))
+    rows = []
+    for row in (*matching, *nearest):
+        sign, whose = "=" if row.matches else "", "this tool" if row.is_ours else ""
+        rows.append((sign, whose, f"{row.value:.6g}", row.views, row.name))
     table = text_table({"": 0, " ": 0, metric.upper(): 0, "over": 0, "convention": 1}, rows, width)
-    count = len(others) + sum(one.matches and one.views == ALL_VIEWS for one in conventions)
-    left = f"\n\n{count} conventions tried; --all shows them" if len(nearest) < len(others) else ""
+    left = f"\n\n{len(everywhere)} conventions tried; --all shows them" if len(nearest) < len(others) else ""
     return f"{textwrap.fill(_sentence(metric.upper(), quoted, conventions), width)}\n\n{table}{left}"
 
 
 def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> str:
     """Return the name the convention of the number, apart from chance matches; those over all views before those over one."""
-    everywhere = [one for one in conventions if one.views == ALL_VIEWS]
+    everywhere = [convention for convention in conventions if convention.views == ALL_VIEWS]
     for tried in (everywhere, conventions):
-        matching = [one for one in tried if one.matches]
+        matching = [convention for convention in tried if convention.matches]
         if matching:
-            share = chance(quoted, [one.value for one in tried])
+            share = chance(quoted, [convention.value for convention in tried])
             return f"{_matching(metric, quoted, matching, share)}; {len(tried)} were tried, and {_share_text(share)}"
     half_digit = tolerance(quoted, printed(quoted)[0])
     count = f"{len(everywhere)} conventions over all views" + (
@@ -211,7 +211,7 @@ def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> st
 
 
 def _matching(metric: str, quoted: str, matching: Sequence[Convention], share: float) -> str:
-    is_ours = any(one.is_ours and one.views == ALL_VIEWS for one in matching)
+    is_ours = any(convention.is_ours and convention.views == ALL_VIEWS for convention in matching)
     if share > WEAK_CHANCE and not is_ours:
         names = _full_name(matching[0]) if len(matching) == 1 else f"{len(matching)} conventions"
         return f"only chance matches for {metric} {quoted}: {names}; quote more digits"
@@ -229,7 +229,7 @@ def _full_name(convention: Convention) -> str:
     return convention.name + ("" if convention.views == ALL_VIEWS else f", {convention.views} alone")
 
 
-def read_masks(where: str, views: Mapping[str, ViewFrames], measurement: Measurement) -> Masks:
+def read_masks(where: str, views: Views, measurement: Measurement) -> Masks:
     """Read masks for conventions that leave pixels out, at the size at which a protocol measures.
 
     Args:

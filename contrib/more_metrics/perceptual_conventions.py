@@ -1,29 +1,27 @@
 """Conventions of IV-PSNR, DISTS, FLIP, VMAF and ColorVideoVDP: colour spaces, sizes, viewing conditions, models, averages."""
 
-from collections.abc import Callable, Mapping
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.contrib.explain.frame_conventions import (
-    BT601,
-    BT709,
+from ggvs_eval.contrib.explain.conventions import (
     FrameMeasure,
-    MaskReader,
+    Masks,
     Recomputed,
+    Values,
+    Views,
+    conventions,
     frame_means,
-    halved,
-    mean_over_views,
+    over_views,
+    prepared,
     view_pairs,
-    ycbcr,
 )
+from ggvs_eval.contrib.explain.preparations import BT601, BT709, HALVED, both, ycbcr
 from ggvs_eval.errors import MetricError
-from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 
-Views = Mapping[str, ViewFrames]
-Masks = Mapping[str, MaskReader]
 OUR_IV_PSNR = "YCbCr of BT.709 without headroom, full chroma"
 OUR_DISTS = "frames at their own size"
 OUR_FLIP = "mean, 67 pixels per degree"
@@ -37,9 +35,8 @@ def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     from ggvs_eval.contrib.more_metrics.iv_psnr import iv_psnr, psnr_ycbcr
 
     def of_video(matrix: NDArray[np.float64], headroom: bool, chroma: int) -> FrameMeasure:
-        return lambda rendered, truth: iv_psnr(
-            _ycbcr(rendered, matrix, headroom, chroma), _ycbcr(truth, matrix, headroom, chroma), colours="ycbcr"
-        )
+        colours = both(lambda image: _ycbcr(image, matrix, headroom, chroma))
+        return prepared(partial(iv_psnr, colours="ycbcr"), colours)
 
     measures: dict[str, FrameMeasure] = {
         OUR_IV_PSNR: iv_psnr,
@@ -69,15 +66,10 @@ def dists_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """DISTS at the frames' own size, and after the shrinking of its authors' script."""
     from ggvs_eval.contrib.more_metrics.dists import dists
 
-    def of_script(rendered: Image8, truth: Image8) -> float:
-        return dists(_shrunk(rendered), _shrunk(truth))
-
     measures: dict[str, FrameMeasure] = {
         OUR_DISTS: dists,
-        "frames shrunk to 256 pixels at the shorter side (authors' script)": lambda rendered, truth: dists(
-            _shrunk(rendered), _shrunk(truth)
-        ),
-        "both at half size": lambda *pair: dists(*halved(*pair)),
+        "frames shrunk to 256 pixels at the shorter side (authors' script)": prepared(dists, both(_shrunk)),
+        "both at half size": prepared(dists, HALVED),
     }
     return frame_means(views, measures, OUR_DISTS)
 
@@ -98,16 +90,13 @@ def flip_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """FLIP's mean and median, and its mean under other viewing conditions."""
     from ggvs_eval.contrib.more_metrics.flip import flip, flip_map
 
-    def on_full_hd(rendered: Image8, truth: Image8) -> float:
-        return float(flip_map(rendered, truth, 33.51).mean())
-
     measures: dict[str, FrameMeasure] = {
         OUR_FLIP: flip,
         "median, 67 pixels per degree": lambda *pair: float(np.median(flip_map(*pair))),
         "mean, 33.5 pixels per degree (a full HD monitor)": lambda rendered, truth: float(
             flip_map(rendered, truth, 33.51).mean()
         ),
-        "mean, 67 pixels per degree, both at half size": lambda *pair: flip(*halved(*pair)),
+        "mean, 67 pixels per degree, both at half size": prepared(flip, HALVED),
     }
     return frame_means(views, measures, OUR_FLIP)
 
@@ -116,36 +105,33 @@ def vmaf_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """VMAF of each model that this ffmpeg has and either matrix, its frames averaged in three ways."""
     from ggvs_eval.contrib.more_metrics.vmaf import MODEL, MODEL_V1, vmaf
 
-    averages: Mapping[str, Callable[[NDArray[np.float64]], float]] = {
-        "mean over frames": lambda values: float(values.mean()),
-        "harmonic mean over frames": lambda values: float(1 / np.mean(1 / (values + 1)) - 1),
-        "worst frame": lambda values: float(values.min()),
-    }
-    rows = []
+    averages = (
+        over_views("mean over frames"),
+        over_views("harmonic mean over frames", lambda values: 1 / np.mean(1 / (values + 1)) - 1),
+        over_views("worst frame", np.min),
+    )
+    series: dict[str, dict[str, Values]] = {}
     for model in (MODEL, f"{MODEL}neg", MODEL_V1):
         for matrix in ("bt709", "bt601"):
             try:
-                frames = {name: np.array(vmaf(view_pairs(view), model, matrix)) for name, view in views.items()}
+                values = {name: np.array(vmaf(view_pairs(view), model, matrix)) for name, view in views.items()}
             except MetricError:
                 if model == MODEL:
                     raise
                 continue  # an older libvmaf, or frames too small for it
-            for average, pool in averages.items():
-                name = f"{model}, {matrix.replace('bt', 'BT.')}, {average}"
-                values = mean_over_views({view: pool(of_view) for view, of_view in frames.items()})
-                rows.append(Recomputed(name, values, name == OUR_VMAF))
-    return rows
+            series[f"{model}, {matrix.replace('bt', 'BT.')}"] = values
+    return conventions(series, averages, ours=OUR_VMAF)
 
 
 def vdp_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """ColorVideoVDP on two displays and at three rates."""
     from ggvs_eval.contrib.more_metrics.colour_video_vdp import colour_video_vdp
 
-    rows = []
+    series: dict[str, dict[str, Values]] = {}
     for display, rate in (("standard_4k", 30), ("standard_fhd", 30), ("standard_4k", 24), ("standard_4k", 60)):
         name = f"{display}, {rate} frames per second"
-        values = {
-            view: colour_video_vdp(view_pairs(frames), display=display, frames_per_second=rate) for view, frames in views.items()
+        series[name] = {
+            view: np.array([colour_video_vdp(view_pairs(frames), display=display, frames_per_second=rate)])
+            for view, frames in views.items()
         }
-        rows.append(Recomputed(name, mean_over_views(values), name == OUR_VDP))
-    return rows
+    return conventions(series, ours=OUR_VDP)

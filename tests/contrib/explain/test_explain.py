@@ -9,6 +9,7 @@ import pytest
 from scipy import ndimage
 from skimage import data
 
+from ggvs_eval.contrib.explain.conventions import ALL_VIEWS, Recomputed
 from ggvs_eval.contrib.explain.explain import (
     FAMILIES,
     Convention,
@@ -20,7 +21,6 @@ from ggvs_eval.contrib.explain.explain import (
     read_masks,
     tolerance,
 )
-from ggvs_eval.contrib.explain.frame_conventions import ALL_VIEWS, Recomputed
 from ggvs_eval.contrib.explain.ssim_conventions import frame_measures
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import write_image
