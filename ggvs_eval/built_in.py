@@ -405,6 +405,8 @@ SWEEP_PLANS = {"commands": "ggvs_eval.contrib.cluster.plan:write_commands"}
 SPLAT_FILES = {".glb": "ggvs_eval.contrib.export.gltf_reading:GLB"}
 TRACKERS = {name: "ggvs_eval.contrib.export.tracking:track_results" for name in ("tensorboard", "mlflow", "wandb")}
 
+LEADERBOARDS = {"leaderboard": "ggvs_eval.reports.page.leaderboard:write_leaderboard"}  # pages without frames
+
 # Sections of a report, in the order in which they are read; and published values for its main tables.
 _FIGURES, _PAGE, _TABLES = (f"ggvs_eval.reports.{room}" for room in ("figures", "page", "tables"))
 _OF_RUNS = "ggvs_eval.reports.section:tables_of_runs"

@@ -138,8 +138,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             return ""
         if self._needs and not is_installed(self._needs):
             return f"{name} wants the module {self._needs}, which is not installed; install it or remove {name}"
-        module = self.root(name)
-        part = module and missing_part(module)
+        part = next(filter(None, map(missing_part, self._modules(self.shipped[name]))), None)
         return f"{name} is part of {part}, which is not installed; reinstall ggvs-eval or omit it" if part else ""
 
     def root(self, name: str) -> str | None:
@@ -148,6 +147,14 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         if isinstance(entry, Derived):
             return self.root(entry.base) if entry.base in self.shipped else entry.base.partition(":")[0]
         return entry.partition(":")[0] if isinstance(entry, str) else None
+
+    def _modules(self, entry: Any) -> Iterator[str]:
+        """Yield the modules that an entry is loaded from and made by."""
+        if isinstance(entry, Derived):
+            yield from self._modules(self.shipped.get(entry.base, entry.base))
+            yield entry.make.partition(":")[0]
+        elif isinstance(entry, str):
+            yield entry.partition(":")[0]
 
     def _built_in(self, entry: Any) -> Any:
         if isinstance(entry, Derived):

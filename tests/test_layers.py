@@ -49,6 +49,7 @@ FLOORS = (
     ("pipelines.play",),
     ("pipelines.sweep.merging", "pipelines.sweep"),
     ("pipelines.commands",),
+    ("api",),
     ("__main__", "install"),
     # What the package can do without, each part by itself; more_metrics adds conventions, and training stands on two others.
     ("contrib.explain",),

@@ -10,6 +10,7 @@ from ggvs_eval import built_in
 from ggvs_eval.plugins import Registry
 from ggvs_eval.run_folder import RunFolder
 
+LEADERBOARDS: Registry[Any] = Registry("pages", built_in.LEADERBOARDS)
 TRACKERS: Registry[Any] = Registry("trackers", built_in.TRACKERS)
 Runs = Annotated[
     tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(at least one)")
@@ -36,9 +37,7 @@ def report(
         columns: columns of the Markdown, LaTeX and Excel tables, in order: PSNR SSIM LPIPS TCC.
     """
     if to == "leaderboard":
-        from ggvs_eval.reports.page.leaderboard import write_leaderboard
-
-        print(write_leaderboard(runs, out or Path("leaderboard.html")))
+        print(LEADERBOARDS[to](runs, out or Path("leaderboard.html")))
     elif to == "page":
         from ggvs_eval.pipelines.run.evaluate import report as write
         from ggvs_eval.pipelines.run.work_left import describe_outdated

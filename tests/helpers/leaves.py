@@ -32,6 +32,24 @@ LEAVES: dict[str, tuple[str, ...]] = {
         *("pipelines.run.steadiness", "pipelines.commands.steadiness", "reports.tables.steadiness"),
         *("metrics.series_scores", "renders.sequences"),
     ),
+    # Sections of a report, and what only they use.
+    **{
+        f"section {module.rpartition('.')[2]}": (f"reports.{module}",)
+        for module in (
+            *("page.sweep_section", "page.viewer", "page.heat_map", "page.quality_over_time"),
+            *("figures.curves", "figures.slices", "figures.stream"),
+            *("tables.worst_frames", "tables.timing", "tables.costs"),
+        )
+    },
+    "section error_budget": ("reports.tables.error_budget",),
+    "section drift": ("reports.tables.drift", "statistics.drift"),
+    "section paper": ("reports.tables.reproduction", "reports.tables.published"),
+    "pictures of sections": ("reports.page.pictures", "reports.figures.regions", "reports.figures.data_uris"),
+    "figures for papers": (
+        *("pipelines.commands.figure", "reports.figures.paper_figures"),
+        *("reports.figures.look", "reports.figures.sweep_figures"),
+    ),
+    "leaderboard": ("reports.page.leaderboard",),
     "comparison": ("pipelines.commands.compare", "reports.tables.compare_runs"),
     "baselines": ("baselines", "pipelines.methods.baselines"),
     "fitted methods": (
@@ -40,14 +58,21 @@ LEAVES: dict[str, tuple[str, ...]] = {
         "pipelines.methods.sequence",
         "gaussians",
         "scene_fitter",
+        "pipelines.run.fits",
+        "pipelines.run.footage",
+        "pipelines.run.folds",
     ),
     "camera path": (
         *("metrics.path", "metrics.path_scores"),
         *("pipelines.run.score_path", "pipelines.run.path_depth", "pipelines.run.camera_path"),
     ),
-    "noise ceilings": ("metrics.noise", "metrics.ceilings", "pipelines.run.references"),
+    "noise ceilings": (
+        *("metrics.noise.estimate", "metrics.noise.recording", "metrics.ceilings"),
+        "pipelines.run.references",
+    ),
+    "masks of what no source sees": ("pipelines.run.disocclusion",),
     "stream": ("metrics.time.on_screen", "pipelines.run.screens", "pipelines.run.live_depth"),
-    "metrics": ("metrics.image", "metrics.time", "metrics.on_device"),
+    "metrics": ("metrics.image", "metrics.time", "metrics.noise.blocks", "metrics.on_device"),
     "play": ("pipelines.play", "pipelines.commands.play"),
 }
 
@@ -63,16 +88,17 @@ def leaf_of(module: str) -> str | None:
 
 
 def needs_of(own: set[str]) -> set[str]:
-    """Return the modules of other leaves that some modules import, directly or not, with the packages that they stand in."""
-    needed: set[str] = set()
+    """Return the modules of other leaves that some modules import, directly or not, and the packages that they stand in."""
+    needed = set(own)
     waiting = [*own]
     while waiting:
-        for imported, _ in imported_names(modules()[waiting.pop()]):
-            if leaf_of(imported) and imported not in needed | own:
-                needed.add(imported)
-                waiting.append(imported)
-    above = {".".join(module.split(".")[:end]) for module in needed | own for end in range(1, module.count(".") + 1)}
-    return needed | {package for package in above if package in modules()}
+        module = waiting.pop()
+        imported = {name for name, _ in imported_names(modules()[module])}
+        packages = {module.rsplit(".", count)[0] for count in range(1, module.count(".") + 1)}
+        more = {name for name in imported | packages if name in modules() and leaf_of(name)} - needed
+        needed |= more
+        waiting += more
+    return needed - own
 
 
 def names_of_api() -> set[tuple[str, str]]:
