@@ -5,7 +5,8 @@ Both are listed in `ggvs_eval.built_in` and loaded by name, so that `score` work
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
+from typing import Protocol as Door
 
 from ggvs_eval import built_in
 from ggvs_eval.arrays import Image8
@@ -13,7 +14,7 @@ from ggvs_eval.coverage import Coverage
 from ggvs_eval.finding import Finding
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.plugins import Registry
-from ggvs_eval.protocol import Protocol as ScoreProtocol
+from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 
 FrameReader = Callable[[int], Image8]  # frame number -> (H, W, 3) uint8 RGB
@@ -30,12 +31,12 @@ class ScoredMethod:
     """
 
     run: RunFolder
-    protocol: ScoreProtocol
+    protocol: Protocol
     label: str
     values: Mapping[str, Mapping[str, Mapping[int, float]]]
 
 
-class Question(Protocol):
+class Question(Door):
     """A question that scoring asks of every method's frames; its findings stand next to the scores."""
 
     def of_view(self, view: str, truth: FrameReader, numbers: range) -> FrameCheck:
@@ -66,7 +67,7 @@ class ScoreRequest:
     """
 
     run: RunFolder
-    protocol: ScoreProtocol
+    protocol: Protocol
     coverage: Coverage
     labels: Sequence[str]
     views: Sequence[str]
