@@ -19,28 +19,83 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any
 
+import numpy as np
 import tyro
+
+from ggvs_eval.errors import GgvsError
+from ggvs_eval.pipelines.run.import_renders import import_renders
+from ggvs_eval.run_folder import RunFolder
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # what is damaged is the tests' own
 
 from helpers.fuzz import (  # type: ignore[import-not-found]
     CAPTURES,
     IMPOSTORS,
-    RENDERS,
     add_long_key,
     damaged,
-    import_everything,
     random_edit,
     read_everything,
 )
-from helpers.render_folders import make_run  # type: ignore[import-not-found]
+from helpers.render_folders import (  # type: ignore[import-not-found]
+    VIEWS,
+    make_run,
+    pack,
+    stack,
+    view_major,
+    write_4dgaussians,
+    write_easyvolcap,
+    write_flat,
+    write_folders,
+    write_nerfbaselines,
+    write_videos,
+)
 
+
+def write_arrays(folder: Path, suffix: str) -> Path:
+    """A stack of frames per view."""
+    folder.mkdir()
+    for view in VIEWS:
+        if suffix == ".npy":
+            np.save(folder / f"{view}.npy", stack(view))
+        else:
+            np.savez_compressed(folder / f"{view}.npz", frames=stack(view, "float32"))
+    return folder
+
+
+def write_packed(folder: Path, suffix: str) -> Path:
+    """An archive of folders of pictures, alone in a folder."""
+    folder.mkdir()
+    pack(write_folders(folder.with_name(f"{folder.name}_unpacked")), folder / f"theirs{suffix}")
+    return folder
+
+
+def write_other_run(folder: Path) -> Path:
+    """Another run folder with a method of somebody's."""
+    write_folders(make_run(folder).root / "renders" / "theirs")
+    return folder
+
+
+RENDERS: dict[str, Callable[[Path], Path]] = {
+    "folders": write_folders,
+    "folders of JPEG": lambda folder: write_folders(folder, pattern="{view}/{number:04d}.jpg"),
+    "run": write_other_run,
+    "nerfbaselines": write_nerfbaselines,
+    "easyvolcap": write_easyvolcap,
+    "flat": lambda folder: write_flat(folder, view_major()),
+    "4dgaussians": lambda folder: write_4dgaussians(folder) / "test",
+    "videos": write_videos,
+    "npy": lambda folder: write_arrays(folder, ".npy"),
+    "npz": lambda folder: write_arrays(folder, ".npz"),
+    "zip": lambda folder: write_packed(folder, ".zip"),
+    "tar.gz": lambda folder: write_packed(folder, ".tar.gz"),
+}
 LONGEST_S = 60.0  # on a machine that has other work; the largest is reported
 GRACE_S = 20.0  # after that a process which did not stop itself is killed
 START_S = 240.0  # of a process: its imports and its valid input, on a machine that has other work
@@ -51,6 +106,18 @@ PICTURES = (".png", ".jpg", ".mp4")
 KINDS = [*(f"capture/{name}" for name in CAPTURES), *(f"renders/{name}" for name in RENDERS)]
 SLOW = {"capture/colmap": 0.1, "capture/multipleview": 0.1}  # their models are read in a process each: fewer of them
 Outcome = dict[str, Any]
+
+
+def import_everything(path: Path, run: RunFolder) -> str:
+    """Import renders into a run; ``imported``, or the line with which they were refused."""
+    archives = [item for item in path.iterdir() if item.name.startswith("theirs.")] if path.is_dir() else []
+    try:
+        import_renders(run, "mine", archives[0] if archives else path)
+        return "imported"
+    except GgvsError as error:
+        message = str(error)
+        assert message.isprintable()
+        return message
 
 
 class HangError(BaseException):

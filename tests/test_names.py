@@ -1,9 +1,11 @@
 """Names that docstrings and pages give in backticks exist: a module, or what it defines."""
 
 import ast
+import importlib
 import re
 from collections.abc import Iterator
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -81,3 +83,19 @@ def test_what_does_not_exist_is_named(name):
         f"here: {name}s",
         "there: metrics.flicker.Flicker",
     ]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="an installed wheel has no benchmarks; a checkout has")
+def test_benchmarks_and_tools_import_what_exists():
+    """Names that they take of the package and of the tests' helpers; most of these programs run once in a year."""
+    wrong = []
+    for file in (*ROOT.glob("benchmarks/**/*.py"), *ROOT.glob("tools/**/*.py")):
+        for node in ast.walk(parsed(file)):
+            origin = node.module if isinstance(node, ast.ImportFrom) and node.module else ""
+            if origin.split(".")[0] in ("ggvs_eval", "helpers") and "contrib.warp" not in origin:  # which needs Warp
+                module = importlib.import_module(origin)
+                names = [alias.name for alias in node.names if not hasattr(module, alias.name)]
+                wrong += [f"{file.name}: {origin}.{name}" for name in names if not find_spec(f"{origin}.{name}")]
+
+    assert wrong == []
