@@ -5,14 +5,14 @@ exactly their terms, and no other.
 """
 
 import csv
-from collections.abc import Collection, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib import resources
 
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.progress import counted
-from ggvs_eval.protocol import Measurement, Protocol, Synthesis, load_protocol, packaged_protocols
+from ggvs_eval.protocol import Measurement, Protocol, Synthesis, load_protocol
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Row
 from ggvs_eval.results import Results
@@ -24,7 +24,6 @@ CAVEATS = (
     "It leaves the backbone of LPIPS and the variants of STED and SSIM open; the protocol states those used here.",
 )
 PAPER = " (paper)"  # ends the name of the paper's rows, which are not the only published ones
-PAPER_TABLES = ("quality", "consistency")
 UNITS = {"PSNR": "dB"}
 HIGHER_IS_BETTER = ("PSNR", "SSIM", "TCC")
 TIMING_WORDS = {
@@ -38,71 +37,17 @@ TIMING_WORDS = {
 MEAN = "mean of"  # what the scene of a published value begins with where it is no scene
 
 
-@cache
-def read_published(name: str) -> dict[str, dict[str, dict[str, str]]]:
-    """Return one of the paper's tables.
-
-    Args:
-        name: ``quality``, ``consistency``, ``ablation`` or ``timing``.
-
-    Returns:
-        dataset -> method -> metric -> value, with the digits that the paper prints.
-    """
-    text = (resources.files("ggvs_eval.reports.tables") / "data" / f"{name}.csv").read_text(encoding="utf-8")
-    values: dict[str, dict[str, dict[str, str]]] = {}
-    for line in csv.DictReader(line for line in text.splitlines() if not line.startswith("#")):
-        values.setdefault(line["dataset"], {}).setdefault(line["method"], {})[line["metric"]] = line["value"]
-    return values
-
-
-def is_higher_better(metric: str) -> bool:
-    """Return the direction of one of the paper's metrics."""
-    return metric in HIGHER_IS_BETTER
-
-
-def paper_dataset(name: str) -> str:
-    """Return the paper's own name of a data set; empty if it has none of that name."""
-    return next((dataset for dataset in read_published("quality") if dataset.lower() == name.lower()), "")
-
-
-def paper_beside(
-    key: str, dataset: str, metrics: Sequence[str], runs: Sequence[MeasuredRun]
-) -> tuple[tuple[Row, ...], list[str]]:
-    """Return the paper's rows of a table if the runs are on its terms, or else the reason in words."""
-    if key not in PAPER_TABLES or not paper_dataset(dataset):
-        return (), []
-    comparable = find_comparable_runs(paper_dataset(dataset), runs)
-    if isinstance(comparable, NotComparable):
-        return (), [f"The paper's values are not shown here: {comparable.words}."]
-    for run in runs:
-        if run not in comparable.runs:
-            return (), [f"The paper's values are not shown here: {_name(run)} is none of its scenes."]
-    return published_rows(key, dataset, metrics), []
-
-
-def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row, ...]:
-    """Return the paper's rows for one dataset, shown in grey below what was measured on its terms, see `paper_beside`."""
-    methods = read_published(name).get(paper_dataset(dataset), {})
-    return tuple(
-        Row(f"{method}{PAPER}", tuple(published_cell(values.get(metric)) for metric in metrics), "published")
-        for method, values in methods.items()
-    )
-
-
-def published_cell(text: str | None) -> Cell:
-    """Return a published value with its own digits, or the word that there is none."""
-    return Cell("not reported") if text is None else Cell(text, float(text))
-
-
 @dataclass(frozen=True)
-class PublishedTerms:
-    """Origin and terms of a published table.
+class Terms:
+    """Origin and terms of published values.
 
     Attributes:
-        protocol: packaged protocol that it belongs to.
+        protocol: packaged protocol that they belong to; the paper's are called as its data sets,
+            in small letters.
         checked: where each value was read.
-        scenes: names of the scenes of which only the mean is published.
         withheld: why no value is shown next to measured ones; empty if they are.
+        scenes: names of the scenes of which only the mean is published; empty if it names none.
+        layouts: in which a data set of the paper is on disk; empty for all other sources.
     """
 
     protocol: str
@@ -113,180 +58,153 @@ class PublishedTerms:
     checked: str
     withheld: str
     scenes: str
-
-
-@dataclass(frozen=True)
-class PublishedValue:
-    """One value, with the digits that are printed; `scene` is a folder, or says which scenes it is the mean of."""
-
-    protocol: str
-    scene: str
-    method: str
-    metric: str
-    value: str
-
-
-@cache
-def published_terms() -> dict[str, PublishedTerms]:
-    """Protocol -> the terms of its table."""
-    return {line["protocol"]: PublishedTerms(**line) for line in _read("community_terms")}
-
-
-@cache
-def published_values() -> tuple[PublishedValue, ...]:
-    """Return all values, in the order of the file."""
-    return tuple(PublishedValue(**line) for line in _read("community"))
-
-
-def community_beside(
-    key: str, dataset: str, metrics: Sequence[str], runs: Sequence[MeasuredRun]
-) -> tuple[tuple[Row, ...], list[str]]:
-    """Return the rows of the runs' packaged protocol, with their source or the reason why there are none."""
-    protocol = runs[0].protocol
-    scenes = [f"{run.scene}, a demo capture," if run.is_demo else run.scene for run in runs]
-    rows = community_rows(protocol, scenes, metrics)
-    return rows, describe_published(protocol, scenes) if rows or key == PAPER_TABLES[0] else []
-
-
-def community_rows(protocol: Protocol, scenes: Collection[str], metrics: Sequence[str]) -> tuple[Row, ...]:
-    """Make the grey rows below what a run measured.
-
-    Returns:
-        A row per method and scene with a value in any column: of these scenes, and means over the whole data set. None for a run
-        on other terms than a packaged protocol with a published table, see `describe_published`.
-    """
-    rows = []
-    for (method, scene), values in _shown(protocol, scenes).items():
-        if values.keys() & set(metrics):
-            cells = tuple(published_cell(values.get(metric)) for metric in metrics)
-            rows.append(Row(f"{method} (published, {scene})", cells, "published"))
-    return tuple(rows)
-
-
-def describe_published(protocol: Protocol, scenes: Collection[str]) -> list[str]:
-    """State the source of a table's published rows, or why it has none."""
-    terms = published_terms().get(protocol.name)
-    if terms is None:
-        return []
-    if reason := _difference(protocol, scenes) or terms.withheld:
-        return [f"Published values of {protocol.name} are not shown: {reason}."]
-    shown = _shown(protocol, scenes)
-    beyond = [
-        f"{metric} {value} of {method} ({scene})"
-        for (method, scene), values in shown.items()
-        for metric, value in values.items()
-        if metric not in protocol.measurement.metrics
-    ]
-    told = (
-        f"Grey: {terms.source}; frames: {terms.frames}; LPIPS: {terms.lpips_net}; D-SSIM: {terms.dssim}. "
-        f"Values: {terms.checked}. Methods that fit a scene take all its other cameras as input, not K."
-    )
-    return [told, *([f"Published too: {', '.join(beyond)}."] if beyond else [])] if shown else []
-
-
-def _shown(protocol: Protocol, scenes: Collection[str]) -> dict[tuple[str, str], dict[str, str]]:
-    """(method, scene) -> metric -> value that can be shown next to a run."""
-    terms = published_terms().get(protocol.name)
-    if terms is None or terms.withheld or _difference(protocol, scenes):
-        return {}
-    shown: dict[tuple[str, str], dict[str, str]] = {}
-    for each in published_values():
-        if each.protocol == protocol.name and (each.scene in scenes or each.scene.startswith(MEAN)):
-            shown.setdefault((each.method, each.scene), {})[each.metric] = each.value
-    return shown
-
-
-def _difference(protocol: Protocol, scenes: Collection[str]) -> str:
-    """Return what a run under a packaged protocol's name does or shows otherwise; empty if values compare."""
-    if protocol.name not in packaged_protocols():
-        return f"no packaged protocol is called {protocol.name}"
-    ours, theirs = _terms(protocol), _terms(load_protocol(protocol.name))
-    parts = ("dataset", "views", "frames", "synthesis", "measurement")
-    if differing := [part for part in parts if getattr(ours, part) != getattr(theirs, part)]:
-        return f"this run differs from the packaged protocol in {', '.join(differing)}"
-    of_values = {each.scene.lower() for each in published_values() if each.protocol == protocol.name}
-    of_means = published_terms()[protocol.name].scenes.lower().split()
-    known = {scene for scene in of_values if not scene.startswith(MEAN)}.union(of_means)
-    foreign = [scene for scene in scenes if known and scene.lower() not in known]
-    return f"{', '.join(foreign)} is none of the published scenes" if foreign else ""
-
-
-def _terms(protocol: Protocol) -> Protocol:
-    """Return the protocol without what moves no value of a metric: which others there are, and which sources are chosen."""
-    synthesis = replace(protocol.synthesis, k=1, sources=Synthesis.sources)
-    measurement = replace(protocol.measurement, metrics=(), ceilings=Measurement.ceilings)
-    return replace(protocol, synthesis=synthesis, measurement=measurement)
-
-
-def _read(name: str) -> list[dict[str, str]]:
-    text = (resources.files("ggvs_eval.reports.tables") / "data" / f"{name}.csv").read_text(encoding="utf-8")
-    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
-
-
-@dataclass(frozen=True)
-class PaperTerms:
-    """The paper's protocol on one data set, as far as it states it.
-
-    Attributes:
-        scenes: names of the scenes; empty if it names none.
-        layouts: in which the data set is on disk.
-        test_views: how many; it does not say which.
-        size: width and height of the rendered images, pixels.
-        metric_size: measured width and height, pixels.
-    """
-
-    dataset: str
-    scenes: tuple[str, ...]
-    layouts: tuple[str, ...]
-    test_views: int
-    k: int
-    frames: int
-    size: tuple[int, int]
-    metric_size: tuple[int, int]
-
-    def relation(self, run: MeasuredRun) -> str:
-        """Relate a run to this data set: ``whole`` by its name, ``part`` of it (``DyNeRF, one instant``), or ``other``."""
-        name, dataset = run.protocol.dataset.lower(), self.dataset.lower()
-        if run.is_demo:
-            return "other"
-        return "whole" if name == dataset else "part" if name.startswith(f"{dataset},") else "other"
+    layouts: str
 
     def departures(self, run: MeasuredRun) -> tuple[str, ...]:
-        """List a run's departures from the paper's protocol, in words; empty if it agrees in all that the paper states."""
-        capture, protocol = run.capture, run.protocol
-        size, layout = rendered_size(run), capture.get("layout", "unknown")
-        measured = (protocol.measurement.width, protocol.measurement.height) if protocol.measurement.width else size
-        views, frames = len(protocol.views.test), protocol.frames.count
-        scenes = " and ".join(self.scenes)
+        """List in words what a run does otherwise; empty if it agrees in all that is stated.
+
+        Reading:
+            The paper states less than a protocol, of its test views the number alone. Community
+            protocols are wanted in full, but for what moves no value.
+        """
+        protocol, packaged = run.protocol, load_protocol(self.protocol)
+        if not self.layouts:
+            ours, theirs = _without_choices(protocol), _without_choices(packaged)
+            parts = ("dataset", "views", "frames", "synthesis", "measurement")
+            differing = [part for part in parts if getattr(ours, part) != getattr(theirs, part)]
+            return (f"this run differs from the packaged protocol in {', '.join(differing)}",) if differing else ()
+        capture, synthesis, scenes = run.capture, packaged.synthesis, self.scenes.split()
+        layout, layouts = capture.get("layout", "unknown"), self.layouts.split()
+        size, paper_size = rendered_size(run), (synthesis.width, synthesis.height)
+        measured, paper_measured = _measured_size(protocol, size), _measured_size(packaged, paper_size)
+        n_views, n_paper_views = len(protocol.views.test), len(packaged.views.test)
+        n_frames, n_paper_frames = protocol.frames.count, packaged.frames.count
         departures = {
-            f"layout {layout}, not {' or '.join(self.layouts)}": layout not in self.layouts,
-            f"scene {run.scene}, not {scenes}": bool(self.scenes) and run.scene not in self.scenes,
-            f"{counted(frames, 'frame')}, not {self.frames}": frames != self.frames,
-            f"{counted(views, 'test view')}, not {self.test_views}": views != self.test_views,
-            f"K = {protocol.synthesis.k}, not {self.k}": protocol.synthesis.k != self.k,
+            f"layout {layout}, not {' or '.join(layouts)}": layout not in layouts,
+            f"scene {run.scene}, not {' and '.join(scenes)}": bool(scenes) and run.scene not in scenes,
+            f"{counted(n_frames, 'frame')}, not {n_paper_frames}": n_frames != n_paper_frames,
+            f"{counted(n_views, 'test view')}, not {n_paper_views}": n_views != n_paper_views,
+            f"K = {protocol.synthesis.k}, not {synthesis.k}": protocol.synthesis.k != synthesis.k,
             "source views chosen by coverage, not by distance": protocol.synthesis.sources != "nearest",
-            f"{_size(size)} pixels, not {_size(self.size)}": size != self.size,
-            f"measured at {_size(measured)}, not {_size(self.metric_size)}": size == self.size and measured != self.metric_size,
+            f"{_size(size)} pixels, not {_size(paper_size)}": size != paper_size,
+            f"measured at {_size(measured)}, not {_size(paper_measured)}": (size == paper_size and measured != paper_measured),
             "a frame held still or noise added": bool(capture.get("edit")),
         }
         return tuple(words for words, applies in departures.items() if applies)
 
 
-def read_terms(dataset: str) -> PaperTerms:
-    """Return the terms of one of the paper's data sets, see ``data/protocol.csv``."""
-    published = read_published("protocol")
-    values = published["all"]["protocol"] | published[dataset]["protocol"]
-    width, height = int(values["render_width"]), int(values["render_height"])
-    return PaperTerms(
-        dataset,
-        tuple(values.get("scenes", "").split()),
-        tuple(values["layouts"].split()),
-        int(values["test_views"]),
-        int(values["K"]),
-        int(values["frames"]),
-        (width, height),
-        (int(values.get("metric_width", width)), int(values.get("metric_height", height))),
+@dataclass(frozen=True)
+class PublishedValue:
+    """One value, with the digits that are printed.
+
+    Attributes:
+        table: ``quality``, ``consistency``, ``ablation`` or ``timing`` of the paper; empty for tables of others.
+        scene: a folder, or which scenes it is the mean of; the paper's name of its data set.
+    """
+
+    protocol: str
+    table: str
+    scene: str
+    method: str
+    metric: str
+    value: str
+
+    @property
+    def row(self) -> str:
+        """Name of its row next to measured ones."""
+        return f"{self.method}{PAPER}" if self.table else f"{self.method} (published, {self.scene})"
+
+
+@cache
+def published_terms() -> dict[str, Terms]:
+    """Protocol -> the terms of its values."""
+    return {line["protocol"]: Terms(**line) for line in read_lines("published_terms")}
+
+
+@cache
+def published_values() -> tuple[PublishedValue, ...]:
+    """Return all values, in the order of the file."""
+    return tuple(PublishedValue(**line) for line in read_lines("published"))
+
+
+def read_lines(name: str) -> list[dict[str, str]]:
+    """Return the lines of a packaged table, by column."""
+    text = (resources.files("ggvs_eval.reports.tables") / "data" / f"{name}.csv").read_text(encoding="utf-8")
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+
+
+def published_rows(values: Iterable[PublishedValue], metrics: Sequence[str]) -> tuple[Row, ...]:
+    """Return a grey row per method and scene; of a community, only those with a value in any column."""
+    by_row: dict[str, dict[str, str]] = {}
+    for value in values:
+        by_row.setdefault(value.row, {})[value.metric] = value.value
+    return tuple(
+        Row(name, tuple(published_cell(row.get(metric)) for metric in metrics), "published")
+        for name, row in by_row.items()
+        if name.endswith(PAPER) or row.keys() & set(metrics)
     )
+
+
+def published_cell(text: str | None) -> Cell:
+    """Return a published value with its own digits, or the word that there is none."""
+    return Cell("not reported") if text is None else Cell(text, float(text))
+
+
+def paper_beside(
+    key: str, dataset: str, metrics: Sequence[str], runs: Sequence[MeasuredRun]
+) -> tuple[tuple[Row, ...], list[str]]:
+    """Return the paper's rows of a table if the runs are on its terms, or else the reason in words."""
+    values = [value for value in published_values() if (value.table, value.protocol) == (key, dataset.lower())]
+    if not values:
+        return (), []
+    comparable = find_comparable_runs(values[0].scene, runs)
+    foreign = next((run for run in runs if run not in comparable.runs), None)
+    if foreign:
+        reason = f"{_name(foreign)} is none of its scenes" if comparable.runs else comparable.words
+        return (), [f"The paper's values are not shown here: {reason}."]
+    return published_rows(values, metrics), []
+
+
+def community_beside(
+    key: str, dataset: str, metrics: Sequence[str], runs: Sequence[MeasuredRun]
+) -> tuple[tuple[Row, ...], list[str]]:
+    """Return the rows of the runs' packaged protocol, with their source or the reason why there are none.
+
+    They are those of the runs' scenes and means over the whole data set.
+    """
+    protocol, is_first = runs[0].protocol, key == "quality"
+    terms = published_terms().get(protocol.name)
+    if terms is None or terms.layouts:
+        return (), []
+    scenes = [f"{run.scene}, a demo capture," if run.is_demo else run.scene for run in runs]
+    values = [value for value in published_values() if value.protocol == protocol.name]
+    known = {value.scene.lower() for value in values if not value.scene.startswith(MEAN)}
+    known.update(terms.scenes.lower().split())
+    foreign = [scene for scene in scenes if known and scene.lower() not in known]
+    not_of_them = f"{', '.join(foreign)} is none of the published scenes" if foreign else ""
+    if reason := next(filter(None, (*terms.departures(runs[0]), not_of_them, terms.withheld)), ""):
+        return (), [f"Published values of {protocol.name} are not shown: {reason}."] if is_first else []
+    values = [value for value in values if value.scene in scenes or value.scene.startswith(MEAN)]
+    rows = published_rows(values, metrics)
+    if not values or not (rows or is_first):
+        return rows, []
+    source = (
+        f"Grey: {terms.source}; frames: {terms.frames}; LPIPS: {terms.lpips_net}; D-SSIM: {terms.dssim}. "
+        f"Values: {terms.checked}. Methods that fit a scene take all its other cameras as input, not K."
+    )
+    beyond = [
+        f"{value.metric} {value.value} of {value.method} ({value.scene})"
+        for value in values
+        if value.metric not in protocol.measurement.metrics
+    ]
+    return rows, [source, *([f"Published too: {', '.join(beyond)}."] if beyond else [])]
+
+
+def _without_choices(protocol: Protocol) -> Protocol:
+    """Return the protocol without what moves no value of a metric: which others there are, and which sources are chosen."""
+    synthesis = replace(protocol.synthesis, k=1, sources=Synthesis.sources)
+    measurement = replace(protocol.measurement, metrics=(), ceilings=Measurement.ceilings)
+    return replace(protocol, synthesis=synthesis, measurement=measurement)
 
 
 def rendered_size(run: MeasuredRun) -> tuple[int, int]:
@@ -294,6 +212,11 @@ def rendered_size(run: MeasuredRun) -> tuple[int, int]:
     synthesis, view = run.protocol.synthesis, run.protocol.views.test[0]
     width, height = run.capture.get("cameras", {}).get(view, {}).get("size", (0, 0))
     return (synthesis.width, synthesis.height) if synthesis.width else (width, height)
+
+
+def _measured_size(protocol: Protocol, rendered: tuple[int, int]) -> tuple[int, int]:
+    measurement = protocol.measurement
+    return (measurement.width, measurement.height) if measurement.width else rendered
 
 
 def _size(size: tuple[int, int]) -> str:
@@ -305,53 +228,49 @@ class ComparableRuns:
     """Runs on one of the paper's data sets, on its terms.
 
     Attributes:
+        words: what was measured on, for the reader, or why there is no such run.
         runs: one per scene, of one protocol.
-        words: what was measured on, for the reader.
-    """
-
-    runs: tuple[MeasuredRun, ...]
-    results: Results
-    words: str
-
-
-@dataclass(frozen=True)
-class NotComparable:
-    """Absence of such a run, with the reason.
-
-    Attributes:
-        near: a run on part of the data set, or on other terms.
+        near: without such a run, one on part of the data set, or on other terms.
     """
 
     words: str
+    runs: tuple[MeasuredRun, ...] = ()
     near: MeasuredRun | None = None
 
+    @cached_property
+    def results(self) -> Results:
+        """Of all these runs."""
+        return merge_results([run.results for run in self.runs])
 
-def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> ComparableRuns | NotComparable:
+
+def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> ComparableRuns:
     """Return the runs that can be checked against one of the paper's data sets.
 
     Reading:
-        Test views are not compared by name, for the paper gives their number alone. Where it names scenes, all of them are
-        wanted, because its values are means over them.
+        Test views are not compared by name, for the paper gives their number alone. Where it names
+        scenes, all of them are wanted, because its values are means over them. A run belongs to a
+        data set by its name, or to part of it (``DyNeRF, one instant``).
     """
-    terms = read_terms(dataset)
-    related = [run for run in runs if terms.relation(run) != "other"]
-    whole = [run for run in related if terms.relation(run) == "whole" and not terms.departures(run)]
+    terms = published_terms()[dataset.lower()]
+    captured = [run for run in runs if not run.is_demo]
+    related = [run for run in captured if run.protocol.dataset.lower().split(",")[0] == terms.protocol]
+    complete = [run for run in related if "," not in run.protocol.dataset]
+    alike = [run for run in complete if not terms.departures(run)]
     if not related:
         names = dict.fromkeys(_name(run) + (", a demo capture" if run.is_demo else "") for run in runs)
         instead = f"this report is of {'; '.join(names)}, none of the paper's data sets"
-        return NotComparable(f"no run on {dataset} here; {instead}")
-    if not whole:
-        why = "; ".join(terms.departures(related[0])) or "part of it by its name"
-        return NotComparable(f"{_name(related[0])} is not {dataset} on the paper's terms: {why}", related[0])
-    alike = [run for run in whole if run.protocol.sha256 == whole[0].protocol.sha256]
-    missing = [scene for scene in terms.scenes if scene not in {run.scene for run in alike}]
-    if missing:
-        return NotComparable(
-            f"{_name(alike[0])} is only part of {dataset}; the paper's means also include {' and '.join(missing)}", alike[0]
-        )
-    words = f"on {', '.join(dict.fromkeys(run.scene for run in alike))}"
-    words += "" if terms.scenes else ", selected here, since the paper names no scenes"
-    return ComparableRuns(tuple(alike), merge_results([run.results for run in alike]), words)
+        return ComparableRuns(f"no run on {dataset} here; {instead}")
+    if not alike:
+        near = related[0]
+        why = "; ".join(terms.departures(near)) or "part of it by its name"
+        return ComparableRuns(f"{_name(near)} is not {dataset} on the paper's terms: {why}", near=near)
+    alike = [run for run in alike if run.protocol.sha256 == alike[0].protocol.sha256]
+    scenes = dict.fromkeys(run.scene for run in alike)
+    if missing := [scene for scene in terms.scenes.split() if scene not in scenes]:
+        words = f"the paper's means also include {' and '.join(missing)}"
+        return ComparableRuns(f"{_name(alike[0])} is only part of {dataset}; {words}", near=alike[0])
+    unnamed = "" if terms.scenes else ", selected here, since the paper names no scenes"
+    return ComparableRuns(f"on {', '.join(scenes)}{unnamed}", tuple(alike))
 
 
 def _name(run: MeasuredRun) -> str:

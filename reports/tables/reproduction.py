@@ -1,12 +1,10 @@
 """Published cells of the paper next to this run's measurements and verdicts, as Markdown, CSV, and on a page."""
 
-import csv
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import resources
 from typing import Literal
 
 from ggvs_eval.reports.model.measured import MeasuredRun
@@ -14,16 +12,16 @@ from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value
 from ggvs_eval.reports.section import Report, SectionContent
 from ggvs_eval.reports.tables.published import (
     CAVEATS,
+    HIGHER_IS_BETTER,
     PAPER,
     SOURCE,
     TIMING_WORDS,
     UNITS,
     ComparableRuns,
-    NotComparable,
     find_comparable_runs,
-    is_higher_better,
     published_cell,
-    read_published,
+    published_values,
+    read_lines,
 )
 from ggvs_eval.reports.tables.table_formats import csv_text, escape_markdown, markdown_table, to_latex
 from ggvs_eval.reports.tables.timing import TIMINGS, evaluate_time
@@ -115,22 +113,23 @@ def reproduce(runs: Sequence[MeasuredRun]) -> tuple[Reproduction, ...]:
     Returns:
         One entry per published value, in the order of the paper's tables; none is left out.
     """
-    comparable_runs = {dataset: find_comparable_runs(dataset, runs) for dataset in read_published("quality")}
-    return tuple(entry for table in TABLES for entry in _evaluation_table(table, comparable_runs))
-
-
-def _evaluation_table(table: str, comparable_runs: dict[str, ComparableRuns | NotComparable]) -> Iterator[Reproduction]:
-    for dataset, methods in read_published(table).items():
-        for name, values in methods.items():
-            for key, paper in values.items():
-                metric, unit = (TIMING_WORDS[key], "ms") if key in TIMINGS else (key, UNITS.get(key, ""))
-                comparable, method = comparable_runs[dataset], paper_methods()[name]
-                standing: tuple[Cell, Status, str, str]
-                if isinstance(comparable, NotComparable):
-                    standing = (NOT_MEASURED, "data absent", comparable.words, _remark(comparable, method, key))
-                else:
-                    standing = (*_evaluate(comparable, method, key, paper), "")
-                yield Reproduction(table, dataset, name, metric, unit, paper, *standing)
+    entries = []
+    comparable_runs: dict[str, ComparableRuns] = {}
+    for value in published_values():
+        if not value.table:
+            continue
+        dataset, key, method = value.scene, value.metric, paper_methods()[value.method]
+        if dataset not in comparable_runs:
+            comparable_runs[dataset] = find_comparable_runs(dataset, runs)
+        comparable = comparable_runs[dataset]
+        metric, unit = (TIMING_WORDS[key], "ms") if key in TIMINGS else (key, UNITS.get(key, ""))
+        standing: tuple[Cell, Status, str, str]
+        if comparable.runs:
+            standing = (*_evaluate(comparable, method, key, value.value), "")
+        else:
+            standing = (NOT_MEASURED, "data absent", comparable.words, _remark(comparable.near, method, key))
+        entries.append(Reproduction(value.table, dataset, value.method, metric, unit, value.value, *standing))
+    return tuple(entries)
 
 
 def _evaluate(comparable: ComparableRuns, method: PaperMethod, metric: str, paper: str) -> tuple[Cell, Status, str]:
@@ -193,7 +192,7 @@ def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = Non
     has_interval = ours.low is not None and ours.high is not None
     if has_interval and ours.low - half_unit <= published <= ours.high + half_unit:  # type: ignore[operator]
         return "reproduced", f"the paper's value is in this run's {bounds}"
-    better = "better" if (ours.value > published) == is_higher_better(metric) else "worse"
+    better = "better" if (ours.value > published) == (metric in HIGHER_IS_BETTER) else "worse"
     by = f"{format_value(abs(ours.value - published), digits)}{' ' if metric in UNITS else ''}{UNITS.get(metric, '')}"
     return "differs", f"{better} by {by}; {bounds if has_interval else f'no interval{given}'}"
 
@@ -202,18 +201,18 @@ def _shown(value: float | None, digits: int | None) -> str:
     return "" if value is None else format_value(value, digits)
 
 
-def _remark(missing: NotComparable, method: PaperMethod, metric: str) -> str:
+def _remark(near: MeasuredRun | None, method: PaperMethod, metric: str) -> str:
     """Closest measured value (not comparable), and whether weights are available."""
     remarks = [f"weights of {method.name} are not included either"] if method.weights else []
-    if missing.near is not None and metric not in TIMINGS:
-        label = method.find_label(missing.near)
-        table = missing.near.results.summary()
+    if near is not None and metric not in TIMINGS:
+        label = method.find_label(near)
+        table = near.results.summary()
         named = [
             label_of(*names) == label for names in zip(*map(table.index.get_level_values, ("method", "variant")), strict=True)
         ]
         values = table[metric][named].dropna() if metric in table else table.iloc[:0, 0]
         if len(values):
-            note = missing.near.metrics.get(metric)
+            note = near.metrics.get(metric)
             value = format_value(float(values.iloc[0]), note.decimals if note else None)
             remarks.insert(0, f"{method.name} has {value} there (not comparable)")
     return "; ".join(remarks)
@@ -222,9 +221,7 @@ def _remark(missing: NotComparable, method: PaperMethod, metric: str) -> str:
 @cache
 def paper_methods() -> dict[str, PaperMethod]:
     """Return the methods of the paper's tables by their name there."""
-    text = (resources.files("ggvs_eval.reports.tables") / "data" / "paper_methods.csv").read_text(encoding="utf-8")
-    lines = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
-    return {line["method"]: PaperMethod(line["method"], line["label"], line["weights"]) for line in lines}
+    return {line["name"]: PaperMethod(**line) for line in read_lines("paper_methods")}
 
 
 @dataclass(frozen=True)
@@ -319,7 +316,7 @@ def paper_tables(entries: Sequence[Reproduction]) -> tuple[Table, ...]:
 def _table(entries: Sequence[Reproduction]) -> Table:
     table, dataset = entries[0].table, entries[0].dataset
     columns = tuple(  # times are not ranked, for each belongs to its machine
-        Column(entry.metric, entry.unit, None if entry.table == TIMING else is_higher_better(entry.metric))
+        Column(entry.metric, entry.unit, None if entry.table == TIMING else entry.metric in HIGHER_IS_BETTER)
         for entry in {entry.metric: entry for entry in entries}.values()
     )
     methods = dict.fromkeys(entry.method for entry in entries)

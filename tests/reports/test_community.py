@@ -1,21 +1,32 @@
 """Published tables of community protocols: whole, from somewhere, and beside runs on their own terms alone."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ggvs_eval.protocol import Frames, load_protocol, packaged_protocols
 from ggvs_eval.reports.model.measured import read_run
-from ggvs_eval.reports.tables.published import community_rows, describe_published, published_terms, published_values
+from ggvs_eval.reports.tables.published import community_beside, published_terms, published_values
 from ggvs_eval.reports.tables.report_tables import main_tables
 from helpers.run_folders import RunShape, write_run
 
 QUALITY = ("PSNR", "SSIM", "LPIPS")
 
 
-def rows_of(protocol, scenes=("flame_steak",), metrics=QUALITY):
-    return {row.name: [cell.text for cell in row.cells] for row in community_rows(protocol, scenes, metrics)}
+def beside(protocol, scenes=("flame_steak",), metrics=QUALITY, is_demo=False):
+    runs = [SimpleNamespace(protocol=protocol, scene=scene, is_demo=is_demo) for scene in scenes]
+    return community_beside("quality", protocol.dataset, metrics, runs)
+
+
+def rows_of(*arguments, **named):
+    rows, _ = beside(*arguments, **named)
+    return {row.name: [cell.text for cell in row.cells] for row in rows}
+
+
+def words_of(*arguments):
+    return beside(*arguments)[1]
 
 
 def test_every_value_has_terms_and_a_protocol():
@@ -23,8 +34,8 @@ def test_every_value_has_terms_and_a_protocol():
     assert {each.protocol for each in published_values()} == set(published_terms()) <= set(packaged_protocols())
     assert all(terms.source and terms.lpips_net and terms.frames and terms.checked for terms in published_terms().values())
     assert all(float(each.value) > 0 for each in published_values())
-    named = [(each.protocol, each.scene, each.method, each.metric) for each in published_values()]
-    assert len(set(named)) == len(named)
+    keys = [replace(value, value="") for value in published_values()]
+    assert len(set(keys)) == len(keys)
 
 
 @pytest.mark.parametrize("name", packaged_protocols())
@@ -58,18 +69,18 @@ def test_values_of_a_scene_stand_beside_that_scene():
         "QUEEN (published, flame_steak)",
     ]
     assert rows_of(protocol, ("kitchen",)) == {}
-    assert "kitchen is none of the published scenes" in describe_published(protocol, ("kitchen",))[0]
+    assert "kitchen is none of the published scenes" in words_of(protocol, ("kitchen",))[0]
     protocol = load_protocol("immersive_stg")
     assert rows_of(protocol, ("02_Flames",)) == {}
-    (said,) = describe_published(protocol, ("02_Flames",))
+    (said,) = words_of(protocol, ("02_Flames",))
     assert said.endswith("not shown: they are of the fisheye images, and frames are undistorted here.")
 
 
-@pytest.mark.parametrize("scene", ["kitchen", "flame_steak, a demo capture,"])
+@pytest.mark.parametrize("run", [{"scenes": ("kitchen",)}, {"is_demo": True}])
 @pytest.mark.parametrize("name", ["n3v_4dgs", "technicolor_stg"])
-def test_a_mean_over_scenes_stands_beside_none_but_those(name, scene):
+def test_a_mean_over_scenes_stands_beside_none_but_those(name, run):
     """A capture of one's own under a community's protocol has no published row, not that of the mean either."""
-    assert rows_of(load_protocol(name), (scene,)) == {}
+    assert rows_of(load_protocol(name), **run) == {}
 
 
 @pytest.mark.parametrize(
@@ -87,7 +98,7 @@ def test_other_terms_have_no_published_row(change, differing):
     """What is measured otherwise under the same name does not compare, and the caption says in what it differs."""
     protocol = change(load_protocol("n3v_4dgs"))
     assert rows_of(protocol) == {}
-    (said,) = describe_published(protocol, ("flame_steak",))
+    (said,) = words_of(protocol, ("flame_steak",))
     assert said == f"Published values of n3v_4dgs are not shown: this run differs from the packaged protocol in {differing}."
 
 
@@ -101,7 +112,7 @@ def test_more_metrics_and_sources_change_no_published_value():
         "4DGS (published, mean of 6 scenes)": ["31.15", "not reported"],
         "4DGS (published, flame_steak)": ["32.51", "not reported"],
     }
-    told, beyond = describe_published(protocol, ("flame_steak",))
+    told, beyond = words_of(protocol, ("flame_steak",))
     assert "LPIPS: alex; D-SSIM: (1 - MS-SSIM) / 2." in told
     assert beyond == "Published too: SSIM 0.940 of 4DGS (mean of 6 scenes), LPIPS 0.049 of 4DGS (mean of 6 scenes), " + (
         "D-SSIM 0.016 of 4DGS (mean of 6 scenes)."

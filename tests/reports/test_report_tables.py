@@ -2,6 +2,7 @@
 
 import csv
 import re
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import SHORT, Cell, Column, Row, Table, format_half_width, format_value, rank, shade
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.error_budget import decomposition_table
-from ggvs_eval.reports.tables.published import published_rows, read_published
+from ggvs_eval.reports.tables.published import paper_beside, published_rows, published_values
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.table_formats import escape_latex, to_latex, to_markdown
 from ggvs_eval.reports.tables.timing import timing_table
@@ -232,16 +233,14 @@ def test_latex_is_balanced(report):
 
 def test_published_rows_stand_beside_their_own_dataset_only():
     """DyNeRF has the paper's rows and digits, a demo room none; the packaged tables are whole."""
-    rows = published_rows("quality", "dynerf", ("PSNR", "PSNR_cc"))
+    counts = Counter(value.table for value in published_values() if value.table)
+    assert counts == {"quality": 60, "consistency": 60, "ablation": 20, "timing": 6}
+    values = [value for value in published_values() if (value.protocol, value.table) == ("dynerf", "quality")]
+    rows = published_rows(values, ("PSNR", "PSNR_cc"))
     assert [row.name for row in rows][-1] == "Ours (paper)"
     assert [cell.text for cell in rows[-1].cells] == ["31.17", "not reported"]
     assert {row.kind for row in rows} == {"published"}
-    assert published_rows("quality", "Demo room", ("PSNR",)) == ()
-    counts = {
-        name: sum(len(metrics) for methods in read_published(name).values() for metrics in methods.values())
-        for name in ("quality", "consistency", "ablation", "timing")
-    }
-    assert counts == {"quality": 60, "consistency": 60, "ablation": 20, "timing": 6}
+    assert paper_beside("quality", "Demo room", ("PSNR",), []) == ((), [])
 
 
 def test_times_leave_out_the_first_frame(whole_run):

@@ -17,7 +17,7 @@ from ggvs_eval.protocol import Frames, Measurement, Synthesis, load_protocol
 from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote, read_scores
 from ggvs_eval.reports.model.table import Cell, Table
 from ggvs_eval.reports.page.page import template_environment
-from ggvs_eval.reports.tables.published import read_published
+from ggvs_eval.reports.tables.published import published_values
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.reproduction import (
     STATUSES,
@@ -83,13 +83,7 @@ def find(entries: tuple[Reproduction, ...], table: str, dataset: str, method: st
 def test_every_published_value_has_a_standing_and_a_reason(on_dynerf):
     """Nothing that the paper prints is left out, no field is blank, and a number is shown where one was measured, else none."""
     entries = reproduce(on_dynerf)
-    printed = [
-        (table, dataset, method, value)
-        for table in ("quality", "consistency", "ablation", "timing")
-        for dataset, methods in read_published(table).items()
-        for method, values in methods.items()
-        for value in values.values()
-    ]
+    printed = [(value.table, value.scene, value.method, value.value) for value in published_values() if value.table]
     assert [(entry.table, entry.dataset, entry.method, entry.paper) for entry in entries] == printed
     for entry in entries:
         assert entry.status in STATUSES
@@ -208,13 +202,7 @@ def test_a_value_is_reproduced_by_interval_or_digits(paper, cell, metric, status
 
 def test_the_papers_methods_are_ours_by_label_and_weights():
     """A method of the paper asks for the weights that its label asks for, or for none where ours ship; some are to come."""
-    named = {
-        method
-        for table in ("quality", "consistency", "ablation", "timing")
-        for rows in read_published(table).values()
-        for method in rows
-    }
-    assert set(paper_methods()) == named
+    assert set(paper_methods()) == {value.method for value in published_values() if value.table}
     for method in paper_methods().values():
         if method.label in METHODS:
             spec = METHODS[method.label]
@@ -256,7 +244,7 @@ def test_values_that_lack_the_same_are_one_line(on_dynerf):
     entries = reproduce(on_dynerf)
     by_title = {block.title: block for block in blocks(entries)}
     (absent,) = by_title["Quality on D3DMV"].lines
-    values = sum(map(len, read_published("quality")["D3DMV"].values()))
+    values = sum((value.table, value.scene) == ("quality", "D3DMV") for value in published_values())
     assert (absent.method, absent.paper, absent.status) == ("5 methods", f"{values} values", "data absent")
     lines = by_title["Quality on DyNeRF"].lines
     (ours,) = [line for line in lines if line.method == "Ours" and line.metric == "PSNR (dB)"]

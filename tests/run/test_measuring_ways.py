@@ -1,6 +1,7 @@
 """Ways of measuring: frames prepared as published evaluators prepare them, checked against scikit-image."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ from ggvs_eval.measured_frames import measured_frame, measured_mask
 from ggvs_eval.metrics.stream import score_view
 from ggvs_eval.pipelines.run.score_view import metric_options
 from ggvs_eval.protocol import Measurement, load_protocol, packaged_protocols
-from ggvs_eval.reports.tables.published import community_rows
+from ggvs_eval.reports.tables.published import community_beside
 
 SIZE = (1008, 756)
 
@@ -106,7 +107,10 @@ def test_published_values_are_shown_under_their_way_alone(name):
     protocol, scene = load_protocol(name), name.removeprefix("llff_3view_")
     assert (len(protocol.views.test), len(protocol.views.sources), protocol.synthesis.k) == (4, 16, 3)
     assert not set(protocol.views.test) & set(protocol.views.sources)
-    names = [row.name for row in community_rows(protocol, (scene,), ("PSNR", "SSIM", "LPIPS"))]
+    run = SimpleNamespace(protocol=protocol, scene=scene, is_demo=False)
+    rows, _ = community_beside("quality", protocol.dataset, ("PSNR", "SSIM", "LPIPS"), [run])
+    names = [row.name for row in rows]
     assert f"IBRNet, fitted to the scene (published, {scene})" in names
     other = replace(protocol, measurement=replace(protocol.measurement, as_="as-is"))
-    assert community_rows(other, (scene,), ("PSNR",)) == ()
+    run.protocol = other
+    assert community_beside("quality", protocol.dataset, ("PSNR",), [run])[0] == ()
