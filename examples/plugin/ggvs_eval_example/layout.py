@@ -27,4 +27,4 @@ def load(path, units):
     return assemble_capture(path, "rig-json", cameras, list(videos.values()), choose_units(path, units, cameras))
 
 
-RIG_JSON = DatasetSpec("rig.json with CAM.mp4", refuse, load)
+RIG_JSON = DatasetSpec("rig.json with CAM.mp4", refuse, load, marks=("rig.json",))
