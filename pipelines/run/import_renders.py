@@ -241,7 +241,7 @@ def run_for(
     Renders are imported in its block: a folder that it made is removed where that fails.
 
     Args:
-        root: the folder; ``scores/<capture's folder>`` where None.
+        root: the folder; ``scores/<capture's folder>`` where None. Alone it need not hold a run yet: its block makes one.
         open_capture: opens what was rendered, once all else is known to be right; None if the folder has a run.
         protocol: a .toml file or a packaged name; the folder's own, or the packaged one that fits, where None.
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.atomic import absent_unless_made, write_text
+from ggvs_eval.files.atomic import write_text
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import read_image, to_8_bit, write_image
 from ggvs_eval.pipelines.run.claim import require_protocol
-from ggvs_eval.pipelines.run.import_renders import SCORES_ROOT, asked_protocol
+from ggvs_eval.pipelines.run.import_renders import SCORES_ROOT, asked_protocol, run_for
 from ggvs_eval.progress import counted, track
 from ggvs_eval.protocol import AGREEING, OF_OWN_TRUTH, CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.renders.truth_match import difference
@@ -55,20 +55,18 @@ def run_with_truth(root: Path | None, renders: Mapping[str, Path], protocol: str
         )
     frames = Frames(0, counts.pop())
     measured = asked_protocol(protocol).measurement if protocol else Measurement(OF_OWN_TRUTH, ceilings=False)
-    terms = Protocol(
-        NAME, renders[first].stem, Views(tuple(stacks), "those of the archives"), frames, Synthesis(), measured, CameraPath(0)
-    )
-    run = RunFolder(root or SCORES_ROOT / first)
-    if run.protocol_file.is_file():
-        terms = Protocol(NAME, run.protocol().dataset, terms.views, frames, terms.synthesis, measured, terms.path)
+    with run_for(root or SCORES_ROOT / first, None, None, 1) as run:
+        is_new = not run.protocol_file.is_file()
+        dataset = renders[first].stem if is_new else run.protocol().dataset
+        views = Views(tuple(stacks), "those of the archives")
+        terms = Protocol(NAME, dataset, views, frames, Synthesis(), measured, CameraPath(0))
         require_protocol(run, terms)
-        if "truth" not in run.capture_record():
-            raise RenderError(f"{run.root}: holds a run of a capture; choose a new folder by --run")
-    with absent_unless_made(run.root):
-        if not run.protocol_file.is_file():
+        if is_new:
             _write_truth(run, stacks, terms, renders[first])
-        for own in sets.values():
-            for view, stack in own.items():
+        elif "truth" not in run.capture_record():
+            raise RenderError(f"{run.root}: holds a run of a capture; choose a new folder by --run")
+        for archives in sets.values():
+            for view, stack in archives.items():
                 _require_same(run, view, stack, frames.numbers)
         yield run
 
