@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from ggvs_eval.baselines.enerf.network import CostNetwork, Networks
 from ggvs_eval.baselines.enerf.views import Matrix, SeenView, extrinsics, image_places, padded, projection, sample
+from ggvs_eval.baselines.ray_samples import opacity_shares, ray_changes
 from ggvs_eval.camera import Camera
 
 COARSE_SCALE, FINE_SCALE = 1 / 8, 1 / 2  # of the volumes' planes
@@ -196,7 +197,7 @@ def render_pixels(
     depths = near + (far - near) * torch.linspace(0, 1, SAMPLES)  # (N, S)
     points_world = (centre + depths[..., None] * rays[:, None]).reshape(-1, 3)
     view_features = torch.stack([view.look_up(points_world) for view in views], dim=1)
-    directions = torch.stack([view.directions(points_world, centre) for view in views], dim=1)
+    directions = torch.stack([ray_changes(points_world, view.centre, centre) for view in views], dim=1)
     colours, density = networks.nerf_1(_fine_voxels(surface, pixels, depths), view_features, directions)
     return composite(colours.view(-1, SAMPLES, 3), density.view(-1, SAMPLES).float(), depths)
 
@@ -207,9 +208,7 @@ def composite(colours: Tensor, density: Tensor, depths: Tensor) -> tuple[Tensor,
     Reading:
         Depth is the mean under the softmax of the samples' shares, as in the authors' code.
     """
-    alpha = 1 - torch.exp(-density)
-    passing = torch.cumprod(1 - alpha + 1e-10, dim=1)[:, :-1]
-    shares = alpha * torch.cat([torch.ones_like(alpha[:, :1]), passing], dim=1)
+    shares = opacity_shares(density)
     return (shares[..., None] * colours).sum(dim=1), (torch.softmax(shares, dim=1) * depths).sum(dim=1)
 
 
@@ -274,7 +273,7 @@ def render_coarsely(
     depths = near + (far - near) * torch.linspace(0, 1, COARSE_SAMPLES)  # (N, S)
     points_world = (centre + depths[..., None] * rays.reshape(-1, 1, 3)).reshape(-1, 3)
     view_features = torch.stack([view.look_up(points_world) for view in views], dim=1)
-    directions = torch.stack([view.directions(points_world, centre) for view in views], dim=1)
+    directions = torch.stack([ray_changes(points_world, view.centre, centre) for view in views], dim=1)
     colours, density = networks.nerf_0(_coarse_voxels(surface, depths, height, width), view_features, directions)
     return composite(colours.view(-1, COARSE_SAMPLES, 3), density.view(-1, COARSE_SAMPLES).float(), depths)
 

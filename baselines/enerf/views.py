@@ -14,7 +14,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.method import SourceView
 
 SIZE_MULTIPLE = 32  # sides are padded to it: the volume is at 1/8 and is halved twice
-SMALLEST_DEPTH, EPSILON = 1e-6, 1e-6
+SMALLEST_DEPTH = 1e-6
 TRAINED_NEAR = 2.125  # nearest depth in training: DTU's 425 mm in units of 200 mm
 Matrix = NDArray[np.float64]
 
@@ -49,13 +49,6 @@ class SeenView:
         world_to_image = torch.as_tensor(self.projection(1.0)).float()
         projected = points_world @ world_to_image[:3, :3].T + world_to_image[:3, 3]
         return sample(self.shown, image_places(projected, self.shown)[None], "border")[:, 0].T
-
-    def directions(self, points_world: Tensor, target_centre: Tensor) -> Tensor:
-        """Return the unit difference of this view's and the target's ray at points (N, 3), and their dot product, (N, 4)."""
-        of_target, of_source = _unit(target_centre - points_world), _unit(self.centre - points_world)
-        difference = of_source - of_target
-        length = difference.norm(dim=-1, keepdim=True).clamp(min=EPSILON)
-        return torch.cat([difference / length, (of_target * of_source).sum(dim=-1, keepdim=True)], dim=-1)
 
 
 def see(network: FeatureNetwork, source: SourceView, unit: float = 1.0) -> SeenView:
@@ -113,7 +106,3 @@ def image_places(projected: Tensor, channels: Tensor) -> Tensor:
 def sample(channels: Tensor, places: Tensor, outside: str) -> Tensor:
     """Return the bilinear lookup of (C, H, W) at (h, w, 2) in [-1, 1], (C, h, w); `outside` is ``zeros`` or ``border``."""
     return functional.grid_sample(channels[None], places[None], mode="bilinear", padding_mode=outside, align_corners=True)[0]
-
-
-def _unit(vectors: Tensor) -> Tensor:
-    return vectors / (vectors.norm(dim=-1, keepdim=True) + EPSILON)

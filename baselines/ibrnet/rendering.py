@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from ggvs_eval import kernels
 from ggvs_eval.baselines.ibrnet.network import SEEN, Networks, RayNetwork, positions
+from ggvs_eval.baselines.ray_samples import opacity_shares, ray_changes
 from ggvs_eval.camera import Camera
 from ggvs_eval.method import Instant, SourceView
 
@@ -22,7 +23,6 @@ Pixels = NDArray[np.float32]
 Pass = Literal["coarse", "fine"]
 FARTHEST_PX = 1e6
 BILINEAR, ZEROS = 0, 0  # torch's numbers of interpolation and padding
-EPSILON = 1e-6
 NEARER, FARTHER = 0.9, 1.6  # margins that the authors put around the depths of a real scene
 SMALLEST_SHARE = 1e-5  # of an interval of depths in the placement of the second samples
 # Samples times views that pass through the networks together: some 0.1 GB, and fast in the caches; on a GPU some 2 GB.
@@ -75,22 +75,9 @@ class SeenView:
         return torch.cat([_sample(self.image, places), _sample(features, places)], dim=-1), inside & (depth > 0)
 
 
-def directions(points_world: Tensor, target_centre: Tensor, source_centre: Tensor) -> Tensor:
-    """Compare the viewing directions of target and source at points: unit difference of the rays and dot product, (..., 4)."""
-    of_target = _unit(target_centre - points_world)
-    of_source = _unit(source_centre - points_world)
-    difference = of_target - of_source
-    length = difference.norm(dim=-1, keepdim=True).clamp(min=EPSILON)
-    return torch.cat([difference / length, (of_target * of_source).sum(dim=-1, keepdim=True)], dim=-1)
-
-
 def projection_of(camera: Camera) -> Tensor:
     """Return the transform of world to image with pixel centres at whole numbers, (3, 4)."""
     return torch.as_tensor(np.ascontiguousarray(camera.K_opencv @ camera.world_to_camera[:3])).float()
-
-
-def _unit(vectors: Tensor) -> Tensor:
-    return vectors / (vectors.norm(dim=-1, keepdim=True) + EPSILON)
 
 
 def _sample(channels: Tensor, places: Tensor) -> Tensor:
@@ -148,13 +135,6 @@ def render_passes(
     return rough, ((shares[..., None] * colours).sum(dim=1), shares, depths)
 
 
-def opacity_shares(density: Tensor) -> Tensor:
-    """Share of each sample in its pixel (Eq. 7 of IBRNet's paper with the density of a sample, not of a length), (R, S)."""
-    alpha = 1 - torch.exp(-density)
-    passing = torch.cumprod(1 - alpha + 1e-10, dim=1)[:, :-1]
-    return alpha * torch.cat([torch.ones_like(alpha[:, :1]), passing], dim=1)
-
-
 def rays_at_once(views: int, samples: int, device: torch.device | None = None) -> int:
     """Return the number of rays of N coarse samples that fit through the networks together on a device, the CPU unless given."""
     return max(1, ROWS_AT_ONCE[device.type if device else "cpu"] // (2 * samples * views))
@@ -170,7 +150,7 @@ def _shade(
     looked_up = [view.look_up(points_world, of_pass) for view in views]
     view_features = torch.stack([values for values, _ in looked_up], dim=2)
     visible = torch.stack([inside for _, inside in looked_up], dim=2)
-    differences = torch.stack([directions(points_world, centre, view.centre) for view in views], dim=2)
+    differences = torch.stack([ray_changes(points_world, centre, view.centre) for view in views], dim=2)
     colours, density = network(view_features, differences, visible)
     return colours.float(), density.float()
 
@@ -232,7 +212,7 @@ def quantiles(edges: Tensor, weights: Tensor, count: int) -> Tensor:
 def shade_by_kernel(
     network: RayNetwork, views: Sequence[SeenView], of_pass: Pass, centre: Tensor, rays: Tensor, depths: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the colour and density of samples, as `RayNetwork.forward` computes them from `SeenView.look_up` and `directions`.
+    """Return the colour and density of samples, as `RayNetwork.forward` computes them from `SeenView.look_up` and `ray_changes`.
 
     Args:
         views: at least two.

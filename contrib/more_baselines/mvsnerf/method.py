@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ggvs_eval.baselines.ray_samples import opacity_shares
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.contrib.more_baselines.mvsnerf.network import VIEWS, Networks, RadianceNetwork, load_mvsnerf
@@ -97,7 +98,5 @@ def render_rays(network: RadianceNetwork, volume: Volume, centre: Tensor, rays: 
 
 def composite(colours: Tensor, density: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
     """Colours (N, S, 3), front to back, and depths (S,) of samples with density (N, S), each weighted by its share of the ray."""
-    alpha = 1 - torch.exp(-density)
-    passing = torch.cumprod(1 - alpha + 1e-10, dim=1)[:, :-1]
-    shares = alpha * torch.cat([torch.ones_like(alpha[:, :1]), passing], dim=1)
+    shares = opacity_shares(density)
     return (shares[..., None] * colours).sum(dim=1), shares @ depths

@@ -8,7 +8,6 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from ggvs_eval.baselines.learned import FULL
 from ggvs_eval.contrib.more_baselines.mvsplat.backbone import SCALE, AttentionLayer, Backbone
 from ggvs_eval.contrib.more_baselines.mvsplat.depth import (
     OFFSET,
@@ -123,7 +122,7 @@ CONFIGURATIONS = {
 class MvsplatNetwork(nn.Module):
     """The network; parameters have the names of the published checkpoint, without ``encoder.``."""
 
-    def __init__(self, configuration: str = FULL) -> None:
+    def __init__(self, configuration: str = "full") -> None:
         super().__init__()
         self.configuration = configuration
         self.config = config = CONFIGURATIONS[configuration]
@@ -155,6 +154,6 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> MvsplatNetwo
     configuration = configuration_of(path, CONFIGURATIONS, OF)
     bare = configuration is not None or path.suffix == ".safetensors"
     tensors = read_tensors(path, *(() if bare else ("state_dict",)), of=OF)
-    network = MvsplatNetwork(configuration or FULL)
+    network = MvsplatNetwork(configuration or "full")
     load_strict({name.removeprefix(PREFIX): tensor for name, tensor in tensors.items()}, network, path, OF)
     return network.eval().to(device)
