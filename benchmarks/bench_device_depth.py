@@ -31,9 +31,8 @@ from ggvs_eval.compute_device import clock_s, compute_device, describe_device, r
 from ggvs_eval.geometry.rectification import rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.device_maps import finisher
-from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvsRig
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
-from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
+from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvs, IterMvsRig
+from ggvs_eval.pipelines.offline.stereo.pairwise import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
     DeviceRaftMatcher,
     RaftMatcher,

@@ -371,10 +371,12 @@ _OFFLINE = "ggvs_eval.pipelines.offline"
 MATCHERS = {
     "sgbm": f"{_OFFLINE}.stereo.sgbm:SgbmMatcher",
     "live": f"{_OFFLINE}.stereo.live:LiveMatcher",
-    "sweep": f"{_OFFLINE}.plane_sweep.planes:PlaneSweep",
+    "sweep": f"{_OFFLINE}.plane_sweep.plane_sweep:PlaneSweep",
     "raft": f"{_OFFLINE}.stereo.raft_matcher:matcher_of_weights",
     "itermvs": f"{_OFFLINE}.itermvs.estimator:matcher_of_weights",
 }
+# Depth that a sensor measured, made fit for rendering.
+SENSORS = {"sensor depth": f"{_OFFLINE}.sensor.sensor_depth:SensorDepthEstimator"}
 # Depth of the source cameras of a run.
 DEPTH = {"depth": f"{_OFFLINE}.depth.run_depth:MatchedDepth"}
 # What runs need before they are rendered, besides captured frames and depth; in the order in which it is made.

@@ -36,6 +36,7 @@ FLOORS = (
     ("reports.run_groups",),
     ("reports.page", "reports.tables_of_runs"),
     ("reports.report",),
+    ("pipelines.offline.depth.matchers",),  # what depth asks of those that stand below it
     (
         *("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.itermvs", "pipelines.offline.plane_sweep"),
         "pipelines.offline.calibration",

@@ -20,6 +20,7 @@ from helpers.places import ROOT
 MODULES = modules()
 KEPT = "metrics"  # that the README prints; each of them is loaded by name as well
 PARTS = sorted({leaf for module in MODULES if (leaf := leaf_of(module)) and leaf != KEPT})
+OF_DEPTH = ("matcher sgbm", "matcher live", "matcher sweep", "matcher raft", "IterMVS", "sensor depth")
 BLOCK = re.compile(r"```sh\n(ggvs-eval demo .*?)```", re.DOTALL)
 PRINTED = re.compile(r"^ *(PSNR|late|mine) +([A-Z].*|[\d. ]+)$", re.MULTILINE)
 ASKED = (
@@ -57,11 +58,13 @@ from ggvs_eval import built_in
 from ggvs_eval.plugins import Registry
 
 def load(own, hidden):
+    finders = sys.meta_path[:]
     class Finder(PathFinder):
         @classmethod
         def find_spec(cls, name, path=None, target=None):
-            return None if name in hidden else PathFinder.find_spec(name, path, target)
-    sys.meta_path[:] = [finder for finder in sys.meta_path if finder is not PathFinder] + [Finder]
+            specs = (finder.find_spec(name, path, target) for finder in finders if name not in hidden)
+            return next(filter(None, specs), None)
+    sys.meta_path[:] = [Finder]  # also in place of the finder of an editable install
     try:
         for module in own:
             importlib.import_module(module)
@@ -215,13 +218,23 @@ def test_the_readme_prints_its_numbers_without_any_leaf(readme):
 
 @pytest.fixture(scope="module")
 def faults(tmp_path_factory) -> dict[str, str]:
-    """What goes wrong in each leaf while it is the only one besides those that it builds on; empty if nothing does."""
+    """What goes wrong in each leaf while it is the only one besides those that it builds on; empty if nothing does.
+
+    And, ``without`` a matcher or sensors, in depth and the other matchers.
+    """
     folder = tmp_path_factory.mktemp("leaves")
     cases = {}
     for leaf in PARTS:
         own = {module for module in MODULES if leaf_of(module) == leaf}
         hidden = {module for module in MODULES if leaf_of(module)} - own - needs_of(own)
-        cases[leaf] = [[f"ggvs_eval.{module}" for module in sorted(modules)] for modules in (own, hidden)]
+        cases[leaf] = own, hidden
+    for leaf in OF_DEPTH:
+        hidden = {module for module in MODULES if leaf_of(module) == leaf}
+        users = {part for part in OF_DEPTH if needs_of({name for name in MODULES if leaf_of(name) == part}) & hidden}
+        remaining = {"depth", *OF_DEPTH} - {leaf} - users
+        cases[f"without {leaf}"] = {module for module in MODULES if leaf_of(module) in remaining}, hidden
+    for name, sets in cases.items():
+        cases[name] = [[f"ggvs_eval.{module}" for module in sorted(modules)] for modules in sets]
     (folder / "cases.json").write_text(json.dumps(cases))
     return run_python(Path(str(ggvs_eval.__file__)).parents[1], LOAD, folder / "cases.json", folder)
 
@@ -231,3 +244,10 @@ def faults(tmp_path_factory) -> dict[str, str]:
 def test_a_leaf_comes_back_by_itself(leaf, faults):
     """With the leaves that it builds on, and no other, it is imported, and what the tables of built-ins name of it loads."""
     assert faults[leaf] == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("leaf", OF_DEPTH)
+def test_depth_does_without_each_of_its_parts(leaf, faults):
+    """Depth and every matcher that does not build on the absent one are imported, and what the tables name of them loads."""
+    assert faults[f"without {leaf}"] == ""

@@ -17,7 +17,7 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.offline.stereo.fusion import fill_background
-from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
+from ggvs_eval.pipelines.offline.stereo.pairwise import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher
 from ggvs_eval.progress import track
 

@@ -4,9 +4,7 @@ from collections.abc import Mapping
 
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
-from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
-from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
+from ggvs_eval.pipelines.offline.stereo.pairwise import StereoMatcher
 
 
 def depth_options(name: str) -> DepthOptions:
@@ -21,4 +19,4 @@ def depth_options(name: str) -> DepthOptions:
 
 def pairwise_matchers(options: Mapping[str, DepthOptions]) -> dict[str, StereoMatcher]:
     """Return the matchers that match one rectified pair, by name; the plane sweep wants calibrated partners."""
-    return {name: each.matcher for name, each in options.items() if not isinstance(each.matcher, PlaneSweep | IterMvs)}
+    return {name: each.matcher for name, each in options.items() if isinstance(each.matcher, StereoMatcher)}

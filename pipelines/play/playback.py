@@ -16,7 +16,6 @@ from ggvs_eval.files.digest import digest_values
 from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth, without_unmatched
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from ggvs_eval.pipelines.run.derived_files import cache_frames
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 
@@ -174,7 +173,7 @@ def playback_of_capture(
     store = DepthStore(cache / _digest(capture) / "depth")
     blocks = list(blocks_of(needed, 2 * max(map(len, needed.values()))))
     capture = cache_frames(capture, _frames_by_camera(blocks, jobs, alone), store.root.with_name("frames"), workers)
-    if isinstance(depth.matcher, IterMvs) and depth.matcher.device != "cpu":
+    if depth.matcher.batch and depth.matcher.device != "cpu":
         return Playback(capture, poses, instants, k, store, {}, sources, alone)
     for block, names in blocks:
         prepare_depth(capture, [jobs[name] for name in sorted(names)], block, store, alone, workers)

@@ -17,7 +17,7 @@ from ggvs_eval.pipelines.methods.fitted import StoredSplats
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import describe_check
-from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
+from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweep
 from ggvs_eval.pipelines.run.references import ceilings_code
 from ggvs_eval.pipelines.run.render import method_code
 from ggvs_eval.pipelines.run.score_code import metric_code

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.pipelines.offline.sensor.colour_fill import CONFIDENCE, beside_jumps, fill_by_colour, smooth_by_colour
+from ggvs_eval.pipelines.offline.depth.colour_fill import CONFIDENCE, beside_jumps, fill_by_colour, smooth_by_colour
 
 
 def test_opencv_smooths_the_same():

@@ -12,7 +12,7 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, Depth
 from ggvs_eval.pipelines.offline.depth.depth_choice import FORMS, KEYFRAME_EVERY, MATCHERS, find_matcher
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_depth
-from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
+from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweep
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from helpers.refusals import refused
 from helpers.stereo_scenes import look_from, paint, plane_depth, random_texture, write_capture

@@ -14,9 +14,8 @@ from ggvs_eval.errors import DepthError, WeightsError
 from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, DepthEstimator, DepthOptions, check_depth, finish
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth
-from ggvs_eval.pipelines.offline.itermvs.estimator import MOST_RECORDINGS, IterMvsEstimator, IterMvsRig, load_network
+from ggvs_eval.pipelines.offline.itermvs.estimator import MOST_RECORDINGS, IterMvs, IterMvsEstimator, IterMvsRig, load_network
 from ggvs_eval.pipelines.offline.itermvs.network import IterMvsNetwork, MatchedViews
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
 from helpers.itermvs_weights import write_checkpoint
 from helpers.places import DATA_FOLDER, SHARED
 from helpers.recordable import forbidden_operations

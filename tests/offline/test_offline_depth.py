@@ -11,10 +11,10 @@ from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, is_known
 from ggvs_eval.errors import CaptureError, DepthError
 from ggvs_eval.geometry.rectification import rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, DepthEstimator, DepthOptions, finish
+from ggvs_eval.pipelines.offline.depth.colour_fill import fill_by_colour
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
-from ggvs_eval.pipelines.offline.sensor.colour_fill import fill_by_colour
+from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvs
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher

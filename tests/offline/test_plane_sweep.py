@@ -11,8 +11,8 @@ from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator, SweepLevel
-from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep, plan_planes
+from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweep, PlaneSweepEstimator, SweepLevel
+from ggvs_eval.pipelines.offline.plane_sweep.planes import plan_planes
 from ggvs_eval.pipelines.offline.plane_sweep.views import find_hidden, turn_partner
 from helpers.refusals import refused
 from helpers.stereo_scenes import PLANE, look_from, paint, plane_depth, random_texture, see_plane

@@ -6,18 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ggvs_eval import plugins
 from ggvs_eval.capture import Extras, GivenDepth
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.errors import GgvsWarning, ProtocolError
+from ggvs_eval.errors import AbsentPartError, GgvsWarning, ProtocolError
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED
 from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import LEAST_CONFIDENCE
-from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, plan_rig_depth, prepare_depth
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views
+from helpers.refusals import refused
 from helpers.stereo_scenes import PLANE, plane_depth, write_capture
 
 
@@ -195,3 +197,13 @@ def test_a_run_without_depth_leaves_the_choice_to_the_first_with_it(sensed_plane
     again = plan_run(request)
     assert again.depth.choice.sensor == "fill"
     assert again.depth.compared
+
+
+def test_a_capture_with_sensors_wants_what_filters_their_depth(sensed_plane, monkeypatch):
+    """Where that is not installed it is refused in a line, and matched for a user who wants no sensor."""
+    part = "ggvs_eval.pipelines.offline.sensor"
+    monkeypatch.setattr(plugins, "missing_part", lambda module: part if module.startswith(part) else None)
+
+    with refused(AbsentPartError, f"sensor depth is part of {part}", "omit it"):
+        plan_rig_depth(sensed_plane, DepthOptions())
+    assert len(plan_rig_depth(sensed_plane, DepthOptions(sensor=False))) == 5

@@ -9,6 +9,7 @@ from ggvs_eval import plugins
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import AbsentPartError
+from ggvs_eval.pipelines.offline.depth.matchers import MATCHERS
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import work_left
@@ -17,7 +18,8 @@ from ggvs_eval.run_folder import frame_path
 from helpers.refusals import refused
 from helpers.small_runs import small_protocol, write_small_capture
 
-DEPTH = "ggvs_eval.pipelines.offline.depth"
+OFFLINE = "ggvs_eval.pipelines.offline"
+DEPTH = f"{OFFLINE}.depth"
 PREPARATIONS = tuple(f"ggvs_eval.pipelines.run.{name}" for name in ("camera_path", "disocclusion", "fits", "live_depth"))
 
 
@@ -87,3 +89,21 @@ def test_a_run_without_preparations_is_scored(small_capture, tmp_path, remove):
     assert "no masks" in results[1].not_computed["PSNR_disoccluded"]
     assert "camera path" in results[1].not_computed["reprojection"]
     assert not plan.path
+
+
+@pytest.mark.parametrize(
+    ("part", "matcher"),
+    [
+        ("stereo.sgbm", "sgbm"),
+        ("stereo.live", "live"),
+        ("plane_sweep", "sweep"),
+        ("stereo.raft_matcher", "sgbm+raft"),
+        ("itermvs", "itermvs:weights.ckpt"),
+    ],
+)
+def test_a_matcher_that_is_absent_is_refused(remove, part, matcher):
+    """In a line that names its part; the others are still known."""
+    remove(f"{OFFLINE}.{part}")
+    with refused(AbsentPartError, f"is part of {OFFLINE}.{part}", "reinstall"):
+        DepthRunOptions(matcher).options()
+    assert len(MATCHERS) == len(MATCHERS.known()) - 1

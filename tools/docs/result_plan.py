@@ -20,7 +20,7 @@ from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.methods.registry import find_method, usual_methods
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, digest_weights
 from ggvs_eval.pipelines.offline.depth import camera_depth, consistency
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
+from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvs
 from ggvs_eval.pipelines.run.render import method_code
 from ggvs_eval.pipelines.run.score_code import metric_code
 from ggvs_eval.pipelines.run.score_path import path_code

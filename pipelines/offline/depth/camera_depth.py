@@ -3,38 +3,27 @@
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
+from ggvs_eval.depth_options import FREE_MATCHER
 from ggvs_eval.depth_store import DepthMap, is_known
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.jobs.code_identity import code_identity
+from ggvs_eval.pipelines.offline.depth.colour_fill import fill_by_colour
 from ggvs_eval.pipelines.offline.depth.consistency import check_consistency
+from ggvs_eval.pipelines.offline.depth.matchers import MATCHERS, Matcher, SharedMatches
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners, pairs_of
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
-from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
-from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
-from ggvs_eval.pipelines.offline.sensor.colour_fill import fill_by_colour
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, smooth_surfaces
-from ggvs_eval.pipelines.offline.stereo.live import LiveEstimator, LiveMatcher
-from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
-from ggvs_eval.pipelines.offline.stereo.pairwise import PairwiseEstimator, SharedMatches
-from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
 STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews changed parts by the functions of this module
 ERROR_PX = 0.5  # of pairs: estimates of two partners agree when disparity errors of this size explain their difference
 FLYING = 0.03  # a pixel flies when fewer than three neighbours are within this share of its depth
 SMOOTH, SMOOTH_RADIUS_PX = 0.03, 4  # depth is averaged over near neighbours that differ by about this share
 FILLED_CONFIDENCE = 0.02  # of pixels that are filled
-ESTIMATORS = {  # the module of each matcher's, and of any other's that of pairs
-    PlaneSweep: PlaneSweepEstimator.__module__,
-    LiveMatcher: LiveEstimator.__module__,
-    IterMvs: "ggvs_eval.pipelines.offline.itermvs.estimator",  # needs torch
-}
 
 
 @dataclass(frozen=True)
@@ -56,8 +45,8 @@ class DepthOptions:
         sensor_fills: ... or fills what stereo does not find.
     """
 
-    matcher: StereoMatcher | PlaneSweep | IterMvs = field(default_factory=SgbmMatcher)
-    filler: IterMvs | StereoMatcher | None = None
+    matcher: Matcher = field(default_factory=lambda: MATCHERS[FREE_MATCHER]())
+    filler: Matcher | None = None
     filler_share: float = 0.2
     partners: int = 4
     keyframe_every: int = 1
@@ -93,28 +82,15 @@ class DepthOptions:
 
     def choose_partners(self, camera: Camera, candidates: Sequence[Camera], excluded: Collection[str] = ()) -> list[Camera]:
         """Return the cameras that a camera is matched with, see `pairing.choose_partners`."""
-        pairs, views = self.partners, self.filler.partners if isinstance(self.filler, IterMvs) else 0
-        if isinstance(self.matcher, IterMvs):
-            pairs, views = 0, self.matcher.partners
+        pairs, views = self.partners, self.filler.views if self.filler else 0
+        if self.matcher.views:
+            pairs, views = 0, self.matcher.views
         return choose_partners(camera, candidates, pairs, excluded, views)
 
 
-def modules_of(*matchers: StereoMatcher | PlaneSweep | IterMvs | None) -> set[str]:
+def modules_of(*matchers: Matcher | None) -> set[str]:
     """Return the modules that find depth by some matchers, and by no others."""
-    modules = {fill_background.__module__}
-    for each in filter(None, matchers):
-        modules |= {ESTIMATORS.get(type(each), PairwiseEstimator.__module__), type(each).__module__}
-    return modules
-
-
-class Estimator(Protocol):
-    """Finds the depth of one camera with its partners at once."""
-
-    def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
-        """Return the depth at one instant, see `DepthEstimator.estimate`."""
-
-    def forget(self) -> None:
-        """Begin a new sequence."""
+    return {fill_background.__module__, *(type(matcher).__module__ for matcher in matchers if matcher)}
 
 
 class DepthEstimator:
@@ -138,12 +114,15 @@ class DepthEstimator:
         self.camera = camera
         self.partners = tuple(partners)
         self.options = options
+        matcher, filler = options.matcher, options.filler
+        sees_more = filler is not None and filler.views > 0
         if pairs is None:
-            pairs = pairs_of(camera, partners, options.partners) if isinstance(options.filler, IterMvs) else partners
+            pairs = pairs_of(camera, partners, options.partners) if sees_more else partners
         self.pairs = tuple(pairs)
-        self._raw = _estimator(camera, self.pairs, options.matcher, options, shared) if pairs else None
-        asked = self.partners if isinstance(options.filler, IterMvs) else self.pairs
-        self._guess = None if options.filler is None else (asked, _estimator(camera, asked, options.filler, options, shared))
+        how = ERROR_PX, options.keyframe_every > 1, shared
+        self._raw = matcher.estimator(camera, self.pairs, *how) if pairs else None
+        asked = self.partners if sees_more else self.pairs
+        self._guess = (asked, filler.estimator(camera, asked, *how)) if filler else None
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Return the depth at one instant.
@@ -177,24 +156,6 @@ class DepthEstimator:
             raise DepthError(f"camera {self.camera.name}: wanted {len(self.partners)} partner images, got {len(partner_images)}")
         for camera, each in zip((self.camera, *self.partners), (image, *partner_images), strict=True):
             as_image8(each, camera, DepthError)
-
-
-def _estimator(
-    camera: Camera,
-    partners: Sequence[Camera],
-    matcher: StereoMatcher | PlaneSweep | IterMvs,
-    options: DepthOptions,
-    shared: SharedMatches | None,
-) -> Estimator:
-    if isinstance(matcher, IterMvs):
-        from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvsEstimator
-
-        return IterMvsEstimator(camera, partners, matcher)
-    if isinstance(matcher, PlaneSweep):
-        return PlaneSweepEstimator(camera, partners, matcher)
-    if isinstance(matcher, LiveMatcher):
-        return LiveEstimator(camera, partners, matcher, ERROR_PX)
-    return PairwiseEstimator(camera, partners, matcher, ERROR_PX, options.keyframe_every > 1, shared)
 
 
 def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:

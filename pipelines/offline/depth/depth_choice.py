@@ -1,26 +1,19 @@
 """Choice of depth estimation: the matchers by name, and all parameters that follow from a user's few words."""
 
 import re
-from collections.abc import Callable
-from typing import cast
 
 from ggvs_eval import built_in
 from ggvs_eval.depth_options import FREE_MATCHER, LIVE_MATCHER, RAFT, DepthRunOptions, default_matcher
 from ggvs_eval.errors import DepthError, did_you_mean
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
-from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
-from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher
-from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
-from ggvs_eval.plugins import Registry
+from ggvs_eval.pipelines.offline.depth.matchers import MATCHERS, Matcher
 
-MATCHERS: Registry[Callable[..., StereoMatcher | PlaneSweep | IterMvs]] = Registry("matchers", built_in.MATCHERS)
 FORMS = ("raft:CHECKPOINT", "itermvs:CHECKPOINT", "sgbm+raft", "sgbm+itermvs:CHECKPOINT")  # names of others
 KEYFRAME_EVERY = 16  # instants, where instants depend on each other
 FILLER = re.compile(rf"\+(?=(?:{'|'.join(built_in.NETWORK_MATCHERS)})(?::|$))")  # is before a filler's name
 
 
-def find_matcher(name: str, device: str = "cpu", *, dense: bool = False) -> StereoMatcher | PlaneSweep | IterMvs:
+def find_matcher(name: str, device: str = "cpu", *, dense: bool = False) -> Matcher:
     """Return the matcher of a name without a filler: one of `MATCHERS`, or ``NETWORK:CHECKPOINT``.
 
     Args:
@@ -29,11 +22,12 @@ def find_matcher(name: str, device: str = "cpu", *, dense: bool = False) -> Ster
 
     Raises:
         DepthError: no such matcher.
+        AbsentPartError: it is not installed.
     """
     kind, _, checkpoint = name.partition(":")
     if kind in built_in.NETWORK_MATCHERS:
         return MATCHERS[kind](checkpoint, device, dense)
-    if name not in MATCHERS:
+    if name not in MATCHERS.known():
         known = (*MATCHERS, *FORMS)
         raise DepthError(f"wanted a matcher, got {name!r}; known are {', '.join(known)}{did_you_mean(name, known)}")
     return MATCHERS[name]()
@@ -50,9 +44,9 @@ def depth_options(choice: DepthRunOptions, device: str = "cpu") -> DepthOptions:
     name = choice.matcher if choice.stereo_weights is None else f"{RAFT}:{choice.stereo_weights}"
     name, *fillers = FILLER.split(name, maxsplit=1)
     matcher = find_matcher(name, device)
-    if fillers and isinstance(matcher, LiveMatcher | IterMvs):
+    if fillers and (matcher.rig or matcher.batch):  # of several cameras at once, which ask no filler
         raise DepthError(f"matcher {choice.matcher}: wanted sgbm, sweep or raft before the +, got {name}; use one of these")
-    filler = cast(IterMvs | StereoMatcher, find_matcher(fillers[0], device, dense=True)) if fillers else None
+    filler = find_matcher(fillers[0], device, dense=True) if fillers else None
     keyframe_every = KEYFRAME_EVERY if choice.reuse_static else 1
     sensor, fills = choice.sensor != "no", choice.sensor == "fill"
     return DepthOptions(matcher, filler, keyframe_every=keyframe_every, sensor=sensor, sensor_fills=fills)

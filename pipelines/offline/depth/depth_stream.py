@@ -13,7 +13,7 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import can_rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.stereo.pairwise import SharedMatches
+from ggvs_eval.pipelines.offline.depth.matchers import SharedMatches
 
 CONTEXT_PX = 48  # what a matcher sees around the window that it computes again
 GRID_PX = 64  # windows start and end on multiples of it, so that their estimators can be kept

@@ -5,7 +5,7 @@ the host reads nothing, so that a GPU records them behind the network that found
 bits; of pixels that a comparison decides a few are decided otherwise.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,19 +16,17 @@ from torch.nn import functional
 from ggvs_eval.pipelines.offline.depth import consistency
 from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, FLYING, SMOOTH, SMOOTH_RADIUS_PX, DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import LEAST_SLOPE, UNCHECKED
-from ggvs_eval.pipelines.offline.itermvs.estimator import Finish
 from ggvs_eval.plugins import DEVICE_PARTS
 
 Maps = tuple[Tensor, Tensor]  # depth and confidence
 
 
-def finisher(options: DepthOptions) -> Finish:
+def finisher(options: DepthOptions) -> Callable[..., Maps]:
     """Post-processing of a stack by these options; maps are checked against each other if they include consistency and K > 1.
 
     On a GPU by kernels where Warp and contrib's part are there: 24 ms of four maps of 1024x768 become a few.
     """
-    on_gpu = getattr(options.matcher, "device", "cpu") != "cpu"
-    by_kernels = on_gpu and "depth finish" in DEVICE_PARTS
+    by_kernels = options.matcher.device != "cpu" and "depth finish" in DEVICE_PARTS
     return partial(DEVICE_PARTS["depth finish"] if by_kernels else finish_maps, options=options)
 
 

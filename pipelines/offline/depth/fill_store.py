@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,13 +17,11 @@ from ggvs_eval.geometry.source_views import ChosenSource, choose_sources
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers, as_engine, run_all
 from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthOptions, check_depth, check_measured_depth, finish
+from ggvs_eval.pipelines.offline.depth.colour_fill import describe_fill
 from ggvs_eval.pipelines.offline.depth.consistency import describe_check
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.depth.sensor_and_stereo import fill_by_sensor, partners_of_sensed
-from ggvs_eval.pipelines.offline.sensor.colour_fill import describe_fill
-from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
-from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
-from ggvs_eval.pipelines.offline.stereo.pairwise import SharedMatches
+from ggvs_eval.pipelines.offline.depth.matchers import SharedMatches
+from ggvs_eval.pipelines.offline.depth.sensor_and_stereo import SENSORS, fill_by_sensor, partners_of_sensed
 
 Item = TypeVar("Item")
 FILLED = "sensor"  # in a spec: the sensor that fills what stereo does not find
@@ -152,10 +150,10 @@ def _checked(job: DepthJob, jobs_by_source: Mapping[str, DepthJob], options: Dep
     return job.checked_against(others, described)
 
 
-def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEstimator | None:
+def _sensor(capture: Capture, name: str, options: DepthOptions) -> Any:
     """Return the filter of the depth that a sensor measured; None if there is no such depth or it is not wanted."""
     source = capture.extras_of(name).depth if options.sensor else None
-    return None if source is None else SensorDepthEstimator(capture.camera(name), source)
+    return None if source is None else SENSORS["sensor depth"](capture.camera(name), source)
 
 
 def _filled(capture: Capture, job: DepthJob, frame: int, found: DepthMap, options: DepthOptions) -> DepthMap:
@@ -195,7 +193,7 @@ def prepare_depth(
         frames: instants, ascending.
     """
     found, checked = depth_left(jobs, frames, store)
-    if isinstance(options.matcher, LiveMatcher) and options.keyframe_every == 1:
+    if options.matcher.rig and options.keyframe_every == 1:
         _share_pairs(capture, found, store, options, workers)
         found, _ = depth_left(jobs, frames, store)
     groups = _by_camera(found, options, as_engine(workers).jobs)
@@ -239,11 +237,11 @@ def _run_together(capture: Capture, store: DepthStore, options: DepthOptions, ne
     """Compute some jobs at some instants, each pair of cameras matched once; runs in a worker."""
     missing = {job: missing_maps(store, store.write_spec(job.spec), frames) for job, frames in needed.items()}
     instants = set().union(*missing.values())
-    if not instants or not isinstance(options.matcher, LiveMatcher):
+    if not instants or options.matcher.rig is None:
         return
     matched = [(job.camera_name, *job.partner_names) for job in missing]
     names = list(dict.fromkeys(name for each in matched for name in each))
-    rig = RigEstimator([capture.camera(name) for name in names], matched, options.matcher, ERROR_PX)
+    rig = options.matcher.rig([capture.camera(name) for name in names], matched, ERROR_PX)
     start, stop = min(instants), max(instants) + 1
     decoded = [capture.frames(name, start, stop) for name in names]
     for frame, images in zip(range(start, stop), zip(*decoded, strict=True), strict=True):

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
@@ -11,8 +11,6 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthEstimator, DepthOptions, check_depth, finish
-from ggvs_eval.pipelines.offline.itermvs.options import IterMvs
-from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
 
 if TYPE_CHECKING:
     import torch
@@ -54,16 +52,15 @@ class RigDepth:
         self._cameras, self.options = {camera.name: camera for camera in cameras}, options
         self._partners = {name: tuple(each) for name, each in (partners or {}).items()}
         self._estimators: dict[str, DepthEstimator] = {}
-        self._pairs: tuple[Sequence[str], RigEstimator] | None = None
-        if isinstance(options.matcher, IterMvs):
+        self._rigs: dict[tuple[str, ...], Any] = {}
+        if options.matcher.batch:
             from ggvs_eval.pipelines.offline.depth.device_maps import finisher
-            from ggvs_eval.pipelines.offline.itermvs.estimator import IterMvsRig
 
-            self._batch = IterMvsRig(options.matcher, finisher(options))
+            self._batch = options.matcher.batch(finisher(options))
 
     def clock_s(self) -> float:
         """Return the time, seconds, when the depth that was asked for is found: a device works on while Python goes ahead."""
-        device = getattr(self.options.matcher, "device", "cpu")
+        device = self.options.matcher.device
         if device == "cpu":
             return perf_counter()
         from ggvs_eval.compute_device import clock_s, compute_device
@@ -100,7 +97,7 @@ class RigDepth:
         """
         needed = self.needed(names)
         pictures = {name: as_image8(images.get(name), self._cameras[name], DepthError) for name in needed}
-        if isinstance(self.options.matcher, IterMvs):
+        if self.options.matcher.batch:
             at = {name: index for index, name in enumerate(needed)}
             matched = [tuple(at[each] for each in (name, *self.partners(name))) for name in names]
             found = self._batch.estimate([self._cameras[name] for name in needed], matched, list(pictures.values()))
@@ -110,12 +107,12 @@ class RigDepth:
 
     def _found_here(self, names: Sequence[str], pictures: Mapping[str, Image8]) -> list[DepthMap]:
         """Return the maps as the CPU's matchers find them, finished."""
-        if isinstance(self.options.matcher, LiveMatcher):
-            if self._pairs is None or self._pairs[0] != names:
+        if self.options.matcher.rig:
+            if (key := tuple(names)) not in self._rigs:
                 matched = [(name, *self.partners(name)) for name in names]
                 cameras = [self._cameras[name] for name in self.needed(names)]
-                self._pairs = names, RigEstimator(cameras, matched, self.options.matcher, ERROR_PX)
-            return [finish(each, self.options) for each in self._pairs[1].estimate(pictures)]
+                self._rigs = {key: self.options.matcher.rig(cameras, matched, ERROR_PX)}  # the last alone
+            return [finish(each, self.options) for each in self._rigs[key].estimate(pictures)]
         for name in names:
             if name not in self._estimators:
                 partners = [self._cameras[each] for each in self.partners(name)]

@@ -4,10 +4,12 @@ import hashlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 
+from ggvs_eval import built_in
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
@@ -15,11 +17,12 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import can_rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE, DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.depth.colour_fill import fill_by_colour
 from ggvs_eval.pipelines.offline.depth.consistency import LEAST_CONFIDENCE
-from ggvs_eval.pipelines.offline.sensor.colour_fill import fill_by_colour
-from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
+from ggvs_eval.plugins import Registry
 from ggvs_eval.progress import track
 
+SENSORS: Registry[Any] = Registry("sensors", built_in.SENSORS)
 COMPARED = 6  # cameras
 WINDOW_PX, LOCAL_PX = 7, 31  # differences are averaged over the one; their mean over the other is exposure or shading
 
@@ -100,7 +103,7 @@ def _unexplained(content: ByContent, names: tuple[str, ...], options: DepthOptio
             continue
         image, *seen = (capture.frame(each.name, frame) for each in (camera, *partners, *judges))
         stereo = DepthEstimator(camera, partners, options).estimate(image, seen[: len(partners)])
-        maps = SensorDepthEstimator(camera, source).at(frame, image), stereo
+        maps = SENSORS["sensor depth"](camera, source).at(frame, image), stereo
         judged = [(judge, picture) for judge, picture in zip(judges, seen[len(partners) :], strict=True)]
         errors = [np.sort([_difference(camera, image, each.depth, *one) for one in judged], 0)[:2].mean(0) for each in maps]
         both = np.isfinite(errors).all(0) & (maps[0].confidence > 0) & (stereo.confidence >= LEAST_CONFIDENCE)

@@ -11,13 +11,58 @@ from ggvs_eval import kernels
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep, plan_planes
+from ggvs_eval.pipelines.offline.depth.matchers import Estimator, Matcher
+from ggvs_eval.pipelines.offline.plane_sweep.planes import plan_planes
 from ggvs_eval.pipelines.offline.plane_sweep.views import PartnerView, Projection, find_hidden, turn_partner
 
 CONFIRMING = 0.3  # a partner takes part where its correlation is at least this
 FLAT = np.float32(0.1)  # confidence without texture, a third of what counts as sure
 MOST_STEP = 0.7  # planes
 DAMPING = 4.0  # (grey values / pixel)^2; holds the surface where the images have no gradient along the parallax
+
+
+@dataclass(frozen=True)
+class PlaneSweep(Matcher):
+    """Planes swept through all partners at once, then semi-global matching over them along eight paths (Hirschmueller 2008).
+
+    The planes are evenly in inverse depth. The cost of a pixel on a plane is one minus the normalised cross-correlation of its
+    window with the partners', 0 to 1. Matching goes from a small image to the full one: what the small one finds says which
+    planes are worth a look, and which partners see a point.
+
+    Attributes:
+        step_px: from plane to plane, points move by this much in the image of the widest partner, pixels.
+        most_planes: maximum number, in steps of 32 and not above 256; where it does not suffice, they are farther apart.
+        radius_px: of the correlated window, 1 to 3.
+        colour_scale: a pixel of the window counts less than half where its colour differs by this much, grey values.
+        noise: variance of grey values that is no texture.
+        small_step: penalty of a step of one plane between neighbours, in units of the cost.
+        large_step: penalty of a larger step, on a surface of one grey.
+        edge_grey: difference of grey values of neighbours at which a larger step costs half.
+        smallest_px: the image is halved until its longer side is at most this.
+        search_planes: how far around what the smaller image found planes are looked at.
+        median_radius_px: depth edges are moved to those of the image by a median over windows of this radius; 0 leaves them.
+        median_colour: in that median, a pixel's weight falls by e for this difference of grey values.
+        refinements: Gauss-Newton steps on the images, which find the fraction of a plane.
+    """
+
+    name = "plane-sweep"
+    step_px: float = 0.5
+    most_planes: int = 192
+    radius_px: int = 2
+    colour_scale: float = 20.0
+    noise: float = 0.5
+    small_step: float = 0.06
+    large_step: float = 0.6
+    edge_grey: float = 10.0
+    smallest_px: int = 360
+    search_planes: int = 4
+    median_radius_px: int = 5
+    median_colour: float = 7.0
+    refinements: int = 1
+
+    def estimator(self, camera: Camera, partners: Sequence[Camera], *_: object) -> Estimator:
+        """See Matcher.estimator."""
+        return PlaneSweepEstimator(camera, partners, self)
 
 
 class SurfaceFit:
@@ -263,7 +308,7 @@ def _grey(image: Image8) -> Map:
     return cv2.cvtColor(image.astype(np.float32), cv2.COLOR_RGB2GRAY) - np.float32(128)
 
 
-class PlaneSweepEstimator:
+class PlaneSweepEstimator(Estimator):
     """Depth of one camera by a plane sweep; everything that does not depend on the images is prepared once."""
 
     def __init__(self, camera: Camera, partners: Sequence[Camera], options: PlaneSweep) -> None:
@@ -292,9 +337,6 @@ class PlaneSweepEstimator:
             refined = fit.refine(inverse_depth, finest.planes.step)
             inverse_depth = np.maximum(refined, np.float32(finest.planes.first))  # what is beyond the planes is not at infinity
         return DepthMap(np.float32(1) / inverse_depth, fit.confidence(inverse_depth))
-
-    def forget(self) -> None:
-        """Begin a new sequence; no instant depends on another."""
 
 
 def _halved(size: tuple[int, int], smallest_px: int) -> list[tuple[int, int]]:

@@ -17,6 +17,7 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.geometry.rectification import can_rectify, depth_from_disparity, exchange_roles, rectify
 from ggvs_eval.kernels import get_threads
+from ggvs_eval.pipelines.offline.depth.matchers import Estimator
 from ggvs_eval.pipelines.offline.stereo.fusion import fuse
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher, Side
 
@@ -33,14 +34,18 @@ class LiveMatcher(SgbmMatcher):
         longest_px: larger images are made smaller until their longer side is this long.
     """
 
+    name = "sgbm-3way-shared"
     levels: int = 2
     longest_px: int = 928
     refine_iterations: int = 1
 
-    @property
-    def name(self) -> str:
-        """See StereoMatcher.name."""
-        return "sgbm-3way-shared"
+    def estimator(self, camera: Camera, partners: Sequence[Camera], error_px: float, *_: object) -> Estimator:
+        """See Matcher.estimator."""
+        return LiveEstimator(camera, partners, self, error_px)
+
+    def rig(self, cameras: Sequence[Camera], matched: Sequence[Sequence[str]], error_px: float) -> "RigEstimator":
+        """See Matcher.rig."""
+        return RigEstimator(cameras, matched, self, error_px)
 
     def small(self, camera: Camera) -> Camera:
         """Return the camera at the size at which it is matched."""
@@ -148,7 +153,7 @@ class RigEstimator:
         return enlarge(DepthMap(*fuse(depths, confidences, disparities, self._error_px)), small_image, image)
 
 
-class LiveEstimator:
+class LiveEstimator(Estimator):
     """Depth of one camera as `RigEstimator` finds it for many.
 
     Args:
@@ -163,9 +168,6 @@ class LiveEstimator:
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Return the depth at one instant, see `RigEstimator.estimate`."""
         return self._rig.estimate(dict(zip(self._names, (image, *partner_images), strict=True)))[0]
-
-    def forget(self) -> None:
-        """Begin a new sequence; every instant is computed from nothing anyway."""
 
 
 def enlarge(small: DepthMap, small_image: Image8, image: Image8) -> DepthMap:

@@ -1,10 +1,8 @@
-"""Common parts of matchers of rectified images: their interface, the left-right check, and subpixel refinement.
+"""Common parts of matchers of rectified images: the left-right check and subpixel refinement.
 
 Semi-global matching interpolates its costs between whole pixels and so prefers whole pixels; on short baselines that bias is the
 largest error in depth. Least squares on the images (one-dimensional Lucas-Kanade) take it away.
 """
-
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -55,28 +53,3 @@ def refine_disparity(left: Image8, right: Image8, disparity: Map, window: int, i
     gain = float(left[valid].astype(np.float32).std() / max(matched[valid].std(), np.float32(1)))
     slope = np.asarray(cv2.Sobel(right, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8), np.float32)
     return _stereo.refine_matches(left, right, slope, disparity, gain, window, iterations, LARGEST_STEP_PX, NOISE_SLOPE)
-
-
-class StereoMatcher(Protocol):
-    """Finds for each pixel of the left image the one of the right image on the same row.
-
-    A matcher is a frozen dataclass: its fields are its parameters and enter the key of what is stored.
-    """
-
-    @property
-    def name(self) -> str:
-        """Names the algorithm."""
-
-    def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
-        """Match a rectified pair.
-
-        Args:
-            left: RGB, (H, W, 3).
-            right: RGB, (H, W, 3); the point at column x on the left is at x - disparity.
-            d_min: smallest disparity, pixels.
-            d_max: largest disparity, pixels.
-            previous: disparity of the left image of the frame before, (H, W), 0 = unknown; a matcher may start from it.
-
-        Returns:
-            Disparity of the left image in pixels, (H, W), 0 = rejected, and its confidence in [0, 1], (H, W).
-        """

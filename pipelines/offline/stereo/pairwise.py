@@ -1,5 +1,6 @@
 """Depth of a camera by any stereo matcher: each partner's opinion alone, then their consensus."""
 
+from abc import abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,11 +10,39 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import RectifiedPair, depth_from_disparity, rectify_each
+from ggvs_eval.pipelines.offline.depth.matchers import Estimator, Matcher, SharedMatches
 from ggvs_eval.pipelines.offline.stereo.fusion import fuse
-from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 
-# Depth, confidence and disparity that a matcher found with a partner, by the names of both.
-SharedMatches = dict[tuple[str, str], tuple[Map, Map, Map]]
+
+class StereoMatcher(Matcher):
+    """Finds for each pixel of the left image the one of the right image on the same row."""
+
+    @abstractmethod
+    def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
+        """Match a rectified pair.
+
+        Args:
+            left: RGB, (H, W, 3).
+            right: RGB, (H, W, 3); the point at column x on the left is at x - disparity.
+            d_min: smallest disparity, pixels.
+            d_max: largest disparity, pixels.
+            previous: disparity of the left image of the frame before, (H, W), 0 = unknown; a matcher may start from it.
+
+        Returns:
+            Disparity of the left image in pixels, (H, W), 0 = rejected, and its confidence in [0, 1], (H, W).
+        """
+
+    def estimator(
+        self,
+        camera: Camera,
+        partners: Sequence[Camera],
+        error_px: float,
+        warm: bool,
+        shared: SharedMatches | None,
+        /,
+    ) -> Estimator:
+        """See Matcher.estimator."""
+        return PairwiseEstimator(camera, partners, self, error_px, warm, shared)
 
 
 class PairwiseEstimator:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib import resources
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -30,6 +30,7 @@ from ggvs_eval.compute_device import compute_device, rendering_on
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 from ggvs_eval.pipelines.offline.stereo.matcher import LARGEST_STEP_PX, NOISE_SLOPE
+from ggvs_eval.pipelines.offline.stereo.pairwise import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import SIZE_MULTIPLE, RaftStereo
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from ggvs_eval.raft_config import COMPACT, PUBLISHED, RaftShape
@@ -155,7 +156,7 @@ def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftShape
 
 
 @dataclass(frozen=True)
-class RaftMatcher:
+class RaftMatcher(StereoMatcher):
     """RAFT-Stereo on one rectified pair.
 
     Attributes:
@@ -174,6 +175,7 @@ class RaftMatcher:
         and 1.8 times the time, 24 no less than 12; 5 are taken.
     """
 
+    name = "raft-stereo"
     weights: Path
     weights_sha256: str
     iterations: int = 5
@@ -185,12 +187,6 @@ class RaftMatcher:
     refine_window: int = 7
     refine_iterations: int = 2
     dense: bool = False
-    device: ClassVar[str] = "cpu"  # what a depth map's key says of the CPU, it said before there was any other
-
-    @property
-    def name(self) -> str:
-        """See StereoMatcher.name."""
-        return "raft-stereo"
 
     def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
         """Match a rectified pair, see StereoMatcher.match."""
@@ -284,7 +280,7 @@ class DeviceRaftMatcher(RaftMatcher):
         A device rounds otherwise than the CPU, so that its name is part of a depth map's key: maps of both are never mixed.
     """
 
-    device: str = "cuda"  # type: ignore[misc]
+    device: str = "cuda"  # no field of its base: what a key says of the CPU, it said before there was any other
 
 
 def matcher_of_weights(checkpoint: str = "", device: str = "cpu", dense: bool = False) -> RaftMatcher:

@@ -10,6 +10,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_disparity
+from ggvs_eval.pipelines.offline.stereo.pairwise import StereoMatcher
 
 Side = Literal["left", "right"]
 SUBPIXEL = 16  # the kernel counts disparity in sixteenths of a pixel
@@ -18,7 +19,7 @@ SPECKLE_RANGE = 2 * SUBPIXEL  # neighbours that differ by less are one patch
 
 
 @dataclass(frozen=True)
-class SgbmMatcher:
+class SgbmMatcher(StereoMatcher):
     """Semi-global block matching after Hirschmueller, three aggregation directions.
 
     A point that fails the left-right check is looked up at half the size, and again: where a wall has too little texture for a
@@ -36,6 +37,7 @@ class SgbmMatcher:
         refine_window: side of the window of the sub-pixel refinement, pixels.
     """
 
+    name = "sgbm-3way"
     block: int = 3
     p1: int = 8
     p2: int = 32
@@ -46,11 +48,6 @@ class SgbmMatcher:
     coarse_confidence: float = 0.5
     refine_window: int = 7
     refine_iterations: int = 2
-
-    @property
-    def name(self) -> str:
-        """See StereoMatcher.name."""
-        return "sgbm-3way"
 
     def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
         """Match a rectified pair, see StereoMatcher.match; the frame before is not needed."""
