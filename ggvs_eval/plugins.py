@@ -21,7 +21,7 @@ from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Generic, Literal, TypeVar, get_args
+from typing import Any, Generic, Literal, TypeVar, cast, get_args
 
 from ggvs_eval.built_in import DEVICE_PARTS as SHIPPED_DEVICE_PARTS
 from ggvs_eval.built_in import Derived
@@ -91,11 +91,17 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             PluginError: its plug-in cannot be imported, or offers something else.
         """
         if name in self.shipped:
-            if reason := self.why_absent(name):
-                if self._absent is None:
-                    raise AbsentPartError(reason)
-                return self._absent(name, reason)
-            return self._built_in(self.shipped[name])
+            reason = self.why_absent(name)
+            if not reason:
+                try:
+                    return cast(Entry, self._built_in(self.shipped[name]))
+                except ModuleNotFoundError as error:  # of a part that it builds on
+                    if not str(error.name).startswith("ggvs_eval."):
+                        raise
+                    reason = f"{name} wants {error.name}, which is not installed; reinstall ggvs-eval or omit it"
+            if self._absent is None:
+                raise AbsentPartError(reason)
+            return self._absent(name, reason)
         if name not in self._loaded:
             self._loaded[name] = self._load(self.plugins[name])
         return self._loaded[name]
@@ -124,9 +130,13 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     def installed(self) -> dict[str, Entry]:
         """Return what ships and is there, loaded, in order; of what is not there a line says so."""
-        for reason in filter(None, map(self.why_absent, self.shipped)):
-            say_once(reason)
-        return self.built_in()
+        entries = {}
+        for name in self.shipped:
+            try:
+                entries[name] = self[name]
+            except AbsentPartError as error:
+                say_once(str(error))
+        return entries
 
     def built_in(self) -> dict[str, Entry]:
         """Return the built-in object of a name, loaded."""

@@ -40,21 +40,10 @@ class Question(Door):
     """A question that scoring asks of every method's frames; its findings stand next to the scores."""
 
     def of_view(self, view: str, truth: FrameReader, numbers: range) -> FrameCheck:
-        """Return what checks a method's frames of a view; work on the captured ones is shared by all methods.
-
-        Args:
-            view: name of the test view.
-            truth: captured frames of the view.
-            numbers: of the captured frames.
-        """
+        """Return what checks a method's frames of a view; work on the captured ones, which have these numbers, is shared."""
 
     def of_method(self, method: ScoredMethod, findings: Mapping[str, list[Finding]]) -> dict[str, list[Finding]]:
-        """Return the findings of a method by view, once all its views have been measured: some more, some fewer.
-
-        Args:
-            method: with its values.
-            findings: view -> those of all questions so far.
-        """
+        """Return the findings of a measured method by view: those of all questions so far, with some more or some fewer."""
 
 
 @dataclass(frozen=True)

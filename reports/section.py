@@ -172,14 +172,7 @@ def _content(name: str, report: Report) -> SectionContent:
     if name in SECTIONS.plugins:
         with foreign(f"{SECTIONS.plugins[name].origin}: section {name!r} does not work"):
             return SECTIONS[name](report)
-    try:
-        section = SECTIONS[name]
-    except ModuleNotFoundError as error:
-        if not str(error.name).startswith("ggvs_eval."):
-            raise
-        lack = f"{name} wants {error.name}, which is not installed; reinstall ggvs-eval or omit it"
-        raise AbsentPartError(lack) from error
-    return section(report)
+    return SECTIONS[name](report)
 
 
 def tables_of_runs(read: Callable[[MeasuredRun], Iterable[Table | None] | Table | None], part: str) -> Section:

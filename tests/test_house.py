@@ -3,6 +3,7 @@
 import pytest
 
 from helpers import house_measures
+from helpers.leaves import names_of_api
 from helpers.places import ROOT
 
 if not (ROOT / "setup.cfg").exists():
@@ -15,6 +16,7 @@ pytestmark = pytest.mark.slow
 MOST_TOKENS = {"core": 451_200, "contrib": 188_620, "tests": 520_000}
 MOST_REACHED = {"pipelines.run.score": (52, 8_570), "pipelines.run.evaluate": (108, 19_580)}
 MOST_CORE_NAMES_IN_CONTRIB = 408
+MOST_API_NAMES = 150
 MOST_PRONOUNS = 1_855
 
 
@@ -38,6 +40,11 @@ def test_a_task_reaches_no_more_than_before(task):
 def test_contrib_uses_no_more_names_of_the_core_than_before():
     """Each name that a part uses is one that the core cannot change alone."""
     assert len(house_measures.core_names_in_contrib()) <= MOST_CORE_NAMES_IN_CONTRIB
+
+
+def test_parts_may_use_no_more_of_the_trunk_than_before():
+    """Public modules and single names of others, as `ggvs_eval.api` lists them."""
+    assert len(names_of_api()) <= MOST_API_NAMES
 
 
 def test_names_are_nouns():
