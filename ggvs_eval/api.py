@@ -8,7 +8,6 @@ about design: from then on it cannot change without its users.
 # ruff: noqa: F401 - names are listed, not used
 
 from ggvs_eval import (
-    __version__,
     arrays,
     built_in,
     camera,
@@ -109,6 +108,7 @@ from ggvs_eval.statistics import decomposition, paired
 from ggvs_eval.statistics.autocorrelation import ErrorOfMean, correlation_posterior, describe_short
 from ggvs_eval.statistics.intervals import LEVEL, intervals
 from ggvs_eval.statistics.pooling import Pooling, powers_of_means
+from ggvs_eval.statistics.rank_correlation import answer
 from ggvs_eval.sweep import Sweep
 from ggvs_eval.synthetic.d3dmv_scene import SCENE, write_scene
 from ggvs_eval.synthetic.shipped import MAIN, is_written, write_room

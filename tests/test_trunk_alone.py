@@ -1,4 +1,4 @@
-"""The trunk stands alone: with every leaf deleted the README's renders are scored and shown; each leaf comes back by itself."""
+"""The trunk stands alone: with every leaf deleted the README's renders are scored and shown; each leaf comes back alone."""
 
 import json
 import re
@@ -240,7 +240,7 @@ def faults(tmp_path_factory) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_a_leaf_comes_back_by_itself(faults):
+def test_a_leaf_comes_back_alone(faults):
     """With the leaves that it builds on, and no other, it is imported, and what the tables of built-ins name of it loads."""
     assert {leaf: faults[leaf] for leaf in PARTS if faults[leaf]} == {}
 

@@ -18,6 +18,7 @@ import json
 import shutil
 import struct
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from math import sqrt
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -27,7 +28,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ggvs_eval import __version__
 from ggvs_eval.arrays import Array32
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.atomic import atomic_file
@@ -168,7 +168,7 @@ def _document(meshes: list[dict[str, Any]], frames: Sequence[int], turn: dict[st
     for node in nodes[1:]:
         node["scale"] = [0.0, 0.0, 0.0]
     return {
-        "asset": {"version": "2.0", "generator": f"ggvs-eval {__version__}"},
+        "asset": {"version": "2.0", "generator": f"ggvs-eval {version('ggvs-eval')}"},
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],

@@ -10,13 +10,13 @@ import pandas as pd
 from ggvs_eval.contrib.study.clips import Take
 from ggvs_eval.contrib.study.ladders import Ladder, select_ladders
 from ggvs_eval.contrib.study.measure import series_job, study_metrics
-from ggvs_eval.contrib.study.rank_correlation import answer
 from ggvs_eval.contrib.study.takes import StudyOptions, make_takes
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.run_folder import JOB_FILE, read_json, write_json
+from ggvs_eval.statistics.rank_correlation import answer
 
 STUDY_FILE, VALUES_FILE = "study.json", "values.csv"
 COLUMNS = ("capture", "take", "seed", "ladder", "strength", "metric", "value")

@@ -111,7 +111,7 @@ def _edges_of_frames(capture: Capture) -> list[FrameEdges]:
 
 
 def _evenly(count: int, most: int) -> NDArray[np.intp]:
-    """Return at most so many numbers from 0 to a count, evenly spaced."""
+    """Return `most` whole numbers below a count, or all of them, evenly spaced."""
     return np.linspace(0, count - 1, min(count, most)).round().astype(np.intp)
 
 

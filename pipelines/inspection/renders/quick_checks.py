@@ -128,8 +128,8 @@ class _QuickQuestion:
         doubted = [
             (view, doubt_numbering(finding, counted_from, start)) for view, of_view in findings.items() for finding in of_view
         ]
-        told = of_all_views([finding for _, finding in doubted], len(findings))
-        return {view: [finding for of_view, finding in doubted if of_view == view and finding in told] for view in findings}
+        remaining = of_all_views([finding for _, finding in doubted], len(findings))
+        return {view: [finding for of_view, finding in doubted if of_view == view and finding in remaining] for view in findings}
 
 
 QUESTION = _QuickQuestion()

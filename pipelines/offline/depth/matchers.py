@@ -35,9 +35,9 @@ class Matcher(Protocol):
         device: where it computes.
         rig: makes what finds the depth of several cameras from pairs that are matched once, of the
             cameras, of the names of each camera wanted and of its partners, and of the error of a
-            pair in pixels; None where each camera is matched by itself.
+            pair in pixels; None where each camera is matched alone.
         batch: makes what finds the depth of several cameras in one batch on `device`, of what
-            finishes the maps there; None where each camera is matched by itself.
+            finishes the maps there; None where each camera is matched alone.
     """
 
     name: str

@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 from ggvs_eval.contrib.study import measure
-from ggvs_eval.contrib.study.rank_correlation import answer
 from ggvs_eval.contrib.study.study import run_study
 from ggvs_eval.contrib.study.takes import StudyOptions
 from ggvs_eval.errors import CaptureError, MetricError
@@ -15,6 +14,7 @@ from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics import registry
 from ggvs_eval.metrics.metric import ViewMetric
 from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.statistics.rank_correlation import answer
 from helpers.command_line import refusal
 from helpers.noise_scenes import clean_video
 
