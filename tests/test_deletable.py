@@ -13,6 +13,7 @@ import pytest
 import ggvs_eval
 import ggvs_eval.contrib
 from ggvs_eval.jobs.code_identity import ROOMS_APART
+from helpers.deleted_parts import RUN_COMMANDS
 
 CONTRIB = Path(str(ggvs_eval.contrib.__file__)).parent
 PACKAGES = sorted(file.parent.name for file in CONTRIB.glob("*/__init__.py"))
@@ -36,25 +37,14 @@ ASKED = {
     "what_if": ("what-if MINE --capture ROOM", "what-if is part of"),
     "worlds": ("film OUT --seed 3", "film is part of"),
 }
-# In a checkout an editable install would find again what was taken away.
-DONE = """
-import contextlib, io, json, sys
-sys.meta_path[:] = [finder for finder in sys.meta_path if not getattr(finder, "__module__", "").startswith("__editable__")]
+DONE = f"""
+{RUN_COMMANDS}
 import numpy as np
 from ggvs_eval.metrics import score_view
-from ggvs_eval.pipelines.commands.main import run_command
 frame = np.zeros((48, 64, 3), np.uint8)
 scores = score_view([(frame, frame)], ("PSNR", "FLIP", "L1"))
-done = {"scores": sorted({name for name, _, _ in scores.values}), "not computed": scores.not_computed}
-for command in json.loads(sys.argv[1]):
-    output, code = io.StringIO(), 0
-    with contextlib.redirect_stdout(output):
-        try:
-            run_command(command.split())
-        except SystemExit as ended:
-            code = ended.code
-    done[command] = [code, output.getvalue()]
-print(json.dumps(done))
+done = {{"scores": sorted({{name for name, _, _ in scores.values}}), "not computed": scores.not_computed}}
+print(json.dumps(done | run_commands(json.loads(sys.argv[1]))))
 """
 
 

@@ -12,6 +12,7 @@ import pytest
 
 import ggvs_eval
 from ggvs_eval.jobs.code_identity import ROOMS_APART
+from helpers.deleted_parts import RUN_COMMANDS
 from helpers.house_measures import imported_names
 from helpers.import_graph import modules
 from helpers.leaves import LEAVES, leaf_of, names_of_api, needs_of
@@ -33,22 +34,7 @@ ASKED = (
     "run RUN --methods ours",
     "run RUN --methods 4dgs",
 )
-# Runs commands in one process and prints what each of them wrote; in a checkout an editable install would find leaves again.
-RUN = """
-import contextlib, io, json, sys
-sys.meta_path[:] = [finder for finder in sys.meta_path if not getattr(finder, "__module__", "").startswith("__editable__")]
-from ggvs_eval.pipelines.commands.main import run_command
-ended = []
-for command in json.loads(sys.argv[1]):
-    output, code = io.StringIO(), 0
-    with contextlib.redirect_stdout(output):
-        try:
-            run_command(command.split())
-        except SystemExit as end:
-            code = end.code
-    ended.append([code, output.getvalue()])
-print(json.dumps(ended))
-"""
+RUN = f"{RUN_COMMANDS}print(json.dumps(run_commands(json.loads(sys.argv[1]))))"
 # For each leaf a process of its own, in which other leaves are not found: imports its modules, and loads what the tables of
 # built-ins name of them. A foreign package that is not installed is nobody's fault.
 LOAD = """
@@ -186,7 +172,7 @@ def readme(trunk, tmp_path_factory) -> tuple[str, dict[str, tuple[object, str]]]
     folder = tmp_path_factory.mktemp("readme")
     outputs = run_python(trunk, RUN, json.dumps([*alone, *ASKED]), folder)
     names = [*(command.split()[0] for command in commands), *ASKED]
-    return text, dict(zip(names, outputs, strict=True))
+    return text, dict(zip(names, outputs.values(), strict=True))
 
 
 def read_table(text: str) -> dict[str, list[float]]:
