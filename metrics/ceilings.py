@@ -11,10 +11,11 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.coding import Coding
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.noise.blocks import Field
 from ggvs_eval.metrics.noise.estimate import NoiseModel, NoiseStream
-from ggvs_eval.metrics.noise.recording import Recorder, clean_frames, observe, rounded
+from ggvs_eval.metrics.noise.recording import Recorder, clean_frames, observe
 from ggvs_eval.metrics.stream import ViewScores, score_views
 
 SOFTENED, SOFTENED_TWICE = ("TCC", "STED"), ("STED",)  # bounds behind every codec with loss: it softens what moves
@@ -149,7 +150,7 @@ def _beside(
     """For each instant: (noise-free rendering, second recording), and the first; notes the shares that were averaged."""
     for clean, first, again in zip(recorder.clean(), truth, second, strict=True):
         averaged.append(float(clean.averaged.mean()))
-        yield (rounded(clean.shown), again), first
+        yield (round_levels(clean.shown), again), first
 
 
 def _is_coarse_in_colour(noise: NoiseModel) -> bool:
@@ -177,8 +178,8 @@ class _PerfectRenderings:
         first, second = (NoiseStream(self._noise, random) for random in self._random.spawn(2))
         for frame, clean in clean_frames(frames, self._noise, self._background):
             self._averaged.append(float(clean.averaged.mean()))
-            truth = np.where(clean.averaged, frame, rounded(clean.shown + clean.strength * first.draw(clean.shown)))
-            yield (rounded(clean.shown), rounded(clean.shown + clean.strength * second.draw(clean.shown))), truth
+            truth = np.where(clean.averaged, frame, round_levels(clean.shown + clean.strength * first.draw(clean.shown)))
+            yield (round_levels(clean.shown), round_levels(clean.shown + clean.strength * second.draw(clean.shown))), truth
 
 
 def _means(scores: ViewScores) -> dict[str, float]:

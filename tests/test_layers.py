@@ -19,7 +19,7 @@ FLOORS = (
     ("arrays", "built_in", "errors", "finding", "kernels", "metric_choices", "raft_config", "residual_block"),
     ("camera", "progress", "plugins", "raft_update"),
     ("files", "lens", "compute_device", "method"),
-    ("geometry", "capture", "colour_maps"),
+    ("geometry", "capture", "colour_maps", "transforms"),
     ("depth_store", "depth_options", "protocol", "gaussians"),
     ("depth_work", "measured_frames", "run_folder", "results", "scene_fitter", "sweep"),
     ("statistics", "merged_results", "datasets", "jobs", "synthetic.d3dmv_scene", "coverage"),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.contrib.explain.conventions import Levels, Preparation
+from ggvs_eval.files.images import resize, round_levels
 from ggvs_eval.measured_frames import MVSNERF, cut_border
 
 Planes = NDArray[np.float64]
@@ -47,8 +48,7 @@ def without_border(image: Image8, border_px: int = 0, share: float = 0.0) -> Ima
 
 def half(image: Image8) -> Image8:
     """Return a frame at half its size, box averages of 8 bit."""
-    size = image.shape[1] // 2, image.shape[0] // 2
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return resize(image, image.shape[1] // 2, image.shape[0] // 2, "area")
 
 
 def as_mvsnerf(image: Image8) -> Levels:
@@ -66,7 +66,7 @@ def half_truth(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
     size = truth.shape[1], truth.shape[0]
     # OpenCV does not round what it interpolates in 8 bit.
     enlarged = cv2.resize(half(truth).astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
-    return rendered, np.rint(enlarged).astype(np.uint8)
+    return rendered, round_levels(enlarged)
 
 
 def stretched(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:

@@ -21,6 +21,7 @@ from ggvs_eval.contrib.explain.conventions import (
 )
 from ggvs_eval.contrib.explain.preparations import BT601, BT709, HALVED, both, ycbcr
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import round_levels
 
 OUR_IV_PSNR = "YCbCr of BT.709 without headroom, full chroma"
 OUR_DISTS = "frames at their own size"
@@ -53,7 +54,7 @@ def _ycbcr(image: Image8, matrix: NDArray[np.float64], headroom: bool, chroma: i
     """8-bit YCbCr, (H, W, 3); chroma averaged over N pixels a side and repeated."""
     levels = ycbcr(image, matrix, headroom)
     planes = [levels[..., 0], *(_coarse(levels[..., channel], chroma) for channel in (1, 2))]
-    return np.rint(np.clip(np.stack(planes, axis=-1), 0, 255)).astype(np.uint8)
+    return round_levels(np.stack(planes, axis=-1))
 
 
 def _coarse(plane: NDArray[np.float64], side: int) -> NDArray[np.float64]:

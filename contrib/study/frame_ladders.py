@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array, Image8
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.files.video import VideoFrames, write_video
 
 WAVE_PX, WAVE_DEG = 48.0, 2.0  # wave lengths of the wobble on the image, and over the angle of view
@@ -25,7 +26,7 @@ def blur(frames: Image8, sigma_px: float, _seed: int = 0) -> Image8:
 def noise(frames: Image8, sigma_255: float, seed: int = 0) -> Image8:
     """Noisy frames: I + n, n Gaussian of standard deviation `sigma_255`, independent in every pixel, channel and frame."""
     random = np.random.default_rng(seed)
-    return np.stack([_rounded(frame + random.normal(size=frame.shape) * sigma_255) for frame in frames])
+    return np.stack([round_levels(frame + random.normal(size=frame.shape) * sigma_255) for frame in frames])
 
 
 def shift(frames: Image8, shift_px: float, seed: int = 0) -> Image8:
@@ -56,13 +57,13 @@ def flicker(frames: Image8, percent: float, seed: int = 0) -> Image8:
     """Flickering frames: g_t I_t, the gains Gaussian about 1 with a standard deviation of exactly `percent`."""
     gains = np.random.default_rng(seed).normal(size=len(frames))
     gains = 1.0 + percent / 100 * (gains - gains.mean()) / gains.std()
-    return _rounded(frames * gains[:, None, None, None])
+    return round_levels(frames * gains[:, None, None, None])
 
 
 def drift(frames: Image8, percent: float, _seed: int = 0) -> Image8:
     """Frames that brighten slowly: g_t I_t, the gains evenly spaced over `percent` about 1, from the first frame to the last."""
     gains = 1.0 + percent / 100 * np.linspace(-0.5, 0.5, len(frames))
-    return _rounded(frames * gains[:, None, None, None])
+    return round_levels(frames * gains[:, None, None, None])
 
 
 def freeze(frames: Image8, percent: float, seed: int = 0) -> Image8:
@@ -91,7 +92,7 @@ def compress(frames: Image8, crf: float, _seed: int = 0) -> Image8:
 def colour_cast(frames: Image8, percent: float, seed: int = 0) -> Image8:
     """Frames of another white balance: each channel times 1 + `percent` c, c a random direction of length sqrt(3), the seed's."""
     cast = np.random.default_rng(seed).normal(size=3)
-    return _rounded(frames * (1.0 + percent / 100 * np.sqrt(3.0) * cast / np.linalg.norm(cast)))
+    return round_levels(frames * (1.0 + percent / 100 * np.sqrt(3.0) * cast / np.linalg.norm(cast)))
 
 
 def _displaced(frame: Image8, across_px: Array | float, down_px: Array | float) -> Image8:
@@ -104,8 +105,4 @@ def _displaced(frame: Image8, across_px: Array | float, down_px: Array | float) 
     rows, columns = np.mgrid[: frame.shape[0], : frame.shape[1]]
     places = np.broadcast_arrays(rows - down_px, columns - across_px)
     channels = [map_coordinates(frame[..., c].astype(np.float64), places, order=SPLINE, mode="nearest") for c in range(3)]
-    return _rounded(np.stack(channels, axis=-1))
-
-
-def _rounded(levels: Array) -> Image8:
-    return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
+    return round_levels(np.stack(channels, axis=-1))

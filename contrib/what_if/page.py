@@ -54,7 +54,7 @@ def _undone(run: RunFolder, label: str) -> UndoneRenders | None:
     if not scored.rows or METRIC in scored.not_computed:
         return None
     treated = {name: apply(faults[0], name, view) for name, view in views.items()}
-    words = ", ".join(undo.words for undo in faults[0])
+    words = ", ".join(undo.words() for undo in faults[0])
 
     def read(view: str, frame: int) -> Image8 | None:
         return treated[view].rendered(frame) if frame in treated[view].frames else None

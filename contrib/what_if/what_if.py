@@ -128,7 +128,7 @@ def score_undone(views: Mapping[str, ViewFrames], found: Estimate, measurement: 
     shared = [i for i in frames if i not in middle and all(i in view.frames for each in treated for view in each.values())]
     if not shared:
         raise RenderError(f"{len(frames)} frames leave none that every row can score; render more than twice the offset")
-    border_px = max(undo.border_px for undo in undos)
+    border_px = max(way.border_px for undo in undos for way in undo.ways.values())
     table: list[tuple[Any, ...]] = []
     not_computed: dict[str, str] = {}
     options = metric_options(measurement)
@@ -158,9 +158,9 @@ def _treatments(undos: Sequence[Undo]) -> list[_Treatment]:
     """None, each fault, and all of them; where renders are interpolated also the truth instead of them."""
     listed = [_Treatment(HONEST)]
     for undo in undos:
-        listed.append(_Treatment(f"{undo.words} ({undo.verdict})", (undo,)))
+        listed.append(_Treatment(f"{undo.words()} ({undo.verdict})", (undo,)))
         if undo.of_truth:
-            listed.append(_Treatment(f"{undo.words_of_truth} ({undo.verdict})", (undo,), on_truth=True))
+            listed.append(_Treatment(f"{undo.words(on_truth=True)} ({undo.verdict})", (undo,), on_truth=True))
     if len(undos) > 1:
         listed.append(_Treatment(ALL, tuple(undos)))
         if any(undo.of_truth for undo in undos):
@@ -176,7 +176,10 @@ def _row(results: Results, number: int, treatment: _Treatment, metrics: Sequence
         for metric, value in values.items()
     }
     return Row(
-        treatment.words, tuple(undo.fault for undo in treatment.undos), all(undo.exact for undo in treatment.undos), scores
+        treatment.words,
+        tuple(undo.fault for undo in treatment.undos),
+        all(way.is_exact for undo in treatment.undos for way in undo.ways.values()),
+        scores,
     )
 
 

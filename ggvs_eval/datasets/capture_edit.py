@@ -14,6 +14,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import Capture, CaptureEdit, DepthSource, Extras, FrameSource
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_values
+from ggvs_eval.files.images import round_levels
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class NoisyFrames:
     def _expose(self, image: Image8, frame: int) -> Image8:
         camera = int.from_bytes(hashlib.sha256(self.camera_name.encode()).digest()[:8])
         grain = np.random.default_rng([self.seed, camera, frame]).standard_normal(image.shape, np.float32)
-        return np.clip(np.rint(image + np.float32(self.sigma_255) * grain), 0, 255).astype(np.uint8)
+        return round_levels(image + np.float32(self.sigma_255) * grain)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from ggvs_eval.capture import Capture, DepthSource, Extras, FrameSource
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.digest import digest_values
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.files.toml_tables import build_table, read_toml
 
 FILE = "corrections.toml"
@@ -71,7 +72,7 @@ class CorrectedFrames:
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
         """Yield the frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
         levels = np.arange(256)[:, None] / np.array(self.gain)
-        table = np.clip(np.rint(levels), 0, 255).astype(np.uint8)[:, None]  # (256, 1, 3)
+        table = round_levels(levels)[:, None]  # (256, 1, 3)
         for image in self.source.frames(start + self.start, stop + self.start):
             yield image if self.gain == NO_GAIN else np.asarray(cv2.LUT(image, table), np.uint8)
 

@@ -39,6 +39,11 @@ def quantise(image: NDArray[np.floating]) -> Image8:
     return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
+def round_levels(levels: NDArray[Any]) -> Image8:
+    """Round levels on the scale 0..255 to 8 bit, as they will be saved; values outside are clipped."""
+    return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
+
+
 def to_8_bit(image: NDArray[np.generic]) -> Image8:
     """Return an image as it will be saved: uint8 as it is, floats in [0, 1] rounded."""
     return np.asarray(image, np.uint8) if image.dtype == np.uint8 else quantise(np.asarray(image, np.float64))
@@ -129,9 +134,5 @@ def resize(image: Image8, width: int, height: int, resize_filter: ResizeFilter) 
         return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
     from PIL import Image
 
-    filters = {
-        "lanczos": Image.Resampling.LANCZOS,
-        "bicubic": Image.Resampling.BICUBIC,
-        "bilinear": Image.Resampling.BILINEAR,
-    }
-    return np.asarray(Image.fromarray(image).resize((width, height), filters[resize_filter]))
+    pillow_filter = Image.Resampling[resize_filter.upper()]
+    return np.asarray(Image.fromarray(image).resize((width, height), pillow_filter))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.metrics.noise.blocks import (
     MIN_BLOCKS,
     ROUNDING_VARIANCE,
@@ -66,7 +67,7 @@ class NoiseModel:
         """Return the standard deviation of the noise at each value of an image, same shape, grey levels of 255."""
         levels = np.arange(256)
         curves = np.stack([np.interp(levels, self.brightness_255, self.sigma_255[:, c]) for c in range(3)], axis=-1)
-        index = np.rint(np.clip(image, 0, 255)).astype(np.uint8)
+        index = round_levels(image)
         return np.stack([cv2.LUT(index[..., c], curves[:, c].astype(np.float32)) for c in range(3)], axis=-1)
 
     def sample(self, clean: NDArray, random: np.random.Generator) -> Image8:
@@ -77,7 +78,7 @@ class NoiseModel:
         """Yield a noisy recording of clean frames, one by one; what noise keeps over time is kept."""
         noise = NoiseStream(self, random)
         for frame in clean:
-            yield np.rint(np.clip(frame + noise.draw(frame), 0, 255)).astype(np.uint8)
+            yield round_levels(frame + noise.draw(frame))
 
 
 class NoiseStream:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.coding import Coding, read_coding
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.files.video import X264, VideoFrames, write_video
 from ggvs_eval.metrics.noise.blocks import BLOCK_PX, ROUNDING_VARIANCE, Field, block_means
 from ggvs_eval.metrics.noise.estimate import NoiseEstimator, NoiseModel, estimate_noise
@@ -87,11 +88,6 @@ def clean_frames(
         yield frame, CleanFrame(mean, steady, averaged, _to_pixels(np.sqrt(strength), frame.shape))
         age = np.where(still, np.minimum(age + 1, MEMORY_FRAMES), 1)
         background = background + residual / _to_pixels(age, frame.shape)
-
-
-def rounded(frame: NDArray) -> Image8:
-    """Grey levels as 8 bit."""
-    return np.rint(np.clip(frame, 0, 255)).astype(np.uint8)
 
 
 def _with_neighbours(frames: Iterable[Image8]) -> Iterator[tuple[list[Image8], Image8, list[Image8]]]:
@@ -301,4 +297,4 @@ class Recorder:
 
 
 def _expose(clean: Field, sigma_255: float, random: np.random.Generator) -> Image8:
-    return rounded(clean + np.float32(sigma_255) * random.standard_normal(clean.shape, np.float32))
+    return round_levels(clean + np.float32(sigma_255) * random.standard_normal(clean.shape, np.float32))

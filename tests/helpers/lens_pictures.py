@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.lens import Lens
 
 
@@ -33,7 +34,7 @@ def undistorted_points(lens: Lens, uv: np.ndarray) -> np.ndarray:
 def through_lens(lens: Lens, gain: float = 1.0) -> Image8:
     """The picture, in the pinhole image with the lens's K, as the lens shows it."""
     picture = gain * pattern(undistorted_points(lens, pixel_grid(lens.width, lens.height)))
-    return np.rint(picture).clip(0, 255).astype(np.uint8)
+    return round_levels(picture)
 
 
 def straight(lens: Lens, K: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from skimage import data
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.contrib.study.frame_ladders import blur, delay, flicker
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.files.video import VideoFrames, write_video
 
 FLICKER_SEED = 5
@@ -61,7 +62,7 @@ def frozen(clean: np.ndarray) -> np.ndarray:
 def time_averaged(clean: np.ndarray) -> np.ndarray:
     """Each frame the mean of its neighbours and itself."""
     padded = np.concatenate([clean[:1], clean, clean[-1:]]).astype(np.float64)
-    return _rounded((padded[:-2] + padded[1:-1] + padded[2:]) / 3)
+    return round_levels((padded[:-2] + padded[1:-1] + padded[2:]) / 3)
 
 
 def planted(clean: np.ndarray) -> dict[str, np.ndarray]:
@@ -87,16 +88,12 @@ def _place(photograph: Image8, face: Image8, index: int, speed_px: float) -> Ima
     shift = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
     cover = cv2.warpAffine(np.ones((FACE, FACE), np.float32), shift, (width, height))[..., None]
     moved = cv2.warpAffine(face.astype(np.float32), shift, (width, height))
-    return _rounded(20 + 0.85 * (photograph * (1 - cover) + moved))  # away from black and white, where noise is cut off
+    return round_levels(20 + 0.85 * (photograph * (1 - cover) + moved))  # away from black and white, where noise is cut off
 
 
 def _with_noise(frame: Image8, sigma: float | Noise, random: np.random.Generator) -> Image8:
     level = sigma(frame.astype(np.float64)) if callable(sigma) else sigma
-    return _rounded(frame + random.normal(size=frame.shape) * level)
-
-
-def _rounded(frames: np.ndarray) -> Image8:
-    return np.rint(np.clip(frames, 0, 255)).astype(np.uint8)
+    return round_levels(frame + random.normal(size=frame.shape) * level)
 
 
 def print_tables() -> None:

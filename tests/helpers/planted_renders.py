@@ -9,8 +9,10 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.scoring import FrameReader
+from ggvs_eval.transforms import TRANSFORMS
 from helpers.packed_films import unpack_film
 
 Spoil = Callable[[ViewFrames], FrameReader]
@@ -37,33 +39,24 @@ class Fault:
     spoil: Spoil
 
 
-def quantised(levels: np.ndarray) -> Image8:
-    """Levels on the scale 0..255 as they are written."""
-    return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
+def change(question: str, **values: float | tuple[int, ...]) -> Callable[[Image8], Image8]:
+    """What gives a picture a fault of this strength."""
+    return lambda image: TRANSFORMS[question](values, image.shape[1::-1]).apply(image)
+
+
+def moved(right_px: float, down_px: float) -> Callable[[Image8], Image8]:
+    """What shifts a picture."""
+    return change("shift", shift_x_px=right_px, shift_y_px=down_px)
+
+
+def zoomed(scale: float) -> Callable[[Image8], Image8]:
+    """What enlarges a picture about its centre, as by a longer focal length."""
+    return change("focal length", scale_x=scale, scale_y=scale)
 
 
 def each_picture(change: Callable[[Image8], np.ndarray]) -> Spoil:
     """The same change of every rendered frame."""
-    return lambda view: lambda index: quantised(change(view.rendered(index)))
-
-
-def moved(right_px: float, down_px: float, scale: float = 1.0) -> Spoil:
-    """Shifted, or enlarged about its centre as by a longer focal length."""
-
-    def change(image: Image8) -> np.ndarray:
-        height, width = image.shape[:2]
-        x, y = (width - 1) / 2, (height - 1) / 2
-        matrix = np.array([[scale, 0, x * (1 - scale) + right_px], [0, scale, y * (1 - scale) + down_px]])
-        return cv2.warpAffine(
-            image.astype(np.float32), matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-        )
-
-    return each_picture(change)
-
-
-def tone(curve: Callable[[np.ndarray], np.ndarray]) -> Spoil:
-    """A tone curve on levels in 0..1."""
-    return each_picture(lambda image: 255 * curve(image / 255))
+    return lambda view: lambda index: change(view.rendered(index))
 
 
 def flicker(amplitude: float) -> Spoil:
@@ -71,19 +64,19 @@ def flicker(amplitude: float) -> Spoil:
 
     def spoil(view: ViewFrames) -> FrameReader:
         gains = 1 + np.random.default_rng(SEED).uniform(-amplitude, amplitude, len(view.frames))
-        return lambda index: quantised(view.rendered(index) * gains[index - view.frames.start])
+        return lambda index: round_levels(view.rendered(index) * gains[index - view.frames.start])
 
     return spoil
 
 
 def alternating(amplitude: float) -> Spoil:
     """Every other frame brighter."""
-    return lambda view: lambda index: quantised(view.rendered(index) * (1 + amplitude * (-1) ** index))
+    return lambda view: lambda index: round_levels(view.rendered(index) * (1 + amplitude * (-1) ** index))
 
 
 def blended(share: float) -> Spoil:
     """Some of the truth in every frame."""
-    return lambda view: lambda index: quantised((1 - share) * view.rendered(index).astype(float) + share * view.truth(index))
+    return lambda view: lambda index: round_levels((1 - share) * view.rendered(index).astype(float) + share * view.truth(index))
 
 
 def copied(every: int, recode: Callable[[Image8], Image8] = lambda image: image) -> Spoil:
@@ -98,7 +91,7 @@ def copied(every: int, recode: Callable[[Image8], Image8] = lambda image: image)
 
 def reversed_time(view: ViewFrames) -> FrameReader:
     """The last frame first."""
-    return lambda index: view.rendered(view.frames.start + view.frames.stop - 1 - index)
+    return view.reversed(0).rendered
 
 
 def jpeg(quality: int) -> Callable[[Image8], Image8]:
@@ -115,14 +108,14 @@ PLANTED: Mapping[str, Fault] = {
     "blend with 10 % truth": Fault("truth copied in", blended(0.1)),
     "flicker, random +-3 %": Fault("flicker", flicker(0.03)),
     "flicker, alternating +-3 %": Fault("flicker", alternating(0.03)),
-    "gamma 1.1": Fault("tone curve", tone(lambda level: level**1.1)),
-    "gamma 1 / 1.1": Fault("tone curve", tone(lambda level: level ** (1 / 1.1))),
-    "studio range 16-235": Fault("value range", tone(lambda level: (16 + 219 * level) / 255)),
-    "stretched from 16-235": Fault("value range", tone(lambda level: (255 * level - 16) / 219)),
-    "quarter pixel right": Fault("shift", moved(0.25, 0)),
-    "quarter pixel right and down": Fault("shift", moved(0.25, 0.25)),
-    "quarter pixel left": Fault("shift", moved(-0.25, 0)),
-    "focal length + 1 %": Fault("focal length", moved(0, 0, 1.01)),
-    "focal length - 1 %": Fault("focal length", moved(0, 0, 0.99)),
+    "gamma 1.1": Fault("tone curve", each_picture(change("tone curve", power=1.1))),
+    "gamma 1 / 1.1": Fault("tone curve", each_picture(change("tone curve", power=1 / 1.1))),
+    "studio range 16-235": Fault("value range", each_picture(change("value range", slope=0.86))),
+    "stretched from 16-235": Fault("value range", each_picture(change("value range", slope=1.16))),
+    "quarter pixel right": Fault("shift", each_picture(moved(0.25, 0))),
+    "quarter pixel right and down": Fault("shift", each_picture(moved(0.25, 0.25))),
+    "quarter pixel left": Fault("shift", each_picture(moved(-0.25, 0))),
+    "focal length + 1 %": Fault("focal length", each_picture(zoomed(1.01))),
+    "focal length - 1 %": Fault("focal length", each_picture(zoomed(0.99))),
     "reversed time": Fault("reversed time", reversed_time),
 }

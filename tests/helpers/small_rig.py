@@ -9,7 +9,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
-from ggvs_eval.files.images import quantise
+from ggvs_eval.files.images import quantise, round_levels
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.inspection.capture.records import CameraRecord, Recorder
 
@@ -116,7 +116,7 @@ def recorded(frames: Frames, name: str) -> CameraRecord:
 def brighten(frame: Image8, gain: object) -> Image8:
     """Multiply sRGB values."""
     levels = np.broadcast_to(np.arange(256)[:, None] * np.asarray(gain), (256, 3))
-    return np.asarray(cv2.LUT(frame, np.clip(np.rint(levels), 0, 255).astype(np.uint8)[None]), np.uint8)
+    return np.asarray(cv2.LUT(frame, round_levels(levels)[None]), np.uint8)
 
 
 def warp(frame: Image8, right: float = 0.0, down: float = 0.0, zoom: float = 1.0) -> Image8:

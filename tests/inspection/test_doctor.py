@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import read_image, resize
+from ggvs_eval.files.images import read_image, resize, round_levels
 from ggvs_eval.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, cameras_of_run, views_of_run, views_there
@@ -16,7 +16,7 @@ from ggvs_eval.pipelines.inspection.renders.quick_checks import doubt_numbering
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.planted_renders import PLANTED as PLANTED_IN_VIEWS
-from helpers.planted_renders import SIZE, film_without_noise, jpeg, quantised
+from helpers.planted_renders import SIZE, change, film_without_noise, jpeg, moved
 from helpers.refusals import refused
 from helpers.run_folders import write_run
 
@@ -34,18 +34,18 @@ def filmed(tmp_path_factory) -> dict[str, np.ndarray]:
 def truth(filmed) -> dict[str, np.ndarray]:
     """Captured frames: what the cameras see, with their noise."""
     rng = np.random.default_rng(8)
-    return {name: quantised(frames + rng.normal(0, 1.5, frames.shape)) for name, frames in filmed.items()}
+    return {name: round_levels(frames + rng.normal(0, 1.5, frames.shape)) for name, frames in filmed.items()}
 
 
 def blurred(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Soft, in false colours: 22 to 26 dB."""
-    return np.stack([quantised(cv2.GaussianBlur(f, (0, 0), 1.8) * (0.92, 1.0, 1.08)) for f in frames])
+    return np.stack([round_levels(cv2.GaussianBlur(f, (0, 0), 1.8) * (0.92, 1.0, 1.08)) for f in frames])
 
 
 def noisy(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Grainy, darker and hazy."""
     soft = (cv2.GaussianBlur(f.astype(np.float32), (0, 0), 1.0) for f in frames)
-    return np.stack([quantised(0.85 * f + 9 + rng.normal(0, 4, f.shape)) for f in soft])
+    return np.stack([round_levels(0.85 * f + 9 + rng.normal(0, 4, f.shape)) for f in soft])
 
 
 def warped(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -62,7 +62,7 @@ def warped(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         one, other = (cv2.remap(frame, x + a, y + b, cv2.INTER_LINEAR).astype(np.float32) for a, b in (fields[:2], fields[2:]))
         image = cv2.GaussianBlur((0.6 * one + 0.4 * other) * rng.normal(1, 0.01), (0, 0), 0.7)
         image[holes] *= 0.1
-        rendered.append(quantised(image))
+        rendered.append(round_levels(image))
     return np.stack(rendered)
 
 
@@ -97,17 +97,6 @@ def faults(findings: list[Finding]) -> list[str]:
     return [finding.question for finding in findings]
 
 
-def table(curve: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
-    """A tone curve on levels in 0..1."""
-    levels = quantised(255 * curve(np.arange(256) / 255))
-    return lambda image: levels[image]
-
-
-def shifted(right_px: float, down_px: float) -> Callable[[np.ndarray], np.ndarray]:
-    matrix = np.array([[1, 0, right_px], [0, 1, down_px]], np.float32)
-    return lambda image: cv2.warpAffine(image, matrix, SIZE, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-
-
 def cropped(share_x: float, share_y: float) -> Callable[[np.ndarray], np.ndarray]:
     """The middle of the picture, stretched to the whole."""
     columns, rows = round(SIZE[0] * (1 - share_x) / 2), round(SIZE[1] * (1 - share_y) / 2)
@@ -122,15 +111,15 @@ def enlarged(factor: float, interpolation: int) -> Callable[[np.ndarray], np.nda
 
 
 PLANTED = {
-    "BGR": ("channel order", lambda image: image[..., ::-1]),
-    "GRB": ("channel order", lambda image: image[..., [1, 0, 2]]),
-    "linear light": ("tone curve", table(lambda level: level**2.2)),
-    "encoded twice": ("tone curve", table(lambda level: level ** (1 / 2.2))),
-    "left and right": ("mirrored", lambda image: image[:, ::-1]),
-    "upside down": ("mirrored", lambda image: image[::-1]),
-    "one pixel right": ("shift", shifted(1, 0)),
-    "one pixel up": ("shift", shifted(0, -1)),
-    "half a pixel": ("shift", shifted(0.5, 0.5)),
+    "BGR": ("channel order", change("channel order", order=(2, 1, 0))),
+    "GRB": ("channel order", change("channel order", order=(1, 0, 2))),
+    "linear light": ("tone curve", change("tone curve", power=2.2)),
+    "encoded twice": ("tone curve", change("tone curve", power=1 / 2.2)),
+    "left and right": ("mirrored", change("mirrored", axes=(1,))),
+    "upside down": ("mirrored", change("mirrored", axes=(0,))),
+    "one pixel right": ("shift", moved(1, 0)),
+    "one pixel up": ("shift", moved(0, -1)),
+    "half a pixel": ("shift", moved(0.5, 0.5)),
     "stretched": ("wrong resize", cropped(0.8, 1)),
     "cropped": ("wrong resize", cropped(0.9, 0.9)),
     "enlarged 2 x": ("up-scaled", enlarged(2, cv2.INTER_LINEAR)),
@@ -193,7 +182,7 @@ def test_frames_that_are_copies_are_named(honest, truth):
 
 def test_the_share_of_the_truth_in_a_blend_is_measured(honest, truth):
     """Noise tells by how much the truth was blended in, within a few hundredths."""
-    mixed = quantised(0.7 * honest["warped"][VIEW] + 0.3 * truth[VIEW])
+    mixed = round_levels(0.7 * honest["warped"][VIEW] + 0.3 * truth[VIEW])
     (finding,) = diagnose(mixed, truth)
 
     assert (finding.question, finding.verdict) == ("truth copied in", "certain")
@@ -204,7 +193,7 @@ def test_the_share_of_the_truth_in_a_blend_is_measured(honest, truth):
 def test_a_very_good_rendering_is_no_copy(filmed, truth):
     """What fits in every patch, but has noise of its own, is not accused."""
     rng = np.random.default_rng(2)
-    assert diagnose(quantised(filmed[VIEW] + rng.normal(0, 0.5, filmed[VIEW].shape)), truth) == []
+    assert diagnose(round_levels(filmed[VIEW] + rng.normal(0, 0.5, filmed[VIEW].shape)), truth) == []
 
 
 @pytest.mark.slow
@@ -212,12 +201,12 @@ def test_a_drift_of_the_exposure_is_no_flicker(honest, truth):
     """A camera that grows 6 % brighter over the clip, which no method can know, is not a fault."""
     gains = np.linspace(0.97, 1.03, N_FRAMES)[:, None, None, None]
 
-    assert diagnose(quantised(honest["blurred"][VIEW] * gains), truth) == []
+    assert diagnose(round_levels(honest["blurred"][VIEW] * gains), truth) == []
 
 
 def test_video_range_is_certain_where_its_constants_are_met(honest, truth):
     """16 and 219 / 255 in each channel are no accident."""
-    rendered = quantised(16 + honest["blurred"][VIEW] * (219 / 255))
+    rendered = round_levels(16 + honest["blurred"][VIEW] * (219 / 255))
     (finding,) = diagnose(rendered, truth)
 
     assert (finding.question, finding.verdict) == ("value range", "certain")
@@ -253,7 +242,7 @@ def test_the_wrong_camera_is_named(kind, honest, truth):
 def test_a_shift_that_single_views_leave_in_doubt_is_told_by_all(honest, truth):
     """Half a pixel in every view is found in each, also where wrong depth scatters the parts of the picture."""
     views = {
-        name: view_of(np.stack([shifted(0.5, 0.5)(image) for image in frames]), truth[name])
+        name: view_of(np.stack([moved(0.5, 0.5)(image) for image in frames]), truth[name])
         for name, frames in honest["warped"].items()
     }
 
@@ -263,7 +252,7 @@ def test_a_shift_that_single_views_leave_in_doubt_is_told_by_all(honest, truth):
 @pytest.mark.parametrize(("shift", "kind"), [pytest.param((1, -2), "warped", marks=pytest.mark.slow), ((9, -6), "blurred")])
 def test_a_shift_is_measured(shift, kind, honest, truth):
     """To a tenth of a pixel, and a crop that is off by many pixels is a shift, not another picture."""
-    (finding,) = diagnose(np.stack([shifted(*shift)(image) for image in honest[kind][VIEW]]), truth)
+    (finding,) = diagnose(np.stack([moved(*shift)(image) for image in honest[kind][VIEW]]), truth)
 
     assert finding.question == "shift"
     assert (finding.values["shift_x_px"], finding.values["shift_y_px"]) == pytest.approx(shift, abs=0.15)
@@ -286,7 +275,7 @@ def test_the_truth_itself_is_found_out(truth):
 
     (exact,) = diagnose(captured, truth)
     assert (exact.question, exact.verdict) == ("truth copied in", "certain")
-    assert faults(diagnose(quantised(captured + noise), truth)) == ["truth copied in"]
+    assert faults(diagnose(round_levels(captured + noise), truth)) == ["truth copied in"]
     assert faults(diagnose(soft, truth)) == ["truth copied in"]
     assert faults(diagnose(np.stack([jpeg(90)(image) for image in captured]), truth)) == ["truth copied in", "JPEG"]
 
@@ -296,9 +285,9 @@ def test_sensor_noise_in_the_rendering_is_certain_proof():
     """A rendering that carries the truth's own noise is found although it is blended with another picture."""
     rng = np.random.default_rng(1)
     scene, wrong = (cv2.resize(rng.uniform(60, 200, (9, 12, 3)), SIZE, interpolation=cv2.INTER_CUBIC) for _ in "12")
-    captured = np.stack([quantised(scene + rng.normal(0, 3, scene.shape)) for _ in range(4)])
-    mixed = quantised(0.8 * captured + 0.2 * wrong)
-    clean = quantised(np.stack([0.8 * scene + 0.2 * wrong + rng.normal(0, 3, scene.shape) for _ in range(4)]))
+    captured = np.stack([round_levels(scene + rng.normal(0, 3, scene.shape)) for _ in range(4)])
+    mixed = round_levels(0.8 * captured + 0.2 * wrong)
+    clean = round_levels(np.stack([0.8 * scene + 0.2 * wrong + rng.normal(0, 3, scene.shape) for _ in range(4)]))
 
     found, nothing = (examine({VIEW: view_of(rendered, captured, range(4))}) for rendered in (mixed, clean))
     assert [(one.question, one.verdict) for one in found] == [("truth copied in", "certain")]
@@ -358,7 +347,7 @@ def test_renders_of_another_size_are_compared_all_the_same(honest, truth):
 def test_two_faults_are_found_together(honest, truth):
     """Swapped channels do not hide an offset, nor the other way round; nor a wrong camera a missing gamma."""
     moved = np.roll(honest["warped"][VIEW], -2, axis=0)[..., ::-1]
-    dark = table(lambda level: level**2.2)(honest["blurred"][OTHER])
+    dark = change("tone curve", power=2.2)(honest["blurred"][OTHER])
 
     assert faults(diagnose(moved, truth, range(2, 7))) == ["frame offset", "channel order"]
     assert faults(diagnose(dark, truth)) == ["wrong camera", "tone curve"]

@@ -10,10 +10,10 @@ import pytest
 from ggvs_eval.contrib.study import frame_ladders
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.coding import Coding, read_coding
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.metrics.ceilings import ceilings
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.metrics.noise.recording import rounded
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.metrics.time.flicker import flicker
 from ggvs_eval.metrics.time.strred import strred
@@ -93,7 +93,7 @@ def test_noise_of_another_kind_leaves_bounds(filmed_twice, tmp_path):
     """Noise that is smooth in space, as of a camera that denoises, is not filmed again as white noise: bounds, and the reason."""
     random = np.random.default_rng(1)
     grain = [cv2.GaussianBlur(random.normal(size=frame.shape), (0, 0), 1.0) for frame in filmed_twice[0]]
-    noisy_frames = [rounded(frame + 2 * one / one.std()) for frame, one in zip(filmed_twice[0], grain, strict=True)]
+    noisy_frames = [round_levels(frame + 2 * one / one.std()) for frame, one in zip(filmed_twice[0], grain, strict=True)]
     captured = encoded(np.stack(noisy_frames), tmp_path / "coded.mp4", crf=0)
     found = ceilings(lambda: iter(captured), ["PSNR"], coding=read_coding(tmp_path / "coded.mp4", range(len(captured))))
     assert found.bounds == {"PSNR": "at most"}

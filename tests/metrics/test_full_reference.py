@@ -12,6 +12,7 @@ from ggvs_eval.contrib.more_metrics import fetch_dists
 from ggvs_eval.contrib.more_metrics.dists import dists, load_dists_weights
 from ggvs_eval.contrib.more_metrics.flip import flip
 from ggvs_eval.errors import MetricError, WeightsError
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.metrics.image.dssim import dssim
 from ggvs_eval.metrics.image.lpips_network import weights_path
 from ggvs_eval.metrics.image.ms_ssim import ms_ssim
@@ -60,7 +61,7 @@ def test_flip_equals_its_authors_program():
     pytest.importorskip("flip_evaluator")
     truth = np.ascontiguousarray(data.astronaut()[100:220, 150:310])
     blurred = cv2.GaussianBlur(truth, (0, 0), 1.0) + np.random.default_rng(0).normal(0, 6, truth.shape)
-    rendered = np.rint(np.clip(blurred, 0, 255)).astype(np.uint8)
+    rendered = round_levels(blurred)
 
     assert flip(rendered, truth) == pytest.approx(0.089073, abs=5e-7)
     assert flip(rendered / 255, truth / 255) == pytest.approx(flip(rendered, truth), rel=1e-5)
@@ -125,7 +126,7 @@ def test_parts_are_scored_by_the_masks_of_the_paper():
     truth = [np.ascontiguousarray(data.astronaut()[100:292, 9 * t : 400 + 9 * t]) for t in range(3)]
     for t in range(3):
         truth[t][:, 190:] = truth[0][:, 190:]
-    rendered = [np.rint(np.clip(frame * 0.98 + 3, 0, 255)).astype(np.uint8) for frame in truth]
+    rendered = [round_levels(frame * 0.98 + 3) for frame in truth]
     names = ["PSNR", "SSIM", "L1", "IV_PSNR", "MS_SSIM", "DSSIM1", "DSSIM2", "PSNR_cc", "SSIM_cc", "TCC"]
     parts = [f"{name}_{part}" for name in names for part in ("static", "moving")]
     scores = score_view(zip(rendered, truth, strict=True), parts, MetricOptions(colour_scope="frame"))

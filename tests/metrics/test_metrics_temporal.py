@@ -9,6 +9,7 @@ from skimage import data
 from skimage.metrics import structural_similarity
 
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.metrics.image.corrected import apply_colour_map, fit_colour_map, psnr_colour_corrected, unit_range
 from ggvs_eval.metrics.image.l1 import l1, masked_l1
 from ggvs_eval.metrics.image.psnr import masked_psnr, psnr
@@ -34,7 +35,7 @@ def moving_view(frames=5, size=64, noise=6.0, seed=0):
     photograph = data.astronaut()
     truth = np.stack([photograph[30 : 30 + size, 150 + 2 * t : 150 + 2 * t + size] for t in range(frames)])
     rendered = truth + np.random.default_rng(seed).normal(0, noise, truth.shape)
-    return np.rint(np.clip(rendered, 0, 255)).astype(np.uint8), truth
+    return round_levels(rendered), truth
 
 
 def values_of(scores, metric):

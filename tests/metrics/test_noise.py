@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.metrics.noise.estimate import LONG_LAG, estimate_noise
 from helpers.noise_scenes import clean_video, noisy, panned_video, shot_noise
 from helpers.refusals import refused
@@ -21,7 +22,7 @@ def grainy(clean, seed, grain_px=0.0, kept=0.0, sigma=3.0):
     for t in range(1, len(fields)):
         fields[t] = kept * fields[t - 1] + np.sqrt(1 - kept**2) * fields[t]
     noise = np.stack(fields)
-    return np.rint(np.clip(clean + sigma * noise / noise.std(), 0, 255)).astype(np.uint8), noise / noise.std()
+    return round_levels(clean + sigma * noise / noise.std()), noise / noise.std()
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import pytest
 from skimage import data
 
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.metrics.time.strred import PairDifference, block_entropies, luma, pool, spatial_band, strred
 from helpers.places import DATA_FOLDER, SHARED
 from helpers.refusals import refused
@@ -30,7 +31,7 @@ def moving_clip(frames=4, size=96):
 
 def with_noise(frames, strength, seed=0):
     noise = np.random.default_rng(seed).normal(0, strength, frames.shape)
-    return np.rint(np.clip(frames + noise, 0, 255)).astype(np.uint8)
+    return round_levels(frames + noise)
 
 
 def test_pyramid_taps_equal_recorded_ones():

@@ -13,7 +13,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.camera_frames import find_rig_frames
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.images import read_image
+from ggvs_eval.files.images import read_image, round_levels
 from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.pipelines.offline.calibration.known_cameras import read_known
 from ggvs_eval.pipelines.offline.calibration.undistort import (
@@ -66,7 +66,7 @@ def raw_frames(model: str, coefficients: tuple[float, ...], pinhole_K: np.ndarra
     """Frames as the lens sees a picture that is given on the pinhole image."""
     uv = rays_of_lens(model, coefficients) * pinhole_K[[0, 1], [0, 1]] + pinhole_K[:2, 2]
     for index in range(count):
-        yield np.rint(draw(uv, 3.0 * index)).clip(0, 255).astype(np.uint8)
+        yield round_levels(draw(uv, 3.0 * index))
 
 
 def write_raw(folder: Path, model: str, coefficients: tuple[float, ...], pinhole_K: np.ndarray, names=("00", "01")) -> Path:

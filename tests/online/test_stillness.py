@@ -8,6 +8,7 @@ import pytest
 
 from ggvs_eval import kernels
 from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
@@ -50,7 +51,7 @@ def shown(index: int, texture: np.ndarray, pixels: float, noise: float, cameras:
     views = []
     for camera in cameras:
         grain = np.random.default_rng([index, int(camera.name[3:])]).normal(0, noise, (HEIGHT, WIDTH, 3))
-        image = np.clip(np.rint(looks(texture, camera, pixels * index) + grain), 0, 255).astype(np.uint8)
+        image = round_levels(looks(texture, camera, pixels * index) + grain)
         depth = np.full((HEIGHT, WIDTH), DEPTH, np.float32)
         views.append(SourceView(camera, image, depth, np.ones_like(depth)))
     return Instant(index, TARGET, tuple(views), units_per_metre=1.0)

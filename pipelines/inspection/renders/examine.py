@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32, Image8
-from ggvs_eval.files.images import mean_of_channels
+from ggvs_eval.files.images import mean_of_channels, resize
 from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.metrics.image.psnr import PSNR_CEILING_DB, psnr
 from ggvs_eval.metrics.registry import METRICS
@@ -23,7 +23,7 @@ from ggvs_eval.pipelines.inspection.renders.identity import (
     spread,
 )
 from ggvs_eval.pipelines.inspection.renders.placement import find_placement, shared_shift
-from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, check_sample, find_repeated, resized, scan_frames
+from ggvs_eval.pipelines.inspection.renders.quick_checks import SAMPLED_FRAMES, check_sample, find_repeated, scan_frames
 from ggvs_eval.pipelines.inspection.renders.tone import of_all_views
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 from ggvs_eval.scoring import FrameReader
@@ -253,7 +253,7 @@ def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
     has_size = all(finding.question != "wrong size" for finding in scan.findings)
     if not has_size:
         height, width = view.truth(usable[0]).shape[:2]
-        view = view.with_rendered(lambda image: resized(image, width, height))
+        view = view.with_rendered(lambda image: resize(image, width, height, "area"))
     # Traces in the pixels as they are on disk. JPEG has a period, and so have enlarged crops.
     jpeg = find_jpeg(name, view) if has_size else []
     enlarged = find_upscaling(name, view) if has_size and not jpeg else []

@@ -17,6 +17,7 @@ from ggvs_eval.files.images import mean_of_channels
 from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.run_folder import RunFolder, as_ranges, missing_frames, require_frames
 from ggvs_eval.scoring import FrameReader
+from ggvs_eval.transforms import mirrored
 
 # Everything but registration and coding is decided on pictures of this size, so that a dozen of them are a few megabytes.
 SMALL_SIDE_PX = 192
@@ -272,5 +273,5 @@ def _evaluate(
     if axes := MIRRORS[mirror]:
         advice = "flip the frames before writing, or correct the sign of the camera's axes"
         findings.append(Finding(name, "mirrored", verdict, f"{mirror}: {shown}", {**values, "axes": axes}, advice))
-        view = view.with_rendered(lambda image: np.ascontiguousarray(np.flip(image, axes)))
+        view = view.with_rendered(mirrored({"axes": axes}).inverse)
     return findings, view

@@ -14,6 +14,7 @@ from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.files.images import mean_of_channels
 from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames, shrink, spread
+from ggvs_eval.transforms import centring, resampled
 
 ITERATIONS = 12
 MARGIN_PX = 6
@@ -97,10 +98,10 @@ def _coarse_start(rendered: Array32, truth: Array32) -> Placement:
 def _rest(ours: Array32, theirs: Array32, scale: tuple[float, float], shift_px: tuple[float, float]) -> float:
     """1 - correlation where both pictures are, the rendered one scaled about its centre and shifted back."""
     height, width = theirs.shape
-    inset = [(1 - factor) * (size - 1) / 2 for factor, size in zip(scale, (width, height), strict=True)]
-    matrix = np.array([[scale[0], 0, inset[0] + shift_px[0]], [0, scale[1], inset[1] + shift_px[1]]])
-    moved = cv2.warpAffine(ours, matrix, (width, height), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-    sources = (np.arange(size) * matrix[axis, axis] + matrix[axis, 2] for axis, size in enumerate((width, height)))
+    scales = np.array(scale)
+    offset_px = centring(scales, (width, height)) + shift_px
+    moved = resampled(ours, scales, offset_px, cv2.INTER_LINEAR)
+    sources = (np.arange(size) * scales[axis] + offset_px[axis] for axis, size in enumerate((width, height)))
     x, y = ((source >= 0) & (source <= size - 1) for source, size in zip(sources, (width, height), strict=True))
     first, second = moved[np.ix_(y, x)], theirs[np.ix_(y, x)]
     energy = float(np.sqrt((first * first).sum() * (second * second).sum()))
@@ -203,8 +204,12 @@ def find_placement(name: str, view: ViewFrames) -> Placed:
     if not stretched:
         x, y = (float(value) for value in np.median([one.shift_px for one in placed], axis=0))
         return Placed(_evaluate_shift(name, placed, factor), view, (factor * x, factor * y))
-    scale = stretched[0].values["scale_x"], stretched[0].values["scale_y"]
-    return Placed(stretched, view.with_rendered(lambda image: _scaled(image, *scale)), None)
+    scale = np.array([stretched[0].values["scale_x"], stretched[0].values["scale_y"]])
+
+    def reduced(image: Image8) -> Image8:
+        return resampled(image, scale, centring(scale, image.shape[1::-1]), cv2.INTER_LINEAR)
+
+    return Placed(stretched, view.with_rendered(reduced), None)
 
 
 def shared_shift(shifts_px: Mapping[str, tuple[float, float]]) -> list[Finding]:
@@ -219,15 +224,6 @@ def shared_shift(shifts_px: Mapping[str, tuple[float, float]]) -> list[Finding]:
     measured = f"all {len(shifts)} views are {x:+.2f} px right and {y:+.2f} px down, within {scatter:.2f} px"
     values = {"shift_x_px": x, "shift_y_px": y, "scatter_px": scatter}
     return [Finding(name, "shift", "likely", measured, values, _shift_advice(x, y)) for name in shifts_px]
-
-
-def _scaled(image: Image8, scale_x: float, scale_y: float) -> Image8:
-    """Return the picture reduced about its centre by these factors."""
-    height, width = image.shape[:2]
-    centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
-    matrix = np.array([[scale_x, 0, centre_x * (1 - scale_x)], [0, scale_y, centre_y * (1 - scale_y)]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(image, matrix, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
 
 def _evaluate_scale(name: str, placed: list[Placement]) -> list[Finding]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.coverage import guessed_first
-from ggvs_eval.files.images import mean_of_channels
+from ggvs_eval.files.images import mean_of_channels, round_levels
 from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
 from ggvs_eval.pipelines.inspection.renders.identity import (
@@ -33,6 +33,7 @@ from ggvs_eval.pipelines.inspection.renders.identity import (
 from ggvs_eval.pipelines.inspection.renders.tone import find_tone, of_all_views
 from ggvs_eval.run_folder import as_ranges
 from ggvs_eval.scoring import FrameCheck, FrameReader, ScoredMethod
+from ggvs_eval.transforms import order_name, reordered
 
 FEWEST_FRAMES = 4
 # Motion left unexplained, 1 - correlation^2, relative to no offset on the same frames. Honest renders of 18 to 30 dB had 1.09 and
@@ -47,7 +48,6 @@ BLANK_CONTRAST, LEAST_CONTRAST = 1.5, 8.0
 # Change of the cell that changes most: a repeated frame has hardly any, although the truth has its usual one.
 STILL_SHARE, STILL_255 = 0.1, 0.5
 MOVING_SHARE, MOVING_OVER_NOISE, MOVING_255 = 0.3, 3.0, 4.0
-CHANNELS = "RGB"
 # Squared error of the hue (channels less their mean) relative to that of the order as it is.
 CERTAIN_ORDER, LIKELY_ORDER = 0.5, 0.7
 LEAST_HUE_255 = 3.0
@@ -66,7 +66,7 @@ def find_channel_order(name: str, view: ViewFrames, sample: Sample) -> tuple[lis
     hue_255 = float(np.sqrt(np.square(theirs).mean()))
     if order == (0, 1, 2) or ratio > LIKELY_ORDER or hue_255 < LEAST_HUE_255:
         return [], view
-    came = "".join(CHANNELS[list(order).index(channel)] for channel in range(3))
+    came = order_name(order)
     values = {"hue_error_255": float(np.sqrt(straight.mean())), "hue_error_mended_255": float(np.sqrt(errors[order].mean()))}
     measured = (
         f"channels come as {came}: the hue is off by {values['hue_error_255']:.1f} of 255, "
@@ -75,7 +75,7 @@ def find_channel_order(name: str, view: ViewFrames, sample: Sample) -> tuple[lis
     advice = "convert before writing: OpenCV reads and writes BGR" if came == "BGR" else "reorder the channels before writing"
     verdict = verdict_of(ratio < CERTAIN_ORDER)
     finding = Finding(name, "channel order", verdict, measured, {**values, "order": order}, advice)
-    return [finding], view.with_rendered(lambda image: np.ascontiguousarray(image[..., list(order)]))
+    return [finding], view.with_rendered(reordered({"order": order}).inverse)
 
 
 SAMPLED_FRAMES = 12
@@ -153,7 +153,7 @@ def _small(read: FrameReader, kept: int) -> FrameReader:
     """Return the frames at the size of a sample, as many as are asked for again."""
 
     def read_small(index: int) -> Image8:
-        return np.rint(shrink(read(index))).astype(np.uint8)
+        return round_levels(shrink(read(index)))
 
     return lru_cache(kept)(read_small)
 
@@ -311,11 +311,6 @@ def change(before: Array32, after: Array32) -> Change:
     """Measure how much two pictures (h, w, 3) differ, by the mean of each of 16 x 16 cells."""
     cells = cv2.resize(mean_of_channels(np.abs(after - before)), (CELLS, CELLS), interpolation=cv2.INTER_AREA)
     return Change(float(cells.max()), float(np.median(cells)))
-
-
-def resized(image: Image8, width: int, height: int) -> Image8:
-    """Return a frame of the wrong size at the right one, to continue with."""
-    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _wrong_size(name: str, view: ViewFrames, sizes: dict[tuple[int, int], list[int]]) -> list[Finding]:

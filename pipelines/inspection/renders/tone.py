@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.identity import Sample
+from ggvs_eval.transforms import VIDEO_BLACK, VIDEO_SLOPE
 
 # Levels are compared where nothing misplaced can mix them: pixels around which both pictures are flat, except for noise.
 SMOOTH_PX, FLAT_PX, FLAT_255 = 0.7, 5, 12.0
@@ -24,28 +24,12 @@ LIKELY_TONE, CERTAIN_TONE, OF_GAIN = 0.7, 0.5, 0.5
 CERTAIN_POWER = 1.5
 # Cameras differ in exposure by some per cent.
 LARGEST_GAIN, LARGEST_RANGE_GAIN = 1.1, 1.15
-VIDEO_BLACK, VIDEO_SLOPE = 16.0, 219 / 255
 # Of the intercept, in levels: honest renders had 1.0 at most, squeezed ones 15.5 to 16.7.
 LIKELY_BLACK_255, CERTAIN_BLACK_255 = 4.0, 3.0
 # Levels that noise and averaging leave beyond video black and white.
 FLOOR_255, CEILING_255 = 13.0, 238.0
 QUESTION = "tone curve"
 Curve = NDArray[np.float64]
-
-
-class Told(Protocol):
-    """Findings in the renders of a view, from the doctor or from results."""
-
-    @property
-    def question(self) -> str:
-        """The fault."""
-
-    @property
-    def verdict(self) -> str:
-        """``likely`` or ``certain``."""
-
-
-AnyTold = TypeVar("AnyTold", bound=Told)
 
 
 @dataclass(frozen=True)
@@ -74,15 +58,17 @@ def find_tone(name: str, sample: Sample) -> list[Finding]:
     return _video_range(name, sample, fits) or _power_law(name, fits)
 
 
-def of_all_views(found: Sequence[AnyTold], views: int) -> list[AnyTold]:
+def of_all_views(findings: Sequence[Finding], views: int) -> list[Finding]:
     """Return the findings in a method's views, without likely tone curves of at most half of them.
 
     Reading:
         A program that writes frames by another curve writes all of them so. In one view it is the camera's: where one of a light
         field differs, every method that blends the others looked as if its frames had been written with a gamma of 0.93.
     """
-    likely = [one for one in found if one.question == QUESTION and one.verdict == "likely"]
-    return [one for one in found if one not in likely or 2 * len(likely) > views]
+    verdicts = [(finding.question, finding.verdict) for finding in findings]
+    if 2 * verdicts.count((QUESTION, "likely")) > views:
+        return list(findings)
+    return [finding for finding, verdict in zip(findings, verdicts, strict=True) if verdict != (QUESTION, "likely")]
 
 
 def tone_curves(sample: Sample) -> list[Curve]:

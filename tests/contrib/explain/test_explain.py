@@ -23,7 +23,7 @@ from ggvs_eval.contrib.explain.explain import (
 )
 from ggvs_eval.contrib.explain.ssim_conventions import frame_measures
 from ggvs_eval.errors import MetricError
-from ggvs_eval.files.images import write_image
+from ggvs_eval.files.images import round_levels, write_image
 from ggvs_eval.metrics.image.fetch_lpips import NETS
 from ggvs_eval.metrics.image.lpips_network import weights_path
 from ggvs_eval.metrics.image.ms_ssim import ms_ssim
@@ -46,7 +46,7 @@ def make_frames(view: int) -> tuple[np.ndarray, np.ndarray]:
         image = np.ascontiguousarray(data.astronaut()[row : row + SHAPE[0], column : column + SHAPE[1]])
         soft = cv2.GaussianBlur(image, (0, 0), 0.8 + 0.2 * view) * (1.04, 1.0, 0.97)
         truth.append(image)
-        rendered.append(np.rint(np.clip(soft + rng.normal(0, 3 + t, image.shape), 0, 255)).astype(np.uint8))
+        rendered.append(round_levels(soft + rng.normal(0, 3 + t, image.shape)))
     return np.stack(rendered), np.stack(truth)
 
 
@@ -346,7 +346,7 @@ def large_pair(shape=(187, 333)) -> tuple[np.ndarray, np.ndarray]:
     truth = np.ascontiguousarray(data.astronaut()[60 : 60 + shape[0], 80 : 80 + shape[1]])
     soft = cv2.GaussianBlur(truth, (0, 0), 1.2) * (1.04, 1, 0.97)
     noise = np.random.default_rng(0).normal(0, 5, truth.shape)
-    return np.rint(np.clip(soft + noise, 0, 255)).astype(np.uint8), truth
+    return round_levels(soft + noise), truth
 
 
 def test_multi_scale_ssim_is_that_of_its_library():

@@ -8,6 +8,7 @@ from skimage import data
 from ggvs_eval.contrib.explain.explain import explain
 from ggvs_eval.contrib.explain.steadiness_conventions import ALWAYS, EVERYWHERE, OURS, SECOND
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.pipelines.inspection.renders.steadiness import steadiness_line
@@ -17,7 +18,7 @@ RNG = np.random.default_rng(0)
 
 
 def noisy(frames, sigma):
-    return [np.clip(np.rint(frame + RNG.normal(0, sigma, frame.shape)), 0, 255).astype(np.uint8) for frame in frames]
+    return [round_levels(frame + RNG.normal(0, sigma, frame.shape)) for frame in frames]
 
 
 def make_scene(count: int = 4) -> list[np.ndarray]:

@@ -8,6 +8,7 @@ import pytest
 from ggvs_eval import kernels
 from ggvs_eval.contrib.more_metrics.iv_psnr import iv_psnr, psnr_ycbcr
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.kernels import _iv_psnr
 from helpers.places import DATA_FOLDER
 from helpers.twins.iv_psnr import iv_psnr_twin, ycbcr_twin
@@ -17,14 +18,10 @@ CHECKER = (COLUMNS // 10 + ROWS // 10) % 2 == 0
 HASH_NOISE = ((7919 * COLUMNS + 104729 * ROWS + 31 * COLUMNS * ROWS) % 17 - 8)[..., None]
 
 
-def clipped(levels):
-    return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
-
-
 def recorded_frame():
     """The YCbCr frame that the recorded values are of."""
     luma = 128 + 90 * np.sin(COLUMNS / 7) * np.cos(ROWS / 5)
-    return clipped(np.stack([luma, 128 + 40 * np.sin(COLUMNS / 11 + 1), 128 + 40 * np.cos(ROWS / 9)], axis=-1))
+    return round_levels(np.stack([luma, 128 + 40 * np.sin(COLUMNS / 11 + 1), 128 + 40 * np.cos(ROWS / 9)], axis=-1))
 
 
 RENDERED = {
@@ -32,9 +29,9 @@ RENDERED = {
     "shift_1_0": lambda frame: np.roll(frame, 1, axis=1),
     "shift_2_2": lambda frame: np.roll(frame, (2, 2), axis=(0, 1)),
     "shift_3_0": lambda frame: np.roll(frame, 3, axis=1),
-    "offset_plus2": lambda frame: clipped(frame + 2.0),
-    "offset_plus5": lambda frame: clipped(frame + 5.0),
-    "hash_noise": lambda frame: clipped(frame + HASH_NOISE.astype(float)),
+    "offset_plus2": lambda frame: round_levels(frame + 2.0),
+    "offset_plus5": lambda frame: round_levels(frame + 5.0),
+    "hash_noise": lambda frame: round_levels(frame + HASH_NOISE.astype(float)),
 }
 
 
@@ -59,8 +56,8 @@ def test_rgb_frames_have_the_reference_softwares_value():
     it would be 39.0427.
     """
     luma = 128 + 90 * np.sin(COLUMNS / 7) * np.cos(ROWS / 5)
-    truth = clipped(np.stack([luma, 128 + 70 * np.sin(COLUMNS / 11 + 1), 128 + 70 * np.cos(ROWS / 9)], axis=-1))
-    rendered = clipped(np.roll(truth, 1, axis=1) + HASH_NOISE + np.array([0.0, 2.0, -1.0]))
+    truth = round_levels(np.stack([luma, 128 + 70 * np.sin(COLUMNS / 11 + 1), 128 + 70 * np.cos(ROWS / 9)], axis=-1))
+    rendered = round_levels(np.roll(truth, 1, axis=1) + HASH_NOISE + np.array([0.0, 2.0, -1.0]))
 
     assert iv_psnr(rendered, truth) == pytest.approx(39.042608, abs=1e-6)
     assert psnr_ycbcr(rendered, truth) == pytest.approx(33.983025, abs=1e-6)
@@ -75,7 +72,7 @@ def test_the_kernel_equals_its_twin(shape, is_rgb, masked):
     """Every size, with and without a mask, gives the twin's integers from any number of threads on any instruction set."""
     random = np.random.default_rng(shape[1])
     truth = random.integers(0, 256, (*shape, 3), dtype=np.uint8)
-    rendered = clipped(truth + random.integers(-9, 7, truth.shape).astype(float))
+    rendered = round_levels(truth + random.integers(-9, 7, truth.shape).astype(float))
     mask = random.random(shape) < 0.4 if masked else None
     expected = iv_psnr_twin(*((ycbcr_twin(image) if is_rgb else image) for image in (rendered, truth)), mask)
 

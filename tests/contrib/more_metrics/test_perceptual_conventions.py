@@ -13,6 +13,7 @@ from ggvs_eval.contrib.more_metrics.dists import dists
 from ggvs_eval.contrib.more_metrics.fetch_dists import dists_weights_path
 from ggvs_eval.contrib.more_metrics.iv_psnr import WEIGHTS
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.metrics.image.lpips_network import weights_path
 from ggvs_eval.pipelines.inspection.renders.examine import forgiven_error
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
@@ -21,12 +22,8 @@ from helpers.twins.iv_psnr import iv_psnr_twin
 N_FRAMES, SHAPE = 3, (64, 80)
 
 
-def clipped(levels):
-    return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
-
-
 TRUTH = [np.ascontiguousarray(data.astronaut()[60 + t : 60 + t + SHAPE[0], 80 : 80 + SHAPE[1]]) for t in range(N_FRAMES)]
-RENDERED = [clipped(cv2.GaussianBlur(frame, (0, 0), 0.7) * (1.03, 1, 0.98)) for frame in TRUTH]
+RENDERED = [round_levels(cv2.GaussianBlur(frame, (0, 0), 0.7) * (1.03, 1, 0.98)) for frame in TRUTH]
 
 
 def view_of(rendered=RENDERED, truth=TRUTH) -> dict[str, ViewFrames]:

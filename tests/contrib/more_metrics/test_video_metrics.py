@@ -11,6 +11,7 @@ from ggvs_eval.contrib.more_metrics import colour_video_vdp as vdp
 from ggvs_eval.contrib.more_metrics import vmaf as vmaf_module
 from ggvs_eval.contrib.more_metrics.vmaf import vmaf
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.metrics.stream import score_view
 from helpers.refusals import refused
 
@@ -24,7 +25,7 @@ def video(frames=FRAMES, height=HEIGHT, width=WIDTH):
     for t in range(frames):
         truth = np.ascontiguousarray(photograph[100 + t : 100 + t + height, 150 + 2 * t : 150 + 2 * t + width])
         blurred = cv2.GaussianBlur(truth, (0, 0), 1.0) + random.normal(0, 6, truth.shape)
-        pairs.append((np.rint(np.clip(blurred, 0, 255)).astype(np.uint8), truth))
+        pairs.append((round_levels(blurred), truth))
     return pairs
 
 

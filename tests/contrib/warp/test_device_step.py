@@ -13,7 +13,7 @@ from ggvs_eval import compute_device
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import GgvsWarning, RenderError
-from ggvs_eval.files.images import quantise
+from ggvs_eval.files.images import quantise, round_levels
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.splat import splat
 from ggvs_eval.geometry.tsdf import PreviousDepth, fusion_weights, ray_march
@@ -150,7 +150,7 @@ def test_marches_have_the_bits_of_the_compiled_path(rig, skip_empty):
 def darkened(image: Image8, camera: Camera, gain: float) -> Image8:
     """What a camera with a gain and a lens that darkens its corners sees."""
     down, across = squared_tangents(camera)
-    return np.rint(image * (gain * np.exp(-0.9 * (down[:, None] + across)))[..., None]).clip(0, 255).astype(np.uint8)
+    return round_levels(image * (gain * np.exp(-0.9 * (down[:, None] + across)))[..., None])
 
 
 def test_gains_and_fall_off():

@@ -10,11 +10,12 @@ import pytest
 from ggvs_eval.contrib.what_if.undo import LEAST_GAIN, find_gain
 from ggvs_eval.contrib.what_if.what_if import HONEST, Row, WhatIf, what_if, what_if_text
 from ggvs_eval.errors import MetricError, RenderError
+from ggvs_eval.files.images import round_levels
 from ggvs_eval.metrics import score_view
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.inspection.renders.identity import ViewFrames
 from ggvs_eval.protocol import Frames, Measurement
-from helpers.planted_renders import Spoil, each_picture, film_without_noise, moved, quantised, reversed_time, tone
+from helpers.planted_renders import Spoil, change, each_picture, film_without_noise, moved, reversed_time, zoomed
 from helpers.refusals import refused
 from helpers.run_folders import RunShape, write_run
 
@@ -37,7 +38,7 @@ def filmed(tmp_path_factory) -> Renders:
 def truth(filmed) -> Renders:
     """Captured frames: what the cameras see, with their noise."""
     rng = np.random.default_rng(8)
-    return {name: quantised(frames + rng.normal(0, 1.5, frames.shape)) for name, frames in filmed.items()}
+    return {name: round_levels(frames + rng.normal(0, 1.5, frames.shape)) for name, frames in filmed.items()}
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,7 @@ def soft(filmed) -> Renders:
     """Renders of a method that blurs, and has noise of its own."""
     rng = np.random.default_rng(3)
     blurred = {name: np.stack([cv2.GaussianBlur(f, (0, 0), 1.2) for f in frames]) for name, frames in filmed.items()}
-    return {name: quantised(frames + rng.normal(0, 1, frames.shape)) for name, frames in blurred.items()}
+    return {name: round_levels(frames + rng.normal(0, 1, frames.shape)) for name, frames in blurred.items()}
 
 
 def views_of(
@@ -82,17 +83,17 @@ def best(found: WhatIf) -> Row:
 
 
 PLANTED: dict[str, tuple[str, Spoil, float]] = {
-    "shift (.4, .2)": ("shift", moved(0.4, 0.2), 0.1),
-    "focal length + 1 %": ("focal length", moved(0, 0, 1.01), 0.2),
-    "gain 1.03": ("gain", tone(lambda level: 1.03 * level), 0.1),
-    "gamma 1.2": ("tone curve", tone(lambda level: level**1.2), 0.1),
-    "studio range": ("value range", tone(lambda level: (16 + 219 * level) / 255), 0.1),
+    "shift (.4, .2)": ("shift", each_picture(moved(0.4, 0.2)), 0.1),
+    "focal length + 1 %": ("focal length", each_picture(zoomed(1.01)), 0.2),
+    "gain 1.03": ("gain", each_picture(change("gain", gain=1.03)), 0.1),
+    "gamma 1.2": ("tone curve", each_picture(change("tone curve", power=1.2)), 0.1),
+    "studio range": ("value range", each_picture(change("value range", slope=0.86)), 0.1),
     "one frame late": ("frame offset", late, 0),
     "last frame first": ("reversed time", reversed_time, 0),
     "BGR": ("channel order", each_picture(lambda image: image[..., ::-1]), 0),
     "GBR": ("channel order", each_picture(lambda image: image[..., [1, 2, 0]]), 0),
     "upside down": ("mirrored", each_picture(lambda image: image[::-1]), 0),
-    "one pixel": ("shift", moved(1, 0), 0),
+    "one pixel": ("shift", each_picture(moved(1, 0)), 0),
 }
 
 
@@ -123,11 +124,11 @@ def test_a_fault_undone_gives_back_the_score(planted, soft, truth):
 @pytest.mark.slow
 def test_what_is_interpolated_is_also_undone_on_the_side_of_the_truth(soft, truth):
     """A shift by part of a pixel has a row in which the truth moves the other way, a whole pixel has none."""
-    part, whole = (examined(views_of(soft, truth, moved(x, 0))) for x in (0.3, 1))
+    part, whole = (examined(views_of(soft, truth, each_picture(moved(x, 0)))) for x in (0.3, 1))
 
     assert [row.words[: len("the truth")] for row in part.rows[1:]] == ["moved by ", "the truth"]
     assert part.rows[1].words.endswith(" px (likely)")
-    assert part.rows[2].words.startswith("the truth moved by (+0.3")
+    assert part.rows[2].words.startswith("the truth moved by (+0.")
     assert part.rows[2].scores["PSNR"].value == pytest.approx(unspoilt_psnr(soft, truth, part), abs=0.5)
     assert len(whole.rows) == 2
 
@@ -153,15 +154,15 @@ def test_a_fault_of_one_view_is_undone_there_alone(soft, truth):
 
 
 def hazy(frames: np.ndarray, _: np.random.Generator) -> np.ndarray:
-    return quantised(0.85 * frames + 9)
+    return round_levels(0.85 * frames + 9)
 
 
 def in_false_colours(frames: np.ndarray, _: np.random.Generator) -> np.ndarray:
-    return quantised(frames * (0.94, 1.0, 1.06))
+    return round_levels(frames * (0.94, 1.0, 1.06))
 
 
 def grainy(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    return quantised(frames + rng.normal(0, 6, frames.shape))
+    return round_levels(frames + rng.normal(0, 6, frames.shape))
 
 
 def by_wrong_depth(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -197,7 +198,7 @@ def test_noise_gains_nothing(seed, filmed, truth):
 def test_a_gain_needs_every_channel_of_every_view(soft, truth):
     """One view that is brighter than the others, or a single view, may be the camera's exposure."""
     name = next(iter(truth))
-    brighter = {each: quantised(1.05 * frames) for each, frames in soft.items()}
+    brighter = {each: round_levels(1.05 * frames) for each, frames in soft.items()}
 
     assert find_gain(views_of(brighter, truth)) == pytest.approx(1.05, abs=LEAST_GAIN / 5)
     assert find_gain(views_of({name: brighter[name]}, truth)) is None
