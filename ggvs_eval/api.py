@@ -71,7 +71,6 @@ from ggvs_eval.files.reader_process import ReaderError, ReaderProcess
 from ggvs_eval.files.templates import open_templates
 from ggvs_eval.geometry import alignment, epipolar, pinhole, rectification, reproject_depth, sight, source_views
 from ggvs_eval.jobs import engine, job, ledger, processes
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import portable
 from ggvs_eval.merged_results import merge_results, tell_scenes_apart
@@ -91,7 +90,7 @@ from ggvs_eval.pipelines.run.evaluate import measure, reopen
 from ggvs_eval.pipelines.run.import_renders import named_renders
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.render import FITS, UnitJob, diagnostics_picture
-from ggvs_eval.pipelines.run.score_code import READING, SHARED, metric_code
+from ggvs_eval.pipelines.run.score_code import MEASURING, metric_code
 from ggvs_eval.pipelines.run.score_view import digest_frames, fresh_metrics, metric_options, truth_frames
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.pipelines.sweep.cells import Captures, Cell, sweep_cells, units_of
@@ -112,3 +111,4 @@ from ggvs_eval.statistics.rank_correlation import answer
 from ggvs_eval.sweep import Sweep
 from ggvs_eval.synthetic.d3dmv_scene import SCENE, write_scene
 from ggvs_eval.synthetic.shipped import MAIN, is_written, write_room
+from ggvs_eval.tasks.identity import code_of

@@ -12,7 +12,7 @@ import pytest
 
 import ggvs_eval
 import ggvs_eval.contrib
-from ggvs_eval.jobs.code_identity import ROOMS_APART
+from ggvs_eval.tasks.identity import TOP_ROOMS
 from helpers.deleted_parts import RUN_COMMANDS
 
 CONTRIB = Path(str(ggvs_eval.contrib.__file__)).parent
@@ -54,9 +54,9 @@ def installed(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("site") / "ggvs_eval"
     root.mkdir()
     for entry in Path(str(ggvs_eval.__file__)).parent.iterdir():
-        if entry.name not in (*ROOMS_APART, "__pycache__"):
+        if entry.name not in (*TOP_ROOMS, "__pycache__"):
             (root / entry.name).symlink_to(entry)
-    for room in ROOMS_APART:
+    for room in TOP_ROOMS:
         spec = importlib.util.find_spec(f"ggvs_eval.{room}")
         assert spec is not None
         folder = Path(str(spec.origin)).parent

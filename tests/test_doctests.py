@@ -5,15 +5,13 @@ import importlib
 
 import pytest
 
-from ggvs_eval.jobs.code_identity import installed_code
+from helpers.import_graph import modules
 
 
 def with_examples() -> list[str]:
     """Names of all modules of the package whose docstrings show an example."""
-    tree = installed_code()
-    sources = {module: tree.file(module) for module in sorted(tree.modules())}
-    shown = {module: file for module, file in sources.items() if file and file.suffix == ".py"}
-    return [module for module, file in shown.items() if ">>> " in file.read_text(encoding="utf-8")]
+    files = sorted(modules().items())
+    return [f"ggvs_eval.{name}".rstrip(".") for name, file in files if ">>> " in file.read_text(encoding="utf-8")]
 
 
 MODULES = with_examples()

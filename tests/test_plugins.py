@@ -16,13 +16,13 @@ from ggvs_eval import plugins
 from ggvs_eval.errors import PluginError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.video import write_video
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.plugins import FILES, Registry, use_file
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json
+from ggvs_eval.tasks.identity import code_of
 from helpers.command_line import refusal
 from helpers.places import ROOT
 from helpers.small_runs import small_protocol, write_small_capture
@@ -125,10 +125,10 @@ def test_a_change_of_a_plugin_is_a_change_of_its_jobs(tmp_path):
     """The identity of what it makes follows its source; that of ours does not."""
     (tmp_path / "mine.py").write_text(METRIC)
     use_file(tmp_path / "mine.py")
-    ours, before = code_identity("ggvs_eval.metrics.image.psnr"), code_identity("mine", "ggvs_eval.metrics.image.psnr")
+    ours, before = code_of("ggvs_eval.metrics.image.psnr"), code_of("mine", "ggvs_eval.metrics.image.psnr")
     (tmp_path / "mine.py").write_text(METRIC.replace("max()", "max() + 1"))
-    assert code_identity("mine", "ggvs_eval.metrics.image.psnr") != before
-    assert code_identity("ggvs_eval.metrics.image.psnr") == ours
+    assert code_of("mine", "ggvs_eval.metrics.image.psnr") != before
+    assert code_of("ggvs_eval.metrics.image.psnr") == ours
 
 
 def test_a_method_is_named_by_its_module(tmp_path, monkeypatch):

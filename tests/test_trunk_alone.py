@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import ggvs_eval
-from ggvs_eval.jobs.code_identity import ROOMS_APART
+from ggvs_eval.tasks.identity import TOP_ROOMS
 from helpers.deleted_parts import RUN_COMMANDS
 from helpers.house_measures import imported_names
 from helpers.import_graph import modules
@@ -127,7 +127,7 @@ def trunk(tmp_path_factory) -> Path:
     kept = {module for module in MODULES if leaf_of(module) == KEPT}
     copy_modules(site, {module for module in MODULES if not leaf_of(module)} | kept | needs_of(kept))
     roots = {"": Path(str(ggvs_eval.__file__)).resolve().parent}
-    roots |= {room: MODULES[room].parent for room in ROOMS_APART if room != "contrib"}
+    roots |= {room: MODULES[room].parent for room in TOP_ROOMS if room != "contrib"}
     for room, root in roots.items():
         for file in root.rglob("*"):
             place = site / "ggvs_eval" / room / file.relative_to(root)

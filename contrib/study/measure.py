@@ -13,7 +13,6 @@ from ggvs_eval.contrib.study.clips import Clip, Take
 from ggvs_eval.contrib.study.ladders import LADDERS, OF_FRAMES, Ladder
 from ggvs_eval.contrib.study.rendered_ladders import EXCHANGES, sources_at
 from ggvs_eval.errors import MetricError
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.image.regions import REGION
 from ggvs_eval.metrics.metric import Metric, MetricOptions, TableMetric, Value, ViewMetric
@@ -26,6 +25,7 @@ from ggvs_eval.pipelines.run.score_code import metric_code
 from ggvs_eval.pipelines.run.score_path import PATH_SCORES
 from ggvs_eval.pipelines.run.score_view import fresh_metrics
 from ggvs_eval.run_folder import JOB_FILE, read_json
+from ggvs_eval.tasks.identity import code_of
 
 # 25 ms of a core or more for a frame of 224x168, where all others together take 12: these see the first view of a take, and
 # where they are of single frames every `EVERY`th of them.
@@ -74,7 +74,7 @@ def series_job(out: Path, take: Take, ladder: Ladder | None, seed: int, metrics:
     name = ladder.name if ladder else UNDEGRADED
     identity: dict[str, Any] = {
         "take": take.digest,
-        "ladder": code_identity(ladder.module if ladder else OF_FRAMES),
+        "ladder": code_of(ladder.module if ladder else OF_FRAMES),
         "strengths": list(strengths_of(ladder)),
         "seed": seed,
         "metrics": {metric.name: _code(metric) for metric in select_metrics(metrics)},
@@ -104,7 +104,7 @@ def strengths_of(ladder: Ladder | None) -> tuple[float, ...]:
 def _code(metric: Metric) -> str:
     """Return the hash of the code that measures a metric; of a path, one pass measures all that it has, and each counts alone."""
     if isinstance(metric, PathMetric):
-        return code_identity(PATH_SCORES, RenderedPath.__module__, *metric.modules, unfollowed=(PATH_SCORES,))
+        return code_of(PATH_SCORES, RenderedPath.__module__, *metric.modules)
     return metric_code(metric)
 
 

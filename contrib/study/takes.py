@@ -22,7 +22,6 @@ from ggvs_eval.errors import CameraError, CaptureError, DepthError, MetricError
 from ggvs_eval.files.images import resize
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_images
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.pipelines.inspection.capture.check import LAYOUT, open_uncalibrated, uncalibrated_capture
@@ -33,6 +32,7 @@ from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views
 from ggvs_eval.synthetic.shipped import write_room
+from ggvs_eval.tasks.identity import code_of
 
 K = 4
 CHOSEN_BY = "by rule: cameras evenly spread over the capture, for a metric study"
@@ -172,7 +172,7 @@ def _takes_of(out: Path, name: str, capture: Capture, options: StudyOptions, wor
 def _identity(capture: Capture, options: StudyOptions) -> dict[str, Any]:
     """Dependencies of the clips of a capture; with degraded renderings, also the rendering code."""
     taken = {"frames": options.frames, "size": options.size, "on": options.on}
-    code = code_identity(RENDERER) if options.on == "rendering" else ""
+    code = code_of(RENDERER, "ggvs_eval.pipelines.online") if options.on == "rendering" else ""
     return {"frames": [capture.digest(name) for name in capture.camera_names], "options": taken, "code": code}
 
 

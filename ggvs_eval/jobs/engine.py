@@ -22,13 +22,13 @@ from typing import IO, Any, Literal, TypeVar
 
 from ggvs_eval import built_in
 from ggvs_eval.errors import GO_ON, AbsentPartError, RenderError
-from ggvs_eval.jobs.code_identity import package_digest
 from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.machine import has_room
 from ggvs_eval.jobs.processes import borrowed_pool, worker_pool
 from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.plugins import Registry
 from ggvs_eval.progress import track
+from ggvs_eval.tasks.identity import package_digest
 
 TRIES_ALONE = 2
 LOOK_AGAIN_S = 0.5  # while a job waits for memory

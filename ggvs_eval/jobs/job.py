@@ -19,11 +19,11 @@ from typing import Any
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.atomic import locked, remove_leftovers, scratch_folder
-from ggvs_eval.jobs.code_identity import package_digest
 from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.ledger import Entry, Failure, Ledger, LostJob
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import JOB_FILE, write_json
+from ggvs_eval.tasks.identity import package_digest
 
 UNFINISHED = "unfinished"  # what a job that resumes has left: .<name>.<hash>.unfinished
 KEPT_OF_HASH = 16  # digits

@@ -1,5 +1,5 @@
 // What an extension module was built from: setup.py hashes its sources, and jobs take the hash for the identity of its code
-// (ggvs_eval/jobs/code_identity.py, which reads it from the file), so that equal code has equal results for every compiler.
+// (ggvs_eval/tasks/identity.py, which reads it from the file), so that equal code has equal results for every compiler.
 #pragma once
 
 namespace ggvs {

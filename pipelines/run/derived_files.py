@@ -20,9 +20,9 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.atomic import sweep_files, write_text
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import ResizeFilter, read_image, resize, write_image
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers, run_all
 from ggvs_eval.run_folder import frame_path, read_json, write_json
+from ggvs_eval.tasks.identity import code_of
 
 DIGESTS = ".digests.json"  # hidden: it holds times of one machine, by which runs that are merged may differ
 RECORDS = (".json", ".toml", ".parquet", ".csv")
@@ -217,7 +217,7 @@ def _camera_files(capture: Capture, name: str, root: Path) -> MadeFiles:
 
 
 def _made_files(folder: Path, source: FrameSource, size: tuple[int, int], resize_filter: ResizeFilter) -> MadeFiles:
-    code = code_identity(*{type(each).__module__ for each in source_chain(source)}, resize.__module__)
+    code = code_of(*{type(part).__module__ for part in source_chain(source)})
     return MadeFiles(folder, {"frames": source.digest, "size": size, "resize": resize_filter, "code": code})
 
 

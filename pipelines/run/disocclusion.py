@@ -8,13 +8,13 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.files.images import write_image
 from ggvs_eval.geometry.splat import COVERED_ALPHA, splat_depth
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers, run_all
 from ggvs_eval.method import NEAR_M
 from ggvs_eval.pipelines.methods.render_unit import SourcePlan
 from ggvs_eval.pipelines.run.derived_files import MadeFiles, seen_from
 from ggvs_eval.pipelines.run.run_plan import Piece, RunPlan
 from ggvs_eval.run_folder import frame_path
+from ggvs_eval.tasks.identity import code_of
 
 MASK_COST = 0.3  # core-seconds per megapixel, see `stage_costs`
 
@@ -47,7 +47,7 @@ def _masks(plan: RunPlan) -> list[tuple[MadeFiles, SourcePlan]]:
     """Return the masks of each test view as its folder holds them; none if no metric wants them."""
     if not any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
         return []
-    code = code_identity(__name__, splat_depth.__module__, unfollowed=(__name__,))
+    code = code_of(__name__)
     made_with = {"units_per_metre": plan.capture.units_per_metre, "code": code}
     masks = []
     for view, sources in plan.plans.items():

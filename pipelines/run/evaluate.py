@@ -17,7 +17,6 @@ from ggvs_eval.datasets import DEPTH_FILES, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
 from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
 from ggvs_eval.jobs.ledger import Failure, Ledger
@@ -32,6 +31,7 @@ from ggvs_eval.pipelines.run.score import Scores, plan_scores
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder
+from ggvs_eval.tasks.identity import code_of
 
 Value = TypeVar("Value")
 AnyJob = TypeVar("AnyJob", bound=Job)
@@ -123,7 +123,7 @@ def report(
         require_imported(run, run.labels())
     templates = Path(str(resources.files("ggvs_eval.reports")))
     made_from = {
-        "code": [code_identity(write_report.__module__, *section_modules()), digest_folder(templates, without=["__pycache__"])],
+        "code": [code_of(*section_modules()), digest_folder(templates, without=["__pycache__"])],
         "runs": [digest_folder(root, without=["report", "jobs"]) for root in (*roots, *tables_of)],
         "called": [[Path(root).name for root in each] for each in (roots, tables_of)],
         "options": [with_figures, standalone, [*columns]],

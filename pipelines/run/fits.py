@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, cast
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import RenderError, ViewRefusedError
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import get_threads
@@ -25,6 +24,7 @@ from ggvs_eval.progress import LINE_EVERY_S, duration
 from ggvs_eval.results import describe_machine
 from ggvs_eval.run_folder import REFUSED, read_json, write_json
 from ggvs_eval.scene_fitter import Footage, SceneFitter
+from ggvs_eval.tasks.identity import code_of
 
 if TYPE_CHECKING:  # which can be deleted alone
     from ggvs_eval.pipelines.methods.fitted import FittedMethod
@@ -133,7 +133,7 @@ def _identity(capture: Capture, fit: FitPlan) -> dict[str, Any]:
     cameras, spec = {name: capture.camera(name).to_json() for name in fit.cameras}, fit.method
     return {
         "method": fit.label.partition("+")[0],
-        "code": code_identity(*spec.modules, fold_footage.__module__),
+        "code": code_of(*spec.modules, fold_footage.__module__),
         "settings": spec.settings,
         "seed": spec.seed,
         "cameras": cameras,

@@ -12,9 +12,9 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.geometry.tsdf import fusion_weights, ray_march
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.run.derived_files import MadeFiles, seen_from
 from ggvs_eval.progress import track
+from ggvs_eval.tasks.identity import code_of
 
 TAU_M, NOISE_M = 0.02, 0.001  # as `OnlineOptions` has them
 
@@ -48,7 +48,7 @@ def path_files(folder: Path, capture: Capture, poses: Sequence[tuple[Camera, dic
         "frame": frame,
         "units_per_metre": capture.units_per_metre,
         "lengths_m": [TAU_M, NOISE_M],
-        "code": code_identity(__name__, ray_march.__module__, unfollowed=(__name__,)),
+        "code": code_of(__name__),
     }
     return MadeFiles(folder, made_from)
 

@@ -10,15 +10,15 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.coding import Coding
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.ceilings import ceilings
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
-from ggvs_eval.pipelines.run.score_code import READING, SHARED
+from ggvs_eval.pipelines.run.score_code import MEASURING
 from ggvs_eval.pipelines.run.score_view import digest_frames, metric_options, truth_frames
 from ggvs_eval.protocol import Measurement, Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.scoring import ScorePart, ScoreRequest
+from ggvs_eval.tasks.identity import code_of
 
 NOISE_FREE, SECOND = "Ceiling: perfect and noise-free", "Ceiling: second recording"
 NOTES = {
@@ -117,7 +117,7 @@ def _job(run: RunFolder, view: str, frames: range, metrics: Sequence[str], measu
 def ceilings_code(names: Sequence[str]) -> str:
     """Return the hash of the code that estimates the ceilings of some metrics."""
     modules = [module for name in names for module in METRICS[name].modules]
-    return code_identity("ggvs_eval.metrics.ceilings", *modules, READING, *SHARED, unfollowed=SHARED)
+    return code_of(ceilings.__module__, *MEASURING, *modules)
 
 
 def _estimate(

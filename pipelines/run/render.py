@@ -20,7 +20,6 @@ from ggvs_eval.colour_maps import coloured, depth_colours
 from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.errors import RenderError, ViewRefusedError
 from ggvs_eval.files.images import quantise, write_image
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.jobs.machine import PeakMemory
 from ggvs_eval.kernels import get_threads
@@ -28,6 +27,7 @@ from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.results import installed_versions, split_label
 from ggvs_eval.run_folder import JOB_FILE, REFUSED, RunFolder, diagnostics_path, frame_path, read_json, write_json
+from ggvs_eval.tasks.identity import code_of
 
 # Okabe and Ito's colours, which the colour-blind can distinguish: one for each source view, nearest first.
 VIEW_COLOURS = np.array(
@@ -117,7 +117,7 @@ def render_job(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit) -
 
 def method_code(spec: MethodSpec) -> str:
     """Return the hash of the code that a method's frames are made by, from the captured ones to the files."""
-    return code_identity(*spec.modules, RenderUnit.__module__)
+    return code_of(*spec.modules, RenderUnit.__module__)
 
 
 def note_labels(run: RunFolder, labels: Sequence[str]) -> None:

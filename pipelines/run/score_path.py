@@ -9,16 +9,15 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.coverage import lacks_path, path_poses
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import read_image
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose
 from ggvs_eval.metrics.path_scores import measured_on_path, score_path
 from ggvs_eval.metrics.registry import METRICS, select_metrics
 from ggvs_eval.pipelines.run.path_depth import pose_file, read_path_depth
-from ggvs_eval.pipelines.run.score_code import READING
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, require_frames
 from ggvs_eval.scoring import Row, ScorePart, ScoreRequest
+from ggvs_eval.tasks.identity import code_of
 
 PATH_VIEW = "path"  # the name in the table's column of views
 TRUTH = "truth"
@@ -99,7 +98,7 @@ def _job(run: RunFolder, label: str, n_poses: int, costly: Sequence[str]) -> Job
 def path_code(names: Collection[str]) -> str:
     """Hash of the code that measures a camera path: one pass over it measures all that it has, and what is named of the rest."""
     modules = [module for metric in measured_on_path(names) for module in metric.modules]
-    return code_identity(PATH_SCORES, "ggvs_eval.metrics.path.rendered_path", *modules, READING, unfollowed=(PATH_SCORES,))
+    return code_of(PATH_SCORES, PathMetric.__module__, *modules)
 
 
 def _score(run: RunFolder, label: str, costly: Sequence[str], _folder: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What code identity rests on: methods name the modules that they are made of, and packages only define names."""
+"""What the identity of code rests on: methods name the rooms that they are made in, and packages only define names."""
 
 import ast
 from collections.abc import Iterator
@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.jobs.code_identity import installed_code
 from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
+from ggvs_eval.tasks.identity import COMMON, rooms_of
 from helpers.import_graph import modules, parsed
 
 HARMLESS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.AnnAssign, ast.Assign)
@@ -25,14 +25,15 @@ def parts_of(value: Any, depth: int = 4) -> Iterator[Any]:
 
 @pytest.mark.parametrize("label", METHODS)
 def test_a_method_names_its_modules(label):
-    """Whatever a method is made of stands in the closure of the modules that its spec names."""
+    """Whatever a method is made of stands in the rooms that its spec names."""
     spec = find_method(label)
     try:
         method = spec.make_fitter() if isinstance(spec, FittedMethod) else spec.make()
     except WeightsError:
         pytest.skip("its weights do not ship")
 
-    assert {type(part).__module__ for part in parts_of(method)} <= set(installed_code().closure(*spec.modules))
+    rooms = {room for module in (*spec.modules, *COMMON) for room in rooms_of(module)}
+    assert {rooms_of(type(part).__module__)[-1] for part in parts_of(method)} <= rooms
 
 
 def test_packages_do_nothing_when_they_are_imported():

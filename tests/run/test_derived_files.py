@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.jobs import code_identity as identity
-from ggvs_eval.jobs.code_identity import CodeTree, installed_code
 from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 from ggvs_eval.pipelines.run import path_depth
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, digest_folder
@@ -17,6 +15,7 @@ from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import work_left
 from ggvs_eval.run_folder import frame_path
+from helpers.other_code import change_code
 from helpers.small_runs import small_protocol, write_small_capture
 
 
@@ -53,24 +52,13 @@ def files_left(plan: RunPlan) -> Counter[str]:
     return left
 
 
-def change_code(monkeypatch, module: str) -> None:
-    """Make the digest of one module another."""
-
-    class Changed(CodeTree):
-        def digest(self, modules) -> str:
-            return super().digest(modules) + (" changed" if module in modules else "")
-
-    tree = installed_code()
-    monkeypatch.setattr(identity, "installed_code", lambda: Changed(tree.folder, tree.apart))
-
-
 @pytest.mark.parametrize(
     ("module", "masks", "poses"),
     [
-        ("ggvs_eval.geometry.splat", True, False),
-        ("ggvs_eval.geometry.tsdf", False, True),
-        ("ggvs_eval.camera", True, True),
-        ("ggvs_eval.geometry.warp", False, False),
+        ("geometry.splat", True, True),
+        ("pipelines.run.disocclusion", True, True),
+        ("camera", True, True),
+        ("metrics.stream", False, False),
     ],
 )
 def test_what_the_code_has_made_otherwise(module, masks, poses, plan, monkeypatch):

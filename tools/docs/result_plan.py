@@ -1,11 +1,10 @@
 """What measures each table of the pages: commands, their cost, and the identity of the code that a table comes from.
 
 A table comes from what its commands run and from what makes its text of their results: methods and metrics, the depth that a
-command's matcher finds, the film of a room, statistics and tables. `Measurement.modules` lists where these closures begin.
+command's matcher finds, the film of a room, statistics and tables. `Measurement.modules` names modules in the rooms of the rest.
 """
 
 import ast
-import hashlib
 import inspect
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,6 @@ from types import CodeType, FunctionType
 
 from ggvs_eval.depth_options import DepthRunOptions
 from ggvs_eval.files.digest import digest_values
-from ggvs_eval.jobs.code_identity import code_identity, installed_code, what_runs
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.methods.registry import find_method, usual_methods
 from ggvs_eval.pipelines.methods.spec import OnlineMethod, digest_weights
@@ -27,6 +25,7 @@ from ggvs_eval.pipelines.run.score_path import path_code
 from ggvs_eval.protocol import Protocol, load_protocol
 from ggvs_eval.run_folder import read_json
 from ggvs_eval.sweep import load_sweep
+from ggvs_eval.tasks.identity import PACKAGE, code_of
 
 ROOT = Path(__file__).parents[2]
 OUT = ROOT / "out"
@@ -46,11 +45,13 @@ CHECKPOINTS = {  # that do not ship: their bytes
     ITERMVS_FILE: "8563268624cf203750212a0e0bfa4825a5af05c0005a225ef02f138258b0fc42",
     MVSNERF_FILE: "84c2a397760d5e717c21faee9c4f8f8f8a1ba22b378b10971c44f4a0b932c124",
 }
-CAPTURES = {"demo": "ggvs_eval.synthetic.shipped", "film": "ggvs_eval.contrib.worlds.demo"}  # verb -> module
-MEANS = "ggvs_eval.results"
+CAPTURES = {
+    "demo": ("ggvs_eval.synthetic",),
+    "film": ("ggvs_eval.contrib.worlds.film", "ggvs_eval.contrib.worlds.room"),
+}  # verb -> rooms
+MEANS = ("ggvs_eval.results", "ggvs_eval.statistics")
 EDITS, EDITED = ("--hold-frames", "--sensor-noise"), "ggvs_eval.datasets.capture_edit"
 STREAMED = ("ggvs_eval.pipelines.run.screens", "ggvs_eval.metrics.time.on_screen")
-CHOOSE = (camera_depth.__name__, STREAMED[0])  # among many: what they import beside what is chosen does not count
 REPORTED = {"drift": "timing", "price": "costs", "costs": "costs", "seeds": "costs"}  # tables of a report, by their modules
 PLAIN = "report_tables"  # ... and of all others
 MANY_CAMERAS = 100  # more than any K of a sweep wants
@@ -94,7 +95,7 @@ class Measurement:
             *(part for protocol in self.protocols for part in _of_protocol(protocol)),
             *map(_of_source, self.sources),
             *(digest for file, digest in CHECKPOINTS.items() if any(file in command for command in self.commands)),
-            code_identity(*self.modules, unfollowed=CHOOSE) if self.modules else "",
+            code_of(*self.modules),
             *(digest for _, digest in self._table_functions),
         )
 
@@ -113,12 +114,12 @@ class Measurement:
 
     @cached_property
     def modules(self) -> tuple[str, ...]:
-        """Modules at which the code begins that neither a method nor a metric names, sorted."""
+        """Modules whose rooms neither a method nor a metric names, sorted."""
         modules = set().union(*(found for found, _ in self._table_functions))
         for program, verb, *words in map(str.split, self.commands):
             if program == "ggvs-eval":
-                modules |= {CAPTURES[verb]} if verb in CAPTURES else set()
-                modules |= {MEANS, *_of_depth(words)} if verb in ("run", "sweep") else set()
+                modules.update(CAPTURES.get(verb, ()))
+                modules |= {*MEANS, *_of_depth(words)} if verb in ("run", "sweep") else set()
                 modules |= {EDITED} if verb == "run" and any(word in EDITS for word in words) else set()
         if any(protocol.stream for protocol in self.protocols):
             modules.update(STREAMED)
@@ -373,7 +374,7 @@ def _of_depth(words: Sequence[str]) -> set[str]:
     name, _, filler = (words[words.index("--matcher") + 1] if "--matcher" in words else "").partition("+")
     found = DepthRunOptions(name).options() if name else DepthRunOptions().options()
     modules = camera_depth.modules_of(found.matcher, IterMvs(Path(), "") if filler.startswith("itermvs") else found.filler)
-    return {camera_depth.__name__, camera_depth.STREAM, consistency.__name__, consistency.FILL, *modules}
+    return {camera_depth.__name__, consistency.FUSION, *modules}
 
 
 def _gather(make: FunctionType, functions: dict[str, tuple[set[str], str]]) -> None:
@@ -382,12 +383,12 @@ def _gather(make: FunctionType, functions: dict[str, tuple[set[str], str]]) -> N
     if name in functions:
         return
     words, constants = _of_code(make.__code__)
-    modules, values = {word for word in words if word in _package()}, [repr(constants)]
+    modules, values = {word for word in words if _is_module(word)}, [repr(constants)]
     functions[name] = modules, ""
     for word in words:
         value = make.__globals__.get(word)
         module = str(getattr(value, "__module__", ""))
-        if module in _package():
+        if module.startswith(f"{PACKAGE}."):
             modules.add(module)
         elif isinstance(value, FunctionType) and (Path(__file__).parent / f"{module}.py").is_file():
             _gather(value, functions)
@@ -396,7 +397,7 @@ def _gather(make: FunctionType, functions: dict[str, tuple[set[str], str]]) -> N
         elif isinstance(value, str | tuple | dict) and "Path" not in repr(value):
             values.append(f"{word} {value!r}")
     if make.__name__ != "<lambda>":
-        values.append(what_runs(inspect.getsource(make)))
+        values.append(inspect.getsource(make))
     functions[name] = modules, digest_values(*values)
 
 
@@ -410,33 +411,20 @@ def _of_code(code: CodeType) -> tuple[list[str], list[str]]:
 
 @cache
 def _of_source(file: str) -> str:
-    """A file of the checkout, the benchmarks that it imports, and what all of them import of the package."""
-    seen: set[str] = set()
-    waiting, modules, texts = [file], set[str](), []
+    """A file of the checkout, the benchmarks that it imports, and the rooms of the package that they import from."""
+    texts: dict[str, str] = {}
+    waiting, modules = [file], set[str]()
     while waiting:
         name = waiting.pop()
-        if name in seen:
+        if name in texts:
             continue
-        seen.add(name)
-        text = (ROOT / name).read_text(encoding="utf-8")
-        texts.append(hashlib.sha256(what_runs(text).encode()).hexdigest())
-        for imported in _imports(text):
-            path = f"{imported.replace('.', '/')}.py"
-            if imported.startswith("benchmarks.") and (ROOT / path).is_file():
-                waiting.append(path)
-            elif imported in _package():
-                modules.add(imported)
-    return digest_values(*sorted(texts), code_identity(*sorted(modules)) if modules else "")
+        texts[name] = (ROOT / name).read_text(encoding="utf-8")
+        imported = [node.module for node in ast.walk(ast.parse(texts[name])) if isinstance(node, ast.ImportFrom) and node.module]
+        files = [f"{module.replace('.', '/')}.py" for module in imported if module.startswith("benchmarks.")]
+        waiting += [file for file in files if (ROOT / file).is_file()]
+        modules.update(module for module in imported if module.partition(".")[0] == PACKAGE)
+    return digest_values(*sorted(texts.values()), code_of(*modules))
 
 
-def _imports(text: str) -> Iterator[str]:
-    """Dotted names that a source may mean by its imports, modules and words of modules alike."""
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-
-
-@cache
-def _package() -> frozenset[str]:
-    return frozenset(installed_code().modules())
+def _is_module(word: str) -> bool:
+    return word.startswith(f"{PACKAGE}.") and word.replace(".", "").isidentifier()

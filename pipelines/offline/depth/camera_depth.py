@@ -12,12 +12,12 @@ from ggvs_eval.depth_options import FREE_MATCHER
 from ggvs_eval.depth_store import DepthMap, is_known
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.offline.depth.colour_fill import fill_by_colour
 from ggvs_eval.pipelines.offline.depth.consistency import check_consistency
 from ggvs_eval.pipelines.offline.depth.matchers import MATCHERS, Matcher, SharedMatches
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners, pairs_of
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, smooth_surfaces
+from ggvs_eval.tasks.identity import code_of
 
 STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews changed parts by the functions of this module
 ERROR_PX = 0.5  # of pairs: estimates of two partners agree when disparity errors of this size explain their difference
@@ -78,7 +78,7 @@ class DepthOptions:
 
     def _code(self) -> str:
         """Return the hash of the code that finds depth by this matcher, and by no other."""
-        return code_identity(__name__, STREAM, *modules_of(self.matcher, self.filler), unfollowed=(__name__,))
+        return code_of(__name__, *modules_of(self.matcher, self.filler))
 
     def choose_partners(self, camera: Camera, candidates: Sequence[Camera], excluded: Collection[str] = ()) -> list[Camera]:
         """Return the cameras that a camera is matched with, see `pairing.choose_partners`."""

@@ -5,7 +5,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8, Map, Mask
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.jobs.code_identity import code_identity
+from ggvs_eval.tasks.identity import code_of
 
 LEAST_WEIGHT = 1e-12  # of depth that reaches a pixel; below, none does
 STRENGTH = 900.0  # lambda, weight of smoothness next to that of measured depth; its root is about the reach in pixels
@@ -18,7 +18,7 @@ CONFIDENCE = 0.02  # of filled pixels
 
 def describe_fill() -> dict[str, object]:
     """Return the fill as values that JSON knows, its code included; part of a depth map's key."""
-    return {"algorithm": "fill-by-colour", "code": code_identity(__name__)}
+    return {"algorithm": "fill-by-colour", "code": code_of(__name__)}
 
 
 def fill_by_colour(depth_map: DepthMap, image: Image8) -> DepthMap:

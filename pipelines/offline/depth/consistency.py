@@ -11,11 +11,10 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap, is_known
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image, rigid_between
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.kernels.portable import inverse, product, transformed
+from ggvs_eval.tasks.identity import code_of
 
-# Besides this module: the fill of what is left, and `check_depth`, whose neighbours find depth and do not count.
-FILL, CALLER = "ggvs_eval.pipelines.offline.stereo.fusion", "ggvs_eval.pipelines.offline.depth.camera_depth"
+FUSION = "ggvs_eval.pipelines.offline.stereo.fusion"  # which fills what is left
 CHUNK = 1 << 14  # points handled at a time: what they need stays in the processor's cache
 LEAST_SLOPE = np.float32(0.3)  # of depth along the other's rays: where they cross more steeply its error is a larger one here
 UNCHECKED = np.float32(0.5)  # confidence of what no other camera sees, over what it was
@@ -31,7 +30,7 @@ Indices = NDArray[np.int32]
 
 def describe_check() -> dict[str, object]:
     """Return the check as values that JSON knows, its code included; part of a depth map's key."""
-    return {"algorithm": "consistency", "code": code_identity(__name__, FILL, CALLER, unfollowed=(CALLER,))}
+    return {"algorithm": "consistency", "code": code_of(__name__, FUSION)}
 
 
 def check_consistency(camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> DepthMap:

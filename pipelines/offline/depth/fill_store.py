@@ -14,7 +14,6 @@ from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, describe_depth
 from ggvs_eval.depth_work import Instants, depth_left, missing_maps
 from ggvs_eval.errors import CameraError, DepthError
 from ggvs_eval.geometry.source_views import ChosenSource, choose_sources
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers, as_engine, run_all
 from ggvs_eval.pipelines.offline.depth.camera_depth import ERROR_PX, DepthOptions, check_depth, check_measured_depth, finish
 from ggvs_eval.pipelines.offline.depth.colour_fill import describe_fill
@@ -176,7 +175,7 @@ def depth_job(capture: Capture, camera_name: str, partner_names: Sequence[str], 
     described = (options if partners or sensor is None else sensor).describe() | {"resize_filter": capture.resize_filter}
     spec = describe_depth(camera, partners, {name: capture.digest(name) for name in names}, described)
     if partners and sensor is not None:
-        spec[FILLED] = {**sensor.describe(), "fill": describe_fill(), "filled_by": code_identity(fill_by_sensor.__module__)}
+        spec[FILLED] = sensor.describe() | {"fill": describe_fill()}
     return DepthJob(camera_name, tuple(partner_names), spec=spec)
 
 

@@ -13,7 +13,6 @@ from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import CameraError, DepthError, DeviceError, GgvsError, GgvsWarning, ProtocolError
 from ggvs_eval.geometry.sight import require_sight
 from ggvs_eval.geometry.source_views import ChosenSource
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.methods.network_options import checked_device
 from ggvs_eval.pipelines.methods.render_unit import SourcePlan
@@ -30,6 +29,7 @@ from ggvs_eval.pipelines.offline.depth.sensor_and_stereo import SENSORS, unexpla
 from ggvs_eval.progress import counted
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
+from ggvs_eval.tasks.identity import code_of
 
 # What a refusal for want of depth adds.
 WITHOUT_DEPTH = "methods without depth, such as enerf and ibrnet, still run"
@@ -93,7 +93,7 @@ class MatchedDepth:
         found = {read_json(file)["options"].get("code") for file in run.depth.glob("*/spec.json")}
         try:
             options = DepthRunOptions.from_record(read_json(run.depth_record)).options()
-            of_sensors = [code_identity(str(SENSORS.root(name))) for name in SENSORS.present()]
+            of_sensors = [code_of(str(SENSORS.root(name))) for name in SENSORS.present()]
             return bool(found) and found.isdisjoint([options.describe()["code"], *of_sensors])
         except (GgvsError, TypeError):
             return False

@@ -9,9 +9,9 @@ from ggvs_eval.capture import DepthSource
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image8
-from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid, close_edges, close_holes
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, smooth_surfaces
+from ggvs_eval.tasks.identity import code_of
 
 STEPS = 1000  # of the logarithm of depth in which OpenCV looks for speckles; one is a thousandth of the depth
 # The filter; pixels are the sensor's.
@@ -55,7 +55,7 @@ class SensorDepthEstimator:
 
 def describe_filter() -> dict[str, object]:
     """Return the filter as values that JSON knows, its code included."""
-    return {"algorithm": "sensor-filter", "code": code_identity(__name__)}
+    return {"algorithm": "sensor-filter", "code": code_of(__name__)}
 
 
 def filter_sensor_depth(depth: Map, image: Image8, camera: Camera) -> DepthMap:
