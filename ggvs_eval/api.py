@@ -99,7 +99,7 @@ from ggvs_eval.reports import section
 from ggvs_eval.reports.figures import axes
 from ggvs_eval.reports.model import measured
 from ggvs_eval.reports.model import table as report_table
-from ggvs_eval.reports.page.page import STILL_FIRST_SCRIPTS, STILL_SCRIPTS, fill_template, run_words
+from ggvs_eval.reports.page.page import fill_page, run_words
 from ggvs_eval.reports.run_groups import read_groups, runs_by_protocol
 from ggvs_eval.reports.tables import table_formats, verdict
 from ggvs_eval.reports.tables.report_tables import main_tables, metric_column

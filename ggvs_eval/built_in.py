@@ -430,6 +430,7 @@ SECTIONS: dict[str, str | Derived] = {
     "costs": f"{_TABLES}.costs:costs_section",
     "quality over time": f"{_PAGE}.quality_over_time:over_time_section",
     "paper": f"{_TABLES}.reproduction:paper_section",
+    "depth": "ggvs_eval.reports.depth_page.section:depth_section",
 }
 PUBLISHED_VALUES = {
     "paper": f"{_TABLES}.published:paper_beside",

@@ -32,10 +32,10 @@ FLOORS = (
     ("reports.model",),
     ("reports.tables.verdict",),
     ("reports.section",),
-    ("reports.figures", "reports.tables", "reports.depth_page"),
+    ("reports.figures", "reports.tables"),
     ("reports.run_groups",),
     ("reports.page", "reports.tables_of_runs"),
-    ("reports.report",),
+    ("reports.report", "reports.depth_page"),
     ("pipelines.offline.depth.matchers",),  # what depth asks of those that stand below it
     (
         *("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.itermvs", "pipelines.offline.plane_sweep"),

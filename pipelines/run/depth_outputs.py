@@ -8,8 +8,8 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import FILLED_CONFIDENCE
 from ggvs_eval.pipelines.offline.export.dense_workspace import write_dense_workspace
 from ggvs_eval.pipelines.offline.export.surfaces import FusedFiles, fuse_instant
 from ggvs_eval.pipelines.run.run_plan import RunPlan
-from ggvs_eval.reports.depth_page.page import write_depth_page
 from ggvs_eval.reports.depth_page.record import StoredDepth
+from ggvs_eval.reports.depth_page.section import write_depth_page
 
 
 def write_prepared_page(prepared: RunPlan, workers: int = 1) -> Path:

@@ -45,12 +45,12 @@ class PairErrors:
     partner: str
     baseline: float
     angle_rad: float
-    d_min: int
-    d_max: int
-    matches: int
-    row_px: float
-    row_high_px: float
-    outside: float
+    d_min: int = 0
+    d_max: int = 0
+    matches: int = 0
+    row_px: float = 0.0
+    row_high_px: float = 0.0
+    outside: float = 0.0
     obstacle: str = ""
 
 
@@ -63,14 +63,33 @@ def measure_pair(camera: Camera, partner: Camera, features: Features, partner_fe
     Returns:
         The errors, and the matches as pixels of the two images, (M, 2, 2).
     """
+    baseline = float(np.linalg.norm(partner.centre - camera.centre))
+    errors = PairErrors(camera.name, partner.name, baseline, turn_rad(camera, partner))
+    uv = np.zeros((0, 2, 2))
     try:
         pair = rectify(camera, partner)
     except DepthError as error:  # a plane sweep needs no rectification
-        return _unmeasured(camera, partner, str(error)), np.zeros((0, 2, 2))
+        return replace(errors, obstacle=str(error)), uv
+    errors = replace(errors, d_min=pair.d_min, d_max=pair.d_max)
     longest_side_px = max(*camera.size, *partner.size)
     matched = match_pair(0, 1, features, partner_features, longest_side_px)
-    uv = np.zeros((0, 2, 2)) if matched is None else np.stack([matched.uv_first, matched.uv_second], axis=1)
-    return _evaluate(camera, partner, pair, uv), uv
+    if matched is not None:
+        uv = np.stack([matched.uv_first, matched.uv_second], axis=1)
+    places = on_canvas(pair, camera, partner, uv)
+    places = places[np.isfinite(places).all(axis=(1, 2))]
+    if not len(places):
+        return errors, uv
+    disparity_px, off_px = places[:, 0, 0] - places[:, 1, 0], np.abs(places[:, 0, 1] - places[:, 1, 1])
+    outside = (disparity_px < pair.d_min - SLACK_PX) | (disparity_px > pair.d_max + SLACK_PX)
+    row_px, row_high_px = np.percentile(off_px, (50, 90))
+    errors = replace(
+        errors,
+        matches=len(places),
+        row_px=float(row_px),
+        row_high_px=float(row_high_px),
+        outside=float(outside.mean()),
+    )
+    return errors, uv
 
 
 def on_canvas(pair: RectifiedPair, camera: Camera, partner: Camera, uv: Array) -> Array:
@@ -90,32 +109,6 @@ def on_canvas(pair: RectifiedPair, camera: Camera, partner: Camera, uv: Array) -
         with np.errstate(divide="ignore", invalid="ignore"):
             places.append(np.where(z > 0, (x / z, y / z), np.nan).T)
     return np.stack(places, axis=1)
-
-
-def _evaluate(camera: Camera, partner: Camera, pair: RectifiedPair, uv: Array) -> PairErrors:
-    places = on_canvas(pair, camera, partner, uv)
-    places = places[np.isfinite(places).all(axis=(1, 2))]
-    if not len(places):
-        unknown = _unmeasured(camera, partner, "")
-        return replace(unknown, d_min=pair.d_min, d_max=pair.d_max)
-    disparity_px, off_px = places[:, 0, 0] - places[:, 1, 0], np.abs(places[:, 0, 1] - places[:, 1, 1])
-    outside = (disparity_px < pair.d_min - SLACK_PX) | (disparity_px > pair.d_max + SLACK_PX)
-    row_px, row_high_px = np.percentile(off_px, (50, 90))
-    return replace(
-        _unmeasured(camera, partner, ""),
-        d_min=pair.d_min,
-        d_max=pair.d_max,
-        matches=len(places),
-        row_px=float(row_px),
-        row_high_px=float(row_high_px),
-        outside=float(outside.mean()),
-    )
-
-
-def _unmeasured(camera: Camera, partner: Camera, obstacle: str) -> PairErrors:
-    baseline = float(np.linalg.norm(partner.centre - camera.centre))
-    angle_rad = turn_rad(camera, partner)
-    return PairErrors(camera.name, partner.name, baseline, angle_rad, 0, 0, 0, 0.0, 0.0, 0.0, obstacle)
 
 
 class PairPicture(NamedTuple):

@@ -291,11 +291,6 @@ class StoredDepth:
     job: DepthJob
     frames: tuple[int, ...]
 
-    @property
-    def key(self) -> str:
-        """Of the depth store."""
-        return self.job.key
-
 
 @dataclass(frozen=True)
 class CameraPictures:
@@ -349,12 +344,3 @@ class DepthRecord:
     cameras: tuple[CameraRecord, ...]
     pairs: tuple[PairErrors, ...]
     unmatched: tuple[str, ...]
-
-    def pair(self, camera: str, partner: str) -> PairErrors:
-        """Return the errors of two cameras, in whichever order they were measured."""
-        return next(pair for pair in self.pairs if {pair.camera, pair.partner} == {camera, partner})
-
-    @property
-    def frames(self) -> tuple[int, ...]:
-        """All instants that are shown."""
-        return tuple(sorted({frame for camera in self.cameras for stored, _ in camera.jobs for frame in stored.frames}))

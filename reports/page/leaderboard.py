@@ -6,7 +6,7 @@ from typing import Any
 
 from ggvs_eval.files.atomic import write_text
 from ggvs_eval.reports.model.measured import distinct_names, read_scores
-from ggvs_eval.reports.page.page import STILL_FIRST_SCRIPTS, STILL_SCRIPTS, fill_template
+from ggvs_eval.reports.page.page import fill_page
 from ggvs_eval.reports.run_groups import read_groups
 from ggvs_eval.reports.section import RunGroup
 
@@ -21,14 +21,16 @@ def write_leaderboard(runs: Sequence[Path], out: Path) -> Path:
     Raises:
         ResultsError: no run, a run given twice, a folder that is no scored run, or a method that two runs measured on one scene.
     """
-    sections = list(map(_section, read_groups(runs, read_scores)))
-    write_text(out, fill_template("leaderboard.html.j2", STILL_FIRST_SCRIPTS, STILL_SCRIPTS, sections=sections))
+    sheets = list(map(_sheet, read_groups(runs, read_scores)))
+    write_text(out, fill_page("Leaderboard", sheets))
     return out
 
 
-def _section(group: RunGroup) -> dict[str, Any]:
+def _sheet(group: RunGroup) -> dict[str, Any]:
     verdict, runs = group.verdict, [*group.runs.values()]
     return {
+        "template": "leaderboard",
+        "comes_first": True,
         "nothing": "" if verdict.column else f"{verdict.headline}. {verdict.margin}",
         "protocol": group.protocol,
         "scenes": list(dict.fromkeys(run.scene for run in runs)),

@@ -4,7 +4,7 @@ import base64
 import hashlib
 import re
 import shlex
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,26 +58,33 @@ def script_digest(script: str) -> str:
     return base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
 
 
-def fill_template(name: str, first: Sequence[str], last: Sequence[str], **values: Any) -> str:
-    """Fill a template with the styles, the named scripts, the digests by which its policy allows them, and values."""
+def fill_page(title: str, sheets: Sequence[Mapping[str, Any]], moves: bool = False, **values: Any) -> str:
+    """Fill the page's template with styles, scripts, and the digests by which its policy allows these.
+
+    Args:
+        title: of the page.
+        sheets: see `SectionContent`.
+        moves: whether more than tables moves.
+        values: what the templates read besides; without `groups` of runs the sheets are all of it.
+    """
     css, dark_css = ((TEMPLATES / file).read_text(encoding="utf-8") for file in ("page.css", "dark.css"))
+    first, last = (FIRST_SCRIPTS, SCRIPTS) if moves else (STILL_FIRST_SCRIPTS, STILL_SCRIPTS)
     scripts = {"first": page_script(first), "last": page_script(last)}
-    values |= {"css": css, "dark_css": dark_css, "scripts": scripts}
-    return template_environment().get_template(name).render(script_digests=[*map(script_digest, scripts.values())], **values)
+    digests = [*map(script_digest, scripts.values())]
+    values |= {"title": title, "sheets": sheets, "css": css, "dark_css": dark_css}
+    template = template_environment().get_template("page.html.j2")
+    return template.render(scripts=scripts, script_digests=digests, **values)
 
 
 def render_page(report: Report) -> str:
     """Fill the templates; equal reports give equal text."""
     plot = PLOT | {"numbers": page_numbers(report)}
     contexts = _groups(report, plot)
-    moves = any(section["data"] for group in contexts for section in group["sections"])
-    return fill_template(
-        "page.html.j2",
-        FIRST_SCRIPTS if moves else STILL_FIRST_SCRIPTS,
-        SCRIPTS if moves else STILL_SCRIPTS,
-        title=" · ".join(dict.fromkeys(group.titles for group in report.groups)),
+    return fill_page(
+        " · ".join(dict.fromkeys(group.titles for group in report.groups)),
+        [sheet for content in report.contents for sheet in content.sheets],
+        moves=any(section["data"] for group in contexts for section in group["sections"]),
         groups=contexts,
-        sheets=[sheet for content in report.contents for sheet in content.sheets],
         plot=plot,
         absent=report.absent,
         **report.values(""),

@@ -1,4 +1,4 @@
-"""The depth page: depth, confidence and rectified pairs as pictures, and warnings, each with a remedy.
+"""The depth page, also as a sheet of a report: depth, confidence, rectified pairs, and warnings.
 
 ::
 
@@ -10,22 +10,22 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, Future
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ggvs_eval import colour_maps
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import nearest_cameras
 from ggvs_eval.capture import Capture
-from ggvs_eval.colour_maps import confidence_scale, depth_scale, difference_scale
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, ResultsError
 from ggvs_eval.files.atomic import write_text
-from ggvs_eval.files.templates import open_templates
 from ggvs_eval.geometry.epipolar import Features, find_features
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.reports.depth_page.pairs import PairErrors, measure_pair
@@ -39,6 +39,8 @@ from ggvs_eval.reports.depth_page.record import (
     write_instant,
     write_pairs,
 )
+from ggvs_eval.reports.page.page import fill_page
+from ggvs_eval.reports.section import Report, SectionContent
 from ggvs_eval.run_folder import read_json, write_json
 
 LEAST_MEASURED = 0.5  # of the pixels; the rest of the picture is guesswork
@@ -49,9 +51,7 @@ MOST_ERROR = 2.0  # times what is usual among the cameras ...
 LEAST_ERROR = 8.0  # ... and not less than this, of 255 levels: sensor noise and resampling
 MOST_GAIN = 1.15  # matchers mind contrast, not exposure; but a blend of the images shows it
 VERSION = 1  # counts up whenever equal depth gives another page
-
-
-TEMPLATES = Path(__file__).parent / "templates"
+FOLDER, RECORD, PICTURES = "depth_page", "index.json", "pictures"
 FLATTEST = 1.05  # far over near of the colours, so that noise on a wall does not fill them
 Statistics = tuple[DepthStatistics, ...]
 Pairs = dict[tuple[str, str], tuple[PairErrors, Array]]
@@ -75,38 +75,50 @@ def write_depth_page(
         return folder / "index.html"
     shutil.rmtree(folder, ignore_errors=True)
     with worker_pool(min(workers, len(stored))) as pool:
-        record = examine_depth(pool, folder / "pictures", capture, stored, store, filled_confidence)
-    files = sorted(path.name for path in (folder / "pictures").iterdir())
-    write_text(folder / "index.html", render_depth_page(record))
-    spoken = {"warnings": find_warnings(record), "notes": find_notes(record)}
-    write_json(folder / "index.json", {"identity": identity, "files": files, **spoken, **asdict(record)})
+        record = examine_depth(pool, folder / PICTURES, capture, stored, store, filled_confidence)
+    files = sorted(path.name for path in (folder / PICTURES).iterdir())
+    told = tell(record)
+    write_text(folder / "index.html", render_depth_page(told))
+    write_json(folder / RECORD, {"identity": identity, "files": files, **told})
     return folder / "index.html"
 
 
-def render_depth_page(record: DepthRecord) -> str:
-    """Return the HTML of a record; equal records give equal text."""
-    return (
-        open_templates(TEMPLATES)
-        .get_template("depth_page.html.j2")
-        .render(
-            record=record,
-            css=(TEMPLATES / "depth_page.css").read_text(encoding="utf-8"),
-            warnings=find_warnings(record),
-            notes=find_notes(record),
-            depth_scales={camera.name: depth_scale(*camera.pictures.depth_range) for camera in record.cameras},
-            confidence_scale=confidence_scale(),
-            difference_scale=difference_scale(),
-        )
-    )
+def tell(record: DepthRecord) -> dict[str, Any]:
+    """Return what the page shows and the file next to it says: the record, and what looks wrong in it."""
+    return {"warnings": find_warnings(record), "notes": find_notes(record), **asdict(record)}
+
+
+def render_depth_page(told: Mapping[str, Any]) -> str:
+    """Return the page of a record, see `tell`; equal records give equal text."""
+    return fill_page(str(told["scene"]), [_sheet(told, "depth", "Depth", PICTURES)], refers=True)
+
+
+def depth_section(report: Report) -> SectionContent:
+    """Return a sheet for each run with a depth page; with pictures if the report can name the run's folder."""
+    sheets = []
+    for key, run in report.runs.items():
+        folder = run.folder.root / FOLDER
+        if (folder / RECORD).is_file():
+            address = report.data(key).get("full")
+            pictures = f"{address}/{FOLDER}/{PICTURES}" if address else ""
+            title = "Depth" if len(report.runs) == 1 else f"Depth of {run.title}"
+            sheets.append(_sheet(read_json(folder / RECORD), f"depth-{key}", title, pictures))
+    return SectionContent(sheets=sheets)
+
+
+def _sheet(told: Mapping[str, Any], place: str, title: str, pictures: str) -> dict[str, Any]:
+    """What the template reads: the record, and the folder of its pictures, empty if they are elsewhere."""
+    sheet = {"id": place, "title": title, "comes_first": False, "template": "depth"}
+    return {**told, **sheet, "pictures": pictures, "scales": colour_maps}
 
 
 def _is_written(folder: Path, identity: str) -> bool:
     """Return whether the folder holds this very page with all its pictures."""
     try:
-        record = read_json(folder / "index.json")
+        record = read_json(folder / RECORD)
     except ResultsError:
         return False
-    files = [folder / "index.html", *(folder / "pictures" / name for name in record.get("files", ()))]
+    files = [folder / "index.html", *(folder / PICTURES / name for name in record.get("files", ()))]
     return record.get("identity") == identity and all(file.is_file() for file in files)
 
 
@@ -119,62 +131,57 @@ def examine_depth(
         capture: as in `write_depth_page`, and so is the rest.
         filled_confidence: of filled pixels.
     """
-    statistics = _all(pool, [pool.submit(_describe, store, each, filled_confidence) for each in stored], "judging depth maps")
+    describe = partial(_describe, store, filled_confidence)
+    statistics: list[Statistics] = _in_pool(pool, describe, zip(stored), "judging depth maps")
     pairs = _measure_pairs(pool, capture, stored)
-    shown = _least_measured(capture, stored, statistics)
-    matches = {index: _matches_of(stored[index], pairs) for index in shown}
-    drawing = [
-        pool.submit(
-            _draw, folder, f"c{number:02d}", capture, stored[index], statistics[index], store, filled_confidence, matches[index]
-        )
-        for number, index in enumerate(shown)
-    ]
-    pictures = _all(pool, drawing, "pictures of the depth")
-    stored_statistics = list(zip(stored, statistics, strict=True))
-    cameras = [
-        CameraRecord(name, tuple(each for each in stored_statistics if each[0].job.camera_name == name), of_camera)
-        for name, of_camera in zip([stored[index].job.camera_name for index in shown], pictures, strict=True)
-    ]
-    matched = {partner for each in stored for partner in each.job.partner_names}
-    unmatched = tuple(name for name in capture.camera_names if name not in matched)
-    errors = tuple(pair for pair, _ in pairs.values())
-    units = capture.units_per_metre, capture.units_origin
-    return DepthRecord(capture.scene, *units, tuple(cameras), errors, unmatched)
+    jobs = list(zip(stored, statistics, strict=True))
+    cameras = []
+    pictured: list[tuple[Any, ...]] = []
+    for name in capture.camera_names:
+        of_camera = tuple(job for job in jobs if job[0].job.camera_name == name)
+        if of_camera:
+            cameras.append((name, of_camera))
+            worst, maps = min(of_camera, key=lambda job: job[1][0].measured)
+            pictured.append((f"c{len(pictured):02d}", worst, maps, _matches_of(worst, pairs)))
+    draw = partial(_draw, folder, capture, store, filled_confidence)
+    pictures = iter(_in_pool(pool, draw, pictured, "pictures of the depth"))
+    matched = {partner for maps in stored for partner in maps.job.partner_names}
+    return DepthRecord(
+        scene=capture.scene,
+        units_per_metre=capture.units_per_metre,
+        units_origin=capture.units_origin,
+        cameras=tuple(CameraRecord(*camera, next(pictures)) for camera in cameras),
+        pairs=tuple(pair for pair, _ in pairs.values()),
+        unmatched=tuple(name for name in capture.camera_names if name not in matched),
+    )
 
 
-def _all(pool: Executor, running: list[Future[Any]], doing: str) -> list[Any]:
+def _in_pool(pool: Executor, work: Callable[..., Any], items: Iterable[tuple[Any, ...]], doing: str) -> list[Any]:
+    running = [pool.submit(work, *item) for item in items]
     finish_all(pool, running, doing)
-    return [each.result() for each in running]
+    return [future.result() for future in running]
 
 
 def _measure_pairs(pool: Executor, capture: Capture, stored: Sequence[StoredDepth]) -> Pairs:
     """Return the errors and matches of every pair, once, whichever of the two the depth was computed of."""
     frame_of: dict[tuple[str, str], int] = {}
-    for each in stored:
-        for partner in each.job.partner_names:
-            if (partner, each.job.camera_name) not in frame_of:
-                frame_of.setdefault((each.job.camera_name, partner), each.frames[0])
+    for maps in stored:
+        for partner in maps.job.partner_names:
+            if (partner, maps.job.camera_name) not in frame_of:
+                frame_of.setdefault((maps.job.camera_name, partner), maps.frames[0])
     instants = sorted({(name, frame) for pair, frame in frame_of.items() for name in pair})
-    features = dict(zip(instants, _all(pool, [pool.submit(_find, capture, *each) for each in instants], "features"), strict=True))
-    running = [
-        pool.submit(measure_pair, capture.camera(one), capture.camera(two), features[one, frame], features[two, frame])
-        for (one, two), frame in frame_of.items()
-    ]
-    return dict(zip(frame_of, _all(pool, running, "matching features"), strict=True))
+    find = partial(_find, capture)
+    features = dict(zip(instants, _in_pool(pool, find, instants, "features"), strict=True))
+    items = []
+    for names, frame in frame_of.items():
+        items.append((*map(capture.camera, names), *(features[name, frame] for name in names)))
+    measured = _in_pool(pool, measure_pair, items, "matching features")
+    return dict(zip(frame_of, measured, strict=True))
 
 
-def _least_measured(capture: Capture, stored: Sequence[StoredDepth], statistics: Sequence[Statistics]) -> list[int]:
-    """Of each camera, in the order of the capture, the job that measured least."""
-    index_of: dict[str, int] = {}
-    for index, each in enumerate(stored):
-        name = each.job.camera_name
-        if name not in index_of or statistics[index][0].measured < statistics[index_of[name]][0].measured:
-            index_of[name] = index
-    return [index_of[name] for name in capture.camera_names if name in index_of]
-
-
-def _describe(store: DepthStore, stored: StoredDepth, filled_confidence: float) -> Statistics:
-    return tuple(describe_map(frame, store.read(stored.key, frame), filled_confidence) for frame in stored.frames)
+def _describe(store: DepthStore, filled_confidence: float, stored: StoredDepth) -> Statistics:
+    maps = ((frame, store.read(stored.job.key, frame)) for frame in stored.frames)
+    return tuple(describe_map(frame, depth_map, filled_confidence) for frame, depth_map in maps)
 
 
 def _find(capture: Capture, name: str, frame: int) -> Features:
@@ -183,12 +190,12 @@ def _find(capture: Capture, name: str, frame: int) -> Features:
 
 def _draw(
     folder: Path,
-    stem: str,
     capture: Capture,
-    stored: StoredDepth,
-    statistics: Statistics,
     store: DepthStore,
     filled_confidence: float,
+    stem: str,
+    stored: StoredDepth,
+    statistics: Statistics,
     matches: dict[str, Array],
 ) -> CameraPictures:
     camera = capture.camera(stored.job.camera_name)
@@ -197,9 +204,9 @@ def _draw(
     depth_range = _depth_range(statistics, camera.near, camera.far)
     instants = []
     for frame in stored.frames:
-        image, depth_map = capture.frame(camera.name, frame), store.read(stored.key, frame)
-        other = (nearest, capture.frame(nearest.name, frame)) if nearest else None
-        instants.append(write_instant(folder, stem, frame, camera, image, depth_map, depth_range, filled_confidence, other))
+        image, depth_map = capture.frame(camera.name, frame), store.read(stored.job.key, frame)
+        partner = (nearest, capture.frame(nearest.name, frame)) if nearest else None
+        instants.append(write_instant(folder, stem, frame, camera, image, depth_map, depth_range, filled_confidence, partner))
     first = stored.frames[0]
     images = [(partner, capture.frame(partner.name, first)) for partner in partners if partner.name in matches]
     rectified = write_pairs(folder, stem, camera, capture.frame(camera.name, first), images, matches)
@@ -242,11 +249,11 @@ def find_notes(record: DepthRecord) -> list[str]:
     unmeasured = [f"{pair.camera}-{pair.partner}" for pair in record.pairs if not pair.matches and not pair.obstacle]
     if unmeasured:
         notes.append(
-            f"Of {_listed(unmeasured)} too few features match to say whether the two are calibrated well: they look from too "
+            f"Of {', '.join(unmeasured)} too few features match to say whether the two are calibrated well: they look from too "
             "different places, or see little texture."
         )
     if record.unmatched:
-        notes.append(f"No camera is matched with {_listed(record.unmatched)}.")
+        notes.append(f"No camera is matched with {', '.join(record.unmatched)}.")
     return notes
 
 
@@ -254,7 +261,7 @@ def _about_pairs(pairs: Sequence[PairErrors]) -> Iterator[str]:
     measured = [pair for pair in pairs if pair.matches]
     off = sorted((pair for pair in measured if pair.row_px > MOST_ROW_PX), key=lambda pair: -pair.row_px)
     if off:
-        listed = _listed([f"{pair.camera}-{pair.partner} {pair.row_px:.1f} px" for pair in off])
+        listed = ", ".join(f"{pair.camera}-{pair.partner} {pair.row_px:.1f} px" for pair in off)
         yield (
             f"Matched points are off their common row by more than {MOST_ROW_PX:g} px (median) in {len(off)} of {len(measured)} "
             f"pairs: {listed}. A camera in each is calibrated wrongly or did not film at the same instant; ggvs-eval check shows "
@@ -262,7 +269,7 @@ def _about_pairs(pairs: Sequence[PairErrors]) -> Iterator[str]:
         )
     outside = sorted((pair for pair in measured if pair.outside > MOST_OUTSIDE), key=lambda pair: -pair.outside)
     if outside:
-        listed = _listed([f"{pair.camera}-{pair.partner} {pair.outside:.0%}" for pair in outside])
+        listed = ", ".join(f"{pair.camera}-{pair.partner} {pair.outside:.0%}" for pair in outside)
         yield (
             f"Matched points have disparities that are not looked for in {len(outside)} of {len(measured)} pairs: {listed}. The "
             "depth range of the capture is too narrow, or these cameras are calibrated wrongly."
@@ -305,7 +312,3 @@ def _about_outliers(record: DepthRecord) -> Iterator[str]:
                 f"{camera.name}: made again from {camera.pictures.again_from} through its depth, its image differs by "
                 f"{error:.1f} of 255 levels, usual here are {usual:.1f}. Its depth is wrong, or one of the two looks different."
             )
-
-
-def _listed(names: list[str] | tuple[str, ...]) -> str:
-    return ", ".join(names)
