@@ -267,7 +267,6 @@ _OF_IMAGES = {
 }
 REGIONS = ("static", "moving", "disoccluded")
 IN_PARTS = (*_OF_IMAGES, "TCC")  # that have a form for a part of the image
-ON_SCREEN = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")  # that are also measured on the displayed frames
 VIEW_METRICS: dict[str, str | Derived] = {
     **_OF_IMAGES,
     **{
@@ -285,7 +284,6 @@ VIEW_METRICS: dict[str, str | Derived] = {
     "VMAF_v0": f"{_MORE}.vmaf:VMAF_V0",
     "VMAF_v1": f"{_MORE}.vmaf:VMAF_V1",
     "CVVDP": f"{_MORE}.colour_video_vdp:CVVDP",
-    **{f"{name}_stream": Derived(name, f"{_TIME}.on_screen:metric_on_screen") for name in ON_SCREEN},
     "mTV": f"{_TIME}.temporal_variation:MTV",
     "Sharpness": f"{_IMAGE}.sharpness:SHARPNESS",
     "mTV2": f"{_TIME}.temporal_variation:MTV2",
@@ -418,7 +416,7 @@ SECTIONS: dict[str, str | Derived] = {
         "ggvs_eval.contrib.what_if.page:undo_faults", "ggvs_eval.reports.section:value_of_runs", ("undone_frames",)
     ),
     "viewer": f"{_PAGE}.viewer:viewer_section",
-    "stream": f"{_FIGURES}.stream:stream_section",
+    "stream": f"{_PAGE}.stream_section:stream_section",
     "worst frames": Derived(f"{_TABLES}.worst_frames:worst_frames_table", _OF_RUNS, ("views",)),
     "error budget": f"{_TABLES}.error_budget:error_section",
     "drift": Derived(f"{_TABLES}.drift:drift_table", _OF_RUNS, ("views",)),

@@ -15,14 +15,15 @@ from ggvs_eval.errors import ProtocolError, did_you_mean, no_such_path
 from ggvs_eval.files.images import ResizeFilter
 from ggvs_eval.files.toml_tables import build_table, key_of, parse_toml, read_toml
 from ggvs_eval.metric_choices import LATER, MetricChoices
+from ggvs_eval.plugins import say_once
 
 WayName = Literal["as-is", "mvsnerf", "enerf"]
-STREAMED = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")  # the usual metrics, and those that there are of the screen
+USUAL = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")
 OF_OWN_TRUTH = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "Flicker", "SDT")  # of renders that come with their reference
 AGREEING = {"PSNR": 0.05, "SSIM": 0.002, "LPIPS": 0.005}  # change by 8 bit and another implementation, at most
 COSTLIEST = "LPIPS"  # of the usual metrics; as much as all others
 MOST_DIFFERENCES = 4  # that a message lists
-ON_SCREEN = "_stream"  # suffix of a metric's name: measured on the displayed frames, see `Stream`
+OF_A_SCREEN = tuple(f"{name}_stream" for name in USUAL)  # metrics of earlier versions
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ class Measurement(MetricChoices):
         aggregation: order of the means.
     """
 
-    metrics: tuple[str, ...] = STREAMED
+    metrics: tuple[str, ...] = USUAL
     width: int = 0
     height: int = 0
     resize_filter: ResizeFilter = "area"
@@ -158,7 +159,7 @@ class StatedTime:
 
 @dataclass(frozen=True)
 class Stream:
-    """Conditions under which pictures reach a screen, for scores of what a viewer sees at every instant.
+    """Conditions under which pictures reach a screen, for rows of what a viewer sees at every instant.
 
     See `ggvs_eval.metrics.time.on_screen`. A method's clock is the median time of each of its stages as the run has recorded it,
     or what is stated here.
@@ -193,7 +194,7 @@ class Protocol:
     Attributes:
         name: name of the protocol.
         dataset: name of the data set in tables; published values are shown next to runs of the same name only.
-        stream: how pictures reach a screen, for metrics such as ``PSNR_stream``; None if every picture is waited for.
+        stream: how pictures reach a screen, for rows of what a viewer sees; None if every picture is waited for.
     """
 
     name: str
@@ -234,15 +235,9 @@ class Protocol:
         return dataclasses.replace(self, frames=frames_kept, path=path)
 
     def streamed(self, stream: Stream) -> "Protocol":
-        """Return the protocol with these conditions, its metrics, and their variants for displayed frames.
-
-        The warm-up is at most half of the protocol's instants.
-        """
-        names = self.measurement.metrics
-        added = tuple(f"{name}{ON_SCREEN}" for name in STREAMED if name in names and f"{name}{ON_SCREEN}" not in names)
-        measurement = dataclasses.replace(self.measurement, metrics=names + added)
+        """Return the protocol with these conditions, unless it has its own; the warm-up is at most half of its instants."""
         fitting = dataclasses.replace(stream, warm_up=min(stream.warm_up, self.frames.count // 2))
-        return dataclasses.replace(self, measurement=measurement, stream=self.stream or fitting)
+        return dataclasses.replace(self, stream=self.stream or fitting)
 
     @property
     def sha256(self) -> str:
@@ -309,7 +304,17 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
         values = parse_toml(text, str(source), ProtocolError)
     values = {"name": path.stem, **values}
     values = {"dataset": values["name"], **values}
-    return checked_protocol(build_table(Protocol, values, str(source), "", ProtocolError), str(source))
+    protocol = build_table(Protocol, values, str(source), "", ProtocolError)
+    return checked_protocol(_without_screens(protocol, str(source)), str(source))
+
+
+def _without_screens(protocol: Protocol, file: str) -> Protocol:
+    """Return a protocol of an earlier version without its metrics of displayed frames, and say where these are now."""
+    metrics = protocol.measurement.metrics
+    if gone := [name for name in metrics if name in OF_A_SCREEN]:
+        say_once(f"{file}: without {', '.join(gone)}; what a viewer sees of METHOD is the row METHOD@screen, in every metric")
+    kept = tuple(name for name in metrics if name not in OF_A_SCREEN)
+    return dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, metrics=kept))
 
 
 def name_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
@@ -345,7 +350,6 @@ def packaged_protocols() -> list[str]:
 def checked_protocol(protocol: Protocol, file: str) -> Protocol:
     """Refuse values of the right type that make no sense, naming the rule and the file."""
     synthesis, measurement, stream = protocol.synthesis, protocol.measurement, protocol.stream
-    streamed = [name for name in measurement.metrics if name.endswith(ON_SCREEN)]
     times_ms = [] if stream is None else [stream.depth_ms or 0.0, *(ms for each in stream.stated for ms in each.ms)]
     labels = [] if stream is None else [each.method for each in stream.stated]
     views, folded = protocol.views.test, [view for fold in protocol.views.folds for view in fold]
@@ -362,7 +366,6 @@ def checked_protocol(protocol: Protocol, file: str) -> Protocol:
         "measurement.metrics must name at least one metric": measurement.metrics,
         "measurement.ddof must be 0 or 1": measurement.ddof in (0, 1),
         "measurement.lpips_every must be at least 1": measurement.lpips_every >= 1,
-        f"{', '.join(streamed)} of measurement.metrics need a table [stream] with its fps": not streamed or stream is not None,
         "stream.fps and stream.deadline_ms must be positive": stream is None or (stream.fps > 0 and stream.deadline_ms > 0),
         "stream.warm_up must leave an instant": stream is None or 0 <= stream.warm_up < (protocol.frames.count or sys.maxsize),
         "stream.depth_ms and stream.stated must have no negative time": min(times_ms, default=0.0) >= 0,

@@ -9,6 +9,7 @@
     RUN/fused/<frame>/points.ply  mesh.ply       one instant as a point cloud and a mesh, where asked for
     RUN/renders/<method>/<view>/<frame>.png      synthesised frames, and job.json: identity, versions, seconds per stage
     RUN/renders/<method>/<view>/inside/<map>/    depth, weights, coverage, motion of those frames, of methods with diagnostics
+    RUN/renders/<method>@screen/<view>/          links to the frame that a viewer sees at each instant, where asked for
     RUN/path/truth/<pose>.png                    a camera path at one instant: truth if there is one, poses in path.json
     RUN/path/<method>/<pose>.png                 the same path synthesised, for epipolar plane images
     RUN/path_depth/<pose>.npy                    depth along the path, the same for all methods
@@ -34,6 +35,8 @@ from ggvs_eval.protocol import Protocol, load_protocol
 JOB_FILE = "job.json"
 REFUSED = "refused"  # in the record of a render or a fit: why the method cannot show those views
 DIAGNOSTICS = "inside"  # folder of diagnostic images, next to a method's frames
+ON_SCREEN = "@screen"  # ends the label of a row that is no method: what a viewer sees of one
+SCREEN_TITLE = ", on the screen"  # ends its title
 
 
 @dataclass(frozen=True)
@@ -157,7 +160,8 @@ class RunFolder:
     def labels(self) -> list[str]:
         """Return the methods that have renders here, in the order in which `ggvs-eval render` was asked for them."""
         folder = self.root / "renders"
-        content = sorted(item.name for item in folder.iterdir() if not item.name.startswith(".")) if folder.is_dir() else []
+        names = sorted(item.name for item in folder.iterdir()) if folder.is_dir() else []
+        content = [name for name in names if not name.startswith(".") and not name.endswith(ON_SCREEN)]
         order_file = self.root / "methods.json"
         order = read_json(order_file)["labels"] if order_file.is_file() else []
         return [label for label in order if label in content] + [label for label in content if label not in order]

@@ -64,22 +64,6 @@ class ScoreRequest:
 
 
 @dataclass(frozen=True)
-class Displayed:
-    """Frames on a viewer's screen at each instant of a clip, which counts from 0.
-
-    Attributes:
-        frames: number of the picture at each instant; None while there is none yet.
-        first: first instant that is scored; None if there is none.
-    """
-
-    frames: tuple[int | None, ...]
-    first: int | None
-
-
-NONE_DISPLAYED: Mapping[str, Displayed | str] = {}
-
-
-@dataclass(frozen=True)
 class ScorePart:
     """Something that is scored besides the frames of test views: a camera path, noise ceilings, a viewer's screen.
 
@@ -88,14 +72,14 @@ class ScorePart:
         rows: label -> values, and metric -> why there are none, once the jobs are done; None if it has no rows.
         references: rows of the report that belong to no method, once the jobs are done.
         write: writes further records into the run folder.
-        displayed: label -> what a viewer sees of its frames, or why nothing.
+        partial: label of a row that it adds to the methods -> view -> its frames, which are there as a method's are.
     """
 
     jobs: tuple[Job, ...] = ()
     rows: Callable[[str], tuple[list[Row], dict[str, str]]] | None = None
     references: Callable[[], list[dict[str, Any]]] = list
     write: Callable[[], None] = lambda: None
-    displayed: Mapping[str, Displayed | str] = field(default_factory=lambda: NONE_DISPLAYED)
+    partial: Mapping[str, Mapping[str, Sequence[int]]] = field(default_factory=dict)
 
 
 QUESTIONS: Registry[Question] = Registry("questions", built_in.QUESTIONS)

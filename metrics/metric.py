@@ -247,22 +247,6 @@ class ViewMetric(Metric):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScreenMetric(Metric):
-    """A metric of frames, of the displayed frames at each instant.
-
-    Attributes:
-        of: the metric.
-    """
-
-    of: ViewMetric
-
-    @property
-    def modules(self) -> tuple[str, ...]:
-        """See `Metric.modules`."""
-        return (*self.of.modules, *super().modules)
-
-
-@dataclass(frozen=True, kw_only=True)
 class TableMetric(Metric):
     """A metric that comes from another metric's values of all frames, or of all views and frames, and sees no image.
 

@@ -18,7 +18,6 @@ from ggvs_eval.metrics.metric import (
     Row,
     Scorer,
     ScorerFactory,
-    ScreenMetric,
     TableMetric,
     TruthFrame,
     Value,
@@ -125,11 +124,6 @@ def scored_by_view(names: Iterable[str]) -> tuple[ViewMetric, ...]:
     view_names = {metric.part if isinstance(metric, TableMetric) else metric.name for metric in asked}
     chosen = (METRICS[name] for name in METRICS.known() if name in view_names)
     return tuple(metric for metric in chosen if isinstance(metric, ViewMetric))
-
-
-def scored_on_screen(names: Iterable[str]) -> tuple[ScreenMetric, ...]:
-    """Select the metrics of the displayed frames."""
-    return tuple(metric for metric in select_metrics(names) if isinstance(metric, ScreenMetric))
 
 
 def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_map: ColourMap | None) -> list[Scorer]:

@@ -12,15 +12,13 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.contrib.study.clips import Clip, Take
 from ggvs_eval.contrib.study.ladders import LADDERS, OF_FRAMES, Ladder
 from ggvs_eval.contrib.study.rendered_ladders import EXCHANGES, sources_at
-from ggvs_eval.errors import MetricError
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.image.regions import REGION
 from ggvs_eval.metrics.metric import Metric, MetricOptions, TableMetric, Value, ViewMetric
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose, RenderedPath
 from ggvs_eval.metrics.path_scores import score_path
-from ggvs_eval.metrics.registry import METRICS, derived_rows, scored_by_view, scored_on_screen, select_metrics
+from ggvs_eval.metrics.registry import METRICS, derived_rows, scored_by_view, select_metrics
 from ggvs_eval.metrics.stream import fit_colour_maps, score_view
-from ggvs_eval.metrics.time.on_screen import STREAM
 from ggvs_eval.pipelines.run.score_code import metric_code
 from ggvs_eval.pipelines.run.score_path import PATH_SCORES
 from ggvs_eval.pipelines.run.score_view import fresh_metrics
@@ -55,13 +53,9 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
     """
     named = [name for name in dict.fromkeys(names) if name != ALL]
     select_metrics(named)
-    if screened := [metric.name for metric in scored_on_screen(named)]:
-        raise MetricError(
-            f"{', '.join(screened)}: wanted metrics without display times, got metrics of displayed frames; name others"
-        )
     if named and ALL not in names:
         return tuple(named)
-    whole = [name for name, metric in METRICS.built_in().items() if metric.group not in (REGION, STREAM)]
+    whole = [name for name, metric in METRICS.built_in().items() if metric.group != REGION]
     return tuple(dict.fromkeys([*(name for name in whole if ALL in names or name not in COSTLY), *named]))
 
 

@@ -75,6 +75,15 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def link_file(source: Path, target: Path) -> None:
+    """Make a file known by another name too; a copy where the file system has no such thing."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source.resolve(), target)
+    except OSError:
+        shutil.copy2(source, target)
+
+
 @contextmanager
 def scratch_folder(beside: Path) -> Iterator[Path]:
     """Give an empty folder next to a path; it is removed when the block ends.

@@ -1,24 +1,21 @@
-"""Pictures on the screen: what a viewer sees at every instant while a method takes its time, and metrics of that sequence.
+"""Pictures on the screen: what a viewer sees at every instant while a method takes its time.
 
-Methods are evaluated as if every picture were waited for. A viewer sees, at instant t, the newest picture that was ready by then,
-and compares it with the world as it is at t. For detection this is streaming perception (Li, Wang, Ramanan: Towards Streaming
-Perception, ECCV 2020); here it is measured of synthesised views. The sequence on the screen is a re-indexing of the renders, so
-that the metrics themselves are those of every other table.
+Methods are evaluated as if every picture were waited for. A viewer sees, at instant t, the newest
+picture that was ready by then, and compares it with the world as it is at t. For detection this is
+streaming perception (Li, Wang, Ramanan: Towards Streaming Perception, ECCV 2020); here it is
+measured of synthesised views. The sequence on the screen is a re-indexing of the renders, so that it
+is a row of its own, with the metrics of every other row.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ggvs_eval.metrics.metric import Group, MetricOptions, ScreenMetric, ViewMetric
-from ggvs_eval.protocol import ON_SCREEN, Stream
-from ggvs_eval.statistics.pooling import Pooling
+from ggvs_eval.protocol import Stream
 
-STREAM = Group("stream", "Displayed frames during live capture")
 TIE = 1e-6  # frames: what is ready that much after an instant was ready at it, and sums of rounded times make no difference
 
 
@@ -101,27 +98,3 @@ def on_screen(stages_s: Sequence[float], count: int, stream: Stream) -> Screen:
     waits = {number: time - number for time, number in ready}
     latencies = tuple(waits[number] / stream.fps for number in sorted({each for each in shown if each is not None}))
     return Screen(tuple(shown), latencies, stream.fps / busy if busy else math.inf, stream.warm_up)
-
-
-def metric_on_screen(metric: ViewMetric) -> ScreenMetric:
-    """Return the metric of the displayed frames, ``PSNR_stream`` and so on."""
-    return ScreenMetric(
-        name=f"{metric.name}{ON_SCREEN}",
-        kind=metric.kind,
-        function=metric.function,
-        unit=metric.unit,
-        higher_is_better=metric.higher_is_better,
-        group=STREAM,
-        decimals=metric.decimals,
-        pooling=partial(_pooling, metric),
-        describe=f"{metric.name} of the displayed frame at each instant: the newest finished one",
-        note=metric.note,
-        reference="after Li et al. 2020 (streaming perception)",
-        of=metric,
-    )
-
-
-def _pooling(metric: ViewMetric, options: MetricOptions) -> Pooling:
-    """As of the metric, from parts under other names."""
-    pooling = metric.pooling(options)
-    return replace(pooling, parts=tuple(f"{part}{ON_SCREEN}" for part in pooling.parts))

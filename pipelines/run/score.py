@@ -6,7 +6,7 @@ Each view is one job for all methods, because what the truth alone decides is th
 
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ggvs_eval.coverage import Coverage, read_coverage
@@ -26,7 +26,7 @@ from ggvs_eval.progress import counted, duration
 from ggvs_eval.protocol import COSTLIEST, Protocol
 from ggvs_eval.renders.request import read_header
 from ggvs_eval.results import Absence, Fault, Results, describe_machine, installed_versions, make_table, split_label
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
+from ggvs_eval.run_folder import JOB_FILE, ON_SCREEN, SCREEN_TITLE, RunFolder, frame_path, read_json, write_json
 from ggvs_eval.scoring import QUESTIONS, SCORE_PARTS, ScoredMethod, ScorePart, ScoreRequest
 
 GIVEN = "weights that were given"
@@ -34,19 +34,21 @@ GIVEN = "weights that were given"
 
 def write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> None:
     """Write titles of methods, what differs between them by design, and notes on metrics."""
-    specs = {label: spec for label in labels if (spec := known_method(label))}
+    rendered = {label: label.removesuffix(ON_SCREEN) for label in labels}
+    specs = {label: spec for label, method in rendered.items() if (spec := known_method(method))}
     given = [
         label
         for label, spec in specs.items()
-        if isinstance(spec, OnlineMethod) and _has_given_weights(run, protocol, label, spec)
+        if isinstance(spec, OnlineMethod) and _has_given_weights(run, protocol, rendered[label], spec)
     ]
-    titles = {label: specs[label].title if label in specs else label for label in labels}
+    titles = {label: specs[label].title if label in specs else method for label, method in rendered.items()}
     titles |= {label: spec.title_from for label in given if isinstance(spec := specs[label], OnlineMethod) and spec.title_from}
+    titles = {label: title if label == rendered[label] else f"{title}{SCREEN_TITLE}" for label, title in titles.items()}
     looks = [label for label in specs if not specs[label].online]
     write_json(
         run.root / "methods.json",
         {
-            "labels": list(labels),
+            "labels": list(dict.fromkeys(rendered.values())),
             "names": titles,
             "ours": [label for label in specs if specs[label].ours],
             "from_sources": [label for label in specs if isinstance(specs[label], OnlineMethod)],
@@ -76,6 +78,7 @@ class Scores:
     """Scores of a run: jobs, made once, and their values when they are done.
 
     Attributes:
+        labels: of the methods, and of the rows that parts add.
         views: a job per test view, for all methods.
         parts: what is scored besides, see `ScorePart`.
         device: where metrics compute that can.
@@ -175,16 +178,17 @@ def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | 
     coverage.require(run, views, labels)
     request = ScoreRequest(run=run, protocol=protocol, coverage=coverage, labels=labels, views=views, units=units)
     parts = tuple(plan_part(request) for plan_part in SCORE_PARTS.installed().values())
-    displayed = {label: screen for part in parts for label, screen in part.displayed.items()}
-    jobs = (view_job(run, protocol, coverage, labels, view, device, displayed) for view in views)
-    return Scores(run=run, labels=tuple(labels), coverage=coverage, views=tuple(jobs), parts=parts, device=device)
+    rows = {label: frames for part in parts for label, frames in part.partial.items()}
+    coverage, labels = replace(coverage, partial={**coverage.partial, **rows}), (*labels, *rows)
+    jobs = tuple(view_job(run, protocol, coverage, labels, view, device) for view in views)
+    return Scores(run=run, labels=labels, coverage=coverage, views=jobs, parts=parts, device=device)
 
 
 def _collect(scores: Scores) -> Results:
     """Return one tidy table of all jobs, with the metrics that are made of the values of several, such as SDV."""
     run, coverage, labels = scores.run, scores.coverage, scores.labels
     protocol, capture = run.protocol(), run.capture_record()
-    questions = QUESTIONS.installed().values()
+    questions = [*QUESTIONS.installed().values()]
     records = {view: read_json(run.scores(view) / JOB_FILE)["methods"] for view in protocol.views.test}
     rows: list[tuple[Any, ...]] = []
     absences: list[Absence] = []
@@ -209,13 +213,14 @@ def _collect(scores: Scores) -> Results:
             lacking = methods[label]["not_computed"]
             absences += [Absence(name, label, capture["scene"], view, reason) for name, reason in lacking.items()]
         method = ScoredMethod(run=run, protocol=protocol, label=label, values=values)
-        for question in questions:
+        is_method = not label.endswith(ON_SCREEN)
+        for question in questions if is_method else ():
             findings = question.of_method(method, findings)
         scene = capture["scene"]
         faults += [_fault(label, scene, finding) for of_view in findings.values() for finding in of_view]
         own += _derived(protocol, values, reasons)
         for part in scores.parts:
-            if part.rows is not None:
+            if part.rows is not None and is_method:
                 part_rows, part_reasons = part.rows(label)
                 own += part_rows
                 reasons |= part_reasons

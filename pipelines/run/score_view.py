@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, fields, replace
 from functools import partial
@@ -18,15 +18,15 @@ from ggvs_eval.kernels import _core
 from ggvs_eval.measured_frames import measured_frame, measured_mask, measuring_way
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metric_choices import MetricChoices
-from ggvs_eval.metrics.metric import MetricOptions, ScreenMetric, ViewMetric
-from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen, select_metrics
+from ggvs_eval.metrics.metric import MetricOptions, ViewMetric
+from ggvs_eval.metrics.registry import METRICS, scored_by_view, select_metrics
 from ggvs_eval.pipelines.run.score_code import checks_code, metric_code
-from ggvs_eval.protocol import ON_SCREEN, Measurement, Protocol
+from ggvs_eval.protocol import Measurement, Protocol
 from ggvs_eval.results import installed_versions
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json
-from ggvs_eval.scoring import NONE_DISPLAYED, QUESTIONS, Displayed
+from ggvs_eval.run_folder import JOB_FILE, ON_SCREEN, RunFolder, frame_path, missing_frames, read_json
+from ggvs_eval.scoring import QUESTIONS
 
-Shown = Callable[[int], Path]  # instant -> file of the picture that is measured at it
+UNSEEN = "none of its frames is one that this metric looks at (lpips_every)"
 
 
 def view_job(
@@ -36,12 +36,10 @@ def view_job(
     labels: Sequence[str],
     view: str,
     device: str = "cpu",
-    displayed: Mapping[str, Displayed | str] = NONE_DISPLAYED,
 ) -> Job:
-    """Return the job of one view; in it all values of a method are stale when a frame changes, and one metric when its code does.
+    """Return the job of one view.
 
-    Args:
-        displayed: label -> what is on the screen, or why nothing is; a value is stale when that changes, not when a time does.
+    In it all values of a method are stale when a frame changes, and one metric when its code does.
     """
     options = metric_options(protocol.measurement, device)
     measurement = protocol.measurement
@@ -58,10 +56,9 @@ def view_job(
         label: common
         | {"rendered": digest_frames(run.renders(label, view), coverage.frames(label, view))}
         | coverage.identity(label, view)
-        | {"metrics": common["metrics"] | _on_screen_identity(measurement, options, displayed.get(label, ""))}
         for label in stretches
     }
-    work = partial(_score_view, run, view, tuple(labels), identities, stretches, displayed, protocol, options)
+    work = partial(_score_view, run, view, tuple(labels), identities, stretches, protocol, options)
     return Job(f"scores of {view}", run.scores(view), identities, work, renews=True)
 
 
@@ -70,13 +67,6 @@ def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, An
     weights = {} if metric.weights is None else {"weights": metric.weights(options).is_file()}
     elsewhere = {"device": options.device} if metric.on_device and options.device != "cpu" else {}
     return {"code": metric_code(metric)} | weights | elsewhere
-
-
-def _on_screen_identity(measurement: Measurement, options: MetricOptions, screen: Displayed | str) -> dict[str, Any]:
-    """Return the same of the metrics of the screen, which also depend on the displayed frames."""
-    seen = {"absent": screen} if isinstance(screen, str) else {"shown": list(screen.frames), "first": screen.first}
-    metrics = scored_on_screen(measurement.metrics)
-    return {metric.name: _metric_identity(metric.of, options) | {"code": metric_code(metric)} | seen for metric in metrics}
 
 
 def digest_frames(folder: Path, frames: Sequence[int]) -> str:
@@ -96,12 +86,15 @@ def _score_view(
     asked: Sequence[str],
     identities: dict[str, Any],
     stretches: dict[str, tuple[range, ...]],
-    displayed: Mapping[str, Displayed | str],
     protocol: Protocol,
     options: MetricOptions,
     _folder: Path,
 ) -> dict[str, Any]:
-    """Measure stale metrics, methods with the same frames and stale metrics side by side; all other values stay."""
+    """Measure stale metrics, methods with the same frames and stale metrics side by side; all other values stay.
+
+    Reading:
+        Of what is on a screen no question is asked: that pictures are late and repeated is what its row measures.
+    """
     _core.forget_idle()  # of what was rendered in this process: at 1352 x 1014 two thirds of a gigabyte
     record_file = run.scores(view) / JOB_FILE
     before = read_json(record_file) if record_file.is_file() else {"methods": {}}
@@ -116,18 +109,13 @@ def _score_view(
         methods[label]["versions"] = join_versions([record.get("versions", {})] if fresh else [])
         is_checked = "faults" in record and {**record["identity"], "metrics": {}} == {**identity, "metrics": {}}
         methods[label]["faults"] = record["faults"] if is_checked else []
-        unchecked += [] if is_checked else [label]
-        stale = [name for name in identity["metrics"] if name not in fresh]
-        if waited_for := tuple(name for name in stale if not isinstance(METRICS[name], ScreenMetric)):
-            alike[stretches[label], waited_for].append(label)
-        if streamed := [name for name in stale if isinstance(METRICS[name], ScreenMetric)]:
-            with _computing(options.device):
-                seen = _score_screen(run, view, label, displayed[label], streamed, protocol, options)
-            methods[label] |= _replaced(methods[label], seen)
+        unchecked += [] if is_checked or label.endswith(ON_SCREEN) else [label]
+        if stale := tuple(name for name in identity["metrics"] if name not in fresh):
+            alike[stretches[label], stale].append(label)
     for (there, metrics), labels in alike.items():
-        shown = [partial(frame_path, run.renders(label, view)) for label in labels]
+        folders = [run.renders(label, view) for label in labels]
         with _computing(options.device):
-            scores = _score_methods(run, view, shown, there, metrics, protocol, options)
+            scores = _score_methods(run, view, folders, there, metrics, protocol, options)
         for label, measured in zip(labels, scores, strict=True):
             methods[label] |= _replaced(methods[label], measured)
     truth, numbers = frame_reader(run.truth(view)), protocol.frames.numbers
@@ -183,7 +171,7 @@ def _values_of(metrics: Collection[str], record: Mapping[str, Any], options: Met
 def _score_methods(
     run: RunFolder,
     view: str,
-    shown: Sequence[Shown],
+    folders: Sequence[Path],
     stretches: tuple[range, ...],
     metrics: Sequence[str],
     protocol: Protocol,
@@ -196,13 +184,13 @@ def _score_methods(
     """
     from ggvs_eval.metrics.stream import fit_colour_maps, score_views
 
-    measurement, truth = protocol.measurement, partial(frame_path, run.truth(view))
-    records: list[dict[str, Any]] = [{"values": [], "not_computed": {}} for _ in shown]
+    measurement, truth = protocol.measurement, run.truth(view)
+    records: list[dict[str, Any]] = [{"values": [], "not_computed": {}} for _ in folders]
     maps, corrected = None, any(metric.corrects_colours for metric in scored_by_view(metrics))
     if options.colour_scope == "view" and corrected:
-        maps = fit_colour_maps(one for frames in stretches for one in _instants(shown, truth, frames, measurement))
+        maps = fit_colour_maps(one for frames in stretches for one in _instants(folders, truth, frames, measurement))
     for frames in stretches:
-        instants = _instants(shown, truth, frames, measurement)
+        instants = _instants(folders, truth, frames, measurement)
         masks = _disoccluded(run.disoccluded(view), frames, measurement)
         placed = replace(options, first_frame=frames.start - protocol.frames.start)
         scored = score_views(instants, metrics, placed, colour_maps=maps, disoccluded=masks)
@@ -212,42 +200,9 @@ def _score_methods(
             record["not_computed"] |= scores.not_computed
     for record in records:  # what one stretch lacks another may have
         measured = {value[0] for value in record["values"]}
-        record["not_computed"] = {name: why for name, why in record["not_computed"].items() if name not in measured}
+        reasons = dict.fromkeys(metrics if len(stretches) == 1 else (), UNSEEN) | record["not_computed"]
+        record["not_computed"] = {name: why for name, why in reasons.items() if name not in measured}
     return records
-
-
-def _score_screen(
-    run: RunFolder,
-    view: str,
-    label: str,
-    screen: Displayed | str,
-    metrics: Sequence[str],
-    protocol: Protocol,
-    options: MetricOptions,
-) -> dict[str, Any]:
-    """Return the metrics of the displayed frames, from the first instant on that is scored."""
-    if isinstance(screen, str):
-        return {"values": [], "not_computed": dict.fromkeys(metrics, screen)}
-    start, folder = protocol.frames.start, run.renders(label, view)
-    first = screen.first
-    assert first is not None
-
-    def shown(instant: int) -> Path:
-        frame = screen.frames[instant - start]
-        assert frame is not None
-        return frame_path(folder, start + frame)
-
-    lit = range(start + first, protocol.frames.numbers.stop)
-    plain = [name.removesuffix(ON_SCREEN) for name in metrics]
-    (record,) = _score_methods(run, view, [shown], (lit,), plain, protocol, options)
-    measured = {name for name, _, _ in record["values"]}
-    reasons = {
-        name: f"no instant from {lit[0]} on is one that it looks at (lpips_every)" for name in plain if name not in measured
-    }
-    return {
-        "values": [(f"{name}{ON_SCREEN}", frame, value) for name, frame, value in record["values"]],
-        "not_computed": {f"{name}{ON_SCREEN}": why for name, why in (reasons | record["not_computed"]).items()},
-    }
 
 
 def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptions:
@@ -260,7 +215,7 @@ def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptio
 
 def truth_frames(run: RunFolder, view: str, frames: range, measurement: Measurement) -> Iterator[Image8]:
     """Yield the captured frames of a view at the size at which they are measured."""
-    for _, truth in _instants((), partial(frame_path, run.truth(view)), frames, measurement):
+    for _, truth in _instants((), run.truth(view), frames, measurement):
         yield truth
 
 
@@ -272,11 +227,11 @@ def _disoccluded(folder: Path, frames: range, measurement: Measurement) -> Itera
 
 
 def _instants(
-    shown: Sequence[Shown], truth: Shown, frames: range, measurement: Measurement
+    folders: Sequence[Path], truth: Path, frames: range, measurement: Measurement
 ) -> Iterator[tuple[list[Image8], Image8]]:
     """Yield every method's frame and the true one of each instant, at the size at which they are measured."""
     for index in frames:
-        paths = [picture(index) for picture in (*shown, truth)]
+        paths = [frame_path(folder, index) for folder in (*folders, truth)]
         images = [read_image(path) for path in paths]
         for path, image in zip(paths, images, strict=True):
             if image.shape != images[-1].shape:

@@ -1,68 +1,87 @@
-"""Screens of a run: what each method shows at each instant, from the times that its pictures took; ``stream.json`` for tables."""
+"""Screens of a run: what each method shows at each instant, from the times that its pictures took, as a row of its own.
 
+``stream.json`` has the times and counts for tables.
+"""
+
+import shutil
 from collections.abc import Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ggvs_eval.coverage import Coverage
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.atomic import atomic_folder, link_file
 from ggvs_eval.metrics.time.on_screen import Screen, on_screen
 from ggvs_eval.pipelines.methods.registry import known_method
 from ggvs_eval.protocol import Protocol, Stream
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
-from ggvs_eval.scoring import Displayed, ScorePart, ScoreRequest
+from ggvs_eval.run_folder import JOB_FILE, ON_SCREEN, RunFolder, frame_path, read_json, write_json
+from ggvs_eval.scoring import ScorePart, ScoreRequest
 
 DEPTH, FIT, STATED = "depth", "fit", "stated"  # stages besides those of the method
+PARTIAL = "partial renders: some frames are missing"
 UNTIMED = "unknown render time; state it in the protocol: [[stream.stated]] method, ms"
 WHOLE_CLIP = "offline: it needs the whole clip before its first frame, which is not live"
 Clock = dict[str, float]  # stage -> seconds of a picture
 
 
 def plan_screens(request: ScoreRequest) -> ScorePart:
-    """Find what a viewer sees of each method; nothing if the protocol has no stream."""
-    clocks = read_clocks(request.run, request.protocol, request.coverage, request.labels)
-    displayed = {
-        label: screen if isinstance(screen, str) else Displayed(screen.shown, screen.first)
-        for label, screen in screens_of(request.protocol, clocks).items()
-    }
-    write = partial(write_screens, request.run, request.protocol, clocks)
-    return ScorePart(write=write, displayed=displayed)
+    """Make a row of what a viewer sees of each method; nothing if the protocol has no stream.
 
+    The record of the stream has label -> stages, counts and latency, or the reason why a method is not on the screen.
 
-def read_clocks(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str]) -> dict[str, Clock | str]:
-    """Time that each method takes for a picture, or why it is not on the screen; nothing if the protocol has no stream."""
+    Reading:
+        A row has frames from its first picture on. It has no mark of partial renders, with which no method that takes time would
+        be ranked: rows are ranked among each other where they are of the same instants. A shard lacks the times of the other
+        views and has no such rows.
+    """
+    run, protocol, coverage = request.run, request.protocol, request.coverage
     stream = protocol.stream
     if stream is None:
-        return {}
-    partial = dict.fromkeys(coverage.partial, "partial renders: some frames are missing")
-    return {label: partial.get(label) or _clock(run, stream, protocol.views.test, label) for label in labels}
-
-
-def screens_of(protocol: Protocol, clocks: Mapping[str, Clock | str]) -> dict[str, Screen | str]:
-    """Return the displayed frames by these clocks, or why nothing does."""
-    return {label: clock if isinstance(clock, str) else _screen(protocol, clock) for label, clock in clocks.items()}
-
-
-def write_screens(run: RunFolder, protocol: Protocol, clocks: Mapping[str, Clock | str]) -> None:
-    """Write ``stream.json``, which the report makes its table of: label -> stages, counts and latency, or the reason."""
-    if protocol.stream is None:
-        return
+        return ScorePart()
     records: dict[str, Any] = {}
-    for label, screen in screens_of(protocol, clocks).items():
-        clock = clocks[label]
-        stages = {} if isinstance(clock, str) else {"stages_ms": {stage: 1000 * each for stage, each in clock.items()}}
+    lit: dict[str, Mapping[str, range]] = {}
+    for label in request.labels:
+        clock = PARTIAL if label in coverage.partial else _clock(run, stream, protocol.views.test, label)
+        screen = clock if isinstance(clock, str) else _screen(protocol, stream, clock)
+        stages = {} if isinstance(clock, str) else {"stages_ms": {stage: 1000 * time for stage, time in clock.items()}}
         records[label] = stages | ({"absent": screen} if isinstance(screen, str) else screen.record())
-    write_json(run.stream_record, {"depth": _depth_note(run, protocol.stream), "methods": records})
+        row = f"{label}{ON_SCREEN}"
+        if request.units is not None:
+            continue
+        if isinstance(screen, str):
+            shutil.rmtree(run.renders(row, ""), ignore_errors=True)  # of times that were shorter
+        else:
+            lit[row] = dict.fromkeys(request.views, _link_displayed(run, protocol, label, screen))
+    record = {"depth": _depth_note(run, stream), "methods": records}
+    return ScorePart(write=partial(write_json, run.stream_record, record), partial=lit)
 
 
-def _screen(protocol: Protocol, clock: Clock) -> Screen | str:
-    assert protocol.stream is not None
-    screen = on_screen([*clock.values()], protocol.frames.count, protocol.stream)
+def _link_displayed(run: RunFolder, protocol: Protocol, label: str, screen: Screen) -> range:
+    """Link the displayed frame of each scored instant in the folder of the row, and return these instants."""
+    start, first = protocol.frames.start, screen.first
+    assert first is not None
+    links: dict[Path, Path] = {}
+    for view in protocol.views.test:
+        for instant, frame in enumerate(screen.shown[first:], start + first):
+            assert frame is not None
+            links[frame_path(Path(view), instant)] = frame_path(run.renders(label, view), start + frame)
+    folder = run.renders(f"{label}{ON_SCREEN}", "")
+    there = {file.relative_to(folder): file.stat().st_ino for file in folder.glob("*/*.png")}
+    if there != {name: file.stat().st_ino for name, file in links.items()}:
+        with atomic_folder(folder) as temporary:
+            for name, file in links.items():
+                link_file(file, temporary / name)
+            shutil.rmtree(folder, ignore_errors=True)
+    return range(start + first, protocol.frames.numbers.stop)
+
+
+def _screen(protocol: Protocol, stream: Stream, clock: Clock) -> Screen | str:
+    screen = on_screen([*clock.values()], protocol.frames.count, stream)
     if screen.first is not None:
         return screen
-    stream, seconds = protocol.stream, sum(clock.values())
+    seconds = sum(clock.values())
     if stream.policy == "deadline" and seconds > stream.deadline_ms / 1000:
         return f"no frame in time: one takes {seconds:.3g} s, the deadline is {stream.deadline_ms:g} ms"
     return f"no frame within the clip: one takes {seconds:.3g} s, the clip {protocol.frames.count / stream.fps:.3g} s"

@@ -22,7 +22,7 @@ from ggvs_eval.pipelines.run.run_plan import RunPlan, plan_run
 from ggvs_eval.pipelines.run.score import Scores
 from ggvs_eval.pipelines.sweep.cells import Captures, Cell, shard_cells, sweep_cells
 from ggvs_eval.results import reduced_mark, split_label
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
+from ggvs_eval.run_folder import JOB_FILE, ON_SCREEN, SCREEN_TITLE, RunFolder, read_json
 from ggvs_eval.sweep import Sweep
 
 LINE_NAMES = ("capture", "variant", "method")  # of a line of the table, as far as it needs them
@@ -155,15 +155,19 @@ def _lines(cell: Cell, scores: Scores) -> pd.DataFrame:
     names = cell.run.shown_names
     marks = [(row.title, reduced_mark(names.get(row.label, ""))) for row in rows]
     titles = [title if mark in title else f"{title}{mark}" for title, mark in marks]
-    lines = pd.DataFrame([summary.loc[split_label(row.label)] for row in rows], index=titles)
-    lines["s/frame"] = [_seconds_per_frame(cell.run, row.label) for row in rows]
+    labels = [row.label for row in rows]
+    screens = [at for at, label in enumerate(labels) if f"{label}{ON_SCREEN}" in scores.labels]
+    titles += [f"{titles[at]}{SCREEN_TITLE}" for at in screens]
+    labels += [f"{labels[at]}{ON_SCREEN}" for at in screens]
+    lines = pd.DataFrame([summary.loc[split_label(label)] for label in labels], index=titles)
+    lines["s/frame"] = [_seconds_per_frame(cell.run, label) for label in labels]
     lines.index = pd.MultiIndex.from_product([[cell.folder], [cell.variant], lines.index], names=LINE_NAMES)
     return lines
 
 
 def _seconds_per_frame(run: RunFolder, label: str) -> float:
     """Return the median over all frames of all views; nothing is known of frames that others rendered."""
-    if read_import(run, label) is not None:
+    if label.endswith(ON_SCREEN) or read_import(run, label) is not None:
         return float("nan")
     records = [read_json(run.renders(label, view) / JOB_FILE)["seconds"] for view in run.protocol().views.test]
     seconds = [sum(stages) for record in records for stages in zip(*record.values(), strict=True)]

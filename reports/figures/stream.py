@@ -5,20 +5,18 @@ The drawing has the score of the displayed frames over pictures per second, and 
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.protocol import ON_SCREEN, Stream
+from ggvs_eval.protocol import Stream
 from ggvs_eval.reports.figures.axes import COLOURS, Panel, method_numbers, save_figure, with_margin
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Table, format_value, rank
-from ggvs_eval.reports.section import Draw, FigurePlaces, Report, SectionContent
 from ggvs_eval.results import label_of
-from ggvs_eval.run_folder import read_json
+from ggvs_eval.run_folder import ON_SCREEN, read_json
 
 DRAWN = ("PSNR", "LPIPS", "TCC")
 RATE_PANEL_IN = (3.4, 2.6)
@@ -33,7 +31,6 @@ SCREEN_COLUMNS = (
     Column("dropped", "frames", None, "Frames between displayed ones that were never displayed."),
     Column("nothing yet", "instants", None, "Instants at the beginning of the clip without a frame, which are not scored."),
 )
-SCORES_KEY = "stream"  # of the main table of scores of the displayed frames
 SCREEN_COUNTS = ("shown", "repeated", "dropped", "dark")
 
 
@@ -115,16 +112,16 @@ def _marks(run: MeasuredRun, metric: str, several: bool) -> list[tuple[str, Mark
     """Return the methods of a run that have a rate and both numbers."""
     file = run.folder.stream_record
     records = read_json(file)["methods"] if file.is_file() else {}
-    summary = run.results.summary().droplevel("dataset")
+    summary = (run.all_results or run.results).summary().droplevel("dataset")
     values = {label_of(*names): summary.loc[names] for names in summary.index}
     at_k = f", K = {run.protocol.synthesis.k}" if several else ""
-    found = []
+    marks = []
     for label in run.labels:
-        per_second, of_label = records.get(label, {}).get("per_second"), values.get(label, {})
-        seen, waited = (float(of_label.get(name, math.nan)) for name in (f"{metric}{ON_SCREEN}", metric))
+        per_second = records.get(label, {}).get("per_second")
+        seen, waited = (float(values.get(row, {}).get(metric, math.nan)) for row in (f"{label}{ON_SCREEN}", label))
         if per_second and math.isfinite(seen) and math.isfinite(waited):
-            found.append((label, Mark(f"{run.name(label)}{at_k}", per_second, seen, waited)))
-    return found
+            marks.append((label, Mark(f"{run.name(label)}{at_k}", per_second, seen, waited)))
+    return marks
 
 
 def draw_rates(panels: Sequence[RatePanel], out: Path, numbers: Mapping[str, int] | None = None) -> Path:
@@ -196,26 +193,4 @@ def _screen_cells(record: dict[str, Any], stream: Stream) -> tuple[Cell, ...]:
         Cell(f"{latency:.0f}", latency, beside=f"({late:.0f})"),
         Cell(f"{latency * in_frames:.1f}", latency * in_frames, beside=f"({late * in_frames:.1f})"),
         *(Cell(str(record[name]), float(record[name])) for name in SCREEN_COUNTS),
-    )
-
-
-def stream_section(report: Report) -> SectionContent:
-    """Return the table and the drawing of each run, and of a group also the scores of the displayed frames."""
-    tables = {key: stream_table(run) for key, run in report.runs.items()}
-    panels = {key: rate_panels([run]) for key, run in report.runs.items()}
-    values: dict[str, dict[str, Any]] = {key: {"on_time": tables[key], "rate_panels": panels[key]} for key in report.runs}
-    for group in report.groups:
-        if any(tables[key] for key in group.runs):
-            values[group.id] = {"elsewhere": (SCORES_KEY,)}
-
-    def figures(places: FigurePlaces) -> Iterator[Draw]:
-        for key, of_run in panels.items():
-            if of_run:
-                yield partial(draw_rates, of_run, places.folders[key] / "stream.png", places.numbers)
-
-    return SectionContent(
-        tables={key: [table] for key, table in tables.items() if table},
-        values=values,
-        names=[family.name for of_run in panels.values() for panel in of_run for family in panel.families],
-        figures=figures,
     )

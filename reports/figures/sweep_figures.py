@@ -11,7 +11,7 @@ from ggvs_eval.merged_results import merge_results
 from ggvs_eval.reports.figures.axes import COLOURS, method_numbers, save_figure
 from ggvs_eval.reports.figures.look import USUAL, FigureLook
 from ggvs_eval.reports.model.measured import MEAN_OF_CAPTURES, SWEEP_FILE, read_scores, sweep_runs
-from ggvs_eval.run_folder import RunFolder
+from ggvs_eval.run_folder import SCREEN_TITLE, RunFolder
 from ggvs_eval.statistics.intervals import intervals
 
 SECONDS = "s/frame"
@@ -28,6 +28,7 @@ def read_k_table(sweep: Path) -> pd.DataFrame:
     if not file.is_file():
         raise ResultsError(f"{sweep}: wanted the folder of a sweep, it has no {SWEEP_FILE}; {A_K_SWEEP}")
     table = pd.read_csv(file)
+    table = table[~table["method"].str.endswith(SCREEN_TITLE)]
     if "capture" in table:
         table = table[table["capture"] == MEAN_OF_CAPTURES]
     table["K"] = [int(match[1]) if (match := re.fullmatch(r"k(\d+)", str(name))) else -1 for name in table["variant"]]

@@ -19,7 +19,7 @@ from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.table import Cell, Row, RowKind, format_value
 from ggvs_eval.results import Results, label_of, without_labels
-from ggvs_eval.run_folder import RunFolder, read_json, require_frames
+from ggvs_eval.run_folder import ON_SCREEN, RunFolder, read_json, require_frames
 
 METRICS_FILE = "metrics.json"
 SWEEP_FILE = "sweep.csv"
@@ -175,7 +175,7 @@ class MeasuredRun:
         metrics: metric -> its note.
         references: grey rows that belong to no method.
         replicas: label of a fitted method -> labels of the same by other seeds, which are in no table but that of the spread.
-        all_results: what came out, with these; None if there are none.
+        all_results: what came out, with these and the rows of screens, which are in their own table; None without any.
         from_sources: labels of the methods that render each instant from the source views of the protocol; others are fitted to
             more, or it is unknown.
     """
@@ -339,13 +339,15 @@ def read_scores(root: Path) -> MeasuredRun:
             f"{folder.root}: results were measured under protocol {results.protocol_sha256[:12]}, "
             f"protocol.toml is {protocol.sha256[:12]}; run `ggvs-eval score` again"
         )
-    labels = tuple(dict.fromkeys(results.row_labels))
+    rows = dict.fromkeys(results.row_labels)
+    labels = tuple(label for label in rows if not label.endswith(ON_SCREEN))
     methods = read_json(folder.root / METHODS_FILE)
     notes = read_metric_notes(folder.root)
     replicas = find_replicas(labels)
     hidden = {label for others in replicas.values() for label in others}
     shown, ours = tuple(label for label in labels if label not in hidden), frozenset(methods["ours"]) - hidden
-    own, everything = without_labels(results, hidden), results if replicas else None
+    own = without_labels(results, rows.keys() - shown)
+    everything = None if own is results else results
     sources = frozenset(methods.get("from_sources", ()))  # which runs of earlier versions do not say
     return MeasuredRun(folder, protocol, own, shown, methods["names"], ours, notes, (), replicas, everything, sources)
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.protocol import ON_SCREEN
 from ggvs_eval.reports.figures.axes import Curve, Panel, with_margin
 from ggvs_eval.reports.figures.stream import RatePanel, draw_rates, rate_panels
 from ggvs_eval.reports.figures.sweep_figures import SECONDS, USUAL, draw_k, read_k_table
@@ -83,7 +82,7 @@ def _measured_on(sweep: Path) -> str:
 def _table(sweep: Path, notes: Mapping[str, MetricNote], caption: str) -> Table:
     lines = pd.read_csv(sweep / SWEEP_FILE).fillna({"capture": ""})
     levels = [name for name in ("method", "variant", "capture") if name in lines]
-    metrics = sorted((name for name in lines.columns if name not in levels), key=lambda name: not name.endswith(ON_SCREEN))
+    metrics = [name for name in lines.columns if name not in levels]
     columns = tuple(_column(metric, notes) for metric in metrics)
     rows = [
         Row(

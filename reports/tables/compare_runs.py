@@ -14,8 +14,8 @@ from ggvs_eval.reports.model.measured import METHODS_FILE, MetricNote, read_metr
 from ggvs_eval.reports.model.table import format_value, signed
 from ggvs_eval.reports.tables.table_formats import csv_text
 from ggvs_eval.reports.tables.verdict import judge_metric
-from ggvs_eval.results import Results
-from ggvs_eval.run_folder import RunFolder, read_json
+from ggvs_eval.results import Results, without_labels
+from ggvs_eval.run_folder import ON_SCREEN, RunFolder, read_json
 from ggvs_eval.statistics.paired import OUTCOMES, Comparison, Judgement, compare, decide
 
 SIDES = ("first", "second")
@@ -91,6 +91,8 @@ def method_sides(run: Path, first: str, second: str) -> tuple[Side, Side]:
             raise ResultsError(f"{run}: no values of method {label!r}; it has {', '.join(_labels(results))}")
     if first == second:
         raise ResultsError(f"{run}: wanted two methods, got {first} twice")
+    kinds = {label.endswith(ON_SCREEN) for label in (first, second)}  # as in their table
+    results = without_labels(results, [label for label in _labels(results) if label.endswith(ON_SCREEN) not in kinds])
     one, other = (Side(names.get(label, label), label, results) for label in (first, second))
     return one, other
 

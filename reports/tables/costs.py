@@ -168,7 +168,7 @@ def _rendering_cell(run: MeasuredRun, label: str) -> Cell:
 
 def _seed_table(run: MeasuredRun) -> Table | None:
     """Return the largest minus smallest number over the seeds of a fit; None if every method has one seed."""
-    if run.all_results is None:
+    if run.all_results is None or not run.replicas:
         return None
     summary = run.all_results.summary().droplevel("dataset")
     numbers = {label_of(*names): summary.loc[names] for names in summary.index}

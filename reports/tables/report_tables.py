@@ -45,12 +45,15 @@ Published = Callable[[str, str, Sequence[str], Sequence[MeasuredRun]], tuple[Seq
 PUBLISHED_VALUES: Registry[Published] = Registry("published values", built_in.PUBLISHED_VALUES)
 
 
-def main_tables(runs: Sequence[MeasuredRun], results: Results, columns: Sequence[str] = ()) -> tuple[Table, ...]:
+def main_tables(
+    runs: Sequence[MeasuredRun], results: Results, columns: Sequence[str] = (), with_grey: bool = True
+) -> tuple[Table, ...]:
     """Return the quality and consistency per dataset: means over frames, then views, then scenes.
 
     Args:
         runs: at least one, all under one protocol.
         columns: metrics that make a single table, in this order; by default all of them, in separate tables.
+        with_grey: also with rows that belong to no method, and published ones.
 
     Returns:
         Per dataset one table for each group of the metrics that the protocol asks for, in its order.
@@ -66,17 +69,22 @@ def main_tables(runs: Sequence[MeasuredRun], results: Results, columns: Sequence
     summary = results.summary()
     tables = []
     for dataset in dict.fromkeys(str(name) for name in summary.index.get_level_values("dataset")):
-        tables += [_main_table(dataset, notes, runs, summary, results) for notes in groups.values()]
+        tables += [_main_table(dataset, notes, runs, summary, results, with_grey) for notes in groups.values()]
     return join_tables(tables, columns) if columns else tuple(tables)
 
 
 def _main_table(
-    dataset: str, notes: tuple[MetricNote, ...], runs: Sequence[MeasuredRun], summary: pd.DataFrame, results: Results
+    dataset: str,
+    notes: tuple[MetricNote, ...],
+    runs: Sequence[MeasuredRun],
+    summary: pd.DataFrame,
+    results: Results,
+    with_grey: bool,
 ) -> Table:
     key, title, metrics = notes[0].group, notes[0].group_title, tuple(note.name for note in notes)
     columns = tuple(metric_column(note) for note in notes)
     here = cast(pd.DataFrame, summary.xs(dataset, level="dataset"))
-    references = shared_references(runs)
+    references = shared_references(runs) if with_grey else ()
     captured = captured_values(references) if key == ALONG_PATH else {}
     own = frozenset().union(*(run.ours for run in runs))
     judgements = {
@@ -87,7 +95,7 @@ def _main_table(
     rows = measured_rows(runs, here, metrics, notes, results, judgements)
     marked = [judgements[name].marked if name in judgements else () for name in metrics]
     grey, remarks = [*reference_rows(references, key, notes)], list[str]()
-    for beside in PUBLISHED_VALUES.built_in().values():
+    for beside in PUBLISHED_VALUES.built_in().values() if with_grey else ():
         published, words = beside(key, dataset, metrics, runs)
         grey += published
         remarks += words
@@ -178,8 +186,6 @@ def main_captions(
         means = "Over the whole camera path, at one instant"
     else:
         frames, views = counted(protocol.frames.count, "frame"), counted(len(protocol.views.test), "view")
-        if key == "stream":
-            frames = _instants(protocol)
         means = f"Mean over {frames}, then {views}, then scenes"
     sources = _sources(runs, names)
     partial = results.partial
@@ -192,14 +198,6 @@ def main_captions(
     may_interchange = len(test) > 1 and (not chosen or not chosen.isdisjoint(test))  # a test view is a source of another one
     shared = [INTERCHANGE] if sources and may_interchange else []
     return [f"{'; '.join(filter(None, (means, sources)))}.", *shared, *lacking, *marks, *_versions(results)]
-
-
-def _instants(protocol: Protocol) -> str:
-    """Scored instants of a screen."""
-    stream, count = protocol.stream, protocol.frames.count
-    if stream is None or not stream.warm_up:
-        return "the instants from a method's first picture on"
-    return f"the last {counted(count - stream.warm_up, 'instant')} of {count}"
 
 
 def _sources(runs: Sequence[MeasuredRun], names: Mapping[str, str]) -> str:

@@ -41,10 +41,11 @@ LEAVES: dict[str, tuple[str, ...]] = {
         f"section {module.rpartition('.')[2]}": (f"reports.{module}",)
         for module in (
             *("page.sweep_section", "page.viewer", "page.heat_map", "page.quality_over_time"),
-            *("figures.curves", "figures.slices", "figures.stream"),
+            *("figures.curves", "figures.slices"),
             *("tables.worst_frames", "tables.timing", "tables.costs"),
         )
     },
+    "section stream": ("reports.page.stream_section", "reports.figures.stream"),
     "section error_budget": ("reports.tables.error_budget",),
     "section drift": ("reports.tables.drift", "statistics.drift"),
     "section paper": ("reports.tables.reproduction", "reports.tables.published"),

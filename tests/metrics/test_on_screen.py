@@ -3,10 +3,6 @@
 import numpy as np
 import pytest
 
-from ggvs_eval.contrib.study.measure import study_metrics
-from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.metric import MetricOptions
-from ggvs_eval.metrics.registry import METRICS, scored_by_view, scored_on_screen
 from ggvs_eval.metrics.time.on_screen import on_screen
 from ggvs_eval.protocol import Stream
 
@@ -101,20 +97,3 @@ def test_laws(seed, pipelined, policy):
     assert len(screen.shown) == count == record["shown"] + record["repeated"] + record["dark"]
     assert len(screen.latencies_s) == record["shown"]
     assert all(latency >= sum(stages) - 1e-5 for latency in screen.latencies_s)
-
-
-def test_metrics_of_the_screen_have_names_and_parts_of_their_own():
-    """They are no metrics of frames that are waited for; STED's number comes from parts that bear the suffix."""
-    names = ["PSNR_stream", "SSIM_stream", "LPIPS_stream", "TCC_stream", "STED_stream"]
-
-    assert [metric.name for metric in scored_on_screen(["PSNR", *names])] == names
-    assert [metric.name for metric in scored_by_view(["PSNR", *names])] == ["PSNR"]
-    assert METRICS["STED_stream"].pooling(MetricOptions()).parts == ("STED_spatial_stream", "STED_temporal_stream")
-    assert METRICS["PSNR_stream"].unit == METRICS["PSNR"].unit
-
-
-def test_a_study_has_no_screen():
-    """Its frames take no time: a metric of the screen is refused by name, and is not among all."""
-    with pytest.raises(MetricError, match="PSNR_stream"):
-        study_metrics(["PSNR", "PSNR_stream"])
-    assert not scored_on_screen(study_metrics(["all"]))

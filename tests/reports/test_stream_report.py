@@ -6,17 +6,22 @@ from dataclasses import replace
 
 import pytest
 
+from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import Stream
 from ggvs_eval.reports.figures.stream import draw_rates, rate_panels, stream_table
 from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.page.stream_section import stream_section
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.tables.report_tables import main_captions
+from ggvs_eval.reports.run_groups import read_groups
+from ggvs_eval.reports.section import Report
+from ggvs_eval.reports.tables.compare_runs import write_comparison
 from ggvs_eval.results import PROVENANCE_FILE
 from ggvs_eval.run_folder import RunFolder, write_json
 from helpers.run_folders import RunShape, make_protocol, write_run
 
 LABELS = ("no-blending", "ours", "ours+scale=0.5", "4dgs")
-METRICS = ("PSNR", "LPIPS", "TCC", "PSNR_stream", "LPIPS_stream", "TCC_stream")
+SCREENS = tuple(f"{label}@screen" for label in LABELS[:3])
+METRICS = ("PSNR", "LPIPS", "TCC", "SDV")
 FAST = {"shown": 3, "repeated": 0, "dropped": 0, "dark": 1, "latency_ms": 20.0, "latency_p95_ms": 25.0, "per_second": 50.0}
 SLOW = {"shown": 1, "repeated": 1, "dropped": 0, "dark": 2, "latency_ms": 66.0, "latency_p95_ms": 66.0, "per_second": 15.0}
 RECORD = {
@@ -33,8 +38,8 @@ RECORD = {
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """A run whose protocol has a stream of 30 frames a second."""
-    names = tuple((label, label.upper()) for label in LABELS)
-    shape = RunShape(labels=LABELS, names=names, metrics=METRICS, poses=0)
+    names = tuple((label, label.upper()) for label in LABELS + SCREENS)
+    shape = RunShape(labels=LABELS + SCREENS, names=names, metrics=METRICS, poses=0)
     root = write_run(tmp_path_factory.mktemp("run") / "run", shape)
     folder, protocol = RunFolder(root), replace(make_protocol(shape), stream=Stream(fps=30.0))
     folder.protocol_file.write_text(protocol.to_toml())
@@ -85,16 +90,23 @@ def test_a_method_at_a_fraction_of_its_size_alone_has_its_name(run):
     assert [family.name for family in panels[0].families] == ["OURS"]
 
 
-@pytest.mark.parametrize(("warm_up", "instants"), [(0, "a method's first picture on"), (1, "the last 1 instant of 2")])
-def test_the_caption_counts_the_instants_that_are_scored(run, warm_up, instants):
-    """A mean over the screen is of fewer instants than the clip has frames."""
-    read = read_run(run)
-    count = read.protocol.frames.count
-    streamed = replace(read, protocol=replace(read.protocol, stream=Stream(fps=30.0, warm_up=(count - 1) * warm_up)))
+def test_what_is_seen_has_a_table_of_its_own(run):
+    """Every metric of frames, ranked among what is seen; no other table and no picture has these rows."""
+    groups = read_groups([run])
+    (table,) = stream_section(Report(groups)).tables[groups[0].id]
 
-    caption = main_captions("stream", [streamed], read.results, read.names, ["PSNR_stream"])[0]
+    assert [row.label for row in table.rows] == [*SCREENS]
+    assert [column.name for column in table.columns] == [*METRICS]
+    assert any(cell.shade for row in table.rows for cell in row.cells)
+    assert {row.label for of_group in groups[0].tables for row in of_group.rows} == {*LABELS}
+    assert read_run(run).pictured == LABELS
 
-    assert instants.replace("of 2", f"of {count}") in caption
+
+def test_two_rows_of_the_screen_are_compared_as_their_table_ranks_them(run):
+    """Against each other they are rows like any others; names of both are refused where there is none."""
+    assert "better" in write_comparison(SCREENS[0], SCREENS[2], run)
+    with pytest.raises(ResultsError, match="no values of method '4dgs@screen'"):
+        write_comparison(SCREENS[0], "4dgs@screen", run)
 
 
 @pytest.mark.slow
@@ -106,7 +118,9 @@ def test_it_is_on_the_page_and_in_the_files(run, tmp_path):
     assert page.count('<th scope="col"') > 0
     assert "offline: it needs the whole clip" in page
     for name in ("tables.md", "tables.tex"):
-        assert "Displayed frames and their delay" in (tmp_path / "report" / name).read_text()
+        text = (tmp_path / "report" / name).read_text()
+        assert "Displayed frames and their delay" in text
+        assert text.count("Displayed frames during live capture") == 1
     with (tmp_path / "report" / "tables.csv").open() as file:
         lines = [line for line in csv.DictReader(file) if line["table"] == "on_time"]
     assert {line["column"] for line in lines} >= {"rate", "latency", "behind", "dropped"}

@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from ggvs_eval.errors import ProtocolError
@@ -13,13 +12,12 @@ from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.pipelines.run import score_view
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import score
-from ggvs_eval.protocol import Protocol, StatedTime, Stream, load_protocol
+from ggvs_eval.protocol import StatedTime, Stream, load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
 from helpers.render_folders import VIEWS, make_run, rendered, truth, write_folders
 
-OF_SCREEN = ("PSNR_stream", "SSIM_stream", "TCC_stream", "STED_stream")
-METRICS = ("PSNR", "SSIM", "TCC", "STED", *OF_SCREEN)
+METRICS = ("PSNR", "SSIM", "TCC", "STED", "L1", "SDT")
 FRAMES = range(0, 7)
 FPS = 10.0
 
@@ -41,10 +39,10 @@ def set_protocol(run: RunFolder, stream: Stream) -> None:
     run.protocol_file.write_text(replace(protocol, measurement=measurement, stream=stream).to_toml())
 
 
-def numbers(results: Results, method: str) -> dict[str, float]:
-    """Metric -> number of a method."""
+def numbers(results: Results, row: str) -> dict[str, float]:
+    """Metric -> number of a method, or of what is seen of it."""
     summary = results.summary().droplevel("dataset")
-    return {str(name): float(value) for name, value in summary.loc[(method, "")].items()}
+    return {str(name): float(value) for name, value in summary.loc[(row, "")].items()}
 
 
 def measured(run: RunFolder, label: str, view: str = VIEWS[0]) -> dict[str, Any]:
@@ -53,25 +51,27 @@ def measured(run: RunFolder, label: str, view: str = VIEWS[0]) -> dict[str, Any]
 
 
 def test_infinitely_fast_is_the_plain_score(tmp_path):
-    """Every streaming score is the plain one, to the last bit, parts included."""
-    results = score(run_of(tmp_path, Stream(fps=FPS), {"fast": (0.0,)}))
+    """Every score of the screen is the plain one, to the last bit, parts included, and the frames are the same files."""
+    run = run_of(tmp_path, Stream(fps=FPS), {"fast": (0.0,)})
+    results = score(run)
 
-    values = numbers(results, "fast")
-    assert {name: values[name] for name in OF_SCREEN} == {name: values[name.removesuffix("_stream")] for name in OF_SCREEN}
+    assert numbers(results, "fast@screen") == numbers(results, "fast")
+    assert frame_path(run.renders("fast@screen", VIEWS[0]), 3).samefile(frame_path(run.renders("fast", VIEWS[0]), 3))
+    assert run.labels() == ["fast"]
+    assert run.shown_names["fast@screen"] == "fast, on the screen"
 
 
 def test_a_method_of_two_frames_is_held_against_the_truth_two_frames_later(tmp_path):
-    """PSNR_stream by hand; instants without a picture have no value; the plain scores are what they were."""
+    """PSNR by hand; instants without a picture have no frame and no value; the plain scores are what they were."""
     run = run_of(tmp_path, Stream(fps=FPS, pipelined=True), {"fast": (0.0,), "slow": (100.0, 100.0)})
     results = score(run)
 
-    by_frame = results.per_frame("PSNR_stream", VIEWS[0])[("slow", "")].dropna()
+    by_frame = results.per_frame("PSNR", VIEWS[0])[("slow@screen", "")].dropna()
     assert by_frame.to_dict() == pytest.approx(
         {at: psnr(rendered(VIEWS[0], at - 2), truth(VIEWS[0], at)) for at in FRAMES if at >= 2}
     )
-    fast, slow = numbers(results, "fast"), numbers(results, "slow")
-    assert slow["PSNR_stream"] < fast["PSNR_stream"] - 3
-    assert slow["PSNR"] == fast["PSNR"]
+    assert numbers(results, "slow@screen")["PSNR"] < numbers(results, "fast@screen")["PSNR"] - 3
+    assert numbers(results, "slow") == numbers(results, "fast")
     record = read_json(run.stream_record)["methods"]["slow"]
     assert (record["latency_ms"], record["shown"], record["dark"]) == (pytest.approx(200.0), 5, 2)
     assert record["stages_ms"] == {"stated 1": 100.0, "stated 2": 100.0}
@@ -88,21 +88,21 @@ def test_a_still_scene_does_not_care(tmp_path):
                 write_image(frame_path(folder, frame), still)
     results = score(run)
 
-    fast, slow = numbers(results, "fast"), numbers(results, "slow")
-    assert slow["PSNR_stream"] == pytest.approx(fast["PSNR"], abs=1e-12)
-    assert slow["SSIM_stream"] == pytest.approx(fast["SSIM"], abs=1e-12)
+    fast, slow = numbers(results, "fast"), numbers(results, "slow@screen")
+    assert slow["PSNR"] == pytest.approx(fast["PSNR"], abs=1e-12)
+    assert slow["SSIM"] == pytest.approx(fast["SSIM"], abs=1e-12)
 
 
 def test_scores_are_stale_when_the_screen_changes_and_not_when_a_time_does(tmp_path, monkeypatch):
-    """95 ms and 100 ms of a frame show the same; 105 ms do not, and then the metrics of the screen alone are measured again."""
+    """95 ms and 100 ms of a frame show the same; 105 ms do not, and then the row of the screen alone is measured again."""
     run = run_of(tmp_path, Stream(fps=FPS), {"one": (95.0,)})
     score(run)
-    before = measured(run, "one")
-    passes: list[tuple[str, ...]] = []
+    before = measured(run, "one"), measured(run, "one@screen")
+    passes: list[list[str]] = []
     original = score_view._score_methods
 
     def counting(*arguments: Any) -> Any:
-        passes.append(tuple(arguments[4]))
+        passes.append([folder.parent.name for folder in arguments[2]])
         return original(*arguments)
 
     monkeypatch.setattr(score_view, "_score_methods", counting)
@@ -113,12 +113,13 @@ def test_scores_are_stale_when_the_screen_changes_and_not_when_a_time_does(tmp_p
 
     set_protocol(run, Stream(fps=FPS, stated=(StatedTime("one", (105.0,)),)))
     score(run)
-    assert passes == [("PSNR", "SSIM", "TCC", "STED")] * len(VIEWS)
-    after = measured(run, "one")
-    plain = [[value for value in each["values"] if not value[0].endswith("_stream")] for each in (before, after)]
-    assert sorted(map(tuple, plain[0])) == sorted(map(tuple, plain[1]))
-    assert after["values"] != before["values"]
-    assert not score(run).table.duplicated(["view", "frame", "metric"]).any()
+    assert passes == [["one@screen"]] * len(VIEWS)
+    assert measured(run, "one") == before[0]
+    assert measured(run, "one@screen")["values"] != before[1]["values"]
+
+    set_protocol(run, Stream(fps=FPS, stated=(StatedTime("one", (1000.0,)),)))
+    assert set(score(run).row_labels) == {"one"}
+    assert not run.renders("one@screen", "").exists()
 
 
 @pytest.mark.slow
@@ -126,11 +127,10 @@ def test_a_metric_of_every_so_many_frames_that_meets_no_instant_says_so(tmp_path
     """LPIPS at every eighth frame looks at the first alone, which has no picture yet."""
     run = run_of(tmp_path, Stream(fps=FPS), {"slow": (100.0,)})
     protocol = run.protocol()
-    measurement = replace(protocol.measurement, metrics=("PSNR", "LPIPS", "LPIPS_stream"), lpips_every=8)
+    measurement = replace(protocol.measurement, metrics=("PSNR", "LPIPS"), lpips_every=8)
     run.protocol_file.write_text(replace(protocol, measurement=measurement).to_toml())
 
-    assert "LPIPS_stream" in score(run).not_computed
-    assert measured(run, "slow")["not_computed"]["LPIPS_stream"] == "no instant from 1 on is one that it looks at (lpips_every)"
+    assert "lpips_every" in score(run).why_absent("LPIPS", "slow@screen", VIEWS[0])
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_a_metric_of_every_so_many_frames_that_meets_no_instant_says_so(tmp_path
     ],
 )
 def test_who_is_not_on_the_screen_says_why(record, reason, tmp_path):
-    """Frames of others, a fit to the whole clip, a fit that takes longer than the clip: no value, and the reason in its place."""
+    """Frames of others, a fit to the whole clip, a fit that takes longer than the clip: no row, and the reason in the record."""
     run = run_of(tmp_path, Stream(fps=FPS), {"one": (0.0,), "other": (0.0,)})
     set_protocol(run, Stream(fps=FPS, stated=(StatedTime("one", (0.0,)),)))
     for view in VIEWS if record else ():
@@ -152,9 +152,7 @@ def test_who_is_not_on_the_screen_says_why(record, reason, tmp_path):
         )
     results = score(run)
 
-    assert np.isfinite(numbers(results, "one")["PSNR_stream"])
-    assert np.isnan(numbers(results, "other")["PSNR_stream"])
-    assert reason in results.why_absent("PSNR_stream", "other", VIEWS[0])
+    assert set(results.row_labels) == {"one", "other", "one@screen"}
     assert reason in read_json(run.stream_record)["methods"]["other"]["absent"]
 
 
@@ -192,12 +190,20 @@ def test_the_protocol_keeps_its_stream(tmp_path):
         (replace(streamed, stream=Stream(fps=30, depth_ms=-1)), "stream.depth_ms"),
         (replace(streamed, stream=Stream(fps=30, stated=(StatedTime("mine", ()),))), "stream.stated"),
         (replace(streamed, stream=Stream(fps=30.0, warm_up=24)), "stream.warm_up"),
-        (with_metrics(plain, "PSNR_stream"), r"PSNR_stream .* \[stream\]"),
     ):
         file.write_text(broken.to_toml())
         with pytest.raises(ProtocolError, match=named):
             load_protocol(file)
 
 
-def with_metrics(protocol: Protocol, *names: str) -> Protocol:
-    return replace(protocol, measurement=replace(protocol.measurement, metrics=names))
+def test_a_protocol_of_an_earlier_version_says_where_its_metrics_of_the_screen_are(tmp_path, capsys):
+    """It is read without them, and one line says so."""
+    protocol = load_protocol("demo")
+    metrics = (*protocol.measurement.metrics, "PSNR_stream", "TCC_stream")
+    file = tmp_path / "earlier.toml"
+    file.write_text(replace(protocol, measurement=replace(protocol.measurement, metrics=metrics)).to_toml())
+
+    assert load_protocol(file) == load_protocol(file) == protocol
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "PSNR_stream, TCC_stream" in line
+    assert "METHOD@screen" in line

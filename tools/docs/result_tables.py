@@ -1,5 +1,6 @@
 """Tables of scored runs as Markdown, for `fill_tables`."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,13 @@ from ggvs_eval.reports.figures.sweep_figures import SECONDS, read_k_table
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.tables.error_budget import budget_table
 from ggvs_eval.results import Results
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
+from ggvs_eval.run_folder import JOB_FILE, ON_SCREEN, RunFolder, read_json
 from ggvs_eval.statistics.intervals import Interval, intervals
 
 DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "Flicker": 2, "SDT": 3, "SDV": 3}
 DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
 
-ON_THE_SCREEN = ("PSNR_stream", "SSIM_stream", "LPIPS_stream", "TCC_stream", "STED_stream")
+ON_THE_SCREEN = ("PSNR", "SSIM", "LPIPS", "TCC", "STED")
 FIDELITY = ("PSNR", "SSIM", "LPIPS", "L1")
 USUAL_VIEW = "cam00"  # that Neural 3D Video is tested on by most
 FRONT_METHODS = ("no-blending", "distance-based", "interpolation", "ours")  # of the README; no network but the method's own
@@ -147,13 +148,15 @@ def k_table(sweep: Path, metrics: Sequence[str]) -> str:
 
 def stream_table(sweep: Path) -> str:
     """What is on the screen, how soon and how often, as Markdown: a row per K and method of a sweep with a stream."""
-    heads = [*ON_THE_SCREEN, "PSNR", "pictures/s", "latency, ms", "shown", "dropped"]
+    heads = [*(f"{metric} seen" for metric in ON_THE_SCREEN), "PSNR", "pictures/s", "latency, ms", "shown", "dropped"]
     rows = [f"| method | K | {' | '.join(heads)} |", "| --- | ---: |" + " ---: |" * len(heads)]
     for run in map(RunFolder, _runs_of(sweep)):
         k, times = run.protocol().synthesis.k, read_json(run.stream_record)["methods"]
         scores, names = _by_label(Results.read(run.root).summary().droplevel("dataset")), read_json(run.root / "methods.json")
         for label in names["labels"]:
-            values = [_rounded(metric, scores.loc[label, metric]) for metric in (*ON_THE_SCREEN, "PSNR")]
+            displayed = scores.loc[f"{label}{ON_SCREEN}"] if f"{label}{ON_SCREEN}" in scores.index else {}
+            values = [_rounded(metric, displayed.get(metric, math.nan)) for metric in ON_THE_SCREEN]
+            values.append(_rounded("PSNR", scores.loc[label, "PSNR"]))
             told = [times[label].get(key) for key in ("per_second", "latency_ms", "shown", "dropped")]
             cells = [*values, *("–" if value is None else f"{value:.0f}" for value in told)]
             rows.append(f"| {names['names'].get(label, label)} | {k} | {' | '.join(cells)} |")
@@ -161,7 +164,7 @@ def stream_table(sweep: Path) -> str:
 
 
 def _rounded(metric: str, value: float) -> str:
-    return "–" if value != value else f"{value:.{DECIMALS[metric.removesuffix('_stream')]}f}"
+    return "–" if value != value else f"{value:.{DECIMALS[metric]}f}"
 
 
 def budget_rows(run: Path) -> str:

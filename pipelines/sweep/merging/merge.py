@@ -14,12 +14,12 @@ from typing import Any
 from ggvs_eval.coverage import IMPORT_FILE
 from ggvs_eval.depth_options import UNEXPLAINED
 from ggvs_eval.errors import GgvsError, ProtocolError, ResultsError
-from ggvs_eval.files.atomic import atomic_folder
+from ggvs_eval.files.atomic import atomic_folder, link_file
 from ggvs_eval.jobs.ledger import JOBS_FOLDER
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, join_records
 from ggvs_eval.pipelines.run.render import FITS
 from ggvs_eval.protocol import name_differences
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
+from ggvs_eval.run_folder import JOB_FILE, ON_SCREEN, RunFolder, read_json, write_json
 
 ROUNDING = 1e-6  # machines add in different orders
 
@@ -131,7 +131,7 @@ def merge_runs(
     units = _union([unit for run in runs for unit in _units(run)])
     with atomic_folder(out) as temporary:
         for unit in units.values():
-            _place(unit, temporary / unit.name, shutil.copy2 if copy else _link)
+            _place(unit, temporary / unit.name, shutil.copy2 if copy else link_file)
         for record in {file.relative_to(run.root) for run in runs for file in run.root.rglob(DIGESTS)}:
             if (temporary / record).parent.is_dir():
                 join_records([run.root / record for run in runs], temporary / record)
@@ -197,15 +197,7 @@ def _place(unit: Unit, target: Path, place: Place) -> None:
     for file in unit.files():
         destination = target / file.relative_to(unit.source) if unit.source.is_dir() else target
         destination.parent.mkdir(parents=True, exist_ok=True)
-        place(file.resolve(), destination)
-
-
-def _link(source: Path, destination: Path) -> None:
-    """The same file under another name; a copy where the file system has no such thing."""
-    try:
-        os.link(source, destination)
-    except OSError:
-        shutil.copy2(source, destination)
+        place(file, destination)
 
 
 def _write_records(runs: Sequence[RunFolder], folder: Path) -> None:
@@ -249,6 +241,8 @@ def _one_record(records: Sequence[tuple[Path, dict[str, Any]]]) -> dict[str, Any
     for file, record in records:
         for label, method in record["methods"].items():
             original = methods.setdefault(label, method)
+            if label.endswith(ON_SCREEN):  # which follows the times, and is measured again where they differ
+                continue
             if not same_values(original, method):
                 kind = "values" if original["identity"] == method["identity"] else "frames or metrics"
                 raise ResultsError(f"{origin[label]} and {file} differ in the {kind} of {label}; keep one of them")
