@@ -67,7 +67,6 @@ from ggvs_eval.files import (
 )
 from ggvs_eval.files.packed_maps import unpack
 from ggvs_eval.files.picture_header import read_picture_header
-from ggvs_eval.files.reader_process import ReaderError, ReaderProcess
 from ggvs_eval.files.templates import open_templates
 from ggvs_eval.geometry import alignment, epipolar, pinhole, rectification, reproject_depth, sight, source_views
 from ggvs_eval.jobs import engine, job, ledger, processes
@@ -103,6 +102,7 @@ from ggvs_eval.reports.page.page import fill_page, run_words
 from ggvs_eval.reports.run_groups import read_groups, runs_by_protocol
 from ggvs_eval.reports.tables import table_formats, verdict
 from ggvs_eval.reports.tables.report_tables import main_tables, metric_column
+from ggvs_eval.side_process import SideProcess, SideProcessError
 from ggvs_eval.statistics import decomposition, paired
 from ggvs_eval.statistics.autocorrelation import ErrorOfMean, correlation_posterior, describe_short
 from ggvs_eval.statistics.intervals import LEVEL, intervals

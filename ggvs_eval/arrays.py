@@ -1,7 +1,5 @@
 """Array types by element and meaning."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,10 +10,3 @@ Indices = NDArray[np.intp]
 Map = NDArray[np.float32]  # one value per pixel, (H, W)
 Mask = NDArray[np.bool_]  # which pixels, (H, W), or which of something else
 Image8 = NDArray[np.uint8]  # (H, W, 3) RGB, 0..255
-
-
-def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Return the array as code from outside the package may have it: what writes into it is an error."""
-    view = array.view()
-    view.flags.writeable = False
-    return view

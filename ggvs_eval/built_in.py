@@ -314,6 +314,8 @@ DEPTH_METRICS = {
 COLMAP_METRICS = ("COLMAP_registered", "COLMAP_track_length", "COLMAP_matches")  # of one call, in this order
 METRICS_OF_VIDEOS = ("mTV", "Sharpness", "mTV2")  # that have a form without truth
 METRICS_WITH_CEILING = ("PSNR", "SSIM", "TCC", "STED")  # that perfect renderings are scored with
+# How the metrics of plug-ins are measured.
+FOREIGN_METRICS = {"scorer": "ggvs_eval.metrics.foreign:ForeignScorer", "values": "ggvs_eval.metrics.foreign:foreign_values"}
 
 # Questions that scoring asks of every method's frames, and what it measures besides the frames of test views: a function that
 # plans it.

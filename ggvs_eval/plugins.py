@@ -4,7 +4,8 @@ A package names its objects as entry points of the groups ``ggvs_eval.metrics``,
 ``ggvs_eval.datasets``; a file has tables of the same names, ``METRICS = {"P99": ...}``. An object is what the registry of its
 kind holds. It is imported when it is asked for by its name, or when everything of its kind is tried.
 
-What goes wrong in it costs what it was to give, and is called by its name: the registries of the three kinds see to that.
+What goes wrong in it costs what it was to give, and is called by its name: its code is called in `foreign`, with copies of
+arrays, and its metrics are measured in processes of their own (`metrics/foreign.py`).
 """
 
 import hashlib
@@ -14,7 +15,7 @@ import os
 import pkgutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import entry_points
@@ -193,16 +194,18 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
 @contextmanager
 def foreign(what: str, kind: type[GgvsError] = PluginError) -> Iterator[None]:
-    """Turn any exception of a plug-in's code in the block, its exit included, into an error of this package.
+    """Turn whatever a plug-in's code raises in the block but Ctrl-C into an error of this package; it may not change the folder.
 
     Args:
         what: the plug-in, and what of it, for the message.
         kind: of the error; those of this package pass as they are, unless they are to cost a view alone.
     """
+    passes = kind if kind is ViewRefusedError else GgvsError
     try:
-        yield
-    except (Exception, SystemExit) as error:
-        if isinstance(error, MemoryError | kind) or (isinstance(error, GgvsError) and kind is not ViewRefusedError):
+        with chdir("."):  # and back
+            yield
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt | passes):
             raise
         raise kind(f"plug-in {what} ({_reason(error)}); fix or uninstall it") from error
 
@@ -310,7 +313,10 @@ def _module_of(file: Path) -> ModuleType:
 
 
 def _reason(error: BaseException) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())
+    try:
+        return " ".join(f"{type(error).__name__}: {error}".split())
+    except BaseException:
+        return f"{type(error).__name__}, without a text"
 
 
 @cache

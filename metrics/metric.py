@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.arrays import Image8, Mask, read_only
+from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.metric_choices import MetricChoices
 from ggvs_eval.statistics.pooling import MEAN, Pooling
 
@@ -80,11 +80,6 @@ class TruthFrame:
             self._derived[key] = compute()
         result: T = self._derived[key]
         return result
-
-    def read_only(self) -> "TruthFrame":
-        """Return the frame with arrays that cannot be written to, and nothing derived."""
-        previous, disoccluded = (None if each is None else read_only(each) for each in (self.previous, self.disoccluded))
-        return TruthFrame(read_only(self.image), previous, disoccluded)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 import tempfile
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from ggvs_eval.built_in import PATH_METRICS
@@ -76,7 +75,7 @@ def _measured(path: RenderedPath, scorers: Iterable[PathScorer]) -> PathScores:
     not_computed: dict[str, str] = {}
     for scorer in scorers:
         try:
-            values_of_path = measured(scorer.names, partial(scorer.measure, path))
+            values_of_path = measured(scorer.names, scorer.measure, path)
         except MetricError as error:
             not_computed.update(dict.fromkeys(scorer.names, str(error)))
             continue

@@ -1,13 +1,10 @@
 """The metrics by their names in protocols, tables and figures."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache, partial
-from math import isnan
-from numbers import Real
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 from ggvs_eval import built_in
-from ggvs_eval.arrays import Image8, read_only
 from ggvs_eval.errors import MetricError, did_you_mean
 from ggvs_eval.metrics.metric import (
     ColourMap,
@@ -19,11 +16,11 @@ from ggvs_eval.metrics.metric import (
     Scorer,
     ScorerFactory,
     TableMetric,
-    TruthFrame,
-    Value,
     ViewMetric,
 )
-from ggvs_eval.plugins import Registry, foreign
+from ggvs_eval.plugins import Registry
+
+Place = TypeVar("Place")
 
 
 def _checked(name: str, metric: object) -> Metric:
@@ -35,38 +32,10 @@ def _checked(name: str, metric: object) -> Metric:
     return metric
 
 
-def measured(names: Sequence[str], measure: Callable[[], Iterable[tuple[Any, ...]]]) -> list[Any]:
-    """Values of a metric, each behind its place; one of a plug-in that fails, or gives no number, is a `MetricError`."""
-    origins = METRICS.origins(names)
-    if not origins:
-        return list(measure())
-    with foreign(", ".join(f"{origin}: metric {name} failed" for name, origin in origins.items()), MetricError):
-        return [(*place, _number(value)) for *place, value in measure()]
-
-
-def _number(value: object) -> float:
-    if not isinstance(value, Real):
-        raise TypeError(f"wanted a number, got {type(value).__name__}")
-    if isnan(value):
-        raise ValueError("wanted a number, got nan")
-    return float(value)
-
-
-class ForeignScorer:
-    """A scorer of a plug-in's metrics, see `measured`; it is shown arrays that it cannot write to."""
-
-    def __init__(self, names: Sequence[str], make: Callable[[], Scorer]) -> None:
-        self.names = names
-        self._make = cache(make)
-
-    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
-        """See `Scorer`."""
-        shown = truth.once(ForeignScorer, truth.read_only)
-        return measured(self.names, lambda: self._make().add(index, read_only(rendered), shown))
-
-    def finish(self) -> list[Value]:
-        """See `Scorer`."""
-        return measured(self.names, lambda: self._make().finish())
+def measured(names: Sequence[str], function: Callable[..., list[Place]], *arguments: Any) -> list[Place]:
+    """Return the values that the function of a metric gives; those of a plug-in's come from another process."""
+    values: list[Place] = FOREIGN["values"](names, *arguments) if METRICS.origins(names) else function(*arguments)
+    return values
 
 
 def _not_installed(name: str, reason: str) -> Metric:
@@ -81,6 +50,7 @@ def _not_installed(name: str, reason: str) -> Metric:
 METRICS: Registry[Metric] = Registry(
     "metrics", {**built_in.VIEW_METRICS, **built_in.PATH_METRICS}, _checked, absent=_not_installed
 )
+FOREIGN: Registry[Any] = Registry("metrics of plug-ins", built_in.FOREIGN_METRICS)
 DEPTH_METRICS: Registry[DepthMetric] = Registry("metrics of depth", built_in.DEPTH_METRICS)
 
 
@@ -134,12 +104,17 @@ def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_m
     """
     together: dict[ScorerFactory, list[str]] = {}
     for metric in metrics:
-        together.setdefault(metric.scorer or partial(_frame_scorer, metric.function), []).append(metric.name)
+        together.setdefault(scorer_factory(metric), []).append(metric.name)
     made = []
     for factory, names in together.items():
-        make = partial(factory, names, options, colour_map)
-        made.append(ForeignScorer(names, make) if METRICS.origins(names) else make())
+        make = FOREIGN["scorer"] if METRICS.origins(names) else factory
+        made.append(make(names, options, colour_map))
     return made
+
+
+def scorer_factory(metric: ViewMetric) -> ScorerFactory:
+    """Return what makes the scorer of a metric."""
+    return metric.scorer or partial(_frame_scorer, metric.function)
 
 
 def _frame_scorer(
@@ -164,7 +139,7 @@ def derived_rows(
     for metric in metrics:
         if isinstance(metric, TableMetric):
             try:
-                rows[metric.name] = measured([metric.name], partial(metric.rows, values.get(metric.part, {}), options))
+                rows[metric.name] = measured([metric.name], metric.rows, values.get(metric.part, {}), options)
             except MetricError as error:
                 reasons[metric.name] = str(error)
     return rows, reasons

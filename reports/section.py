@@ -6,6 +6,7 @@
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -171,7 +172,7 @@ def _content(name: str, report: Report) -> SectionContent:
     """Return the content of a section, of which every part must be there and no plug-in's code can end the report."""
     if name in SECTIONS.plugins:
         with foreign(f"{SECTIONS.plugins[name].origin}: section {name!r} does not work"):
-            return SECTIONS[name](report)
+            return SECTIONS[name](deepcopy(report))
     return SECTIONS[name](report)
 
 

@@ -1,5 +1,7 @@
 """Metrics, methods and layouts of plug-ins that fail: each costs what it was to give and is named, and nothing else changes."""
 
+import os
+import pickle
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,8 +13,9 @@ from ggvs_eval import plugins
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import DATASETS, detect_layout, open_capture
 from ggvs_eval.errors import CaptureError, PluginError, RenderError, ViewRefusedError
+from ggvs_eval.metrics import foreign
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.metrics.stream import score_view
+from ggvs_eval.metrics.stream import score_view, score_views
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.run.evaluate import measure, report
 from ggvs_eval.pipelines.run.fits import plan_fits
@@ -31,9 +34,18 @@ FAILS = {
     "return None": "None",
     "return float('nan')": "nan",
     "measured.n = getattr(measured, 'n', 0) + 1; return 1.0 if measured.n < 3 else 1 / 0": "ZeroDivisionError",
-    "t[...] = 0; return 1.0": "read-only",
-    "r -= t; return 1.0": "read-only",
+    "raise MemoryError": "MemoryError",
+    "raise BaseException('no such luck')": "BaseException: no such luck",
+    "raise type('Mute', (Exception,), {'__str__': lambda self: 1 / 0})": "Mute, without a text",
+    "import os; os._exit(3)": "its process ended with status 3",
+    "import ctypes; ctypes.string_at(0)": "its process ended with signal 11",
 }
+WRITES = (
+    "{0}[...] = 0",
+    "{0}.setflags(write=True); {0}[...] = 0",
+    "import torch; torch.from_numpy({0}).fill_(0)",
+    "import ctypes; ctypes.memset({0}.ctypes.data, 0, {0}.nbytes)",
+)
 METRIC = """
 import numpy as np
 from ggvs_eval.metrics.metric import QUALITY, ViewMetric
@@ -127,6 +139,9 @@ def forgotten(monkeypatch, tmp_path) -> Iterator[None]:
     sys.modules.pop("foreign_plugin", None)
     for registry in (METRICS, METHODS, DATASETS):
         registry._loaded.clear()
+    for process in foreign.PROCESSES.values():
+        process.end()
+    foreign.PROCESSES.clear()
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +165,7 @@ def frames() -> list[tuple[np.ndarray, np.ndarray]]:
 
 @pytest.mark.parametrize(("body", "reason"), FAILS.items())
 def test_a_metric_that_fails_costs_itself(offer, body, reason):
-    """At the first frame, at a later one or by writing into its arguments: it has a reason, every other value stays."""
+    """At the first frame or at a later one, also by ending its process: it has a reason, every other value stays."""
     offer(METRIC.format(body=body))
     names = ["X", "PSNR", "PSNR_moving", "TCC", "STED"]
     with_it, without = score_view(frames(), names), score_view(frames(), names[1:])
@@ -159,6 +174,53 @@ def test_a_metric_that_fails_costs_itself(offer, body, reason):
     assert with_it.not_computed == without.not_computed | {"X": with_it.not_computed["X"]}
     assert "foreign_plugin.py: metric X failed" in with_it.not_computed["X"]
     assert reason in with_it.not_computed["X"]
+
+
+@pytest.mark.parametrize("write", WRITES)
+def test_a_metric_that_writes_into_frames_has_copies(offer, write):
+    """No other value changes, whatever it goes around."""
+    offer(METRIC.format(body=f"{write.format('t')}; {write.format('r')}; import os; os.chdir('/'); return 1.0"))
+    names = ["X", "PSNR", "PSNR_moving", "TCC", "STED"]
+    with_it, without = score_view(frames(), names), score_view(frames(), names[1:])
+
+    assert [value for value in with_it.values if value[0] != "X"] == without.values
+    assert [value for value in with_it.values if value[0] == "X"] == [("X", frame, 1.0) for frame in range(3)]
+
+
+SCORER = """
+class Scorer:
+    def __init__(self, names, options, colour_map):
+        self.names = names
+    def add(self, index, rendered, truth):
+        return {values}
+    def finish(self):
+        return []
+
+METRICS["X"] = __import__("dataclasses").replace(METRICS["X"], scorer={scorer})
+"""
+
+
+@pytest.mark.parametrize(("scorer", "lost"), [("Scorer", [0, 1]), ("None", [0])])
+def test_a_process_that_ends_costs_what_it_was_measuring(offer, scorer, lost):
+    """A metric that gathers frames is lost for all renderings; one of single frames is for the rendering that it ended at."""
+    body = "import os; return os._exit(3) if r.max() == 1 else 1.0"
+    offer(METRIC.format(body=body) + SCORER.format(values="[('X', index, measured(rendered, truth.image))]", scorer=scorer))
+    levels = [np.full((8, 8, 3), level, np.uint8) for level in (0, 1, 2)]
+
+    scores = score_views([((level, levels[0]), levels[2]) for level in levels], ["X", "L1"])
+
+    assert [i for i, of_rendering in enumerate(scores) if "X" in of_rendering.not_computed] == lost
+    assert "ended with status 3" in scores[0].not_computed["X"]
+    assert [value for _, _, value in scores[0].values] == [2, 1, 0]
+
+
+@pytest.mark.parametrize("values", ["[('PSNR', index, 1.0)]", "[('X', index + 1, 1.0)]", "[('X', 1.0)]"])
+def test_a_metric_gives_values_of_its_own(offer, values):
+    """Values under another's name, of a frame that is not there, or without a place are a reason."""
+    offer(METRIC.format(body="pass") + SCORER.format(values=values, scorer="Scorer"))
+    with_it, without = score_view(frames(), ["X", "PSNR"]), score_view(frames(), ["PSNR"])
+    assert with_it.values == without.values
+    assert "metric X failed" in with_it.not_computed["X"]
 
 
 def test_a_metric_that_works_is_a_number(offer):
@@ -179,21 +241,23 @@ def test_a_metric_that_works_is_a_number(offer):
         ("return Rendering('abc')", "wanted a Rendering with an image, got str"),
         (f"return Rendering({PICTURE}[:-1])", "wanted an image of floats"),
         (f"return Rendering(np.nan * {PICTURE})", "not all finite"),
-        ("instant.sources[0].image[...] = 0", "read-only"),
-        ("instant.sources[0].depth[...] = 0", "read-only"),
+        ("raise MemoryError", "MemoryError"),
+        ("import os; os.chdir('/'); raise GeneratorExit", "GeneratorExit"),
+        *((write.format("instant.sources[0].depth"), "got NoneType") for write in WRITES),
+        (WRITES[2].format("instant.target.world_to_camera"), "got NoneType"),
     ],
 )
 def test_a_method_that_fails_refuses_the_view(offer, body, reason):
     """Whatever goes wrong in a step is a refused view that names method and instant; what it was shown is unchanged."""
     offer(METHOD.format(body=body))
     seen = instant(7, camera_at(0.0, name="target"), [camera_at(0.1)])
-    before = seen.sources[0].image.copy(), seen.sources[0].depth.copy()
+    before, folder = pickle.dumps(seen), os.getcwd()
 
     with refused(ViewRefusedError, "method mine: failed at instant 7", reason):
         METHODS["mine"].make().step(seen)
 
-    np.testing.assert_array_equal(seen.sources[0].image, before[0])
-    np.testing.assert_array_equal(seen.sources[0].depth, before[1])
+    assert pickle.dumps(seen) == before
+    assert os.getcwd() == folder
 
 
 def test_a_method_that_cannot_be_made_is_one_line(offer):

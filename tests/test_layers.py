@@ -17,7 +17,7 @@ LEARNED = tuple(sorted(IN_BASELINES))
 # `ggvs_eval.camera`, is a room of its own; what stands in a folder belongs to the longest name listed here.
 FLOORS = (
     ("arrays", "built_in", "errors", "finding", "kernels", "metric_choices", "raft_config", "residual_block"),
-    ("camera", "progress", "plugins", "raft_update"),
+    ("camera", "progress", "plugins", "raft_update", "side_process"),
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps", "transforms"),
     ("depth_store", "depth_options", "protocol", "gaussians"),

@@ -15,11 +15,11 @@ from ggvs_eval.datasets.depth_range import FAR_MARGIN, NEAR_MARGIN, Placed, rang
 from ggvs_eval.datasets.frames import as_calibrated
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.reader_process import ReaderError, ReaderProcess
 from ggvs_eval.lens import Lens
+from ggvs_eval.side_process import SideProcess, SideProcessError
 
 READER_TIMEOUT_S = 600
-_READER = ReaderProcess(Path(__file__).with_name("colmap_reader.py"))  # by its file: its name would import every other reader
+_READER = SideProcess(Path(__file__).with_name("colmap_reader.py"))  # by its file: its name would import every other reader
 # COLMAP's camera models: how many focal lengths, and the positions of its further parameters among OpenCV's coefficients.
 OPENCV_MODELS: dict[str, tuple[int, int, tuple[int, ...]]] = {
     "SIMPLE_PINHOLE": (1, 4, ()),
@@ -93,7 +93,7 @@ def read_model(folder: Path) -> list[CalibratedView]:
         raise CaptureError(
             f"{folder}: damaged COLMAP model, reading it took over {READER_TIMEOUT_S} s; export it again"
         ) from error
-    except ReaderError as error:
+    except SideProcessError as error:
         raise CaptureError(
             f"{folder}: damaged COLMAP model, the reader reports '{error!s:.200}'; copy or export the model again"
         ) from error

@@ -1,4 +1,4 @@
-"""The script of the `ReaderProcess` for COLMAP models: pycolmap, once loaded, breaks the writing of PNG files."""
+"""The script of the `SideProcess` for COLMAP models: pycolmap, once loaded, breaks the writing of PNG files."""
 
 import os
 import tempfile
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.files.plain import check_plain, coding_of, parse_numbers, read_plain_text
-from ggvs_eval.files.reader_process import serve
+from ggvs_eval.side_process import serve
 
 LARGEST_MODEL_FILE = 512 << 20
 FILES = ("cameras", "images", "points3D")

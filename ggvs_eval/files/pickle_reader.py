@@ -1,4 +1,4 @@
-"""Pickles of plain data, read as data; the script of the `ReaderProcess` for those of strangers.
+"""Pickles of plain data, read as data; the script of the `SideProcess` for those of strangers.
 
 A pickle is a program. Here it finds no names but stand-ins for those that numpy's arrays are made by:
 no code of it runs, and numpy, which trusts what a state says, is given numbers alone. What a few bytes
@@ -90,7 +90,7 @@ def read_pickle(path: Path) -> Any:
 
 
 if __name__ == "__main__":
-    from ggvs_eval.files.reader_process import serve
+    from ggvs_eval.side_process import serve
 
     resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
     serve(read_pickle)

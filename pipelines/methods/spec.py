@@ -5,6 +5,7 @@ import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from copy import deepcopy
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cache, partial
 from importlib import resources
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import cv2
 import numpy as np
 
-from ggvs_eval.arrays import Map, read_only
+from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import GgvsError, RenderError, ViewRefusedError
 from ggvs_eval.files.toml_tables import build_table
@@ -282,7 +283,7 @@ class OnlineMethod(MethodSpec):
 
 
 class ForeignMethod:
-    """A method of a plug-in: it is shown arrays that it cannot write to, and a view that it fails in is one that it refuses."""
+    """A method of a plug-in: it is shown copies, and a view that it fails in is one that it refuses."""
 
     def __init__(self, title: str, factory: Callable[[], Method]) -> None:
         self._title = title
@@ -298,11 +299,11 @@ class ForeignMethod:
             ViewRefusedError: any exception of the method, or no picture of numbers of the target's size.
         """
         with foreign(f"method {self._title}: failed at instant {instant.index}", ViewRefusedError):
-            return _checked(self._method.step(_read_only(instant)), instant.target)
+            return _checked(self._method.step(deepcopy(instant)), instant.target)
 
     def _looked_ahead(self, instants: Iterable[Instant]) -> None:
         with foreign(f"method {self._title}: failed to look ahead", ViewRefusedError):
-            self._method.look_ahead(map(_read_only, instants))  # type: ignore[attr-defined]
+            self._method.look_ahead(map(deepcopy, instants))  # type: ignore[attr-defined]
 
 
 def _checked(made: Any, target: Camera) -> Rendering:
@@ -314,14 +315,6 @@ def _checked(made: Any, target: Camera) -> Rendering:
         raise ValueError(f"wanted an image of floats in [0, 1], {wanted}, got {got}")
     sum(made.seconds.values())  # numbers, or it raises
     return made
-
-
-def _read_only(instant: Instant) -> Instant:
-    sources = (
-        replace(view, image=read_only(view.image), depth=read_only(view.depth), confidence=read_only(view.confidence))
-        for view in instant.sources
-    )
-    return replace(instant, sources=tuple(sources))
 
 
 @dataclass(frozen=True)
@@ -348,8 +341,9 @@ class SceneMethod(MethodSpec):
             scene = self.scene(unit)
         for _, frame, target in unit.shots:
             with self.guard(f"failed at instant {frame}"):
-                made = scene.render(frame, target)
-                yield _checked(made, target) if self.foreign else made
+                made = scene.render(frame, deepcopy(target))
+                rendering = _checked(made, target) if self.foreign else made
+            yield rendering
 
 
 def digest_weights(file: Path) -> str:

@@ -10,7 +10,7 @@ import pytest
 
 from ggvs_eval.files import pickle_reader
 from ggvs_eval.files.pickle_reader import read_pickle
-from ggvs_eval.files.reader_process import ReaderError, ReaderProcess
+from ggvs_eval.side_process import SideProcess, SideProcessError
 from helpers.hostile import Hostile
 
 KERNEL = np.arange(24, dtype=np.float32).reshape(1, 2, 3, 4)
@@ -47,7 +47,7 @@ DAMAGED = [
 @pytest.fixture(scope="module")
 def reader():
     """The process that reads."""
-    process = ReaderProcess(Path(pickle_reader.__file__))
+    process = SideProcess(Path(pickle_reader.__file__))
     yield process
     process.end()
 
@@ -56,7 +56,7 @@ def reader():
 def test_what_is_damaged_is_refused(content, reader, tmp_path):
     """Cut, of another shape, or no plain data."""
     (tmp_path / "x.pkl").write_bytes(content)
-    with pytest.raises(ReaderError, match=r"\w"):
+    with pytest.raises(SideProcessError, match=r"\w"):
         reader.ask(tmp_path / "x.pkl", 20)
 
 
@@ -65,7 +65,7 @@ def test_what_is_damaged_is_refused(content, reader, tmp_path):
 def test_bombs_end_with_the_process_that_reads_them(content, reader, tmp_path):
     """Memory and time of the one who asks are not taken; the next file is read."""
     (tmp_path / "x.pkl").write_bytes(content)
-    with pytest.raises((ReaderError, TimeoutError)):
+    with pytest.raises((SideProcessError, TimeoutError)):
         reader.ask(tmp_path / "x.pkl", 3)
     (tmp_path / "x.pkl").write_bytes(pickle.dumps([1]))
     assert reader.ask(tmp_path / "x.pkl", 20) == [1]

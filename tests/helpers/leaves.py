@@ -78,6 +78,7 @@ LEAVES: dict[str, tuple[str, ...]] = {
     "masks of what no source sees": ("pipelines.run.disocclusion",),
     "stream": ("metrics.time.on_screen", "pipelines.run.screens", "pipelines.run.live_depth"),
     "metrics": ("metrics.image", "metrics.time", "metrics.noise.blocks", "metrics.on_device"),
+    "metrics of plug-ins": ("metrics.foreign",),
     "play": ("pipelines.play", "pipelines.commands.play"),
 }
 

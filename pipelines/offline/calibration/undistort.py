@@ -26,16 +26,16 @@ from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files import pickle_reader
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.files.images import write_image
-from ggvs_eval.files.reader_process import ReaderError, ReaderProcess
 from ggvs_eval.files.video import write_video
 from ggvs_eval.kernels import usable_cpus
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration.known_cameras import INTRINSICS, fit_known, read_known, write_intrinsics
 from ggvs_eval.progress import track
+from ggvs_eval.side_process import SideProcess, SideProcessError
 
 KINDS = "intri.yml (EasyMocap), calib_*.pkl (D3DMV), .qca.txt (Qualisys), OpenCV's YAML or a .toml file with cameras"
 LARGEST_PICKLE_BYTES, PICKLE_TIMEOUT_S = 1 << 20, 20
-_PICKLES = ReaderProcess(Path(pickle_reader.__file__))
+_PICKLES = SideProcess(Path(pickle_reader.__file__))
 Size = tuple[int, int]
 
 
@@ -124,7 +124,7 @@ def read_pickle(path: Path) -> Any:
         )
     try:
         return _PICKLES.ask(path, PICKLE_TIMEOUT_S)
-    except (ReaderError, TimeoutError) as error:
+    except (SideProcessError, TimeoutError) as error:
         raise CaptureError(f"{path}: wanted a pickle of plain numbers and arrays, got: {error}; nothing was run") from error
 
 

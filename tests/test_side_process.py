@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from ggvs_eval.files import reader_process
-from ggvs_eval.files.reader_process import ReaderError, ReaderProcess
+from ggvs_eval import side_process
+from ggvs_eval.side_process import SideProcess, SideProcessError
 
 LONG_S = 60
 SCRIPT = """
 import os, sys, time
-from ggvs_eval.files import reader_process
+from ggvs_eval import side_process
 
 def read(path):
     print("chatter", flush=True)
@@ -33,16 +33,16 @@ def read(path):
             time.sleep(600)
     return str(path)
 
-reader_process.IDLE_S = IDLE
-reader_process.serve(read)
+side_process.IDLE_S = IDLE
+side_process.serve(read)
 """
 
 
-def started(folder: Path, idle_s: float = LONG_S) -> ReaderProcess:
+def started(folder: Path, idle_s: float = LONG_S) -> SideProcess:
     """A reader by the script above."""
     script = folder / "script.py"
     script.write_text(SCRIPT.replace("IDLE\n", f"{idle_s}\n"))
-    return ReaderProcess(script)
+    return SideProcess(script)
 
 
 @pytest.fixture(scope="module")
@@ -65,17 +65,17 @@ def test_a_refusal_is_reported_and_survived(reader):
     """By the last line of its reason, with the kind of error where it is no ValueError."""
     pid = reader.ask(Path("pid"), LONG_S)
     for name, reason in (("refused", "no camera in it"), ("missing", "KeyError: 'model'")):
-        with pytest.raises(ReaderError) as caught:
+        with pytest.raises(SideProcessError) as caught:
             reader.ask(Path(name), LONG_S)
         assert str(caught.value) == reason
     assert reader.ask(Path("pid"), LONG_S) == pid
 
 
-@pytest.mark.parametrize(("name", "reason"), [("exit", "cannot go on"), ("abort", "-6")])
+@pytest.mark.parametrize(("name", "reason"), [("exit", "cannot go on"), ("abort", "signal 6")])
 def test_a_process_that_dies_is_named_and_replaced(reader, name, reason):
     """By its last words, or by the status that it ended with; the next request has a process again."""
     pid = reader.ask(Path("pid"), LONG_S)
-    with pytest.raises(ReaderError, match=reason):
+    with pytest.raises(SideProcessError, match=reason):
         reader.ask(Path(name), LONG_S)
     assert reader.ask(Path("pid"), LONG_S) != pid
 
@@ -94,7 +94,7 @@ def test_an_answer_that_nobody_waited_for_is_not_the_next_ones(reader, monkeypat
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(reader_process.select, "select", interrupted)
+        patch.setattr(side_process.select, "select", interrupted)
         with pytest.raises(KeyboardInterrupt):
             reader.ask(Path("first"), LONG_S)
     assert reader.ask(Path("second"), LONG_S) == "second"
