@@ -235,7 +235,10 @@ class Protocol:
         return dataclasses.replace(self, frames=frames_kept, path=path)
 
     def streamed(self, stream: Stream) -> "Protocol":
-        """Return the protocol with these conditions, unless it has its own; the warm-up is at most half of its instants."""
+        """Return the protocol with these conditions, unless it has its own.
+
+        The warm-up is at most half of its instants.
+        """
         fitting = dataclasses.replace(stream, warm_up=min(stream.warm_up, self.frames.count // 2))
         return dataclasses.replace(self, stream=self.stream or fitting)
 
@@ -309,10 +312,11 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
 
 
 def _without_screens(protocol: Protocol, file: str) -> Protocol:
-    """Return a protocol of an earlier version without its metrics of displayed frames, and say where these are now."""
+    """Return a protocol of an earlier version without metrics of displayed frames, and say so."""
     metrics = protocol.measurement.metrics
     if gone := [name for name in metrics if name in OF_A_SCREEN]:
-        say_once(f"{file}: without {', '.join(gone)}; what a viewer sees of METHOD is the row METHOD@screen, in every metric")
+        where = "what a viewer sees of METHOD is the row METHOD@screen, in every metric"
+        say_once(f"{file}: without {', '.join(gone)}; {where}")
     kept = tuple(name for name in metrics if name not in OF_A_SCREEN)
     return dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, metrics=kept))
 

@@ -9,7 +9,7 @@
     RUN/fused/<frame>/points.ply  mesh.ply       one instant as a point cloud and a mesh, where asked for
     RUN/renders/<method>/<view>/<frame>.png      synthesised frames, and job.json: identity, versions, seconds per stage
     RUN/renders/<method>/<view>/inside/<map>/    depth, weights, coverage, motion of those frames, of methods with diagnostics
-    RUN/renders/<method>@screen/<view>/          links to the frame that a viewer sees at each instant, where asked for
+    RUN/renders/<method>@screen/<view>/          links to what a viewer sees at each instant
     RUN/path/truth/<pose>.png                    a camera path at one instant: truth if there is one, poses in path.json
     RUN/path/<method>/<pose>.png                 the same path synthesised, for epipolar plane images
     RUN/path_depth/<pose>.npy                    depth along the path, the same for all methods

@@ -72,7 +72,7 @@ class ScorePart:
         rows: label -> values, and metric -> why there are none, once the jobs are done; None if it has no rows.
         references: rows of the report that belong to no method, once the jobs are done.
         write: writes further records into the run folder.
-        partial: label of a row that it adds to the methods -> view -> its frames, which are there as a method's are.
+        partial: label of a row that it adds to the methods -> view -> its frames, which are there.
     """
 
     jobs: tuple[Job, ...] = ()

@@ -77,7 +77,6 @@ def write_text(path: Path, text: str) -> None:
 
 def link_file(source: Path, target: Path) -> None:
     """Make a file known by another name too; a copy where the file system has no such thing."""
-    target.parent.mkdir(parents=True, exist_ok=True)
     try:
         os.link(source.resolve(), target)
     except OSError:

@@ -1,4 +1,4 @@
-"""Screens of a run: what each method shows at each instant, from the times that its pictures took, as a row of its own.
+"""Screens of a run: what each method shows at each instant, from the times of its pictures, as a row.
 
 ``stream.json`` has the times and counts for tables.
 """
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.atomic import atomic_folder, link_file
+from ggvs_eval.files.atomic import atomic_file, link_file
 from ggvs_eval.metrics.time.on_screen import Screen, on_screen
 from ggvs_eval.pipelines.methods.registry import known_method
 from ggvs_eval.protocol import Protocol, Stream
@@ -29,12 +29,12 @@ Clock = dict[str, float]  # stage -> seconds of a picture
 def plan_screens(request: ScoreRequest) -> ScorePart:
     """Make a row of what a viewer sees of each method; nothing if the protocol has no stream.
 
-    The record of the stream has label -> stages, counts and latency, or the reason why a method is not on the screen.
+    The record of the stream has label -> stages, counts and latency, or why a method has no row.
 
     Reading:
-        A row has frames from its first picture on. It has no mark of partial renders, with which no method that takes time would
-        be ranked: rows are ranked among each other where they are of the same instants. A shard lacks the times of the other
-        views and has no such rows.
+        A row has frames from its first picture on. It has no mark of partial renders, with which no
+        method that takes time would be ranked: rows are ranked among each other where they are of
+        the same instants. A shard lacks the times of the other views and has no such rows.
     """
     run, protocol, coverage = request.run, request.protocol, request.coverage
     stream = protocol.stream
@@ -59,7 +59,7 @@ def plan_screens(request: ScoreRequest) -> ScorePart:
 
 
 def _link_displayed(run: RunFolder, protocol: Protocol, label: str, screen: Screen) -> range:
-    """Link the displayed frame of each scored instant in the folder of the row, and return these instants."""
+    """Link the displayed frame of each scored instant in the row's folder; return these instants."""
     start, first = protocol.frames.start, screen.first
     assert first is not None
     links: dict[Path, Path] = {}
@@ -69,11 +69,12 @@ def _link_displayed(run: RunFolder, protocol: Protocol, label: str, screen: Scre
             links[frame_path(Path(view), instant)] = frame_path(run.renders(label, view), start + frame)
     folder = run.renders(f"{label}{ON_SCREEN}", "")
     there = {file.relative_to(folder): file.stat().st_ino for file in folder.glob("*/*.png")}
-    if there != {name: file.stat().st_ino for name, file in links.items()}:
-        with atomic_folder(folder) as temporary:
-            for name, file in links.items():
-                link_file(file, temporary / name)
-            shutil.rmtree(folder, ignore_errors=True)
+    for name, file in links.items():  # one by one, because another process may read them
+        if there.pop(name, None) != file.stat().st_ino:
+            with atomic_file(folder / name) as temporary:
+                link_file(file, temporary)
+    for name in there:
+        (folder / name).unlink(missing_ok=True)
     return range(start + first, protocol.frames.numbers.stop)
 
 

@@ -175,7 +175,7 @@ class MeasuredRun:
         metrics: metric -> its note.
         references: grey rows that belong to no method.
         replicas: label of a fitted method -> labels of the same by other seeds, which are in no table but that of the spread.
-        all_results: what came out, with these and the rows of screens, which are in their own table; None without any.
+        all_results: what came out, with these and the rows of screens; None if there are neither.
         from_sources: labels of the methods that render each instant from the source views of the protocol; others are fitted to
             more, or it is unknown.
     """

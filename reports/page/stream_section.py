@@ -1,4 +1,4 @@
-"""What reaches the screen of a live viewer: scores of the displayed frames, and rate, latency and lost frames of each method."""
+"""What reaches the screen of a live viewer: scores of the displayed frames, and their delay."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -38,7 +38,7 @@ def stream_section(report: Report) -> SectionContent:
 
 
 def _displayed_tables(group: RunGroup) -> list[Table]:
-    """Return the scores of what a viewer saw of each method, ranked among each other, in every metric that frames have."""
+    """Return the scores of what a viewer saw of each method, ranked among each other."""
     runs = []
     for run in group.runs.values():
         results = run.all_results or run.results
