@@ -330,7 +330,8 @@ SCORE_PARTS = {
     "stream": f"{_RUN}.screens:plan_screens",
 }
 
-# The learned baselines: of each a description; and every method by its label, in the order in which they are listed.
+# The learned baselines: of each a description. Every method by its label: its specification, which
+# names its class and keywords, or what makes one of a baseline; in the order in which they are listed.
 _BASELINES, _MORE_BASELINES = "ggvs_eval.baselines", "ggvs_eval.contrib.more_baselines"
 LEARNED_BASELINES = {
     "fwd": f"{_BASELINES}.fwd:BASELINE",
@@ -340,25 +341,31 @@ LEARNED_BASELINES = {
     "mvsplat": f"{_MORE_BASELINES}.mvsplat:BASELINE",
     "mvsnerf": f"{_MORE_BASELINES}.mvsnerf:BASELINE",
 }
-_METHODS, _OF = "ggvs_eval.pipelines.methods", "operator:getitem"
-_LEARNED_LABELS = {
-    **{name: name for name in ("fwd", "ibrnet", "gps-gaussian")},
-    "gps-gaussian+given-depth": "gps-gaussian",
-    **{name: name for name in ("enerf", "mvsplat", "mvsnerf")},
-}
-_GEOMETRIC = ("", "+no-temporal", "+point-splat", "+no-background", "+offline")
-_OURS = ("naive", "ours+no-tsdf", "ours+no-temporal", "ours", *(f"ours-geometric{variant}" for variant in _GEOMETRIC))
-METHODS: dict[str, Derived] = {
-    **{
-        name: Derived(f"{_METHODS}.baselines:FIXED_BASELINES", _OF, (name,))
-        for name in ("no-blending", "distance-based", "interpolation")
-    },
-    **{
-        label: Derived(LEARNED_BASELINES[name], f"{_METHODS}.baselines:method_of_label", (label,))
-        for label, name in _LEARNED_LABELS.items()
-    },
-    **{name: Derived(f"{_METHODS}.fitted:FITTED", _OF, (name,)) for name in ("4dgs", "3dgs-per-instant", "3dgstream")},
-    **{label: Derived(f"{_METHODS}.ours:OURS", _OF, (label,)) for label in _OURS},
+_METHODS = "ggvs_eval.pipelines.methods"
+_BY_WEIGHTS = f"{_METHODS}.baselines:learned_method"
+METHODS: dict[str, str | Derived] = {
+    "no-blending": f"{_METHODS}.baselines:NO_BLENDING",
+    "distance-based": f"{_METHODS}.baselines:DISTANCE_BASED",
+    "interpolation": f"{_METHODS}.baselines:INTERPOLATION",
+    "fwd": Derived(LEARNED_BASELINES["fwd"], _BY_WEIGHTS),
+    "ibrnet": Derived(LEARNED_BASELINES["ibrnet"], _BY_WEIGHTS),
+    "gps-gaussian": Derived(LEARNED_BASELINES["gps-gaussian"], _BY_WEIGHTS),
+    "gps-gaussian+given-depth": Derived(f"{_BASELINES}.gps_gaussian:GIVEN_DEPTH", _BY_WEIGHTS),
+    "enerf": Derived(LEARNED_BASELINES["enerf"], _BY_WEIGHTS),
+    "mvsplat": Derived(LEARNED_BASELINES["mvsplat"], _BY_WEIGHTS),
+    "mvsnerf": Derived(LEARNED_BASELINES["mvsnerf"], _BY_WEIGHTS),
+    "4dgs": f"{_METHODS}.fitted:FOUR_D",
+    "3dgs-per-instant": f"{_METHODS}.fitted:PER_INSTANT",
+    "3dgstream": f"{_METHODS}.fitted:STREAM",
+    "naive": f"{_METHODS}.ours:NAIVE",
+    "ours+no-tsdf": f"{_METHODS}.ours:NO_TSDF",
+    "ours+no-temporal": f"{_METHODS}.ours:NO_TEMPORAL",
+    "ours": f"{_METHODS}.ours:OURS",
+    "ours-geometric": f"{_METHODS}.ours:GEOMETRIC",
+    "ours-geometric+no-temporal": f"{_METHODS}.ours:GEOMETRIC_NO_TEMPORAL",
+    "ours-geometric+point-splat": f"{_METHODS}.ours:POINT_SPLAT",
+    "ours-geometric+no-background": f"{_METHODS}.ours:NO_BACKGROUND",
+    "ours-geometric+offline": f"{_METHODS}.ours:OFFLINE",
 }
 # Scenes that others have fitted, which become a method of the label that the user gives.
 STORED_SCENES = {"splats": f"{_METHODS}.fitted:StoredSplats"}

@@ -72,7 +72,7 @@ from dataclasses import dataclass
 import numpy as np
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Rendering
-from ggvs_eval.pipelines.methods.fitted import fitted_method
+from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.scene_fitter import FittedScene, SceneFitter
 
 METHODS = globals().get("METHODS", {{}})
@@ -103,7 +103,7 @@ class {name}(SceneFitter):
     def load(self, folder):
         {load}
 
-METHODS["{name}"] = fitted_method("Mine", "{name}", "foreign_plugin:{name}")
+METHODS["{name}"] = FittedMethod("Mine", "{name}", "foreign_plugin:{name}")
 """
 WORKS = {
     "name": "mine",

@@ -186,7 +186,7 @@ def test_lines_of_imports_are_those_of_the_syntax_trees():
 def test_a_room_names_the_rooms_that_import_it(tmp_path):
     """So `--room` chooses tests: those of the room and of its users, by what a test or a helper of it imports."""
     assert rooms_that_use("online") == rooms_that_use("pipelines.online")
-    assert rooms_that_use("online") >= {"pipelines.online", "pipelines.methods"}
+    assert rooms_that_use("online") >= {"pipelines.online", "contrib.warp"}
     assert not rooms_that_use("online") & {"reports", "geometry", "metrics.image"}
     with pytest.raises(KeyError, match="no room is called 'onlin'"):
         rooms_that_use("onlin")

@@ -1,6 +1,6 @@
 """ENeRF (Lin et al. 2022): cost volumes find the surface, a few samples around it blend the views' colours."""
 
-from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
+from ggvs_eval.baselines.learned import LearnedBaseline
 
 BASELINE = LearnedBaseline(
     name="enerf",
@@ -8,5 +8,6 @@ BASELINE = LearnedBaseline(
     source="Lin et al., SIGGRAPH Asia 2022",
     checkpoint="dtu_pretrain/latest.pth of zju3dv/ENeRF",
     method="ggvs_eval.baselines.enerf.method:ENeRF",
-    renditions=(Rendition("ENeRF", "radiance near the surface of a cost volume", retrained="compact"),),
+    describe="radiance near the surface of a cost volume",
+    retrained="compact",
 )

@@ -1,6 +1,6 @@
 """IBRNet (Wang et al. 2021): colours of the source views, blended along each target ray by a network that was trained once."""
 
-from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
+from ggvs_eval.baselines.learned import LearnedBaseline
 
 BASELINE = LearnedBaseline(
     name="ibrnet",
@@ -8,5 +8,6 @@ BASELINE = LearnedBaseline(
     source="Wang et al., CVPR 2021",
     checkpoint="model_255000.pth of googleinterns/IBRNet",
     method="ggvs_eval.baselines.ibrnet.method:IBRNet",
-    renditions=(Rendition("IBRNet", "colours of the views blended along rays", retrained="compact"),),
+    describe="colours of the views blended along rays",
+    retrained="compact",
 )

@@ -38,8 +38,14 @@ class FittedMethod(SceneMethod):
     preparation: ClassVar[str] = "fits"
     fitter: str
     _: KW_ONLY
+    online: bool = False
     options: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """See `MethodSpec.modules`."""
+        return (self.fitter.partition(":")[0],)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -101,33 +107,26 @@ class FittedMethod(SceneMethod):
         return unit.fit
 
 
-def fitted_method(title: str, describe: str, fitter: str, online: bool = False, departs: str = "") -> FittedMethod:
-    """Return a method by its `SceneFitter`, ``module:class``; `online` where it sees nothing of the future."""
-    return FittedMethod(title, describe, (fitter.partition(":")[0],), fitter, online=online, usual=False, departs=departs)
-
-
-FITTED: dict[str, FittedMethod] = {
-    "4dgs": fitted_method(
-        "4DGS (compact)",
-        "a cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each alone, fit to the whole clip",
-        "ggvs_eval.baselines.fitted.four_d:FourD",
-        departs="starts from estimated depth; harmonics of degree 1; a smaller field; one image a step; black background",
-    ),
-    "3dgs-per-instant": fitted_method(
-        "3DGS per Instant",
-        "a cloud of Gaussians fitted to each instant alone: no temporal coupling",
-        "ggvs_eval.baselines.fitted.per_instant:PerInstant",
-        online=True,
-        departs="starts from estimated depth; fewer steps; harmonics of degree 1; opacity never reset",
-    ),
-    "3dgstream": fitted_method(
-        "3DGStream (compact)",
-        "the cloud of the previous instant, moved by a small field and completed, with seconds of fitting per instant",
-        "ggvs_eval.baselines.fitted.stream:Stream",
-        online=True,
-        departs="starts from estimated depth; dense planes in place of hash grids; harmonics do not turn",
-    ),
-}
+FOUR_D = FittedMethod(
+    "4DGS (compact)",
+    "a cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each alone, fit to the whole clip",
+    "ggvs_eval.baselines.fitted.four_d:FourD",
+    departs="starts from estimated depth; harmonics of degree 1; a smaller field; one image a step; black background",
+)
+PER_INSTANT = FittedMethod(
+    "3DGS per Instant",
+    "a cloud of Gaussians fitted to each instant alone: no temporal coupling",
+    "ggvs_eval.baselines.fitted.per_instant:PerInstant",
+    online=True,
+    departs="starts from estimated depth; fewer steps; harmonics of degree 1; opacity never reset",
+)
+STREAM = FittedMethod(
+    "3DGStream (compact)",
+    "the cloud of the previous instant, moved by a small field and completed, with seconds of fitting per instant",
+    "ggvs_eval.baselines.fitted.stream:Stream",
+    online=True,
+    departs="starts from estimated depth; dense planes in place of hash grids; harmonics do not turn",
+)
 
 
 @dataclass(frozen=True)
@@ -143,6 +142,11 @@ class StoredSplats(SceneMethod):
     named = staticmethod(named_splats)
 
     @property
+    def modules(self) -> tuple[str, ...]:
+        """See `MethodSpec.modules`."""
+        return reading_modules(self.path)
+
+    @property
     def notes(self) -> list[str]:
         """What is passed over in its files, and what is assumed."""
         return splats_notes(self.path)
@@ -151,7 +155,7 @@ class StoredSplats(SceneMethod):
     def of(cls, label: str, path: Path) -> "StoredSplats":
         """Return the method of a label, which is its title too."""
         describe = f"fitted 3D Gaussians, {path.name}, rendered by this package"
-        return cls(label, describe, reading_modules(path), path.resolve(), online=False, usual=False, uses_depth=False)
+        return cls(label, describe, path.resolve(), online=False, uses_depth=False)
 
     @property
     def learned_from(self) -> str:

@@ -17,11 +17,11 @@ from ggvs_eval.results import split_label
 def _checked(name: str, offered: object) -> MethodSpec:
     """Return a method of a plug-in: a `MethodSpec`, or what makes an object with `Method.step`."""
     if isinstance(offered, MethodSpec):
-        return replace(offered, usual=False, foreign=True)
+        return replace(offered, foreign=True)
     if not callable(offered):
         raise TypeError(f"wanted a MethodSpec or a class with a step, got {type(offered).__name__}")
     about = (getattr(offered, "__doc__", None) or "").strip().partition("\n")[0]
-    return OnlineMethod(name, about or f"{name}, of a plug-in", (offered.__module__,), offered, usual=False, foreign=True)
+    return OnlineMethod(name, about or f"{name}, of a plug-in", offered, foreign=True)
 
 
 # Every method by its label, `method` or `method+variant`; its renders are in a folder of that name.

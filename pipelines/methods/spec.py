@@ -19,7 +19,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
-from ggvs_eval.errors import GgvsError, RenderError, ViewRefusedError
+from ggvs_eval.errors import GgvsError, RenderError, ViewRefusedError, WeightsError
 from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.method import Instant, LookaheadMethod, Method, Rendering, SourceView
 from ggvs_eval.pipelines.methods.render_unit import RenderUnit
@@ -84,12 +84,6 @@ def shipped(name: str) -> Path:
     return Path(str(resources.files("ggvs_eval.pipelines") / "weights" / name))
 
 
-def make(reference: str) -> Method:
-    """Make an object of a class without options, ``module:class``; its module is imported only then."""
-    kind: Callable[[], Method] = resolve_name(reference)
-    return kind()
-
-
 @dataclass(frozen=True)
 class MethodSpec(ABC):
     """One method or variant of it.
@@ -97,10 +91,8 @@ class MethodSpec(ABC):
     Attributes:
         title: how tables call it.
         describe: one line for the help and the report.
-        modules: of its classes; a change there, or in what they import, makes its renders stale.
         ours: whether it is this project's method or an ablation of it.
         online: whether it sees nothing of the future.
-        usual: whether it is rendered where no method is named; ablations that only a sweep asks for are not.
         uses_depth: whether it looks at the depth of its sources, or learns a scene from it.
         device: where its networks compute, if it has any.
         departs: what is not as its authors published it.
@@ -111,15 +103,18 @@ class MethodSpec(ABC):
     preparation: ClassVar[str] = ""
     title: str
     describe: str
-    modules: tuple[str, ...]
     _: KW_ONLY
     ours: bool = False
     online: bool = True
-    usual: bool = True
     uses_depth: bool = True
     device: str = "cpu"
     departs: str = ""
     foreign: bool = False
+
+    @property
+    @abstractmethod
+    def modules(self) -> tuple[str, ...]:
+        """Of its classes; a change in their rooms makes its renders stale."""
 
     @property
     @abstractmethod
@@ -191,19 +186,19 @@ class OnlineMethod(MethodSpec):
     """A method that is shown one instant after the other.
 
     Attributes:
-        maker: makes a fresh object that renders one sequence.
+        maker: class of what renders one sequence, or its ``module:class``, which is imported only then.
         given: keywords of `maker` that the label, the user's weights and the device set, and ``scale``: a label such as
             ``enerf+scale=0.5`` has any method render at a fraction of the size.
         takes: keywords that may be set besides: ``device`` of its networks, ``weights`` for a checkpoint, and ``options``, which
             are `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
         weights: files of the trained weights it renders with.
-        checkpoint: what the user can give instead of weights that ship, or has to give where none do.
+        checkpoint: what the user has to give where none ship, and how; empty if `maker` takes no file.
         title_from: how tables call it then, if not by `title`: weights trained here are labelled so.
         options_type: dataclass of its ``options``, as ``module:class``.
         device_modules: what it renders with besides on a device that is not the CPU.
     """
 
-    maker: Callable[..., Method]
+    maker: str | Callable[..., Method]
     _: KW_ONLY
     given: Mapping[str, Any] = field(default_factory=dict)
     takes: tuple[str, ...] = ()
@@ -212,6 +207,12 @@ class OnlineMethod(MethodSpec):
     title_from: str = ""
     options_type: str = "ggvs_eval.pipelines.online.geometry_guided:OnlineOptions"
     device_modules: tuple[str, ...] = ()
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """See `MethodSpec.modules`."""
+        module = self.maker.partition(":")[0] if isinstance(self.maker, str) else self.maker.__module__
+        return (module, *(self.device_modules if self.device != "cpu" else ()))
 
     @property
     def learned_from(self) -> str:
@@ -232,7 +233,12 @@ class OnlineMethod(MethodSpec):
         """Make a fresh object that renders one sequence."""
         given = dict(self.given)
         scale = given.pop("scale", None)
-        make = partial(self.maker, **given)
+        if self.checkpoint:
+            if not self.weights:
+                raise WeightsError(f"{self.title_from}: wanted weights {self.checkpoint}")
+            given["weights"] = self.weights[0]
+        maker = resolve_name(self.maker) if isinstance(self.maker, str) else self.maker
+        make = partial(maker, **given)
         method = ForeignMethod(self.title, make) if self.foreign else make()
         return method if scale is None else AtScale(method, scale)
 
@@ -255,31 +261,29 @@ class OnlineMethod(MethodSpec):
         Raises:
             RenderError: unknown options, or an invalid scale.
         """
-        values, given, modules, departs = option_values(variant), dict(self.given), self.modules, self.departs
+        values, given, departs = option_values(variant), dict(self.given), self.departs
         if "scale" in values:
             given["scale"] = scale = values.pop("scale")
             if type(scale) is not float or not 0 < scale < 1 or not self.online:
                 raise RenderError(f"method {label}: wanted a scale between 0 and 1 of a method that is online, got {scale!r}")
-            modules = (*modules, AtScale.__module__)
         if values and "options" not in self.takes:
             raise RenderError(f"method {label}: {self.title} has no option but scale, got {', '.join(values)}")
         if values:
             given["options"] = build_table(resolve_name(self.options_type), values, f"method {label}", "", RenderError)
             departs = f"{departs}, except for {', '.join(values)}" if departs else ""
         title = f"{self.title}, {variant.replace('+', ', ')}"
-        return replace(self, title=title, usual=False, given=given, modules=modules, departs=departs)
+        return replace(self, title=title, given=given, departs=departs)
 
     def on(self, device: str) -> "OnlineMethod":
         """Return the method with its networks on a device."""
         if device == self.device or "device" not in self.takes:
             return self
-        modules = (*self.modules, *self.device_modules)
-        return replace(self, given={**self.given, "device": device}, device=device, modules=modules)
+        return replace(self, given={**self.given, "device": device}, device=device)
 
     def rendering_with(self, checkpoint: Path) -> "OnlineMethod":
         """Return the method with a file of weights that the user gave."""
-        given, takes = {**self.given, "weights": checkpoint}, tuple(name for name in self.takes if name != "weights")
-        return replace(self, title=self.title_from or self.title, given=given, takes=takes, weights=(checkpoint,))
+        takes = tuple(name for name in self.takes if name != "weights")
+        return replace(self, title=self.title_from or self.title, takes=takes, weights=(checkpoint,))
 
 
 class ForeignMethod:

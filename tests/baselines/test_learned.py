@@ -1,6 +1,6 @@
 """Learned baselines as entries of one registry: what is listed, what an entry names, and one that is added by a line."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import ClassVar
@@ -16,7 +16,7 @@ from ggvs_eval.baselines.fitted.optimiser import structural_loss
 from ggvs_eval.baselines.fwd.network import load_network as load_fwd
 from ggvs_eval.baselines.gps_gaussian.network import load_network as load_gps_gaussian
 from ggvs_eval.baselines.ibrnet.network import load_ibrnet
-from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
+from ggvs_eval.baselines.learned import LearnedBaseline
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.contrib import more_baselines
 from ggvs_eval.contrib.more_baselines.mvsnerf.network import load_mvsnerf
@@ -29,11 +29,9 @@ from ggvs_eval.contrib.training.train_one import CACHE, train_one
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 from ggvs_eval.method import Rendering
-from ggvs_eval.pipelines.methods.baselines import FIXED_BASELINES, learned_method
-from ggvs_eval.pipelines.methods.fitted import FITTED
+from ggvs_eval.pipelines.methods.baselines import learned_method
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
-from ggvs_eval.pipelines.methods.ours import OURS
-from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.methods.spec import shipped
 from helpers.filled_pools import fill
 from helpers.hostile import Hostile
@@ -92,8 +90,9 @@ TOY = LearnedBaseline(
     source="nobody, nowhere 2020",
     checkpoint="toy.pth of nobody",
     method=f"{__name__}:ToyMethod",
-    renditions=(Rendition("Toy", "one colour"), Rendition("Dark Toy", "half of it", variant="dark", options={"gain": 0.5})),
+    describe="one colour",
 )
+DARK = replace(TOY, title="Dark Toy", describe="half of it", options={"gain": 0.5})
 
 
 @pytest.fixture
@@ -102,8 +101,8 @@ def toy(monkeypatch):
     monkeypatch.setitem(LEARNED_BASELINES.shipped, TOY.name, TOY)
     monkeypatch.setitem(TRAINED_BASELINES, TOY.name, TOY)
     monkeypatch.setitem(RECIPES.shipped, TOY.name, ToyRecipe)
-    for rendition in TOY.renditions:
-        monkeypatch.setitem(METHODS.shipped, TOY.label(rendition), learned_method(TOY, rendition))
+    monkeypatch.setitem(METHODS.shipped, "toy", learned_method(TOY))
+    monkeypatch.setitem(METHODS.shipped, "toy+dark", learned_method(DARK))
     return TOY
 
 
@@ -152,14 +151,6 @@ def test_every_folder_is_registered():
     assert sorted(there) == sorted([*map(LEARNED_BASELINES.root, LEARNED_BASELINES), "ggvs_eval.baselines.fitted"])
 
 
-def test_the_table_of_methods_says_what_their_modules_say():
-    """Labels of a learned baseline are those of its renditions, and the usual methods say so themselves."""
-    labels = [baseline.label(each) for baseline in LEARNED_BASELINES.values() for each in baseline.renditions]
-    assert [label for label in METHODS if METHODS.root(label) in map(LEARNED_BASELINES.root, LEARNED_BASELINES)] == labels
-    assert usual_methods() == tuple(label for label, spec in METHODS.built_in().items() if spec.usual)
-    assert {**FIXED_BASELINES, **FITTED, **OURS}.keys() | {*labels} == set(METHODS.present())
-
-
 LOADERS = {
     "FWD": load_fwd,
     "GPS-Gaussian": load_gps_gaussian,
@@ -193,9 +184,10 @@ def test_entries_name_what_there_is(name):
         assert recipe.seed == 3
         assert isinstance(recipe, TrainingRecipe)
         assert recipe.network().configuration == "compact"
-    for rendition in baseline.renditions:
-        spec = METHODS[baseline.label(rendition)]
-        assert spec.checkpoint == baseline.checkpoint
-        if rendition.retrained:
+    specs = [METHODS[label] for label in METHODS if METHODS.root(label) == LEARNED_BASELINES.root(name)]
+    assert specs
+    for spec in specs:
+        assert baseline.checkpoint in spec.checkpoint
+        if spec.weights:
             assert spec.weights == (shipped(baseline.weights),)
             assert isinstance(spec.make(), resolve_name(baseline.method))

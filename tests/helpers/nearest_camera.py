@@ -1,6 +1,6 @@
 """The smallest method that is fitted: it keeps what the training cameras saw, and shows the image of the nearest one."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.method import Rendering
 from ggvs_eval.pipelines.methods import registry
-from ggvs_eval.pipelines.methods.fitted import fitted_method
+from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.scene_fitter import FittedScene, Footage, Progress, SceneFitter
 
@@ -81,6 +81,6 @@ class NearestScene(FittedScene):
 
 
 def register(patch, fitter: str = f"{__name__}:NearestCamera", label: str = LABEL) -> None:
-    """Make a fitter a method for as long as the patch lasts; code outside the package has no identity of its own."""
-    spec = replace(fitted_method("Nearest Camera", "the nearest image", fitter), modules=("ggvs_eval.scene_fitter",))
+    """Make a fitter a method for as long as the patch lasts."""
+    spec = FittedMethod("Nearest Camera", "the nearest image", fitter)
     patch.setitem(registry.METHODS.shipped, label, spec)

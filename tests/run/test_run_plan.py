@@ -16,7 +16,6 @@ from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods import registry, spec
-from ggvs_eval.pipelines.methods.baselines import FIXED_BASELINES
 from ggvs_eval.pipelines.methods.stage_costs import render_cost
 from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
@@ -252,7 +251,9 @@ def test_a_long_run_has_a_line_for_every_stage(demo_capture, protocol, tmp_path)
     assert [line.split(":")[0].strip() for line in lines[3:]] == ["decoding", "depth", "rendering", "scoring"]
 
 
-@pytest.mark.parametrize("label", [*FIXED_BASELINES, *LEARNED_BASELINES, "ours", "ours-geometric+no-temporal"])
+@pytest.mark.parametrize(
+    "label", ["no-blending", "distance-based", "interpolation", *LEARNED_BASELINES, "ours", "ours-geometric+no-temporal"]
+)
 def test_every_method_of_ours_has_a_cost(label):
     """What ships and is not fitted is in the estimate."""
     assert render_cost(label) > 0

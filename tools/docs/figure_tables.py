@@ -9,7 +9,7 @@ from result_plan import OUT, RECORDS, ROOT
 
 from ggvs_eval.contrib.training.recipes.recipe import TRAINED_BASELINES
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.pipelines.methods.baselines import learned_method
+from ggvs_eval.pipelines.methods.registry import METHODS
 
 # Of the validation rooms the whole picture stands for all regions; the validation of depth prints the others.
 DEPTH_FIGURES = r"depth\.(motorcycle\.(epe_px|bad_[23]_percent)\.[^.]*$|sparse|rendering\.PSNR|reuse|rooms\.whole_picture|demo\.)"
@@ -203,8 +203,7 @@ def learned_table() -> str:
         ssim = f"{validated[-1]['ssim']:.4f}" if "ssim" in validated[-1] else ""
         ours = with_as_many[pixels] if name in TRAINED_BASELINES else ""
         if name in TRAINED_BASELINES:
-            baseline = TRAINED_BASELINES[name]
-            title = learned_method(baseline, next(each for each in baseline.renditions if each.retrained)).title
+            title = METHODS["gps-gaussian+given-depth" if name == "gps-gaussian" else name].title
         rows.append(f"| {title} | {pixels} | {before} | {validated[-1]['psnr_db']:.2f} | {ssim} | {ours} |")
     return "\n".join(rows)
 

@@ -18,10 +18,9 @@ from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.splat import splat
 from ggvs_eval.geometry.tsdf import PreviousDepth, fusion_weights, ray_march
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.methods import ours
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.online import network_blender
+from ggvs_eval.pipelines.online import network_blender, online_methods
 from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation, fallen_off, squared_tangents
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender
@@ -458,5 +457,5 @@ def test_a_gpu_is_given_the_whole_step(gpu_is_the_cpu, monkeypatch, on_device):
     for instant, there in zip(instants, on_device, strict=True):
         images, depths = ({view.camera.name: getattr(view, what) for view in instant.sources} for what in ("image", "depth"))
         np.testing.assert_array_equal(synthesizer.show(images, depths, instant.target), quantise(there.image))
-    monkeypatch.setattr(ours, "DEVICE_PARTS", {})  # Warp or contrib/warp was taken away
+    monkeypatch.setattr(online_methods, "DEVICE_PARTS", {})  # Warp or contrib/warp was taken away
     assert isinstance(find_method("ours", on_gpu).make(), GeometryGuided)
