@@ -249,12 +249,8 @@ def imported(reference: str) -> Any:
     module, _, name = reference.partition(":")
     if (here := os.getcwd()) not in sys.path:
         sys.path.append(here)
-    try:
+    with foreign(f"{reference}: wanted a module and what it defines, as my_method:Mine"):
         return pkgutil.resolve_name(f"{module}:{name}")
-    except (Exception, SystemExit) as error:  # a foreign module can raise anything while it is imported
-        raise PluginError(
-            f"{reference}: wanted a module and what it defines, as my_method:Mine ({_reason(error)}); correct it"
-        ) from error
 
 
 def plugin_digest(module: str) -> str:

@@ -316,6 +316,15 @@ def test_a_run_goes_on_without_what_failed(offer, tmp_path, small_capture):
     assert report([tmp_path / "run"], with_figures=False).is_file()
 
 
+@pytest.mark.slow
+def test_a_method_that_ends_its_process_is_named(offer, tmp_path, small_capture):
+    """Also where its view is the only thing that is left to do."""
+    offer(METHOD.format(body="import os; os._exit(3)"))
+    request = RunRequest(tmp_path / "run", small_capture, small_protocol(2, 0, ("PSNR",)), ("mine",))
+    with refused(RenderError, "mine in cam00: its process ended", "status 3"):
+        measure(plan_run(request), 2)
+
+
 @pytest.mark.parametrize("depth", ["raise ValueError('no such luck')", "return 'abc'", "return [7]", "import sys; sys.exit(3)"])
 def test_a_fitted_method_that_cannot_be_planned_is_one_line(offer, depth):
     """Instants that it wants depth of and that are none are refused before anything is done."""

@@ -93,7 +93,7 @@ def as_engine(workers: Workers) -> Engine:
 def run_in_processes(
     work: Callable[[Item], Result], items: Sequence[Item], workers: int
 ) -> Iterator[tuple[int, Result | LostJob]]:
-    """Do the work for every item; with one worker, or one item, in this very process.
+    """Do the work for every item; with one worker in this very process, as one item unless it says that it is ``foreign``.
 
     A killed process (the kernel's way to say that memory is out) takes the whole pool with it. Every item that was in hand is
     then tried again alone, to find the one that ran out of memory.
@@ -104,7 +104,7 @@ def run_in_processes(
     Yields:
         (index of an item, what came of it), in the order in which they end.
     """
-    if workers == 1 or len(items) == 1:
+    if workers == 1 or (len(items) == 1 and not getattr(items[0], "foreign", False)):
         yield from ((index, work(item)) for index, item in enumerate(items))
         return
     waiting = deque(enumerate(items))

@@ -77,6 +77,7 @@ class FitPlan:
             resumes=True,
             label=self.label,
             units=self.fold.units,
+            foreign=self.method.foreign,
         )
 
 

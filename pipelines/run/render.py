@@ -42,10 +42,12 @@ class UnitJob(Job):
 
     Attributes:
         units: the test view that it renders, or ``path``; of a fit, all that are rendered from it.
+        foreign: whether a plug-in's code does it, which may end its process.
     """
 
     label: str = ""
     units: tuple[str, ...] = ()
+    foreign: bool = False
 
 
 class SceneFit(Door):
@@ -112,7 +114,7 @@ def render_job(run: RunFolder, label: str, spec: MethodSpec, unit: RenderUnit) -
     else:
         name, folder = f"{label} in {unit.name}", run.renders(label, unit.name)
     work = partial(_render, label, spec, unit)
-    return UnitJob(name, folder, identity, work, label=label, units=(unit.name,))
+    return UnitJob(name, folder, identity, work, label=label, units=(unit.name,), foreign=spec.foreign)
 
 
 def method_code(spec: MethodSpec) -> str:
