@@ -1,6 +1,6 @@
 """Every method by the name that the command line and the folders use."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
@@ -63,7 +63,14 @@ def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec
     """
     if label in networks.splats:
         return STORED_SCENES[SPLATS].of(label, networks.splats[label])
-    return _found(label, networks.checkpoints).on(networks.device)
+    spec = _as_shipped(label)
+    method, _ = split_label(label)
+    if method in networks.checkpoints:
+        if not isinstance(spec, OnlineMethod) or "weights" not in spec.takes:
+            able = ", ".join(weights_takers())
+            raise RenderError(f"method {label}: {spec.title} takes no weights from outside; these do: {able}")
+        spec = spec.rendering_with(networks.checkpoints[method])
+    return spec.on(networks.device)
 
 
 def known_method(label: str) -> MethodSpec | None:
@@ -74,29 +81,18 @@ def known_method(label: str) -> MethodSpec | None:
         return None
 
 
-def _found(label: str, checkpoints: Mapping[str, Path]) -> MethodSpec:
-    """Return the method of a label on the CPU."""
-    method, _ = split_label(label)
-    if method in checkpoints:
-        return _with_checkpoint(label, checkpoints[method])
-    named = "+".join(takewhile(lambda part: "=" not in part, label.split("+")))  # ours+no-temporal of ours+no-temporal+scale=0.5
-    if named in METHODS and named != label:
-        return METHODS[named].configured(label, label.removeprefix(f"{named}+"))
+def _as_shipped(label: str) -> MethodSpec:
+    """Return the method of a label with the weights that ship, on the CPU."""
+    parts = takewhile(lambda part: "=" not in part, label.split("+"))
+    named = label if label in METHODS else "+".join(parts)  # ours of ours+scale=0.5
+    if named in METHODS:
+        spec = METHODS[named]
+        if isinstance(spec, OnlineMethod):  # without its weights it cannot be made
+            spec = replace(spec, weights=tuple(file for file in spec.weights if file.is_file()))
+        return spec if named == label else spec.configured(label, label.removeprefix(f"{named}+"))
     if reason := METHODS.why_absent(label) or METHODS.why_absent(named):
         raise AbsentPartError(reason)
-    if label not in METHODS and ":" in label:
+    if ":" in label:
         return _checked(label, imported(label))
-    if label not in METHODS:
-        suggestion = did_you_mean(label, METHODS, cutoff=0.0)
-        raise RenderError(f"unknown method {label!r}{suggestion} Known are {', '.join(METHODS)}")
-    spec = METHODS[label]
-    if isinstance(spec, OnlineMethod):  # without its weights it cannot be made
-        return replace(spec, weights=tuple(file for file in spec.weights if file.is_file()))
-    return spec
-
-
-def _with_checkpoint(label: str, checkpoint: Path) -> MethodSpec:
-    spec = find_method(label)
-    if not isinstance(spec, OnlineMethod) or "weights" not in spec.takes:
-        raise RenderError(f"method {label}: {spec.title} takes no weights from outside; these do: {', '.join(weights_takers())}")
-    return spec.rendering_with(checkpoint)
+    suggestion = did_you_mean(label, METHODS, cutoff=0.0)
+    raise RenderError(f"unknown method {label!r}{suggestion} Known are {', '.join(METHODS)}")
