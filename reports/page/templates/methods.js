@@ -48,7 +48,8 @@ const shownMethods = (() => {
       panel.querySelector('[data-role="count"]').textContent = count === own.length ? `all ${count}` : `${count} of ${own.length}`;
       panel.classList.toggle("some", off.size > 0);
     }
-    const names = [...off.values()].map((name) => `[data-method="${CSS.escape(name)}"]`);
+    const rows = [...off.values()].flatMap((name) => [name, `${name}, on the screen`]);
+    const names = rows.map((name) => `[data-method="${CSS.escape(name)}"]`);
     style.textContent = names.length ? `${names.join(", ")} { display: none !important; }` : "";
     for (const heard of listeners) heard();
   }
