@@ -233,10 +233,10 @@ class OnlineMethod(MethodSpec):
         """Make a fresh object that renders one sequence."""
         given = dict(self.given)
         scale = given.pop("scale", None)
+        if self.checkpoint and not self.weights:
+            raise WeightsError(f"{self.title_from or self.title}: wanted weights {self.checkpoint}")
         if self.checkpoint:
-            if not self.weights:
-                raise WeightsError(f"{self.title_from}: wanted weights {self.checkpoint}")
-            given["weights"] = self.weights[0]
+            given.setdefault("weights", self.weights[0])
         maker = resolve_name(self.maker) if isinstance(self.maker, str) else self.maker
         make = partial(maker, **given)
         method = ForeignMethod(self.title, make) if self.foreign else make()
@@ -282,8 +282,8 @@ class OnlineMethod(MethodSpec):
 
     def rendering_with(self, checkpoint: Path) -> "OnlineMethod":
         """Return the method with a file of weights that the user gave."""
-        takes = tuple(name for name in self.takes if name != "weights")
-        return replace(self, title=self.title_from or self.title, takes=takes, weights=(checkpoint,))
+        given, takes = {**self.given, "weights": checkpoint}, tuple(name for name in self.takes if name != "weights")
+        return replace(self, title=self.title_from or self.title, given=given, takes=takes, weights=(checkpoint,))
 
 
 class ForeignMethod:

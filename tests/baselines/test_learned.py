@@ -32,7 +32,7 @@ from ggvs_eval.method import Rendering
 from ggvs_eval.pipelines.methods.baselines import learned_method
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
-from ggvs_eval.pipelines.methods.spec import shipped
+from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
 from helpers.filled_pools import fill
 from helpers.hostile import Hostile
 from helpers.refusals import refused
@@ -149,6 +149,13 @@ def test_every_folder_is_registered():
     there = [f"{root.__name__}.{file.parent.name}" for root, folder in folders.items() for file in folder.glob("*/__init__.py")]
 
     assert sorted(there) == sorted([*map(LEARNED_BASELINES.root, LEARNED_BASELINES), "ggvs_eval.baselines.fitted"])
+
+
+def test_a_plug_in_is_given_the_file_that_the_user_names(tmp_path):
+    """A method that takes weights, and needs none, is made with those of `--weights`."""
+    method = OnlineMethod("Mine", "mine", dict, takes=("weights",))
+    assert method.make() == {}
+    assert method.rendering_with(tmp_path).make() == {"weights": tmp_path}
 
 
 LOADERS = {
