@@ -246,11 +246,10 @@ def is_installed(module: str) -> bool:
 
 def imported(reference: str) -> Any:
     """Return the object of ``module:name``, with modules of the working folder."""
-    module, _, name = reference.partition(":")
     if (here := os.getcwd()) not in sys.path:
         sys.path.append(here)
     with foreign(f"{reference}: wanted a module and what it defines, as my_method:Mine"):
-        return pkgutil.resolve_name(f"{module}:{name}")
+        return pkgutil.resolve_name(reference)
 
 
 def plugin_digest(module: str) -> str:

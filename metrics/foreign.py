@@ -5,7 +5,7 @@ takes 0.4 s to start, once for all views that a worker measures; a frame of 1352
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from itertools import count
 from math import isnan
@@ -80,7 +80,14 @@ def _measure(request: tuple[Sequence[str], Sequence[Any], tuple[Any, ...]]) -> l
     names, arguments, scoring = request
     try:
         with foreign(_failure(names), MetricError):
-            return [_checked(*value) for value in _function(names, *scoring)(*arguments)]
+            metric: Any = METRICS[names[0]]
+            if scoring:
+                values = _score(metric, names, *scoring, *arguments)
+            elif isinstance(metric, TableMetric):
+                values = metric.rows(*arguments)
+            else:
+                values = metric.scorer.measure(*arguments)
+            return [_checked(*value) for value in values]
     except GgvsError as error:
         return str(error)
 
@@ -95,13 +102,6 @@ def _checked(place: str | None, frame: int | None, value: Any) -> tuple[str | No
     return place, None if frame is None else index(frame), float(value)
 
 
-def _function(names: Sequence[str], *scoring: Any) -> Callable[..., list[Any]]:
-    metric: Any = METRICS[names[0]]
-    if scoring:
-        return partial(_score, metric, names, *scoring)
-    return metric.rows if isinstance(metric, TableMetric) else metric.scorer.measure
-
-
 def _score(
     metric: Any,
     names: Sequence[str],
@@ -110,7 +110,7 @@ def _score(
     colour_map: ColourMap | None,
     n_frames: int,
     *frame: Any,
-) -> list[Value]:
+) -> list[Any]:
     """Add the last of so many frames to the scorer of a number, or finish where there is none."""
     scorer = _SCORERS.pop(number, None)
     if scorer is None:

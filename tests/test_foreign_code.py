@@ -14,6 +14,8 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import DATASETS, detect_layout, open_capture
 from ggvs_eval.errors import CaptureError, PluginError, RenderError, ViewRefusedError
 from ggvs_eval.metrics import foreign
+from ggvs_eval.metrics.path.rendered_path import PathPose
+from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.metrics.stream import score_view, score_views
 from ggvs_eval.pipelines.methods.registry import METHODS
@@ -221,6 +223,42 @@ def test_a_metric_gives_values_of_its_own(offer, values):
     with_it, without = score_view(frames(), ["X", "PSNR"]), score_view(frames(), ["PSNR"])
     assert with_it.values == without.values
     assert "metric X failed" in with_it.not_computed["X"]
+
+
+TABLE_AND_PATH = """
+from ggvs_eval.metrics.metric import TableMetric
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer
+
+about = {{"function": len, "higher_is_better": True, "describe": "x"}}
+rows = lambda values, options: {rows}
+scorer = PathScorer(names=("P",), measure=lambda path: {values})
+METRICS = {{
+    "T": TableMetric(name="T", kind="view", part="L1", rows=rows, reference="x", **about),
+    "P": PathMetric(name="P", scorer=scorer, **about),
+}}
+"""
+
+
+def poses() -> list[PathPose]:
+    cameras = [camera_at(0.0), camera_at(0.1)]
+    return [PathPose(camera, np.zeros((camera.height, camera.width, 3), np.uint8)) for camera in cameras]
+
+
+def test_a_metric_of_values_or_of_a_path_has_its_process_too(offer):
+    """What is no number or ends the process is a reason, every other value stays."""
+    offer(TABLE_AND_PATH.format(rows="[('', -1, len(values['']))]", values="[('P', None, path.rows[0])]"))
+    assert ("T", None, 3.0) in score_view(frames(), ["L1", "T"]).values
+    assert score_path(poses(), ["P"]).values[-1][0] == "P"
+
+
+def test_a_metric_of_values_or_of_a_path_that_fails_costs_itself(offer):
+    """As one of frames."""
+    offer(TABLE_AND_PATH.format(rows="__import__('os')._exit(3)", values="[('reprojection', None, 1.0)]"))
+    table, along = score_view(frames(), ["L1", "T"]), score_path(poses(), ["P"])
+    assert "ended with status 3" in table.not_computed["T"]
+    assert len(table.values) == 3
+    assert "one of reprojection" in along.not_computed["P"]
+    assert along.values == score_path(poses()).values
 
 
 def test_a_metric_that_works_is_a_number(offer):

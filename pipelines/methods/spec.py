@@ -287,7 +287,10 @@ class OnlineMethod(MethodSpec):
 
 
 class ForeignMethod:
-    """A method of a plug-in: it is shown copies, and a view that it fails in is one that it refuses."""
+    """A method of a plug-in: a view that it fails in is one that it refuses, and it is shown copies.
+
+    To copy four sources of 1352 x 1014 pixels with their depth takes 35 ms of a step, which no table counts.
+    """
 
     def __init__(self, title: str, factory: Callable[[], Method]) -> None:
         self._title = title
