@@ -188,7 +188,7 @@ def _collect(scores: Scores) -> Results:
     """Return one tidy table of all jobs, with the metrics that are made of the values of several, such as SDV."""
     run, coverage, labels = scores.run, scores.coverage, scores.labels
     protocol, capture = run.protocol(), run.capture_record()
-    questions = [*QUESTIONS.installed().values()]
+    questions = QUESTIONS.installed().values()
     records = {view: read_json(run.scores(view) / JOB_FILE)["methods"] for view in protocol.views.test}
     rows: list[tuple[Any, ...]] = []
     absences: list[Absence] = []

@@ -126,7 +126,7 @@ def test_other_pictures_of_one_job_are_refused(runs):
 
 
 def test_other_values_of_one_method_are_refused(runs):
-    """Values of one method that differ by more than rounding are refused; by rounding alone they are taken."""
+    """Values of one method that differ by more than rounding are refused; by rounding, or with the times, they may."""
     shutil.copytree(RunFolder(runs / "a").renders("no-blending", ""), RunFolder(runs / "b").renders("no-blending", ""))
     file, other = (RunFolder(runs / name).scores("cam00") / JOB_FILE for name in ("a", "b"))
     record, ours = json.loads(file.read_text()), json.loads(other.read_text())
@@ -139,6 +139,10 @@ def test_other_values_of_one_method_are_refused(runs):
     other.write_text(json.dumps(ours | {"methods": ours["methods"] | {"no-blending": method}}))
     with refused(ResultsError, str(file), str(other), "no-blending"):
         merge_runs(runs / "out", [runs / "a", runs / "b"])
+
+    for scores, values in ((file, json.loads(file.read_text())["methods"]["no-blending"]), (other, method)):
+        scores.write_text(json.dumps(ours | {"methods": {"no-blending@screen": values}}))
+    merge_runs(runs / "screens", [runs / "a", runs / "b"])
 
 
 def test_other_protocols_are_refused(runs, protocol):
