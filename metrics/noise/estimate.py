@@ -57,12 +57,6 @@ class NoiseModel:
         share = shares_of(self.octave_variance)
         return float(share @ octave_responses()[1])
 
-    @property
-    def temporal_correlation(self) -> float:
-        """Correlation of the noise of one pixel in neighbouring frames, mean of the channels."""
-        total = self.octave_variance.sum()
-        return float((self.octave_variance * self.octave_held).sum() / total) if total > 0 else 0.0
-
     def sigma_at(self, image: NDArray) -> Field:
         """Return the standard deviation of the noise at each value of an image, same shape, grey levels of 255."""
         levels = np.arange(256)
