@@ -36,9 +36,10 @@ class Screen:
     warm_up: int = 0
 
     @property
-    def first(self) -> int | None:
-        """First instant that is scored: one with a picture, behind the warm-up; None without one in the whole clip."""
-        return next((at for at, frame in enumerate(self.shown) if at >= self.warm_up and frame is not None), None)
+    def scored(self) -> dict[int, int]:
+        """Instants that are scored, those with a picture behind the warm-up, and what they show."""
+        lit = enumerate(self.shown[self.warm_up :], self.warm_up)
+        return {instant: frame for instant, frame in lit if frame is not None}
 
     def record(self) -> dict[str, Any]:
         """Counts and times as JSON values: of the instants from the first picture on, and of those before it (``dark``)."""

@@ -43,7 +43,7 @@ def write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str])
     ]
     titles = {label: specs[label].title if label in specs else method for label, method in rendered.items()}
     titles |= {label: spec.title_from for label in given if isinstance(spec := specs[label], OnlineMethod) and spec.title_from}
-    titles = {label: title if label == rendered[label] else f"{title}{SCREEN_TITLE}" for label, title in titles.items()}
+    titles |= {label: f"{titles[label]}{SCREEN_TITLE}" for label in labels if label.endswith(ON_SCREEN)}
     looks = [label for label in specs if not specs[label].online]
     write_json(
         run.root / "methods.json",

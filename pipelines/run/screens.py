@@ -60,13 +60,12 @@ def plan_screens(request: ScoreRequest) -> ScorePart:
 
 def _link_displayed(run: RunFolder, protocol: Protocol, label: str, screen: Screen) -> range:
     """Link the displayed frame of each scored instant in the row's folder; return these instants."""
-    start, first = protocol.frames.start, screen.first
-    assert first is not None
+    start = protocol.frames.start
     links: dict[Path, Path] = {}
     for view in protocol.views.test:
-        for instant, frame in enumerate(screen.shown[first:], start + first):
-            assert frame is not None
-            links[frame_path(Path(view), instant)] = frame_path(run.renders(label, view), start + frame)
+        for instant, frame in screen.scored.items():
+            picture = frame_path(run.renders(label, view), start + frame)
+            links[frame_path(Path(view), start + instant)] = picture
     folder = run.renders(f"{label}{ON_SCREEN}", "")
     there = {file.relative_to(folder): file.stat().st_ino for file in folder.glob("*/*.png")}
     for name, file in links.items():  # one by one, because another process may read them
@@ -75,12 +74,12 @@ def _link_displayed(run: RunFolder, protocol: Protocol, label: str, screen: Scre
                 link_file(file, temporary)
     for name in there:
         (folder / name).unlink(missing_ok=True)
-    return range(start + first, protocol.frames.numbers.stop)
+    return range(start + min(screen.scored), protocol.frames.numbers.stop)
 
 
 def _screen(protocol: Protocol, stream: Stream, clock: Clock) -> Screen | str:
     screen = on_screen([*clock.values()], protocol.frames.count, stream)
-    if screen.first is not None:
+    if screen.scored:
         return screen
     seconds = sum(clock.values())
     if stream.policy == "deadline" and seconds > stream.deadline_ms / 1000:
